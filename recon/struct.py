@@ -1,0 +1,83 @@
+"""Frozen records of tensors: the way data moves through the library."""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any, TypeVar, cast
+
+import torch
+from torch import Tensor
+
+_S = TypeVar("_S")
+
+
+class TensorStruct:
+    """Mixin for frozen dataclasses whose fields are tensors, nested structs or plain settings.
+
+    Plain settings (numbers, strings, None) are carried along unchanged.
+    """
+
+    def map(self: _S, function: Callable[[Tensor], Tensor]) -> _S:
+        """The same record with `function` applied to every tensor in it."""
+
+        def change(value: Any) -> Any:
+            if isinstance(value, Tensor):
+                return function(value)
+            if isinstance(value, TensorStruct):
+                return value.map(function)
+            return value
+
+        record = cast(Any, self)
+        changed = {f.name: change(getattr(record, f.name)) for f in dataclasses.fields(record)}
+        return dataclasses.replace(record, **changed)
+
+    def to(
+        self: _S,
+        *,
+        device: torch.device | str | None = None,
+        dtype: torch.dtype | None = None,
+    ) -> _S:
+        """On another device and, for its floating point tensors, in another precision."""
+
+        def move(tensor: Tensor) -> Tensor:
+            return tensor.to(device=device, dtype=dtype if tensor.is_floating_point() else None)
+
+        return cast(Any, self).map(move)
+
+    def detach(self: _S) -> _S:
+        """The same values cut from the graph that computed them."""
+        return cast(Any, self).map(Tensor.detach)
+
+    def __getitem__(self: _S, index: Any) -> _S:
+        """Select along the leading batch axis, of every tensor alike."""
+        return cast(Any, self).map(lambda tensor: tensor[index])
+
+    def replace(self: _S, **fields: Any) -> _S:
+        """The same record with some fields exchanged."""
+        return dataclasses.replace(cast(Any, self), **fields)
+
+    def tensors(self) -> dict[str, Tensor]:
+        """Every tensor by its dotted path, in the order of declaration."""
+        found: dict[str, Tensor] = {}
+        for field in dataclasses.fields(cast(Any, self)):
+            value = getattr(self, field.name)
+            if isinstance(value, Tensor):
+                found[field.name] = value
+            elif isinstance(value, TensorStruct):
+                found |= {f"{field.name}.{name}": t for name, t in value.tensors().items()}
+        return found
+
+
+S = TypeVar("S", bound=TensorStruct)
+"""Any record of tensors."""
+
+
+def concatenate(records: list[S], dim: int = 0) -> S:
+    """Join equal records along one axis of every tensor; settings are those of the first."""
+    paths = records[0].tensors()
+    joined = iter([torch.cat([r.tensors()[path] for r in records], dim) for path in paths])
+    return records[0].map(lambda _: next(joined))
+
+
+def stack(records: list[S]) -> S:
+    """Join equal records along a new leading batch axis; settings are those of the first."""
+    return concatenate([record.map(lambda tensor: tensor[None]) for record in records])
