@@ -1,0 +1,304 @@
+"""Evaluations our L-BFGS needs on standard problems, beside SciPy's L-BFGS-B.
+
+    python benchmarks/solver.py --json solver.json
+
+Both start at the same point in double precision, remember 20 pairs, and stop once no component of
+the gradient exceeds 1e-6. `solved` counts the evaluations until the objective was within 1e-8
+(relative to max(1, |minimum|)) of the lower of the two minima, `total` those until the method
+stopped. A second table is the time the solver itself takes per evaluation.
+Sources: Moré, Garbow & Hillstrom (1981), Testing unconstrained optimization software; Jamil & Yang
+(2013), A literature survey of benchmark functions.
+"""
+
+import argparse
+import json
+import os
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from recon.solver import LBFGS, Solution
+
+TOLERANCE_GRADIENT = 1e-6
+SOLVED = 1e-8
+HISTORY = 20
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A function from (batch, n) to weighted terms (batch, terms), and where to start."""
+
+    name: str
+    terms: Callable[[Tensor], Tensor]
+    start: tuple[float, ...]
+    box: tuple[float, float] | None = None
+    """Bounds of every variable that SciPy is told; we are not."""
+
+
+def rosenbrock(x: Tensor) -> Tensor:
+    curved = 100 * (x[:, 1:] - x[:, :-1].square()).square().sum(-1)
+    return torch.stack((curved, (1 - x[:, :-1]).square().sum(-1)), -1)
+
+
+def beale(x: Tensor) -> Tensor:
+    a, b = x.unbind(-1)
+    cases = (1, 1.5), (2, 2.25), (3, 2.625)
+    return torch.stack([(c - a * (1 - b**k)).square() for k, c in cases], -1)
+
+
+def himmelblau(x: Tensor) -> Tensor:
+    a, b = x.unbind(-1)
+    return torch.stack(((a * a + b - 11).square(), (a + b * b - 7).square()), -1)
+
+
+def booth(x: Tensor) -> Tensor:
+    a, b = x.unbind(-1)
+    return torch.stack(((a + 2 * b - 7).square(), (2 * a + b - 5).square()), -1)
+
+
+def wood(x: Tensor) -> Tensor:
+    a, b, c, d = x.unbind(-1)
+    return torch.stack(
+        (
+            100 * (b - a * a).square() + (1 - a).square(),
+            90 * (d - c * c).square() + (1 - c).square(),
+            10 * (b + d - 2).square() + 0.1 * (b - d).square(),
+        ),
+        -1,
+    )
+
+
+def powell_singular(x: Tensor) -> Tensor:
+    a, b, c, d = x.unflatten(-1, (-1, 4)).unbind(-1)
+    terms = (a + 10 * b) ** 2, 5 * (c - d) ** 2, (b - 2 * c) ** 4, 10 * (a - d) ** 4
+    return torch.stack([term.sum(-1) for term in terms], -1)
+
+
+def quadratic(x: Tensor) -> Tensor:
+    """Condition 1e4, minimum at (1, 1, ...)."""
+    curvature = torch.logspace(-2, 2, x.shape[1], dtype=x.dtype, device=x.device)
+    return (0.5 * curvature * (x - 1).square()).sum(-1, keepdim=True)
+
+
+def trigonometric(x: Tensor) -> Tensor:
+    n = x.shape[1]
+    index = torch.arange(1, n + 1, dtype=x.dtype, device=x.device)
+    cosines = x.cos().sum(-1, keepdim=True)
+    return (n - cosines + index * (1 - x.cos()) - x.sin()).square()
+
+
+def brown(x: Tensor) -> Tensor:
+    """Brown's badly scaled function: minimum 0 at (1e6, 2e-6)."""
+    a, b = x.unbind(-1)
+    return torch.stack(((a - 1e6).square(), (b - 2e-6).square(), (a * b - 2).square()), -1)
+
+
+def barrier(x: Tensor) -> Tensor:
+    """A linear cost within the box (0, 1); nan outside it."""
+    cost = torch.linspace(-3, 10, x.shape[1], dtype=x.dtype, device=x.device)
+    return torch.stack(((cost * x).sum(-1), -0.1 * (x.log() + (1 - x).log()).sum(-1)), -1)
+
+
+def styblinski_tang(x: Tensor) -> Tensor:
+    return (0.5 * (x**4 - 16 * x.square() + 5 * x)).sum(-1, keepdim=True)
+
+
+def geman(x: Tensor) -> Tensor:
+    """Points pulled by a robust, non-convex data term and held together by smoothness."""
+    data = torch.sin(0.7 * torch.arange(x.shape[1], dtype=x.dtype, device=x.device)).mul(2).round()
+    squared = (x - data).square()
+    smooth = 5 * (x[:, 2:] - 2 * x[:, 1:-1] + x[:, :-2]).square().sum(-1)
+    return torch.stack(((squared / (1 + squared)).sum(-1), smooth), -1)
+
+
+PROBLEMS = (
+    Problem("rosenbrock 2", rosenbrock, (-1.2, 1.0)),
+    Problem("rosenbrock 10", rosenbrock, (-1.2, 1.0) * 5),
+    Problem("rosenbrock 100", rosenbrock, (-1.2, 1.0) * 50),
+    Problem("beale", beale, (1.0, 1.0)),
+    Problem("himmelblau", himmelblau, (0.0, 0.0)),
+    Problem("booth", booth, (0.0, 0.0)),
+    Problem("wood", wood, (-3.0, -1.0, -3.0, -1.0)),
+    Problem("powell singular 40", powell_singular, (3.0, -1.0, 0.0, 1.0) * 10),
+    Problem("quadratic 50", quadratic, (0.0,) * 50),
+    Problem("trigonometric 10", trigonometric, (0.1,) * 10),
+    Problem("brown badly scaled", brown, (1.0, 1.0)),
+    Problem("log barrier 20", barrier, (0.5,) * 20, box=(1e-12, 1 - 1e-12)),
+    Problem("styblinski-tang 10", styblinski_tang, (-1.0,) * 10),
+    Problem("geman 60", geman, (0.0,) * 60),
+)
+
+
+def with_ours(problem: Problem) -> tuple[Solution, list[float]]:
+    """Our solution and the value of every evaluation."""
+    values: list[float] = []
+
+    def objective(x: Tensor, _: Tensor) -> Tensor:
+        terms = problem.terms(x)
+        values.append(terms.sum().item())
+        return terms
+
+    solver = LBFGS(
+        max_iterations=2000,
+        history=HISTORY,
+        tolerance_decrease=0.0,
+        tolerance_gradient=TOLERANCE_GRADIENT,
+    )
+    return solver(objective, torch.tensor([problem.start], dtype=torch.float64)), values
+
+
+def with_scipy(problem: Problem) -> tuple[np.ndarray, float, list[float]]:
+    """SciPy's minimiser, its minimum, and the value of every evaluation."""
+    from scipy.optimize import minimize
+
+    values: list[float] = []
+
+    def objective(array: np.ndarray) -> tuple[float, np.ndarray]:
+        x = torch.from_numpy(array)[None].clone().requires_grad_()
+        value = problem.terms(x).sum()
+        (gradient,) = torch.autograd.grad(value, x)
+        values.append(value.item())
+        return values[-1], gradient[0].numpy()
+
+    found = minimize(
+        objective,
+        np.array(problem.start),
+        jac=True,
+        method="L-BFGS-B",
+        bounds=None if problem.box is None else [problem.box] * len(problem.start),
+        options={
+            "maxcor": HISTORY,
+            "maxiter": 2000,
+            "maxfun": 10_000,
+            "ftol": 0.0,
+            "gtol": TOLERANCE_GRADIENT,
+        },
+    )
+    return found.x, float(found.fun), values
+
+
+def solved_at(values: list[float], minimum: float) -> int | None:
+    """The first evaluation that was as good as the minimum."""
+    near = np.array(values) <= minimum + SOLVED * max(1.0, abs(minimum))
+    return int(near.argmax()) + 1 if near.any() else None
+
+
+@dataclass(frozen=True)
+class Row:
+    """Evaluations on one problem."""
+
+    problem: str
+    value: float
+    value_scipy: float
+    solved: int | None
+    solved_scipy: int | None
+    total: int
+    total_scipy: int
+    ended_by: str
+
+
+def compare(problem: Problem) -> Row:
+    ours, our_values = with_ours(problem)
+    _, scipy_minimum, scipy_values = with_scipy(problem)
+    minimum = min(ours.value.item(), scipy_minimum)
+    return Row(
+        problem=problem.name,
+        value=ours.value.item(),
+        value_scipy=scipy_minimum,
+        solved=solved_at(our_values, minimum),
+        solved_scipy=solved_at(scipy_values, minimum),
+        total=len(our_values),
+        total_scipy=len(scipy_values),
+        ended_by=ours.termination[0].name,
+    )
+
+
+@dataclass(frozen=True)
+class Cost:
+    """CPU milliseconds per evaluation within a cheap objective with its gradient, and outside."""
+
+    batch: int
+    n: int
+    objective_ms: float
+    solver_ms: float
+
+
+def overhead(batch: int, n: int) -> Cost:
+    """The least of three runs in single precision, since other work disturbs them."""
+    weights = torch.logspace(0, 4, n)
+    start = torch.randn(batch, n, generator=torch.Generator().manual_seed(0))
+    solver = LBFGS(
+        max_iterations=100 if batch * n < 1e6 else 30, tolerance_decrease=0, tolerance_gradient=0
+    )
+
+    def objective(x: Tensor, _: Tensor) -> Tensor:
+        chain = (x[:, 1:] - x[:, :-1]).pow(4).sum(-1)
+        return torch.stack(((weights * x.square()).sum(-1), chain), -1)
+
+    def gradient() -> int:
+        for _ in range(10):
+            x = start.clone().requires_grad_()
+            torch.autograd.grad(objective(x, x).sum(), x)
+        return 10
+
+    def solve() -> int:
+        return int(solver(objective, start).evaluations.max())
+
+    def milliseconds(work: Callable[[], int]) -> float:
+        began = time.process_time()
+        count = work()
+        return 1e3 * (time.process_time() - began) / count
+
+    within = min(milliseconds(gradient) for _ in range(3))
+    whole = min(milliseconds(solve) for _ in range(3))
+    return Cost(batch, n, within, whole - within)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Our L-BFGS beside SciPy's L-BFGS-B.")
+    parser.add_argument("--json", type=Path, help="also write the tables here")
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+
+    rows = [compare(problem) for problem in PROBLEMS]
+    print(f"{'problem':20}{'solved':>8}{'scipy':>7}{'total':>8}{'scipy':>7}  ended by")
+    for row in rows:
+        print(
+            f"{row.problem:20}{row.solved or '-':>8}{row.solved_scipy or '-':>7}"
+            f"{row.total:>8}{row.total_scipy:>7}  {row.ended_by}"
+        )
+    both = [(r.solved, r.solved_scipy) for r in rows if r.solved and r.solved_scipy]
+    solved, solved_scipy = (sum(counts) for counts in zip(*both, strict=True))
+    total, total_scipy = sum(row.total for row in rows), sum(row.total_scipy for row in rows)
+    print(f"{'sum':20}{solved:>8}{solved_scipy:>7}{total:>8}{total_scipy:>7}")
+    print(f"{'ours / scipy':20}{solved / solved_scipy:>15.2f}{total / total_scipy:>15.2f}")
+
+    shapes = (1, 500), (1, 4000), (16, 4000), (64, 4000), (64, 20000)
+    costs = [overhead(*shape) for shape in shapes]
+    print(f"\n{'batch':>5}{'n':>7}{'objective ms':>14}{'solver ms per evaluation':>26}")
+    for cost in costs:
+        print(f"{cost.batch:>5}{cost.n:>7}{cost.objective_ms:>14.2f}{cost.solver_ms:>26.2f}")
+
+    if arguments.json is not None:
+        beside = arguments.json.with_suffix(arguments.json.suffix + ".part")
+        report = {
+            "problems": [asdict(row) for row in rows],
+            "solved": solved,
+            "solved_scipy": solved_scipy,
+            "total": total,
+            "total_scipy": total_scipy,
+            "ratio_solved": solved / solved_scipy,
+            "ratio_total": total / total_scipy,
+            "overhead": [asdict(cost) for cost in costs],
+        }
+        beside.write_text(json.dumps(report, indent=1))
+        os.replace(beside, arguments.json)
+
+
+if __name__ == "__main__":
+    main()

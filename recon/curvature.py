@@ -1,0 +1,153 @@
+"""The inverse Hessian that L-BFGS infers from its past steps, for a batch of problems at once."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float64, Int64
+from torch import Tensor
+
+
+@dataclass
+class Curvature:
+    """The last pairs (s, y) of every element: s a step, y the change of gradient over it.
+
+    The product with the inverse Hessian is the compact form of Byrd, Nocedal & Schnabel (1994),
+    theorem 2.2, rather than the two-loop recursion: two passes over the pairs as batched
+    matrix products and two triangular solves, whatever the number of pairs. The slots of an
+    element form a ring of its own, since elements do not complete their steps together.
+    """
+
+    pairs: Float64[Tensor, "active slots 2 n"]
+    sy: Float64[Tensor, "active slots slots"]
+    """s_i . y_j; only valid where pair i is not newer than pair j."""
+    yy: Float64[Tensor, "active slots slots"]
+    products: Float64[Tensor, "active slots 2"]
+    """s_i . g and y_i . g for the gradient of the last direction."""
+    live: Bool[Tensor, "active slots"]
+    """Pairs in use. Others (not yet filled, forgotten, without curvature) have no effect."""
+    scale: Float64[Tensor, " active"]
+    """gamma, the inverse Hessian before any pair is applied: s.y / y.y of the newest."""
+    count: Int64[Tensor, " active"]
+    """Pairs ever added; the next goes into slot `count % slots`."""
+    used: int
+    """No element has filled a slot from this one on."""
+
+    @classmethod
+    def empty(cls, active: int, n: int, slots: int, device: torch.device) -> "Curvature":
+        """No knowledge yet."""
+
+        def zeros(*shape: int) -> Float64[Tensor, "..."]:
+            return torch.zeros(*shape, dtype=torch.float64, device=device)
+
+        return cls(
+            pairs=zeros(active, slots, 2, n),
+            sy=zeros(active, slots, slots),
+            yy=zeros(active, slots, slots),
+            products=zeros(active, slots, 2),
+            live=torch.zeros(active, slots, dtype=torch.bool, device=device),
+            scale=zeros(active),
+            count=torch.zeros(active, dtype=torch.int64, device=device),
+            used=0,
+        )
+
+    def keep(self, rows: Int64[Tensor, " kept"]) -> None:
+        """Drop all elements but these."""
+        for name in ("pairs", "sy", "yy", "products", "live", "scale", "count"):
+            setattr(self, name, getattr(self, name)[rows])
+
+    def forget(self, rows: Int64[Tensor, " rows"]) -> None:
+        """Return these elements to steepest descent."""
+        self.live[rows] = False
+
+    def add(
+        self,
+        rows: Int64[Tensor, " rows"],
+        step: Float64[Tensor, "rows n"],
+        change: Float64[Tensor, "rows n"],
+    ) -> None:
+        """Remember a pair for each of these elements, in place of their oldest."""
+        slots = self.live.shape[1]
+        self.used = min(slots, self.used + 1)
+        slot = self.count[rows] % slots
+        self.count[rows] += 1
+        self.pairs[rows, slot, 0] = step
+        self.pairs[rows, slot, 1] = change
+
+    def direction(
+        self, gradient: Float64[Tensor, "active n"], added: Int64[Tensor, " added"]
+    ) -> Float64[Tensor, "active n"]:
+        """The quasi-Newton direction -H g, or steepest descent where that does not descend.
+
+        `added` are the elements whose newest pair has not taken part yet. An element without
+        pairs goes by min(1, 1 / |g|_1) times its gradient.
+        """
+        cautious = gradient.abs().sum(-1).reciprocal().clamp(max=1.0)
+        if self.used == 0:
+            return -cautious[:, None] * gradient
+        pairs = self.pairs[:, : self.used].flatten(1, 2)
+        products = (gradient[:, None] @ pairs.mT).view(-1, self.used, 2)
+        self._complete(added, products[added])
+        self.products[:, : self.used] = products
+
+        order = (self.count[:, None] + torch.arange(self.used, device=gradient.device)) % self.used
+        coefficients, scale = self._solve(order, products, cautious)
+        found = -(scale[:, None] * gradient + (coefficients[:, None] @ pairs)[:, 0])
+
+        slope = (found * gradient).sum(-1)
+        descends = (slope < 0) & slope.isfinite()
+        self.live &= descends[:, None]
+        return torch.where(descends[:, None], found, -cautious[:, None] * gradient)
+
+    def _complete(
+        self, rows: Int64[Tensor, " rows"], products: Float64[Tensor, "rows used 2"]
+    ) -> None:
+        """Enter the products of the newest y with every s and y, and judge the new pair.
+
+        The newest y is the change of the gradient since `self.products`, so its products are the
+        change of those: the pairs need not be read again.
+        """
+        slot = (self.count[rows] - 1) % self.live.shape[1]
+        step, change = self.pairs[rows, slot].unbind(1)
+        curvature, size = (step * change).sum(-1), change.square().sum(-1)
+        newest = products - self.products[rows, : self.used]
+        self.sy[rows, : self.used, slot] = newest[..., 0]
+        self.yy[rows, : self.used, slot] = newest[..., 1]
+        self.yy[rows, slot, : self.used] = newest[..., 1]
+        self.sy[rows, slot, slot] = curvature
+        self.yy[rows, slot, slot] = size
+        # A pair that is not clearly convex would spoil positive definiteness.
+        least = torch.finfo(torch.float64).eps * (size * step.square().sum(-1)).sqrt()
+        good = curvature > least
+        self.live[rows, slot] = good
+        self.scale[rows] = torch.where(good, curvature / size, self.scale[rows])
+
+    def _solve(
+        self,
+        order: Int64[Tensor, "active used"],
+        products: Float64[Tensor, "active used 2"],
+        cautious: Float64[Tensor, " active"],
+    ) -> tuple[Float64[Tensor, "active twice_used"], Float64[Tensor, " active"]]:
+        """Coefficients of the pairs (s, y, s, y, ... by slot) in H g, and that of g itself.
+
+        With p = S'g, q = Y'g, R the upper triangle of S'Y (oldest pair first), D its diagonal:
+        u = R^-1 p,  H g = gamma g + S R^-T (D u + gamma (Y'Y u - q)) - gamma Y u.
+        """
+        rows = torch.arange(len(order), device=order.device)[:, None]
+        live = self.live[rows, order]
+        scale = torch.where(live.any(-1), self.scale, cautious)
+        both = live[:, :, None] & live[:, None, :]
+        place = rows[:, :, None], order[:, :, None], order[:, None, :]
+        identity = torch.eye(order.shape[1], dtype=self.sy.dtype, device=order.device)
+        upper = torch.where(both, self.sy[place].triu(), identity)
+        p, q = torch.where(live[:, :, None], products[rows, order], 0.0).unbind(-1)
+
+        u = torch.linalg.solve_triangular(upper, p[:, :, None], upper=True)
+        yyu = torch.where(both, self.yy[place], 0.0) @ u
+        right = upper.diagonal(dim1=1, dim2=2)[:, :, None] * u
+        right = right + scale[:, None, None] * (yyu - q[:, :, None])
+        of_s = torch.linalg.solve_triangular(upper.mT, right, upper=False)
+        of_y = -scale[:, None, None] * u
+        ordered = torch.cat((of_s, of_y), -1)
+        by_slot = torch.empty_like(ordered)
+        by_slot[rows, order] = ordered
+        return by_slot.flatten(1), scale

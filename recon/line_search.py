@@ -1,0 +1,174 @@
+"""Strong-Wolfe line searches of many independent problems, advanced one trial at a time.
+
+The searches know only the scalars along their own ray, phi(t) = f(x + t d): the caller evaluates
+every element at its own `step`, hands the values back, and reads who is finished. An element may
+begin a new search while its neighbours are still within theirs. The scalars live in NumPy on the
+host, where a dozen element-wise operations cost microseconds rather than kernel launches.
+
+Bracketing and zooming are Nocedal & Wright, Numerical Optimization (2nd ed.), algorithms 3.5 and
+3.6, written as one rule: an unbracketed search is a bracket whose far end is at infinity.
+"""
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64
+
+# Trials beyond the lowest one: at least this much and at most that much of the last advance.
+EXPAND_LEAST, EXPAND_MOST = 0.1, 9.0
+# Trials within a bracket stay this fraction of its width away from both ends.
+MARGIN = 0.1
+# A bracket that kept more than this fraction of its width over two trials is bisected
+# (Moré & Thuente 1994, section 4).
+SHRINK = 0.66
+# After a trial that was not finite, the fraction of the way to it that is tried next.
+RETREAT = 0.25
+
+
+@dataclass(frozen=True)
+class Wolfe:
+    """When a step is good enough, and when to stop looking for one."""
+
+    c1: float
+    """Sufficient decrease: phi(t) <= phi(0) + c1 t phi'(0)."""
+    c2: float
+    """Curvature: |phi'(t)| <= c2 |phi'(0)|."""
+    max_trials: int
+    """Evaluations after which the lowest point so far is taken."""
+    resolution: float
+    """Relative precision of the objective's values. A bracket so narrow that the decrease along
+    it, by the slope at the origin, would be smaller is given up."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What one trial meant for every element."""
+
+    improved: Bool[np.ndarray, " active"]
+    """The trial decreases sufficiently and is the lowest point so far."""
+    finished: Bool[np.ndarray, " active"]
+    """The search is over; its lowest point is the step to take."""
+    unmoved: Bool[np.ndarray, " active"]
+    """The search is over and found no lower point."""
+    unreachable: Bool[np.ndarray, " active"]
+    """As `unmoved`, and the objective was not finite however short the step."""
+
+
+@dataclass
+class LineSearches:
+    """The brackets of all active elements, one column per element.
+
+    An end of a bracket is the three numbers t, phi(t), phi'(t). `low` is the lowest point so far,
+    at first the origin; `high` is the other end: infinite until a minimiser is known to lie
+    between, and on either side of `low` afterwards.
+    """
+
+    step: Float64[np.ndarray, " active"]
+    origin: Float64[np.ndarray, " active"]
+    low: Float64[np.ndarray, "3 active"]
+    high: Float64[np.ndarray, "3 active"]
+    width: Float64[np.ndarray, " active"]
+    width_before: Float64[np.ndarray, " active"]
+    trials: Int64[np.ndarray, " active"]
+
+    @classmethod
+    def create(cls, value: Float64[np.ndarray, " active"]) -> "LineSearches":
+        """Searches about to try the full step from points with these objective values."""
+        count = len(value)
+        searches = cls(
+            step=np.empty(count),
+            origin=np.empty(count),
+            low=np.empty((3, count)),
+            high=np.empty((3, count)),
+            width=np.empty(count),
+            width_before=np.empty(count),
+            trials=np.empty(count, dtype=np.int64),
+        )
+        searches.begin(np.ones(count, dtype=bool), value)
+        return searches
+
+    def keep(self, rows: Bool[np.ndarray, " active"]) -> None:
+        """Drop all elements but these."""
+        for field in fields(self):
+            setattr(self, field.name, getattr(self, field.name)[..., rows])
+
+    def begin(
+        self, rows: Bool[np.ndarray, " active"], value: Float64[np.ndarray, " active"]
+    ) -> None:
+        """Start anew, at the full step, where `rows` says so."""
+        self.step[rows] = 1.0
+        self.origin[rows] = value[rows]
+        self.low[0, rows] = 0.0
+        self.low[1, rows] = value[rows]
+        self.low[2, rows] = np.nan  # the first trial brings the slope at the origin along
+        self.high[:, rows] = np.inf
+        self.width[rows] = self.width_before[rows] = np.inf
+        self.trials[rows] = 0
+
+    def advance(
+        self,
+        value: Float64[np.ndarray, " active"],
+        slope: Float64[np.ndarray, " active"],
+        origin_slope: Float64[np.ndarray, " active"],
+        wolfe: Wolfe,
+    ) -> Verdict:
+        """Take in phi and phi' at `step`, move the brackets, and choose the next `step`.
+
+        A trial that is not finite counts as too long.
+        """
+        self.trials += 1
+        self.low[2] = np.where(self.trials == 1, origin_slope, self.low[2])
+        finite = np.isfinite(value) & np.isfinite(slope)
+        trial = np.stack((self.step, value, slope))
+        trial[1:, ~finite] = np.inf
+
+        before = self.low
+        enough = trial[1] <= self.origin + wolfe.c1 * self.step * origin_slope
+        improved = enough & (trial[1] < before[1])
+        accepted = improved & (np.abs(trial[2]) <= -wolfe.c2 * origin_slope)
+        # Past the minimiser: the way towards `high` now leads uphill.
+        turned = improved & (np.sign(trial[2]) * np.sign(self.high[0] - before[0]) >= 0)
+        self.high = np.where(turned, before, np.where(improved, self.high, trial))
+        self.low = np.where(improved, trial, before)
+
+        width = np.abs(self.high[0] - self.low[0])
+        unseen = width * -origin_slope <= wolfe.resolution * np.abs(self.origin)
+        narrow = np.isfinite(self.high[1]) & unseen
+        finished = accepted | narrow | (self.trials >= wolfe.max_trials)
+        unmoved = finished & (self.low[0] == 0.0)
+        self.step = np.where(np.isfinite(width), self._within(width), self._beyond(before))
+        self.width_before, self.width = self.width, width
+        return Verdict(improved, finished, unmoved, unmoved & ~np.isfinite(self.high[1]))
+
+    def _within(self, width: Float64[np.ndarray, " active"]) -> Float64[np.ndarray, " active"]:
+        """The next trial between `low` and `high`, at the cubic's minimiser if that serves."""
+        with np.errstate(all="ignore"):  # no cubic through an end that is not finite
+            gap = self.high[0] - self.low[0]
+            fraction = (cubic_minimiser(self.low, self.high) - self.low[0]) / gap
+            slow = width >= SHRINK * self.width_before
+            halve = np.where(np.isfinite(self.high[1]), 0.5, RETREAT)
+            usable = np.isfinite(fraction) & ~slow
+            return self.low[0] + gap * np.where(
+                usable, np.clip(fraction, MARGIN, 1 - MARGIN), halve
+            )
+
+    def _beyond(self, before: Float64[np.ndarray, "3 active"]) -> Float64[np.ndarray, " active"]:
+        """The next trial farther out, after a step from `before` to `low` that still descends."""
+        with np.errstate(all="ignore"):  # rows that are bracketed compute nonsense, unused
+            advance = self.low[0] - before[0]
+            reach = (cubic_minimiser(self.low, before) - self.low[0]) / advance
+            return self.low[0] + advance * np.where(
+                reach > 0, np.clip(reach, EXPAND_LEAST, EXPAND_MOST), EXPAND_MOST
+            )
+
+
+def cubic_minimiser(
+    a: Float64[np.ndarray, "3 active"], b: Float64[np.ndarray, "3 active"]
+) -> Float64[np.ndarray, " active"]:
+    """Where the cubic with the value and slope of `a` and of `b` has its minimum; nan if nowhere.
+
+    a and b hold t, phi(t) and phi'(t). Nocedal & Wright, equation 3.59.
+    """
+    d1 = a[2] + b[2] - 3 * (a[1] - b[1]) / (a[0] - b[0])
+    d2 = np.sign(b[0] - a[0]) * np.sqrt(d1 * d1 - a[2] * b[2])
+    return b[0] - (b[0] - a[0]) * (b[2] + d2 - d1) / (b[2] - a[2] + 2 * d2)

@@ -1,0 +1,61 @@
+"""What a solver is given and what it answers."""
+
+import enum
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Float64, Int, Int64
+from torch import Tensor
+
+Objective = Callable[
+    [Float[Tensor, "active n"], Int[Tensor, " active"]], Float[Tensor, "active terms"]
+]
+"""Weighted terms of the batch elements named in the second argument, at the first.
+
+Their sum over terms is minimised. Differentiable in the first argument; rows are independent.
+"""
+
+
+class Termination(enum.Enum):
+    """Why an element is finished; the value is the sentence a user reads."""
+
+    CONVERGED = "the objective's relative decrease fell below its tolerance"
+    GRADIENT = "the gradient fell below its tolerance"
+    ITERATION_LIMIT = "the iteration limit was reached"
+    EVALUATION_LIMIT = "the evaluation limit was reached"
+    LINE_SEARCH = "no further decrease could be found along the search direction"
+    NONFINITE = "the objective became nan or inf; the last finite estimate was kept"
+
+
+@dataclass(frozen=True)
+class Progress:
+    """What a callback sees after an evaluation that completed at least one iteration."""
+
+    evaluations: int
+    """Calls of the objective so far."""
+    active: Int64[np.ndarray, " active"]
+    """The batch elements still being worked on."""
+    iterations: Int64[np.ndarray, " batch"]
+    """Completed iterations of every element."""
+    value: Float64[np.ndarray, " batch"]
+    """The objective at every element's current iterate."""
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Where every element ended, how, and the way there."""
+
+    x: Float[Tensor, "batch n"]
+    """The last iterate. Iterates are finite and never increase the objective."""
+    value: Float64[Tensor, " batch"]
+    """The objective at `x`; not finite only if it was not finite at the start."""
+    iterations: Int[Tensor, " batch"]
+    """Steps taken."""
+    evaluations: Int[Tensor, " batch"]
+    """Calls of the objective this element took part in."""
+    termination: tuple[Termination, ...]
+    """Why each element ended."""
+    trace: Float64[Tensor, "batch iterations terms"]
+    """Term values at every iterate. Row 0 is the start; rows past an element's end repeat its
+    last."""
