@@ -1,0 +1,59 @@
+"""3D joints: positions of body joints in the world, noisy and partly missing."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from observations.rigid import rigid_start
+from observations.timing import point_misfit
+from recon.body import BodyModel
+from recon.motion import Motion
+from recon.protocols import Estimate
+from recon.robust import squared
+from recon.struct import TensorStruct
+
+
+@dataclass(frozen=True)
+class Joints3D(TensorStruct):
+    """Half the squared distance of every visible joint from the body's; metres²."""
+
+    positions: Float[Tensor, "*batch moments points 3"]
+    """World frame, z up, metres; zero where not visible."""
+    visible: Bool[Tensor, "*batch moments points"]
+    joints: tuple[int, ...]
+    """The body joint each point is."""
+    fps: float
+    start_time: float = 0.0
+    kernel: Callable[[Tensor], Tensor] = squared
+    """How much a squared distance counts; see `recon.robust`."""
+    offset_rows: tuple[int, int] | None = None
+    """Rows of `Scene.offsets` that belong to these points: where they sit away from the joints."""
+
+    def predict(self, estimate: Estimate) -> Float[Tensor, "*batch time points 3"]:
+        """Where the estimate has the points, in its own frames."""
+        chosen = list(self.joints)
+        points = estimate.body.joints[..., chosen, :]
+        if self.offset_rows is None:
+            return points
+        offsets = estimate.scene.offsets[..., None, slice(*self.offset_rows), :, None]
+        return points + (estimate.body.orientations[..., chosen, :, :] @ offsets)[..., 0]
+
+    def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
+        """½ Σ kernel(|observed - predicted|²) over visible points, taken at 30 Hz.
+
+        HuMoR section 6.5: joints3d.
+        """
+        return point_misfit(
+            self.predict(estimate), estimate.motion, self.positions, self.visible,
+            fps=self.fps, start_time=self.start_time, kernel=self.kernel,
+        )  # fmt: skip
+
+    def start(self, body: BodyModel) -> Motion:
+        """The rest pose laid on the torso, frame by frame."""
+        rest = body.joint_template.to(self.positions)[list(self.joints)]
+        return rigid_start(
+            body, rest, self.joints, self.positions, self.visible,
+            fps=self.fps, start_time=self.start_time,
+        )  # fmt: skip

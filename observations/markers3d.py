@@ -1,0 +1,65 @@
+"""3D markers: positions of points on the body's surface, noisy and partly missing."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from observations.rigid import rigid_start
+from observations.timing import point_misfit
+from recon.body import BodyModel
+from recon.motion import Motion
+from recon.protocols import Estimate
+from recon.robust import squared
+from recon.struct import TensorStruct
+
+
+@dataclass(frozen=True)
+class Markers3D(TensorStruct):
+    """Half the squared distance of every visible marker from its point of the skin; metres²."""
+
+    positions: Float[Tensor, "*batch moments points 3"]
+    """World frame, z up, metres; zero where not visible."""
+    visible: Bool[Tensor, "*batch moments points"]
+    vertices: tuple[int, ...]
+    """The vertex of the body each marker sits on."""
+    fps: float
+    start_time: float = 0.0
+    kernel: Callable[[Tensor], Tensor] = squared
+    """How much a squared distance counts; see `recon.robust`."""
+    offset_rows: tuple[int, int] | None = None
+    """Rows of `Scene.offsets` that belong to these markers: how they stand off the skin."""
+
+    def predict(self, estimate: Estimate) -> Float[Tensor, "*batch time points 3"]:
+        """Where the estimate has the markers, in its own frames."""
+        index = torch.tensor(self.vertices, device=self.positions.device)
+        points = estimate.body.points(index)
+        if self.offset_rows is None:
+            return points
+        turns = estimate.body.orientations[..., list(self.bones(estimate.body.model)), :, :]
+        offsets = estimate.scene.offsets[..., None, slice(*self.offset_rows), :, None]
+        return points + (turns @ offsets)[..., 0]
+
+    def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
+        """½ Σ kernel(|observed - predicted|²) over visible markers, taken at 30 Hz.
+
+        HuMoR section 6.5: verts3d.
+        """
+        return point_misfit(
+            self.predict(estimate), estimate.motion, self.positions, self.visible,
+            fps=self.fps, start_time=self.start_time, kernel=self.kernel,
+        )  # fmt: skip
+
+    def start(self, body: BodyModel) -> Motion:
+        """The rest pose laid on the torso, frame by frame."""
+        rest = body.template.to(self.positions)[list(self.vertices)]
+        return rigid_start(
+            body, rest, self.bones(body), self.positions, self.visible,
+            fps=self.fps, start_time=self.start_time,
+        )  # fmt: skip
+
+    def bones(self, body: BodyModel) -> tuple[int, ...]:
+        """The bone that moves each marker most."""
+        return tuple(body.weights[list(self.vertices)].argmax(-1).tolist())

@@ -1,0 +1,66 @@
+"""When the estimate is looked at: observations bring their own clock."""
+
+from collections.abc import Callable
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from recon.motion import Motion
+from recon.protocols import REFERENCE_FPS
+
+_SAME_MOMENT = 1e-4
+"""Frames; clocks closer than this are the same clock."""
+
+
+def at_observation_times(
+    values: Float[Tensor, "*batch time points 3"],
+    motion: Motion,
+    *,
+    fps: float,
+    start_time: float,
+    moments: int,
+) -> tuple[Float[Tensor, "*batch seen points 3"], slice]:
+    """Positions of the estimate at an observation's moments, and which moments those are.
+
+    Linear between decoded frames; moments outside the motion are left out, so an estimate of
+    the first frames of a clip meets the first moments of its data.
+    """
+    offset = (start_time - motion.start_time) * motion.fps
+    ratio = motion.fps / fps
+    if abs(ratio - 1) < 1e-9 and abs(offset - round(offset)) < _SAME_MOMENT:
+        shift = round(offset)
+        first, last = max(0, -shift), min(moments, motion.frames - shift)
+        last = max(first, last)
+        return values[..., first + shift : last + shift, :, :], slice(first, last)
+    place = offset + torch.arange(moments, dtype=torch.float64) * ratio
+    inside = ((place >= -_SAME_MOMENT) & (place <= motion.frames - 1 + _SAME_MOMENT)).nonzero()
+    if len(inside) == 0:
+        return values[..., :0, :, :], slice(0, 0)
+    seen = slice(int(inside[0]), int(inside[-1]) + 1)
+    place = place[seen].clamp(0, motion.frames - 1)
+    before = place.floor().long().clamp(max=max(motion.frames - 2, 0))
+    after = (before + 1).clamp(max=motion.frames - 1)
+    fraction = (place - before).to(values)[:, None, None]
+    before, after = before.to(values.device), after.to(values.device)
+    return values[..., before, :, :].lerp(values[..., after, :, :], fraction), seen
+
+
+def point_misfit(
+    predicted: Float[Tensor, "*batch time points 3"],
+    motion: Motion,
+    positions: Float[Tensor, "*batch moments points 3"],
+    visible: Bool[Tensor, "*batch moments points"],
+    *,
+    fps: float,
+    start_time: float,
+    kernel: Callable[[Tensor], Tensor],
+) -> Float[Tensor, "*batch"]:
+    """½ Σ kernel(|observed - predicted|²) over visible points, taken at 30 Hz; metres²."""
+    moments = positions.shape[-3]
+    points, seen = at_observation_times(
+        predicted, motion, fps=fps, start_time=start_time, moments=moments
+    )
+    distance = (points - positions[..., seen, :, :]).square().sum(-1)
+    counted = kernel(distance).where(visible[..., seen, :], 0.0)
+    return 0.5 * counted.sum((-2, -1)) * (REFERENCE_FPS / fps)

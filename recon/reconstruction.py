@@ -1,0 +1,127 @@
+"""The entry point: observations in, a motion and the reasons for it out."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from recon.body import BodyModel, PosedBody
+from recon.motion import Motion
+from recon.protocols import Estimate, Observation
+from recon.scene import Scene
+from recon.solver import Termination
+from recon.stages import Stage, StageReport, Watch, run_stages
+from recon.terms import Term
+
+
+@runtime_checkable
+class Method(Protocol):
+    """How to fit: a prior with the schedule it is fitted by."""
+
+    def stages(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
+        """The minimisations that bring a first guess to the reconstruction."""
+        ...
+
+
+@dataclass(frozen=True)
+class Reconstruction:
+    """A batch of clips given back, and what happened on the way."""
+
+    estimate: Estimate
+    reports: tuple[StageReport, ...]
+
+    @property
+    def motion(self) -> Motion:
+        """The motions, one batch axis (clips)."""
+        return self.estimate.motion
+
+    @property
+    def body(self) -> PosedBody:
+        """The posed bodies; `vertices` are computed on first use."""
+        return self.estimate.body
+
+    @property
+    def contacts(self) -> Float[Tensor, "clips time 22"] | None:
+        """Probability of contact where the prior predicts it."""
+        return self.estimate.decoded.contacts
+
+    @property
+    def failed(self) -> tuple[bool, ...]:
+        """Clips that met nan or inf in some stage; they hold their last finite estimate."""
+        return tuple(
+            any(r.solution.termination[clip] is Termination.NONFINITE for r in self.reports)
+            for clip in range(len(self.motion.translation))
+        )
+
+    def clip(self, index: int) -> Motion:
+        """One clip's motion without its batch axis and padding."""
+        motion = self.motion[index]
+        return motion.window(0, int(motion.valid.sum()))
+
+    def __str__(self) -> str:
+        """Per stage and clip: the weighted energies by term, iterations, and why it ended."""
+        lines: list[str] = []
+        for report in self.reports:
+            solution, names = report.solution, [term.name for term in report.stage.terms]
+            lines.append(f"{report.stage.name}: {report.seconds:.2f} s")
+            for clip, reason in enumerate(solution.termination):
+                energies = solution.trace[clip, -1].tolist()
+                parts = ", ".join(
+                    f"{name} {value:.4g}" for name, value in zip(names, energies, strict=True)
+                )
+                lines.append(
+                    f"  clip {clip}: {parts}; {int(solution.iterations[clip])} iterations, "
+                    f"{int(solution.evaluations[clip])} evaluations; {reason.value}"
+                )
+        return "\n".join(lines)
+
+
+def fit(
+    observations: Sequence[Observation],
+    prior: Method,
+    body: BodyModel | None = None,
+    *,
+    start: Motion | None = None,
+    scene: Scene | None = None,
+    weights: Sequence[float] | None = None,
+    watch: Watch | None = None,
+) -> Reconstruction:
+    """The motion that explains all observations and is likely under the prior.
+
+    Observations of one clip add up; each carries a leading axis of clips, and clips are
+    independent of each other.
+
+    Args:
+        observations: adapters with data inside; the first one gives the first guess.
+        prior: what is likely, and by which stages it is fitted.
+        body: whose motion it is; None is the bundled body.
+        start: a first guess to continue from instead, for example the previous chunk's motion.
+        scene: what surrounds the motion; None puts every tracked point on the model.
+        weights: multiplier of each observation; None weighs all equally.
+        watch: told about every iteration.
+
+    Raises:
+        ValueError: when there is no observation, or their numbers of clips differ.
+    """
+    if len(observations) == 0:
+        raise ValueError("nothing to fit: expected at least one observation, got none")
+    body = BodyModel.load() if body is None else body
+    with torch.no_grad():
+        motion = observations[0].start(body) if start is None else start
+    if motion.translation.ndim != 3:
+        raise ValueError(
+            "expected one leading axis of clips, positions (clips, time, points, 3); got motion "
+            f"of shape {tuple(motion.translation.shape)}; add it by indexing with [None]"
+        )
+    if scene is None:
+        scene = Scene.create(len(motion.translation), like=motion.translation)
+    weights = [1.0] * len(observations) if weights is None else weights
+    data = tuple(
+        Term("data" if len(observations) == 1 else f"data {k + 1}", observation, weight)
+        for k, (observation, weight) in enumerate(zip(observations, weights, strict=True))
+    )
+    estimate, reports = run_stages(prior.stages(data), body, motion, scene, watch)
+    return Reconstruction(estimate, tuple(reports))

@@ -1,0 +1,163 @@
+"""A method is a tuple of stages; this is the loop over them."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from time import perf_counter
+from typing import Any, Generic
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from recon.body import BodyModel
+from recon.motion import Motion
+from recon.protocols import Estimate, Prior
+from recon.scene import Scene
+from recon.solver import LBFGS, Progress, Solution
+from recon.struct import S, TensorStruct
+from recon.terms import Term
+
+
+@dataclass(frozen=True)
+class Stage(Generic[S]):
+    """One minimisation: whose variables, of what, moving which, how."""
+
+    name: str
+    prior: Prior[S]
+    terms: tuple[Term, ...]
+    free: frozenset[str]
+    """Paths of the tensors to move: the prior's own (`pose`) or the scene's (`scene.offsets`)."""
+    minimiser: LBFGS = LBFGS()
+
+    def __post_init__(self) -> None:
+        names = [term.name for term in self.terms]
+        if len(names) == 0 or len(set(names)) < len(names):
+            raise ValueError(f"stage {self.name!r} needs terms with names of their own: {names}")
+
+
+@dataclass(frozen=True)
+class Unknowns(TensorStruct, Generic[S]):
+    """Everything a stage may move."""
+
+    variables: S
+    scene: Scene
+
+
+@dataclass(frozen=True)
+class StageReport:
+    """What one stage did to each clip."""
+
+    stage: Stage[Any]
+    solution: Solution
+    seconds: float
+
+
+Watch = Callable[[str, Progress], None]
+"""Told the stage's name and how far its minimisation has come."""
+
+
+def run_stage(
+    stage: Stage[S],
+    body: BodyModel,
+    variables: S,
+    scene: Scene,
+    watch: Watch | None = None,
+) -> tuple[S, Scene, Solution]:
+    """Minimise one stage's objective from the given variables.
+
+    Raises:
+        ValueError: when the stage frees a tensor that its prior and the scene do not have.
+    """
+    start = Unknowns(variables, scene).detach()
+    layout = _Layout.of(start, _free_paths(stage, start))
+    bound = stage.terms, start
+    bound_to: Tensor | None = None
+
+    def objective(x: Float[Tensor, "active n"], active: Int[Tensor, " active"]) -> Tensor:
+        nonlocal bound, bound_to
+        if active is not bound_to:  # the solver hands the same tensor until the rows change
+            bound = tuple(term.rows(active) for term in stage.terms), start[active]
+            bound_to = active
+        terms, fixed = bound
+        estimate = _estimate(stage.prior, body, layout.unflatten(fixed, x))
+        return torch.stack([term.weight * term.energy(estimate) for term in terms], -1)
+
+    told = None if watch is None else partial(watch, stage.name)
+    solution = stage.minimiser(objective, layout.flatten(start), told)
+    found = layout.unflatten(start, solution.x)
+    return found.variables, found.scene, solution
+
+
+def evaluate_stage(stage: Stage[S], body: BodyModel, variables: S, scene: Scene) -> Estimate:
+    """The estimate of a stage's variables, all that its energies would see."""
+    with torch.no_grad():
+        return _estimate(stage.prior, body, Unknowns(variables, scene))
+
+
+def run_stages(
+    stages: Sequence[Stage[Any]],
+    body: BodyModel,
+    motion: Motion,
+    scene: Scene,
+    watch: Watch | None = None,
+) -> tuple[Estimate, list[StageReport]]:
+    """All stages in turn.
+
+    Consecutive stages of one prior object continue from its variables; otherwise the baton is
+    the motion, encoded anew.
+    """
+    prior: Prior[Any] | None = None
+    variables: Any = None
+    reports: list[StageReport] = []
+    for stage in stages:
+        began = perf_counter()
+        if stage.prior is not prior:
+            with torch.no_grad():
+                prior, variables = stage.prior, stage.prior.encode(motion)
+        variables, scene, solution = run_stage(stage, body, variables, scene, watch)
+        with torch.no_grad():
+            motion = stage.prior.decode(variables).motion
+        reports.append(StageReport(stage, solution, perf_counter() - began))
+    return evaluate_stage(stages[-1], body, variables, scene), reports
+
+
+def _estimate(prior: Prior[S], body: BodyModel, unknowns: Unknowns[S]) -> Estimate:
+    decoded = prior.decode(unknowns.variables)
+    return Estimate(decoded, body.pose(decoded.motion), unknowns.scene)
+
+
+def _free_paths(stage: Stage[Any], start: TensorStruct) -> list[str]:
+    """The freed tensors by their path in `Unknowns`, in its order."""
+    named = {path.removeprefix("variables."): path for path in start.tensors()}
+    if unknown := stage.free - set(named):
+        raise ValueError(
+            f"stage {stage.name!r} frees {sorted(unknown)}; there are {sorted(named)}"
+        )
+    return [path for name, path in named.items() if name in stage.free]
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """How the freed tensors of a batch lie side by side in one matrix of variables."""
+
+    paths: tuple[str, ...]
+    shapes: tuple[torch.Size, ...]
+
+    @classmethod
+    def of(cls, record: TensorStruct, paths: list[str]) -> "_Layout":
+        tensors = record.tensors()
+        return cls(tuple(paths), tuple(tensors[path].shape[1:] for path in paths))
+
+    def flatten(self, record: TensorStruct) -> Float[Tensor, "batch n"]:
+        tensors = record.tensors()
+        return torch.cat([tensors[path].flatten(1) for path in self.paths], 1)
+
+    def unflatten(self, record: S, x: Float[Tensor, "batch n"]) -> S:
+        pieces = x.split([shape.numel() for shape in self.shapes], 1)
+        freed = {
+            path: piece.reshape(len(x), *shape)
+            for path, piece, shape in zip(self.paths, pieces, self.shapes, strict=True)
+        }
+        paths = iter(record.tensors())
+        return record.map(lambda tensor: freed.get(next(paths), tensor))
