@@ -1,5 +1,7 @@
 """Stages: what is freed moves, what is not stays; clips are independent; truth is recovered."""
 
+from dataclasses import dataclass
+
 import pytest
 import torch
 
@@ -15,19 +17,22 @@ from recon.terms import Term
 from tests import laws
 
 
+@dataclass
 class Free:
-    """A method of one stage: root, then everything, with a little smoothness."""
+    """A method: root first, then everything, with a little smoothness."""
+
+    iterations: int
 
     def stages(self, data):
         free = FreeMotion()
         steady = (
-            Term("smooth", terms.joint_acceleration, 10.0),
+            Term("smooth", terms.joint_acceleration, 1.0),
             Term("rest", terms.rest_pose, 1e-3),
         )
         everything = frozenset({"translation", "root", "pose"})
         return (
-            Stage("root", free, data, frozenset({"translation", "root"}), LBFGS(30)),
-            Stage("pose", free, (*data, *steady), everything, LBFGS(60)),
+            Stage("root", free, data, frozenset({"translation", "root"}), LBFGS(self.iterations)),
+            Stage("pose", free, (*data, *steady), everything, LBFGS(self.iterations)),
         )
 
 
@@ -40,12 +45,12 @@ def observed(body, motion, noise=0.0, seed=1):
 
 
 def test_a_planted_motion_is_recovered_and_noise_lessened(body):
-    motion = laws.a_motion(body, clips=2, frames=12)
+    motion = laws.a_motion(body, clips=2, frames=20)
     motion = motion.replace(shape=motion.shape * 0)
-    result = fit([observed(body, motion, noise=0.02)], Free(), body)
+    result = fit([observed(body, motion, noise=0.02)], Free(300), body)
     noise = (observed(body, motion, noise=0.02).positions - body.pose(motion).joints).norm(dim=-1)
     error = (result.body.joints - body.pose(motion).joints).norm(dim=-1)
-    assert error.mean() < 0.8 * noise.mean()
+    assert error.mean() < 0.85 * noise.mean()
     assert "pose" in str(result)
     assert result.failed == (False, False)
 
@@ -53,9 +58,9 @@ def test_a_planted_motion_is_recovered_and_noise_lessened(body):
 def test_a_clip_alone_is_the_clip_in_its_batch(body):
     motion = laws.a_motion(body, clips=3, frames=5)
     observation = observed(body, motion, noise=0.01)
-    together = fit([observation], Free(), body)
+    together = fit([observation], Free(30), body)
     row = torch.tensor([1])
-    alone = fit([observation[row]], Free(), body)
+    alone = fit([observation[row]], Free(30), body)
     gap = (together.body.joints[row] - alone.body.joints).norm(dim=-1)
     assert gap.max() < 1e-3  # metres
     value = [r.solution.value for r in (together.reports[-1], alone.reports[-1])]
