@@ -75,7 +75,10 @@ def load_arrays(path: Path) -> dict[str, np.ndarray]:
             if sum(info.file_size for info in archive.infolist()) > ARRAY_LIMIT:
                 raise ValueError(f"{path}: unpacks to more than {ARRAY_LIMIT >> 30} GiB")
         with np.load(path, allow_pickle=False) as file:
-            return {key: np.asarray(file[key]) for key in file.files}
+            arrays = {key: file[key] for key in file.files}
+        if foreign := [key for key, value in arrays.items() if not isinstance(value, np.ndarray)]:
+            raise ValueError(f"no arrays: {', '.join(foreign)}")
+        return arrays
     except (
         zipfile.BadZipFile, zlib.error, lzma.LZMAError, EOFError, KeyError, OSError, ValueError,
         NotImplementedError, RuntimeError, MemoryError, TypeError, SyntaxError, OverflowError,
