@@ -89,10 +89,10 @@ def evaluate(
 
 
 def nearest_labels(
-    labels: Shaped[Tensor, "recorded 22"],
+    labels: Shaped[Tensor, "recorded points"],
     label_times: Float[Tensor, " recorded"],
     times: Float[Tensor, " time"],
-) -> Shaped[Tensor, "time 22"]:
+) -> Shaped[Tensor, "time points"]:
     """Labels at other moments: those of the nearest recorded frame (the earlier of two)."""
     after = torch.searchsorted(label_times, times).clamp(1, max(len(label_times) - 1, 1))
     before = after - 1

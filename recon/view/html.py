@@ -1,0 +1,238 @@
+"""One self-contained page that plays a show in any browser, offline (viser's player inside)."""
+
+import contextlib
+import html
+import io
+import logging
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import roma
+import trimesh
+from jaxtyping import Float
+from torch import Tensor
+from viser import SceneApi, ViserServer
+
+from recon.formats.files import replacing
+from recon.skeleton import CONTACT_JOINTS
+from recon.view.scene import CLOUD, CONTACT, MISSING, VISIBLE, Colour, Figure, Points, Show
+from recon.view.viewpoint import follow
+
+logger = logging.getLogger(__name__)
+
+Layer = Callable[[int], None]
+"""Shows one frame of something."""
+
+INFLUENCES = 4
+"""Joints per vertex that a browser's skinning takes."""
+CONTACT_RADIUS = 0.055
+CLOUD_LIMIT = 1500
+"""Points of a scan kept per frame: 90 frames stay below 2 MB."""
+SEE_THROUGH = 0.62
+"""Opacity of solid bodies while points or contacts, which lie inside, are shown."""
+
+DEEPEN = 0.82
+"""Factor on colours: the player's lights brighten them by about its inverse."""
+
+
+def write_html(path: str | Path, show: Show) -> None:
+    """Write the page: play, pause and scrub a timeline, turn the view, toggle the layers.
+
+    The page holds everything it needs and asks no server for anything. A body is stored once
+    and skinned in the browser (its pose-dependent offsets, if it has any, are left out).
+
+    Raises:
+        FileNotFoundError: when the folder of `path` does not exist.
+    """
+    # viser greets on standard output whatever its verbosity.
+    with replacing(Path(path)) as scratch, contextlib.redirect_stdout(io.StringIO()):
+        server = ViserServer(host="127.0.0.1", verbose=False)
+        try:
+            page = _record(server, show)
+        finally:
+            server.stop()
+        title = f"<title>{html.escape(show.title)}</title>"
+        page = page.replace("<title>Viser</title>", title, 1)
+        page = page.replace("</body>", _caption(show) + "</body>", 1)
+        scratch.write_text(page, encoding="utf-8")
+    logger.info("wrote %s: %d frames, %.1f MB", path, show.frames, len(page) / 1e6)
+
+
+def prune_weights(
+    weights: Float[np.ndarray, "vertices joints"],
+) -> Float[np.ndarray, "vertices joints"]:
+    """The `INFLUENCES` largest weights of every vertex, scaled to sum to one again.
+
+    Without the scaling a vertex with five influences would be drawn towards the origin.
+    """
+    kept = np.zeros_like(weights)
+    largest = np.argsort(weights, axis=1)[:, -INFLUENCES:]
+    np.put_along_axis(kept, largest, np.take_along_axis(weights, largest, 1), 1)
+    return kept / kept.sum(1, keepdims=True)
+
+
+def _record(server: ViserServer, show: Show) -> str:
+    """Play the show once on a local server and keep every message it would send."""
+    scene = server.scene
+    scene.set_up_direction("+z")
+    touching = any(bool(figure.touching.any()) for figure in show.figures)
+    inside = SEE_THROUGH if touching or show.points is not None else 1.0
+    layers = [_stage(server, show)]
+    for figure in show.figures:
+        layers.append(_body(scene, figure, figure.opacity * inside))
+        if bool(figure.touching.any()):
+            layers.append(_contacts(scene, figure))
+    if show.points is not None:
+        layers += _points(scene, show.points)
+    if show.cloud is not None:
+        layers.append(_scan(scene, show.cloud))
+    serializer = server.get_scene_serializer()
+    for frame in range(show.frames):
+        for layer in layers:
+            layer(frame)
+        serializer.insert_sleep(1 / show.fps)
+    return serializer.as_html()
+
+
+def _stage(server: ViserServer, show: Show) -> Layer:
+    """The ground and a first view; the world glides so that the person stays in it."""
+    views = follow(show.figures, (1280, 800))
+    glide = np.stack([views[0].target - view.target for view in views])
+    world = server.scene.add_frame("/world", show_axes=False)
+    reach = float(np.abs(glide).max())
+    server.scene.add_grid(
+        "/world/ground",
+        width=2 * reach + 16,
+        height=2 * reach + 16,
+        cell_size=0.5,
+        section_size=1.0,
+        cell_color=(216, 220, 226),
+        section_color=(188, 194, 203),
+        plane_color=(244, 245, 248),
+        plane_opacity=1.0,
+        shadow_opacity=0.25,
+        position=(*views[0].target[:2], -0.004),
+    )
+    camera, view = server.initial_camera, views[0]
+    camera.position, camera.look_at = view.position, view.target
+    camera.fov = float(2 * np.arctan(view.size[1] / 2 / view.focal))
+
+    def show_frame(frame: int) -> None:
+        world.position = glide[frame]
+
+    return show_frame
+
+
+def _body(scene: SceneApi, figure: Figure, opacity: float) -> Layer:
+    shape = figure.posed.shape
+    turns = roma.rotmat_to_unitquat(figure.posed.orientations).roll(1, -1).numpy()
+    joints = figure.posed.joints.numpy()
+    mesh = scene.add_mesh_skinned(
+        f"/world/{_node(figure)}/body",
+        figure.posed.model.rest_vertices(shape).numpy(),
+        figure.body.faces.cpu().numpy(),
+        bone_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (joints.shape[1], 1)),
+        bone_positions=figure.posed.rest.numpy(),
+        skin_weights=prune_weights(figure.body.weights.cpu().double().numpy()),
+        color=_deep(figure.colour),
+        opacity=None if opacity == 1 else opacity,
+    )
+
+    def show(frame: int) -> None:
+        for bone, wxyz, position in zip(mesh.bones, turns[frame], joints[frame], strict=True):
+            bone.wxyz, bone.position = wxyz, position
+
+    return show
+
+
+def _contacts(scene: SceneApi, figure: Figure) -> Layer:
+    carrying = list(CONTACT_JOINTS)
+    joints = figure.posed.joints[:, carrying]
+    touching = figure.touching[:, carrying]
+    return _spheres(
+        scene, f"/world/{_node(figure)}/contacts", joints, touching, CONTACT_RADIUS, CONTACT
+    )
+
+
+def _points(scene: SceneApi, points: Points) -> list[Layer]:
+    seen, radius = points.visible, points.radius
+    layers = [_spheres(scene, "/world/points/observed", points.positions, seen, radius, VISIBLE)]
+    if points.estimated is not None and not bool(seen.all()):
+        layers.append(
+            _spheres(scene, "/world/points/missing", points.estimated, ~seen, radius, MISSING)
+        )
+    return layers
+
+
+def _spheres(
+    scene: SceneApi,
+    name: str,
+    centres: Float[Tensor, "time points 3"],
+    shown: Tensor,
+    radius: float,
+    colour: Colour,
+) -> Layer:
+    """Spheres of one colour; those not shown have size zero."""
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=radius)
+    places = centres.detach().cpu().float().numpy()
+    sizes = shown.cpu().float().numpy()
+    handle = scene.add_batched_meshes_simple(
+        name,
+        np.asarray(ball.vertices),
+        np.asarray(ball.faces),
+        batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (places.shape[1], 1)),
+        batched_positions=places[0],
+        batched_scales=sizes[0],
+        batched_colors=_deep(colour),
+        lod="off",
+        cast_shadow=False,
+        receive_shadow=False,
+    )
+
+    def show(frame: int) -> None:
+        handle.batched_positions = places[frame]
+        if frame == 0 or not np.array_equal(sizes[frame], sizes[frame - 1]):
+            handle.batched_scales = sizes[frame]
+
+    return show
+
+
+def _scan(scene: SceneApi, cloud: tuple[Tensor, ...]) -> Layer:
+    def thinned(frame: int) -> np.ndarray:
+        points = cloud[frame].detach().cpu().float().numpy()
+        return points[:: max(1, -(-len(points) // CLOUD_LIMIT))]
+
+    handle = scene.add_point_cloud(
+        "/world/scan", thinned(0), colors=_deep(CLOUD), point_size=0.008
+    )
+
+    def show(frame: int) -> None:
+        handle.points = thinned(frame)
+
+    return show
+
+
+def _node(figure: Figure) -> str:
+    """Name of a figure's layer; a slash would open a new level of the tree."""
+    return figure.name.replace("/", "-").strip() or "figure"
+
+
+def _deep(colour: Colour) -> Colour:
+    red, green, blue = (round(DEEPEN * part) for part in colour)
+    return red, green, blue
+
+
+def _caption(show: Show) -> str:
+    """Title and legend, laid over the page's upper left corner."""
+    disc = "display:inline-block;width:.7em;height:.7em;border-radius:50%;margin-right:.5em;"
+    rows = "".join(
+        f'<div><span style="{disc}background:rgb{colour}"></span>{html.escape(word)}</div>'
+        for word, colour in show.legend
+    )
+    box = (
+        "position:fixed;left:16px;top:14px;z-index:10;pointer-events:none;"
+        "font:14px/1.7 system-ui,sans-serif;color:#52565e"
+    )
+    head = '<div style="font-size:20px;font-weight:650;color:#262a32;margin-bottom:2px">'
+    return f'<div style="{box}">{head}{html.escape(show.title)}</div>{rows}</div>'
