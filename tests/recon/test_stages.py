@@ -143,7 +143,7 @@ def test_stages_refuse_what_does_not_exist(toy_body):
     with pytest.raises(ValueError, match="names of their own"):
         Stage("x", FreeMotion(), (*data, *data), frozenset({"root"}))
     with pytest.raises(ValueError, match="nothing to fit"):
-        fit([], Free(), toy_body)
+        fit([], Free(1), toy_body)
 
 
 def test_joined_records_are_their_parts(toy_body):

@@ -1,0 +1,52 @@
+"""`recon batch`: many clips at once."""
+
+from pathlib import Path
+
+from tyro.conf import OmitArgPrefixes, Positional
+
+from recon.cli.errors import Failed
+from recon.settings import DEFAULTS, FitSettings
+
+
+def batch(
+    manifest: Positional[Path],
+    out: Path,
+    settings: OmitArgPrefixes[FitSettings] = DEFAULTS,
+    processes: int = 2,
+    shard: str = "0/1",
+) -> None:
+    """Fit every clip of a manifest; run it again to go on where it stopped.
+
+    The manifest has one JSON object per line: {"id": "clip", "observations": ["clip.npz"]}.
+    Results are OUT/ID.npz; OUT/log.jsonl says what became of each clip.
+
+    Args:
+        manifest: JSON lines; paths are relative to it.
+        out: folder for the results.
+        settings: how to fit.
+        processes: clips at a time, one thread each.
+        shard: I/N fits the I-th of N equal parts: one part per machine or job of a cluster.
+    """
+    from rich.progress import Progress
+
+    from recon.batch import fit_all, read_manifest
+    from recon.batch import shard as part
+    from recon.cli import console
+
+    index, slash, count = shard.partition("/")
+    if not (slash and index.isdigit() and count.isdigit()):
+        raise ValueError(f"--shard is I/N, for example 0/4; got {shard!r}")
+    clips = part(read_manifest(manifest), int(index), int(count))
+    out.mkdir(parents=True, exist_ok=True)
+    log = out / ("log.jsonl" if shard == "0/1" else f"log-{index}-{count}.jsonl")
+    counts: dict[str, int] = {}
+    with Progress(console=console.stderr, transient=True) as bar:
+        task = bar.add_task("clips", total=len(clips))
+        for record in fit_all(clips, out, settings, processes, log):
+            counts[record["status"]] = counts.get(record["status"], 0) + 1
+            if "error" in record:
+                console.say(f"{record['id']}: {record['status']}: {record['error']}")
+            bar.advance(task)
+    console.answer({"clips": len(clips), **counts, "log": str(log)})
+    if any(status not in ("ok", "skipped") for status in counts):
+        raise Failed(f"not every clip was fitted; see {log}")

@@ -1,0 +1,31 @@
+"""`recon evaluate`: a result against the truth."""
+
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+
+def evaluate(
+    result: Positional[Path],
+    truth: Positional[Path],
+    obs: Path | None = None,
+    json: Annotated[Path | None, arg(help="File for the metrics.")] = None,
+) -> None:
+    """Every metric of a reconstruction, in SI units.
+
+    The truth is interpolated at the result's times.
+
+    Args:
+        result: motion file.
+        truth: motion file that lasts at least as long.
+        obs: the observation that was fitted, for errors of its own points.
+        json: file to write the metrics to.
+    """
+    from recon.cli import console
+    from recon.evaluate_files import evaluate_files
+
+    metrics = evaluate_files(result, truth, obs, json)
+    console.table(f"{result} against {truth}", {k: {"value": v} for k, v in metrics.items()})
+    if json is None:
+        console.answer(metrics)

@@ -1,0 +1,34 @@
+"""`recon export`: a motion in other programs' formats."""
+
+from pathlib import Path
+
+from tyro.conf import Positional
+
+
+def export(
+    motion: Positional[Path],
+    glb: Path | None = None,
+    bvh: Path | None = None,
+    trc: Path | None = None,
+    ply: Path | None = None,
+    html: Path | None = None,
+) -> None:
+    """Write a motion for Blender, game engines, biomechanics tools or mesh viewers.
+
+    Args:
+        motion: motion file.
+        glb: glTF 2.0 with skinned mesh and animation.
+        bvh: skeleton animation.
+        trc: the 22 joints as markers, millimetres.
+        ply: folder for one mesh per frame.
+        html: self-contained page, as `recon view` writes.
+    """
+    from recon.export import export_file
+
+    if all(target is None for target in (glb, bvh, trc, ply, html)):
+        raise ValueError("nothing to write: give --glb, --bvh, --trc, --html FILE or --ply FOLDER")
+    export_file(motion, glb=glb, bvh=bvh, trc=trc, ply=ply)
+    if html is not None:
+        from recon.view.files import view_files
+
+        view_files(motion, html=html)

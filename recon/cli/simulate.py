@@ -1,0 +1,64 @@
+"""`recon simulate`: a known motion as a sensor would have seen it."""
+
+from pathlib import Path
+from typing import Literal
+
+from tyro.conf import Positional
+
+
+def simulate(
+    motion: Positional[Path],
+    out: Positional[Path],
+    kind: Literal["joints3d", "markers3d"],
+    noise: float = 0.0,
+    hide_below: float | None = None,
+    occluder: tuple[float, float, float, float, float, float] | None = None,
+    missing_points: float = 0.0,
+    missing_frames: float = 0.0,
+    outliers: float = 0.0,
+    frames: str | None = None,
+    fps: float | None = None,
+    unknown_ground: bool = False,
+    seed: int = 0,
+) -> None:
+    """Make an observation file from a motion.
+
+    Args:
+        motion: motion file (.npz).
+        out: observation file to write.
+        kind: what the sensor tracks: the 22 joints, or 43 points of the skin.
+        noise: standard deviation of every coordinate, metres.
+        hide_below: points lower than this are hidden, metres.
+        occluder: corners of a box that hides points, x0 y0 z0 x1 y1 z1, metres.
+        missing_points: share of points missing at random.
+        missing_frames: share of frames in which nothing is seen.
+        outliers: share of points that are wildly off.
+        frames: part of the motion, A:B, in its own frames.
+        fps: rate of the sensor; default: that of the motion.
+        unknown_ground: do not say that the ground is at z = 0.
+        seed: of everything random.
+    """
+    from recon.simulate import Corruption, simulate_file
+
+    box = None if occluder is None else (occluder[:3], occluder[3:])
+    corruption = Corruption(
+        noise=noise,
+        hide_below=hide_below,
+        hide_box=box,
+        missing_points=missing_points,
+        missing_frames=missing_frames,
+        outliers=outliers,
+    )
+    simulate_file(
+        motion, out, kind, corruption, seed=seed, fps=fps, frames=_frames(frames),
+        unknown_ground=unknown_ground,
+    )  # fmt: skip
+
+
+def _frames(text: str | None) -> tuple[int, int] | None:
+    if text is None:
+        return None
+    first, colon, last = text.partition(":")
+    if not (colon and first.isdigit() and last.isdigit() and int(first) < int(last)):
+        raise ValueError(f"--frames is A:B with A < B, for example 0:90; got {text!r}")
+    return int(first), int(last)

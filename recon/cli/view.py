@@ -1,0 +1,32 @@
+"""`recon view`: look at a result."""
+
+from pathlib import Path
+
+from tyro.conf import Positional
+
+
+def view(
+    motion: Positional[Path],
+    html: Path | None = None,
+    png: Path | None = None,
+    mp4: Path | None = None,
+    obs: Path | None = None,
+    compare: Path | None = None,
+) -> None:
+    """Draw a motion as a page to play, a picture or a film.
+
+    The page is one file that needs no network.
+
+    Args:
+        motion: motion file.
+        html: page to write.
+        png: picture to write: frames side by side.
+        mp4: film to write.
+        obs: observation whose points are drawn; missing ones where the motion has them.
+        compare: a second motion, for example the truth.
+    """
+    from recon.view.files import view_files
+
+    if html is None and png is None and mp4 is None:
+        raise ValueError("nothing to draw: give --html FILE, --png FILE or --mp4 FILE")
+    view_files(motion, obs=obs, compare=compare, html=html, png=png, mp4=mp4)

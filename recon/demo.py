@@ -1,0 +1,133 @@
+"""The demo: a real recording, corrupted in two ways, given back; a table, a page, a picture."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+
+from observations.joints3d import Joints3D
+from observations.markers3d import Markers3D
+from priors.pose import PosePrior, PoseWeights
+from recon import simulate
+from recon.body import BodyModel
+from recon.evaluation import (
+    ObservedPoints,
+    evaluate,
+    joint_errors,
+    observed_errors,
+    smoothness,
+)
+from recon.formats.amass import load_motion
+from recon.formats.files import replacing
+from recon.motion import Motion
+from recon.reconstruction import Reconstruction, fit
+from recon.simulate import Corruption
+from recon.view.frames import write_png
+from recon.view.html import write_html
+from recon.view.scene import GREY, Figure, Points, Show
+
+Metrics = dict[str, float | None]
+
+
+@dataclass(frozen=True)
+class Case:
+    """One way to spoil the recording."""
+
+    title: str
+    sensor: str
+    """What the sensor tracks: `joints3d` or `markers3d`."""
+    corruption: Corruption
+    weights: PoseWeights
+
+
+CASES: Mapping[str, Case] = {
+    "noisy": Case(
+        "22 joints with 4 cm noise",
+        "joints3d",
+        Corruption(noise=0.04),
+        PoseWeights.tuned_joints(),
+    ),
+    "occluded": Case(
+        "43 points of the skin, hidden below 0.9 m",
+        "markers3d",
+        Corruption(hide_below=0.9),
+        PoseWeights.tuned_points(),
+    ),
+}
+SEED = 0
+
+
+def demo(out: Path) -> dict[str, dict[str, Metrics]]:
+    """Reconstruct both cases and write demo.json, demo.html, noisy.html, demo.png and *.npz.
+
+    Returns the metrics by case and method.
+    """
+    from recon.fit_files import write_result
+
+    out.mkdir(parents=True, exist_ok=True)
+    body = BodyModel.load()
+    with resources.as_file(resources.files("recon") / "assets" / "demo.npz") as path:
+        truth = load_motion(path).motion
+    table: dict[str, dict[str, Metrics]] = {}
+    shows: list[Show] = []
+    for name, case in CASES.items():
+        see = simulate.joints3d if case.sensor == "joints3d" else simulate.markers3d
+        seen = see(truth, body, case.corruption, SEED)
+        result = fit([seen[None]], PosePrior.load(weights=case.weights), body)
+        motion = result.clip(0).detach()
+        table[name] = {
+            "observed": _observed(seen, truth, body),
+            "pose": _metrics(result, seen, truth, body),
+        }
+        write_result(out / f"{name}.npz", motion, body, {"case": case.title, "seed": SEED})
+        shows.append(_show(case.title, seen, result, truth))
+        write_html(out / ("demo.html" if name == "occluded" else f"{name}.html"), shows[-1])
+    write_png(out / "demo.png", shows)
+    with replacing(out / "demo.json") as beside:
+        beside.write_text(json.dumps(table, indent=1))
+    return table
+
+
+def _metrics(
+    result: Reconstruction, seen: Joints3D | Markers3D, truth: Motion, body: BodyModel
+) -> Metrics:
+    predicted = seen[None].predict(result.estimate)[0].detach()
+    exact = simulate.exact(seen, truth, body)
+    points = ObservedPoints(predicted.double(), exact.double(), seen.visible)
+    return evaluate(result.clip(0).detach(), truth, body, observed=points)
+
+
+def _observed(seen: Joints3D | Markers3D, truth: Motion, body: BodyModel) -> Metrics:
+    """The data as it is, without any reconstruction; None where it says nothing."""
+    exact = simulate.exact(seen, truth, body)
+    errors = observed_errors(ObservedPoints(seen.positions, exact, seen.visible))
+    metrics: Metrics = {"observed_visible": errors["observed_visible"]}
+    if isinstance(seen, Joints3D):
+        metrics |= joint_errors(seen.positions, exact, None)
+        metrics |= smoothness(seen.positions, exact, seen.fps)
+    return metrics
+
+
+def _show(title: str, seen: Joints3D | Markers3D, result: Reconstruction, truth: Motion) -> Show:
+    predicted = seen[None].predict(result.estimate)[0].detach()
+    model = result.body.model
+    figures = (
+        Figure(model, result.clip(0).detach(), "reconstruction"),
+        Figure(model, truth, "truth", colour=GREY, opacity=0.4),
+    )
+    return Show(title, figures, Points(seen.positions, seen.visible, predicted))
+
+
+def summary(table: Mapping[str, Mapping[str, Metrics]]) -> dict[str, dict[str, float | None]]:
+    """The columns a person reads, in centimetres; one row per case and method."""
+    columns = ("joints_all", "joints_legs", "observed_visible", "observed_hidden", "vertices")
+    rows: dict[str, dict[str, float | None]] = {}
+    for case, methods in table.items():
+        for method, metrics in methods.items():
+            values = {column: metrics.get(column) for column in columns}
+            rows[f"{case}: {method}"] = {
+                f"{column} cm": None if value is None else 100 * value
+                for column, value in values.items()
+            }
+    return rows

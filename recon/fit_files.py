@@ -1,0 +1,102 @@
+"""Observation files in, a motion file and a report out: what `fit` and `batch` do to one clip."""
+
+import hashlib
+import json
+import platform
+from collections.abc import Sequence
+from dataclasses import asdict
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from observations.files import load
+from priors.pose import PosePrior
+from recon.body import BodyModel
+from recon.contacts import contact_labels, rest_heights
+from recon.formats.amass import MotionFile, save_motion
+from recon.formats.files import replacing
+from recon.motion import Motion
+from recon.reconstruction import Reconstruction, fit
+from recon.settings import FitSettings
+from recon.stages import Watch
+
+
+def fit_files(
+    paths: Sequence[Path], out: Path, settings: FitSettings, watch: Watch | None = None
+) -> dict[str, Any]:
+    """Fit one clip's observation files and write OUT and OUT.json.
+
+    Returns the report; its `failed` says whether the fit met nan or inf, in which case the last
+    finite estimate was written.
+
+    Raises:
+        FileNotFoundError, ValueError: for bad input; nothing is written then.
+    """
+    torch.manual_seed(settings.seed)
+    body = BodyModel.load(settings.body).to(device=settings.device)
+    ask = {"unit": settings.unit, "up": settings.up, "robust": settings.robust}
+    here = body.to(device="cpu")
+    observations = [load(path, here, **ask).to(device=settings.device) for path in paths]
+    prior = PosePrior.load().to(device=settings.device)
+    result = fit(observations, prior, body, watch=watch)
+    motion = result.clip(0).detach().to(device="cpu")
+    if settings.fps is not None:
+        motion = motion.resample(settings.fps)
+    report = describe(result, paths, settings)
+    write_result(out, motion, body.to(device="cpu"), report)
+    return report
+
+
+def write_result(out: Path, motion: Motion, body: BodyModel, report: dict[str, Any]) -> None:
+    """The motion file with joints, contacts and ground, and its report beside it."""
+    out.parent.mkdir(parents=True, exist_ok=True)
+    joints = body.pose(motion).joints
+    labels = contact_labels(joints, rest_heights(body, motion.shape), motion.fps)
+    save_motion(
+        out,
+        MotionFile(
+            motion,
+            body=body.name,
+            checksum=body.checksum,
+            joints=joints,
+            contacts=labels.to(joints),
+            ground=torch.tensor([0.0, 0.0, 1.0, 0.0]),
+        ),
+    )
+    with replacing(out.with_name(out.name + ".json")) as beside:
+        beside.write_text(json.dumps(report, indent=1, default=str))
+
+
+def describe(
+    result: Reconstruction, paths: Sequence[Path], settings: FitSettings
+) -> dict[str, Any]:
+    """What happened, stage by stage, and to what: the contents of OUT.json."""
+    stages = [
+        {
+            "name": report.stage.name,
+            "seconds": round(report.seconds, 4),
+            "iterations": int(report.solution.iterations[0]),
+            "evaluations": int(report.solution.evaluations[0]),
+            "termination": report.solution.termination[0].value,
+            "energies": {
+                term.name: float(value)
+                for term, value in zip(
+                    report.stage.terms, report.solution.trace[0, -1], strict=True
+                )
+            },
+        }
+        for report in result.reports
+    ]
+    return {
+        "failed": result.failed[0],
+        "stages": stages,
+        "settings": asdict(settings),
+        "inputs": {str(p): hashlib.sha256(p.read_bytes()).hexdigest() for p in paths},
+        "versions": {
+            "recon": version("motion-recon"),
+            "torch": torch.__version__,
+            "python": platform.python_version(),
+        },
+    }

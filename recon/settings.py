@@ -1,0 +1,30 @@
+"""Settings that the command line shows; light to import."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+
+@dataclass(frozen=True)
+class FitSettings:
+    """How to fit files."""
+
+    prior: Literal["pose"] = "pose"
+    """What is likely: `pose` is single poses and smoothness (stages 1-2 of HuMoR)."""
+    body: Path | None = None
+    """A SMPL-family file of your own; default: the bundled body."""
+    unit: Literal["m", "cm", "mm", "inch", "cmu"] | None = None
+    """Unit of the positions, where the file is wrong about it."""
+    up: Literal["x", "y", "z"] | None = None
+    """Axis that points up, where the file is wrong about it."""
+    robust: float | None = None
+    """Distance in metres beyond which a point counts ever less; default: least squares."""
+    fps: float | None = None
+    """Rate of the result; default: that of the first observation."""
+    device: Literal["cpu", "cuda"] = "cpu"
+    """Where to compute."""
+    seed: int = 0
+    """Of everything random."""
+
+
+DEFAULTS = FitSettings()
