@@ -46,13 +46,13 @@ CASES: Mapping[str, Case] = {
         "22 joints with 4 cm noise",
         "joints3d",
         Corruption(noise=0.04),
-        PoseWeights.tuned_joints(),
+        PoseWeights.published_joints(),
     ),
     "occluded": Case(
         "43 points of the skin, hidden below 0.9 m",
         "markers3d",
         Corruption(hide_below=0.9),
-        PoseWeights.tuned_points(),
+        PoseWeights.published_points(),
     ),
 }
 SEED = 0
@@ -119,15 +119,24 @@ def _show(title: str, seen: Joints3D | Markers3D, result: Reconstruction, truth:
     return Show(title, figures, Points(seen.positions, seen.visible, predicted))
 
 
+COLUMNS = {
+    "joints": "joints_all",
+    "legs": "joints_legs",
+    "seen points": "observed_visible",
+    "hidden points": "observed_hidden",
+    "vertices": "vertices",
+}
+"""Headings of the table a person reads, and the metrics below them."""
+
+
 def summary(table: Mapping[str, Mapping[str, Metrics]]) -> dict[str, dict[str, float | None]]:
-    """The columns a person reads, in centimetres; one row per case and method."""
-    columns = ("joints_all", "joints_legs", "observed_visible", "observed_hidden", "vertices")
+    """One row per case and method, in centimetres."""
     rows: dict[str, dict[str, float | None]] = {}
     for case, methods in table.items():
         for method, metrics in methods.items():
-            values = {column: metrics.get(column) for column in columns}
+            values = {heading: metrics.get(key) for heading, key in COLUMNS.items()}
             rows[f"{case}: {method}"] = {
-                f"{column} cm": None if value is None else 100 * value
-                for column, value in values.items()
+                heading: None if value is None else 100 * value
+                for heading, value in values.items()
             }
     return rows

@@ -16,5 +16,5 @@ def demo(out: Path = Path("demo")) -> None:
     from recon.cli import console
 
     table = work.demo(out)
-    console.table("errors of the reconstruction", work.summary(table))
+    console.table("mean errors of the reconstruction, centimetres", work.summary(table))
     console.say(f"open {out / 'demo.html'} in a browser; the picture is {out / 'demo.png'}")

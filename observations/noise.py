@@ -1,0 +1,34 @@
+"""How noisy recorded points are, told from the data alone."""
+
+import math
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+LIMITS = (0.01, 0.1)
+"""Metres. Below the first the model errs more than the sensor; above the second it is outliers."""
+
+_THIRD_DIFFERENCE = math.sqrt(1 + 9 + 9 + 1)
+"""Standard deviation of x3 - 3 x2 + 3 x1 - x0 for unit white noise."""
+_NORMAL_MEDIAN = 0.67449
+"""Median of |x| for unit normal x."""
+
+
+def estimate_noise(
+    positions: Float[Tensor, "*batch time points 3"], visible: Bool[Tensor, "*batch time points"]
+) -> float:
+    """Standard deviation of every coordinate, metres, within `LIMITS`.
+
+    Bodies move smoothly and white noise does not: third differences in time hold little but
+    noise, and their median does not see outliers. Points that are never visible four frames in a
+    row say nothing; without any the upper limit is assumed.
+    """
+    run = visible
+    for _ in range(3):
+        run = run[..., 1:, :] & run[..., :-1, :]
+    bends = positions.diff(n=3, dim=-3)[run].abs()
+    if bends.numel() == 0:
+        return LIMITS[1]
+    noise = float(bends.median()) / _NORMAL_MEDIAN / _THIRD_DIFFERENCE
+    return min(max(noise, LIMITS[0]), LIMITS[1])
