@@ -1,0 +1,40 @@
+"""Every table of the README, one after the other.
+
+    make bench          # RECON_DATA names the folder of real recordings
+
+Converts the corpus first (resumable; about half an hour on two cores), then prints each table and
+writes one JSON file per table into --out.
+"""
+
+import argparse
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=Path("out"))
+    out = parser.parse_args().out.resolve()
+    data = Path(os.environ.get("RECON_DATA", ""))
+    if not (data / "mocap").is_dir():
+        sys.exit("set RECON_DATA to the folder of real recordings (with mocap/, observations/)")
+    corpus = out / "corpus"
+    run("recon", "convert", "--all", str(data / "mocap"), str(corpus))
+    run("benchmarks.corpus", str(corpus), "--json", str(out / "corpus.json"))
+    run("benchmarks.markers", str(data / "observations"), "--json", str(out / "markers.json"))
+    run("benchmarks.stage12", str(corpus), "--json", str(out / "stage12.json"))
+    run("benchmarks.solver", "--json", str(out / "solver.json"))
+    run("benchmarks.speed", "--json", str(out / "speed.json"))
+    run("benchmarks.fuzz", "--json", str(out / "fuzz.json"))
+
+
+def run(module: str, *arguments: str) -> None:
+    """One table, in a process and with threads of its own."""
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    subprocess.run([sys.executable, "-m", module, *arguments], env=environment, check=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,132 @@
+"""Speed: joints against the mesh, and stages 1-2 of one clip and of sixteen.
+
+    python -m benchmarks.speed --json speed.json
+
+Ratios are taken within one run, the variants in turn; quote those. Threads are set per row.
+"""
+
+import argparse
+import json
+import os
+import platform
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import torch
+from rich.console import Console
+from rich.table import Table
+
+from priors.pose import PosePrior
+from recon import rotations as so3
+from recon import simulate
+from recon.body import BodyModel
+from recon.formats.amass import load_motion
+from recon.motion import Motion
+from recon.reconstruction import fit
+from recon.simulate import Corruption
+from recon.struct import stack
+
+FRAMES, SEED = 60, 0
+
+
+def main() -> None:
+    """Measure, print and write."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--json", type=Path)
+    arguments = parser.parse_args()
+    body = BodyModel.load()
+    demo = Path(recon.__file__).parent / "assets" / "demo.npz"
+    motion = load_motion(demo).motion.resample(30.0).window(0, FRAMES)
+    rows = {**posing(body, motion), **fitting(body, motion)}
+    table = Table("what", "value", title=f"{FRAMES} frames, {os.cpu_count()} cores")
+    for name, value in rows.items():
+        table.add_row(name, f"{value:.4g}")
+    Console().print(table)
+    if arguments.json is not None:
+        about = {"command": "python -m benchmarks.speed", "seed": SEED, "torch": torch.__version__}
+        about |= {"machine": platform.processor() or platform.machine(), "cores": os.cpu_count()}
+        arguments.json.write_text(json.dumps({"about": about, "rows": rows}, indent=1))
+
+
+def posing(body: BodyModel, motion: Motion) -> dict[str, float]:
+    """Forward and backward pass of 60 frames: joints only, 43 points, the naive full mesh."""
+    torch.set_num_threads(2)
+    turns = so3.log(motion.rotations.double()).float()
+
+    def run(value: Callable[[Motion], torch.Tensor]) -> Callable[[], None]:
+        def call() -> None:
+            leaves = [
+                t.clone().requires_grad_() for t in (turns, motion.translation, motion.shape)
+            ]
+            moved = Motion.create(leaves[1], so3.exp(leaves[0]), leaves[2], motion.fps)
+            torch.autograd.grad(value(moved).square().sum(), leaves)
+
+        return call
+
+    some = torch.arange(0, len(body.template), len(body.template) // 43)
+    seconds = interleaved(
+        {
+            "joints": run(lambda m: body.pose(m).joints),
+            "43 points": run(lambda m: body.pose(m).points(some)),
+            "mesh, one matrix product": run(lambda m: body.pose(m).vertices),
+            "mesh, vertex by vertex": run(lambda m: naive_vertices(body, m)),
+        }
+    )
+    rows = {f"{name}, forward + backward, ms": 1e3 * s for name, s in seconds.items()}
+    joints = seconds["joints"]
+    return rows | {
+        "joints are faster than the naive mesh by": seconds["mesh, vertex by vertex"] / joints,
+        "joints are faster than our mesh by": seconds["mesh, one matrix product"] / joints,
+    }
+
+
+def naive_vertices(body: BodyModel, motion: Motion) -> torch.Tensor:
+    """Skinning as it is usually written: a blended 3 x 4 transform per vertex and frame."""
+    posed = body.pose(motion)
+    shift = posed.joints - (posed.orientations @ posed.rest[..., None])[..., 0]
+    transform = torch.cat((posed.orientations, shift[..., None]), -1).flatten(-2)
+    blended = (body.weights @ transform).unflatten(-1, (3, 4))
+    unposed = body.rest_vertices(motion.shape)
+    return (blended[..., :3] @ unposed[..., None])[..., 0] + blended[..., 3]
+
+
+def fitting(body: BodyModel, motion: Motion) -> dict[str, float]:
+    """Stages 1 and 2: one clip on two threads, sixteen clips as one batch."""
+    clips = stack([simulate.joints3d(motion, body, Corruption(noise=0.04), k) for k in range(16)])
+    one = clips[:1]
+    prior = PosePrior.load()
+    fit([one], prior, body)
+
+    def timed(count: int, threads: int) -> float:
+        torch.set_num_threads(threads)
+        began = time.perf_counter()
+        fit([one if count == 1 else clips], prior, body)
+        return time.perf_counter() - began
+
+    single = float(np.median([timed(1, 2) for _ in range(3)]))
+    lonely = float(np.median([timed(1, 1) for _ in range(3)]))
+    batch = float(np.median([timed(16, 2) for _ in range(3)]))
+    return {
+        "one clip, two threads, s": single,
+        "one clip, one thread, s": lonely,
+        "sixteen clips at once, s": batch,
+        "clips per minute, sixteen at once": 60 * 16 / batch,
+        "batch is faster per clip by": 16 * single / batch,
+    }
+
+
+def interleaved(calls: dict[str, Callable[[], None]], rounds: int = 15) -> dict[str, float]:
+    """Median seconds of each, the variants in turn."""
+    times: dict[str, list[float]] = {name: [] for name in calls}
+    for _ in range(rounds + 2):
+        for name, call in calls.items():
+            began = time.perf_counter()
+            call()
+            times[name].append(time.perf_counter() - began)
+    return {name: float(np.median(values[2:])) for name, values in times.items()}
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,98 @@
+"""Do these markers show a whole body, and where on it do they sit?"""
+
+import logging
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from recon.body import BodyModel
+from recon.recording import MarkerRecording
+from recon.skeleton import descendants, joint_index
+from recon.surface import landmark, load_marker_map, match_markers
+
+logger = logging.getLogger(__name__)
+
+_LOOSE = re.compile(r"thigh|shank|upper_arm|deltoid|forearm$|forearm_|scapula$|chest")
+"""Landmarks that are a region: markers are put anywhere on it."""
+_LEAST = 10
+
+
+@dataclass(frozen=True)
+class MarkerSet:
+    """Markers whose place on the body is known."""
+
+    labels: tuple[str, ...]
+    vertices: tuple[int, ...]
+    loose: tuple[bool, ...]
+    """Whether the place is only roughly known."""
+    unknown: tuple[str, ...]
+    """Labels nobody knows: virtual markers, joint centres, unlabelled points."""
+
+
+def full_body_markers(
+    recording: MarkerRecording, body: BodyModel, mapping: str | Path | None = None
+) -> MarkerSet:
+    """The known markers of a recording that are ever visible.
+
+    Args:
+        recording: with labels of any protocol.
+        body: on whose mesh they sit.
+        mapping: TOML file, marker label = landmark or vertex; None uses the known labels.
+
+    Raises:
+        FileNotFoundError: when there is no such mapping file.
+        ValueError: when the body is not the bundled one and no mapping gives its vertices, or
+            when too few markers are known or parts of the body have none.
+    """
+    if mapping is None and body.checksum != BodyModel.load().checksum:
+        raise ValueError(
+            f"marker names are points of the bundled body, not of {body.name!r}; give vertex "
+            "numbers of that body with --mapping"
+        )
+    seen = [
+        label
+        for label, shown in zip(recording.marker_names, recording.visible.any(0), strict=True)
+        if shown
+    ]
+    if mapping is None:
+        names, unknown = match_markers(seen)
+        vertices = {label: landmark(name) for label, name in names.items()}
+        loose = {label: _LOOSE.search(name) is not None for label, name in names.items()}
+    else:
+        given = load_marker_map(mapping)
+        vertices = {label: given[label] for label in seen if label in given}
+        unknown = tuple(label for label in seen if label not in given)
+        loose = dict.fromkeys(vertices, False)
+    if unknown:
+        logger.info("%s: markers not known: %s", recording.name, ", ".join(unknown))
+    _check_cover(recording.name, vertices, unknown, body)
+    labels = tuple(vertices)
+    return MarkerSet(
+        labels=labels,
+        vertices=tuple(vertices.values()),
+        loose=tuple(loose[label] for label in labels),
+        unknown=unknown,
+    )
+
+
+def _check_cover(
+    name: str, vertices: dict[str, int], unknown: tuple[str, ...], body: BodyModel
+) -> None:
+    bones = body.weights[list(vertices.values())].argmax(-1).tolist() if vertices else []
+    parts = {"pelvis": (0, 1, 2, 3)}
+    for side in ("left", "right"):
+        parts[f"{side} thigh"] = (joint_index(f"{side}_hip"),)
+        parts[f"{side} shank"] = (joint_index(f"{side}_knee"),)
+        parts[f"{side} foot"] = descendants(joint_index(f"{side}_ankle"))
+    parts["trunk"] = descendants(joint_index("spine2"))
+    bare = [part for part, joints in parts.items() if not any(b in joints for b in bones)]
+    left = f"; labels not known: {', '.join(unknown)}" if unknown else ""
+    how = "; say where markers sit in a TOML file, label = landmark, with --mapping"
+    if bare == ["trunk"]:
+        raise ValueError(f"{name}: lower-body only: no marker on the trunk{left}{how}")
+    if bare or len(bones) < _LEAST:
+        raise ValueError(
+            f"{name}: expected a full-body marker set of at least {_LEAST} known markers, got "
+            f"{len(bones)} ({', '.join(vertices)}); without a marker: {', '.join(bare) or 'none'}"
+            f"{left}{how}"
+        )

@@ -1,0 +1,319 @@
+"""Markers on the skin become a motion, with constant offsets of each marker (MoSh's idea).
+
+Loper, Mahmood and Black, MoSh, 2014: a marker sits a little off the skin and not quite where its
+name says; where exactly is found together with the body's shape from a few frames, and held.
+"""
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from observations.markers3d import Markers3D
+from recon import rotations as so3
+from recon import terms
+from recon.body import BodyModel
+from recon.free import FreeMotion
+from recon.ingest.conversion import Conversion, grounded
+from recon.ingest.energies import AboveGround
+from recon.ingest.coverage import MarkerSet, full_body_markers
+from recon.ingest.soles import Soles
+from recon.motion import Motion
+from recon.protocols import REFERENCE_FPS, Estimate
+from recon.recording import MarkerRecording
+from recon.robust import geman_mcclure
+from recon.scene import Scene
+from recon.solver import LBFGS
+from recon.stages import Stage, run_stages
+from recon.struct import TensorStruct
+from recon.terms import Term
+
+logger = logging.getLogger(__name__)
+
+STANDOFF = 0.0095
+"""Metres from the skin to a marker's centre, along the normal (MoSh)."""
+OUTLIER = 0.1
+"""Metres at which a marker counts half as much: swapped labels, ghosts."""
+CALIBRATION_FRAMES = 150
+_FOOT_MARKER = (0.0, 0.08)
+"""Metres above the ground of the lowest marker of a body that stands."""
+_KEY_RATE = 10.0
+_CHUNK = 3000
+_PLACE = frozenset({"translation", "root"})
+_POSE = _PLACE | {"pose"}
+
+
+@dataclass(frozen=True)
+class MarkerWeights:
+    """Multipliers; markers count as ½ Σ distance² in metres²."""
+
+    shape: float = 6e-5
+    placed: float = 0.3
+    """Per frame, of offsets of markers on bony landmarks."""
+    loose: float = 0.03
+    """Per frame, of offsets of markers that are put anywhere on a limb."""
+    rest: float = 1e-3
+    """Of the pose away from rest, where no better `pose_terms` are given."""
+    turning: float = 2e-4
+    """Of turns from frame to frame."""
+    ground: float = 20.0
+    """Of soles below the ground, where the recording's ground is z = 0."""
+
+
+@dataclass(frozen=True)
+class MarkerSubject(TensorStruct):
+    """Shape of a body and where its markers sit on it."""
+
+    shape: Float[Tensor, " shape"]
+    offsets: Float[Tensor, "markers 3"]
+    """From the skin, in the frame of the marker's bone, metres."""
+
+
+@dataclass(frozen=True)
+class MarkerFit:
+    """A body moved to meet markers."""
+
+    motion: Motion
+    subject: MarkerSubject
+    predicted: Float[Tensor, "time markers 3"]
+    """Where every marker would be, metres; markers left out of the fit have no fitted offset."""
+
+
+def convert_markers(
+    recording: MarkerRecording,
+    body: BodyModel,
+    *,
+    mapping: str | Path | None = None,
+    pose_terms: Sequence[Term] = (),
+) -> Conversion:
+    """A recording of any full-body marker set as a motion of our body.
+
+    Args:
+        recording: in metres, z up.
+        body: whose motion it becomes; marker names are points of the bundled body's mesh.
+        mapping: TOML file, marker label = landmark or vertex; None uses the known labels.
+        pose_terms: what is known of poses, in place of a pull towards the rest pose.
+
+    Raises:
+        FileNotFoundError: when there is no such mapping file.
+        ValueError: when the markers are not known or do not cover the body.
+    """
+    markers = full_body_markers(recording, body, mapping)
+    chosen = recording.select(markers.labels)
+    fit = fit_markers(chosen, markers, body, pose_terms=pose_terms)
+    seen = torch.from_numpy(chosen.visible)
+    apart = (fit.predicted - torch.from_numpy(chosen.positions).float()).norm(dim=-1)
+    mean = apart.where(seen, 0.0).sum(0) / seen.sum(0).clamp(min=1)
+    left = f"; not known: {', '.join(markers.unknown)}" if markers.unknown else ""
+    found = grounded(
+        fit.motion,
+        dict(zip(markers.labels, (1000 * mean).tolist(), strict=True)),
+        (*recording.decisions, f"{len(markers.labels)} markers used{left}"),
+        body,
+        Soles.of(body),
+        n_glitch=0,
+    )
+    return found
+
+
+def fit_markers(
+    recording: MarkerRecording,
+    markers: MarkerSet,
+    body: BodyModel,
+    *,
+    used: Bool[Tensor, " markers"] | None = None,
+    pose_terms: Sequence[Term] = (),
+    weights: MarkerWeights | None = None,
+) -> MarkerFit:
+    """Shape and offsets from some frames, then the pose of all frames.
+
+    Args:
+        recording: of exactly these markers, in their order.
+        markers: their places on the body.
+        body: whose motion it becomes.
+        used: markers that are fitted; None fits all.
+        pose_terms: what is known of poses, in place of a pull towards the rest pose.
+        weights: of the energies.
+    """
+    weights = MarkerWeights() if weights is None else weights
+    positions = torch.from_numpy(recording.positions).float()
+    visible = torch.from_numpy(recording.visible)
+    visible = visible if used is None else visible & used
+    data = _Data(positions, visible, markers.vertices, recording.fps)
+    hold = tuple(pose_terms) or (Term("rest pose", terms.rest_pose, weights.rest),)
+    if _stands_on_zero(positions, visible):
+        soles = Soles.of(body).points.flatten()
+        hold = (*hold, Term("ground", AboveGround(soles), weights.ground))
+    chosen = _well_seen(visible)
+    subject, motion = _calibrate(data.frames(chosen), markers, body, hold, weights)
+    step = max(1, round(recording.fps / _KEY_RATE))
+    keys = torch.arange(0, len(positions), step)
+    keys = torch.unique(torch.cat((keys, torch.tensor([len(positions) - 1]))))
+    motion = _solve(data.frames(keys), _between(motion, chosen, keys), subject, body, hold, 100)
+    everything = torch.arange(len(positions))
+    smooth = (*hold, Term("turning", terms.rotation_velocity, weights.turning))
+    parts = [
+        _solve(data.frames(part), _between(motion, keys, part), subject, body, smooth, 80)
+        for part in everything.split(_CHUNK)
+    ]
+    motion = Motion.create(
+        translation=torch.cat([part.translation for part in parts]),
+        rotations=torch.cat([part.rotations for part in parts]),
+        shape=subject.shape,
+        fps=recording.fps,
+    )
+    with torch.no_grad():
+        predicted = _predict(data, motion, subject.offsets, body)
+    return MarkerFit(motion, subject, predicted)
+
+
+@dataclass(frozen=True)
+class _Data:
+    positions: Float[Tensor, "time markers 3"]
+    visible: Bool[Tensor, "time markers"]
+    vertices: tuple[int, ...]
+    fps: float
+
+    def frames(self, index: Int[Tensor, " chosen"]) -> "_Data":
+        return _Data(self.positions[index], self.visible[index], self.vertices, self.fps)
+
+    def observation(self) -> Markers3D:
+        return Markers3D(
+            positions=self.positions.where(self.visible[..., None], 0.0)[None],
+            visible=self.visible[None],
+            vertices=self.vertices,
+            fps=self.fps,
+            kernel=partial(geman_mcclure, sigma=OUTLIER),
+            offset_rows=(0, len(self.vertices)),
+        )
+
+
+def _calibrate(
+    data: _Data,
+    markers: MarkerSet,
+    body: BodyModel,
+    hold: tuple[Term, ...],
+    weights: MarkerWeights,
+) -> tuple[MarkerSubject, Motion]:
+    """Shape and offsets; the frames count as 30 a second, without order."""
+    count = len(data.positions)
+    data = _Data(data.positions, data.visible, data.vertices, REFERENCE_FPS)
+    seen = data.observation()
+    nominal = nominal_offsets(body, markers.vertices)
+    scene = Scene(nominal[None])
+    with torch.no_grad():
+        motion = seen.start(body)
+    stiff = torch.tensor([weights.loose if loose else weights.placed for loose in markers.loose])
+
+    def away(estimate: Estimate) -> Float[Tensor, "*batch"]:
+        """½ Σ |o - nominal|², each marker with its own weight."""
+        apart = (estimate.scene.offsets - nominal).square().sum(-1)
+        return 0.5 * (apart * stiff).sum(-1)
+
+    prior = FreeMotion()
+    # first everything counts alike: a body lying in another pose is no outlier
+    plain = Term("markers", seen.replace(kernel=Markers3D.kernel), 1.0)
+    robust = Term("markers", seen, 1.0)
+    shape = Term("shape", terms.shape, weights.shape)
+    offsets = Term("offsets", away, float(count))
+    body_free = _POSE | {"shape"}
+    stages = (
+        Stage("place", prior, (plain, *hold), _PLACE, LBFGS(max_iterations=30)),
+        Stage("pose", prior, (plain, shape, *hold), body_free, LBFGS(max_iterations=120)),
+        Stage(
+            "offsets",
+            prior,
+            (robust, shape, offsets, *hold),
+            body_free | {"scene.offsets"},
+            LBFGS(max_iterations=200, tolerance_decrease=1e-7),
+        ),
+    )
+    estimate, _ = run_stages(stages, body, motion, scene)
+    estimate_motion = estimate.motion.detach()
+    subject = MarkerSubject(estimate_motion.shape[0], estimate.scene.offsets[0].detach())
+    return subject, estimate_motion[0]
+
+
+def _solve(
+    data: _Data,
+    start: Motion,
+    subject: MarkerSubject,
+    body: BodyModel,
+    hold: tuple[Term, ...],
+    iterations: int,
+) -> Motion:
+    """Poses of some frames, shape and offsets held."""
+    motion = start.replace(fps=data.fps, shape=subject.shape).map(lambda tensor: tensor[None])
+    stage = Stage(
+        "frames",
+        FreeMotion(),
+        (Term("markers", data.observation(), 1.0), *hold),
+        _POSE,
+        LBFGS(max_iterations=iterations, history=10, tolerance_decrease=1e-6),
+    )
+    estimate, _ = run_stages((stage,), body, motion, Scene(subject.offsets[None]))
+    return estimate.motion.detach()[0]
+
+
+def _between(
+    motion: Motion, known: Int[Tensor, " known"], wanted: Int[Tensor, " wanted"]
+) -> Motion:
+    """Poses of frames between (or beyond) frames that are known."""
+    after = torch.searchsorted(known, wanted).clamp(max=len(known) - 1)
+    before = (after - (known[after] > wanted).long()).clamp(min=0)
+    gap = (known[after] - known[before]).clamp(min=1)
+    fraction = ((wanted - known[before]) / gap).clamp(0, 1)
+    a, b = motion.rotations[before], motion.rotations[after]
+    return Motion.create(
+        translation=motion.translation[before].lerp(
+            motion.translation[after], fraction[:, None]
+        ),
+        rotations=so3.interpolate(a, b, fraction[:, None].expand(a.shape[:2])),
+        shape=motion.shape,
+        fps=motion.fps,
+    )
+
+
+def _predict(
+    data: _Data, motion: Motion, offsets: Float[Tensor, "markers 3"], body: BodyModel
+) -> Float[Tensor, "time markers 3"]:
+    posed = body.pose(motion)
+    bones = list(data.observation().bones(body))
+    points = posed.points(torch.tensor(data.vertices))
+    return points + (posed.orientations[:, bones] @ offsets[..., None])[..., 0]
+
+
+def _well_seen(visible: Bool[Tensor, "time markers"]) -> Int[Tensor, " chosen"]:
+    """Frames evenly over the recording among those that show most markers."""
+    count = visible.sum(-1)
+    good = (count >= 0.9 * count.max()).nonzero()[:, 0]
+    pick = np.linspace(0, len(good) - 1, min(CALIBRATION_FRAMES, len(good))).round()
+    return good[torch.from_numpy(np.unique(pick.astype(int)))]
+
+
+def _stands_on_zero(
+    positions: Float[Tensor, "time markers 3"], visible: Bool[Tensor, "time markers"]
+) -> bool:
+    """Whether z = 0 is the ground: the lowest markers are as high as markers on feet are."""
+    low = positions[..., 2].where(visible, torch.inf).amin(-1)
+    low = low[low.isfinite()]
+    return len(low) > 0 and _FOOT_MARKER[0] < float(low.quantile(0.1)) < _FOOT_MARKER[1]
+
+
+def nominal_offsets(
+    body: BodyModel, vertices: Sequence[int]
+) -> Float[Tensor, "markers 3"]:
+    """A marker's centre off the skin, along the normal of the rest body, metres."""
+    corners = body.template[body.faces]
+    normals = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    total = torch.zeros_like(body.template)
+    for corner in range(3):
+        total.index_add_(0, body.faces[:, corner], normals)
+    chosen = total[list(vertices)]
+    return STANDOFF * chosen / chosen.norm(dim=-1, keepdim=True)
