@@ -18,6 +18,7 @@ import torch
 from rich.console import Console
 from rich.table import Table
 
+import recon
 from priors.pose import PosePrior
 from recon import rotations as so3
 from recon import simulate

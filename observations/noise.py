@@ -2,7 +2,6 @@
 
 import math
 
-import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from observations.joints3d import Joints3D
 from observations.markers3d import Markers3D
+from observations.noise import estimate_noise
 from priors.pose import PosePrior, PoseWeights
 from recon import simulate
 from recon.body import BodyModel
@@ -38,7 +39,6 @@ class Case:
     sensor: str
     """What the sensor tracks: `joints3d` or `markers3d`."""
     corruption: Corruption
-    weights: PoseWeights
 
 
 CASES: Mapping[str, Case] = {
@@ -46,13 +46,11 @@ CASES: Mapping[str, Case] = {
         "22 joints with 4 cm noise",
         "joints3d",
         Corruption(noise=0.04),
-        PoseWeights.published_joints(),
     ),
     "occluded": Case(
         "43 points of the skin, hidden below 0.9 m",
         "markers3d",
         Corruption(hide_below=0.9),
-        PoseWeights.published_points(),
     ),
 }
 SEED = 0
@@ -74,7 +72,9 @@ def demo(out: Path) -> dict[str, dict[str, Metrics]]:
     for name, case in CASES.items():
         see = simulate.joints3d if case.sensor == "joints3d" else simulate.markers3d
         seen = see(truth, body, case.corruption, SEED)
-        result = fit([seen[None]], PosePrior.load(weights=case.weights), body)
+        noise = estimate_noise(seen.positions, seen.visible)
+        prior = PosePrior.load(weights=PoseWeights.for_noise(noise))
+        result = fit([seen[None]], prior, body)
         motion = result.clip(0).detach()
         table[name] = {
             "observed": _observed(seen, truth, body),

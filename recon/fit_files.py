@@ -12,7 +12,8 @@ from typing import Any
 import torch
 
 from observations.files import load
-from priors.pose import PosePrior
+from observations.noise import estimate_noise
+from priors.pose import PosePrior, PoseWeights
 from recon.body import BodyModel
 from recon.contacts import contact_labels, rest_heights
 from recon.formats.amass import MotionFile, save_motion
@@ -39,12 +40,14 @@ def fit_files(
     ask = {"unit": settings.unit, "up": settings.up, "robust": settings.robust}
     here = body.to(device="cpu")
     observations = [load(path, here, **ask).to(device=settings.device) for path in paths]
-    prior = PosePrior.load().to(device=settings.device)
-    result = fit(observations, prior, body, watch=watch)
+    noises = [settings.noise or estimate_noise(o.positions, o.visible) for o in observations]
+    prior = PosePrior.load(weights=PoseWeights.for_noise(noises[0])).to(device=settings.device)
+    weights = [(noises[0] / noise) ** 2 for noise in noises]
+    result = fit(observations, prior, body, weights=weights, watch=watch)
     motion = result.clip(0).detach().to(device="cpu")
     if settings.fps is not None:
         motion = motion.resample(settings.fps)
-    report = describe(result, paths, settings)
+    report = describe(result, paths, settings) | {"noise": noises}
     write_result(out, motion, body.to(device="cpu"), report)
     return report
 

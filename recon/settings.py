@@ -17,6 +17,8 @@ class FitSettings:
     """Unit of the positions, where the file is wrong about it."""
     up: Literal["x", "y", "z"] | None = None
     """Axis that points up, where the file is wrong about it."""
+    noise: float | None = None
+    """Standard deviation of every coordinate of the data, metres; default: told from the data."""
     robust: float | None = None
     """Distance in metres beyond which a point counts ever less; default: least squares."""
     fps: float | None = None

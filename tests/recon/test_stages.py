@@ -138,7 +138,7 @@ def test_stages_refuse_what_does_not_exist(toy_body):
     motion = laws.a_motion(toy_body)
     data = (Term("data", observed(toy_body, motion), 1.0),)
     wrong = Stage("x", FreeMotion(), data, frozenset({"latents"}))
-    with pytest.raises(ValueError, match="latents.*translation"):
+    with pytest.raises(ValueError, match=r"latents.*translation"):
         run_stages((wrong,), toy_body, motion, Scene.create(2, like=motion.translation))
     with pytest.raises(ValueError, match="names of their own"):
         Stage("x", FreeMotion(), (*data, *data), frozenset({"root"}))

@@ -1,0 +1,259 @@
+"""Stages 1 and 2 on the listed test windows: a body with a pose prior against plain smoothers.
+
+    python -m benchmarks.stage12 CORPUS --json stage12.json
+    python -m benchmarks.stage12 CORPUS --part validation
+
+Two protocols of HuMoR's Table 2: 22 joints with 4 cm of noise per coordinate, and 43 points of
+the skin of which those below 0.9 m are hidden. Smoothers are tuned on the validation windows;
+so are the presets `PoseWeights.tuned_*`. All windows of a protocol are fitted as one batch.
+Values are means over a subject's windows, then over subjects.
+"""
+
+import argparse
+import json
+import os
+import platform
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import torch
+from rich.console import Console
+from rich.table import Table
+from torch import Tensor
+
+from benchmarks.smoothers import butterworth, whittaker
+from benchmarks.windows import FPS, Windows, load_windows, noisy_joints, occluded_points
+from priors.pose import PosePrior, PoseWeights
+from priors.training.dataset import SPLITS, Splits
+from recon import metrics
+from recon.body import BodyModel
+from recon.evaluation import ObservedPoints, evaluate
+from recon.protocols import Observation
+from recon.reconstruction import Reconstruction, fit
+from recon.skeleton import LEGS
+
+SEED = 0
+CUTOFFS = tuple(np.arange(2.0, 6.01, 0.25).tolist())
+STIFFNESSES = tuple(np.geomspace(1.0, 1000.0, 25).tolist())
+
+JOINT_COLUMNS: dict[str, tuple[str, float]] = {
+    "joints_all": ("all", 100), "joints_legs": ("legs", 100), "vertices": ("vertices", 100),
+    "accel": ("accel", 1), "accel_error": ("accel error", 1),
+    "penetration_freq": ("pen. %", 100), "penetration_dist": ("pen. cm", 100),
+}  # fmt: skip
+POINT_COLUMNS: dict[str, tuple[str, float]] = {
+    "observed_visible": ("visible", 100), "observed_hidden": ("hidden", 100),
+    "observed_all": ("all", 100), **{k: v for k, v in JOINT_COLUMNS.items() if k != "joints_all"},
+}  # fmt: skip
+"""Metric: its heading, and what turns metres into centimetres or shares into per cent."""
+
+Rows = dict[str, dict[str, float | None]]
+"""By subject, and "mean" over subjects: values by metric."""
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument("corpus", type=Path, help="folder of converted motions")
+    parser.add_argument("--splits", type=Path, default=SPLITS)
+    parser.add_argument("--part", choices=("test", "validation"), default="test")
+    parser.add_argument("--prior", type=Path, default=None, help="weights; default: bundled")
+    parser.add_argument("--json", type=Path, default=None)
+    arguments = parser.parse_args()
+
+    body, splits = BodyModel.load(), Splits.load(arguments.splits)
+    windows = load_windows(arguments.corpus, splits, arguments.part, body, SEED)
+    tuning = load_windows(arguments.corpus, splits, "validation", body, SEED)
+    prior = PosePrior.load(arguments.prior)
+
+    smoothers = tune_smoothers(tuning, body)
+    tables = {
+        "noisy joints": noisy_rows(windows, body, prior, smoothers),
+        "occluded points": occluded_rows(windows, body, prior),
+    }
+    speed = measure_speed(windows, body, prior)
+
+    console = Console(width=None if sys.stdout.isatty() else 140)
+    for name, columns in (("noisy joints", JOINT_COLUMNS), ("occluded points", POINT_COLUMNS)):
+        for row in table(f"{name}: {arguments.part}", columns, tables[name]):
+            console.print(row)
+    console.print(", ".join(f"{k} {v:.3g}" for k, v in speed.items()))
+    if arguments.json is not None:
+        report = {**environment(), "part": arguments.part, "windows": windows.names}
+        report |= {"smoothers": {k: v for k, (_, v) in smoothers.items()}}
+        arguments.json.write_text(
+            json.dumps({**report, "tables": tables, "speed": speed}, indent=1)
+        )
+
+
+Smoother = Callable[[Tensor], Tensor]
+
+
+def tune_smoothers(tuning: Windows, body: BodyModel) -> dict[str, tuple[Smoother, float]]:
+    """Both smoothers at their best setting on validation, and the filter at 2, 2.5 and 3 Hz."""
+    seen = noisy_joints(tuning.truth, body, SEED + 1).positions
+    truth = body.pose(tuning.truth).joints
+
+    def error(points: Tensor) -> float:
+        return subject_mean(tuning, (points - truth).norm(dim=-1).mean((1, 2)))
+
+    cutoff = min(CUTOFFS, key=lambda f: error(butterworth(seen, FPS, f)))
+    stiffness = min(STIFFNESSES, key=lambda s: error(whittaker(seen, s)))
+    found: dict[str, tuple[Smoother, float]] = {
+        f"Butterworth {f:g} Hz": (lambda x, f=f: butterworth(x, FPS, f), f)
+        for f in (2.0, 2.5, 3.0)
+    }
+    found[f"Butterworth, tuned ({cutoff:g} Hz)"] = lambda x: butterworth(x, FPS, cutoff), cutoff
+    found[f"least squares, tuned ({stiffness:.3g})"] = lambda x: whittaker(x, stiffness), stiffness
+    return found
+
+
+def noisy_rows(
+    windows: Windows,
+    body: BodyModel,
+    prior: PosePrior,
+    smoothers: dict[str, tuple[Smoother, float]],
+) -> dict[str, Rows]:
+    observed = noisy_joints(windows.truth, body, SEED)
+    truth = body.pose(windows.truth).joints
+    rows = {"observed": points_only(windows, observed.positions, truth)}
+    for name, (smooth, _) in smoothers.items():
+        rows[name] = points_only(windows, smooth(observed.positions), truth)
+    for name, weights in (
+        ("stages 1-2, published", PoseWeights.published_joints()),
+        ("stages 1-2, tuned", PoseWeights.tuned_joints()),
+    ):
+        result = fit([observed], prior.replace(weights=weights), body)
+        rows[name] = full(windows, result, body, None)
+    return rows
+
+
+def occluded_rows(windows: Windows, body: BodyModel, prior: PosePrior) -> dict[str, Rows]:
+    observed, truth = occluded_points(windows.truth, body)
+    rows: dict[str, Rows] = {}
+    for name, weights in (
+        ("stages 1-2, published", PoseWeights.published_points()),
+        ("stages 1-2, tuned", PoseWeights.tuned_points()),
+    ):
+        result = fit([observed], prior.replace(weights=weights), body)
+        predicted = observed.predict(result.estimate)
+        seen = [
+            ObservedPoints(p, t, v)
+            for p, t, v in zip(predicted, truth, observed.visible, strict=True)
+        ]
+        rows[name] = full(windows, result, body, seen)
+    return rows
+
+
+def points_only(windows: Windows, points: Tensor, truth: Tensor) -> Rows:
+    """Metrics of points without a body."""
+    errors = (points - truth).norm(dim=-1)
+    bend, true_bend = (metrics.accelerations(x, FPS) for x in (points, truth))
+    clips = {
+        "joints_all": errors.mean((1, 2)),
+        "joints_legs": errors[..., list(LEGS)].mean((1, 2)),
+        "accel": bend.norm(dim=-1).mean((1, 2)),
+        "accel_error": (bend - true_bend).norm(dim=-1).mean((1, 2)),
+    }
+    return by_subject(
+        windows, [{k: v[i].item() for k, v in clips.items()} for i in range(len(points))]
+    )
+
+
+def full(
+    windows: Windows,
+    result: Reconstruction,
+    body: BodyModel,
+    observed: list[ObservedPoints] | None,
+) -> Rows:
+    """Every metric of `recon evaluate`."""
+    clips = [
+        evaluate(
+            result.clip(i),
+            windows.truth[i],
+            body,
+            observed=None if observed is None else observed[i],
+        )
+        for i in range(len(windows.subjects))
+    ]
+    return by_subject(windows, clips)
+
+
+def by_subject(windows: Windows, clips: list[dict[str, float | None]]) -> Rows:
+    subjects = sorted(set(windows.subjects))
+    rows = {s: mean_of([clips[i] for i in windows.of(s)]) for s in subjects}
+    return {**rows, "mean": mean_of(list(rows.values()))}
+
+
+def mean_of(rows: list[dict[str, float | None]]) -> dict[str, float | None]:
+    """Average by metric over the rows that have it."""
+    found: dict[str, float | None] = {}
+    for key in rows[0]:
+        values = [v for row in rows if (v := row[key]) is not None]
+        found[key] = float(np.mean(values)) if values else None
+    return found
+
+
+def subject_mean(windows: Windows, values: Tensor) -> float:
+    """Mean over each subject's windows, then over subjects."""
+    means = [values[windows.of(s)].mean() for s in sorted(set(windows.subjects))]
+    return torch.stack(means).mean().item()
+
+
+def measure_speed(windows: Windows, body: BodyModel, prior: PosePrior) -> dict[str, float]:
+    """Seconds of stages 1 and 2 (tuned weights, noisy joints): one clip, and sixteen at once."""
+    method = prior.replace(weights=PoseWeights.tuned_joints())
+    found = {"threads": float(torch.get_num_threads())}
+    for count in (1, 16):
+        observed: Observation = noisy_joints(windows.truth[:count], body, SEED)
+        fit([observed], method, body)  # once before, to warm up
+        began = time.perf_counter()
+        fit([observed], method, body)
+        found[f"seconds for {count}"] = time.perf_counter() - began
+    found["clips per second"] = 16 / found["seconds for 16"]
+    return found
+
+
+def table(title: str, columns: dict[str, tuple[str, float]], rows: dict[str, Rows]) -> list[Table]:
+    """One table of means, and one of the first columns by subject."""
+    means = Table(title=f"{title} (mean over subjects; cm, m/s², %)", title_justify="left")
+    means.add_column("method")
+    for heading, _ in columns.values():
+        means.add_column(heading, justify="right")
+    for name, row in rows.items():
+        means.add_row(name, *(cell(row["mean"].get(k), f) for k, (_, f) in columns.items()))
+
+    main_column = "joints_all" if "joints_all" in columns else "observed_all"
+    subjects = list(next(iter(rows.values())))
+    single = Table(
+        title=f"{title}: {columns[main_column][0]}, by subject (cm)", title_justify="left"
+    )
+    single.add_column("method")
+    for subject in subjects:
+        single.add_column(subject, justify="right")
+    for name, row in rows.items():
+        single.add_row(name, *(cell(row[s].get(main_column), 100) for s in subjects))
+    return [means, single]
+
+
+def cell(value: float | None, factor: float) -> str:
+    return "–" if value is None else f"{value * factor:.2f}"
+
+
+def environment() -> dict[str, object]:
+    return {
+        "command": " ".join(["python", *sys.argv]),
+        "seed": SEED,
+        "python": platform.python_version(),
+        "torch": torch.__version__,
+        "numpy": np.__version__,
+        "machine": f"{platform.machine()}, {os.cpu_count()} cores",
+    }
+
+
+if __name__ == "__main__":
+    main()

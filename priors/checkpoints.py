@@ -1,0 +1,106 @@
+"""Weights on disk: safetensors, with the settings of the network as JSON in the metadata.
+
+Loading is strict. A missing, spare or misshapen tensor is an error that names file and layer.
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from torch import Tensor, nn
+
+from recon.formats.files import replacing
+
+_ABOUT = "recon"
+"""The one key of the metadata: safetensors writes several in no fixed order."""
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """The contents of one weights file."""
+
+    path: Path
+    tensors: Mapping[str, Tensor]
+    settings: Mapping[str, Any]
+
+    def require(self, shapes: Mapping[str, tuple[int, ...]]) -> dict[str, Tensor]:
+        """The tensors of these names and shapes, and no others.
+
+        Raises:
+            ValueError: naming the file and every layer that is missing, spare or misshapen.
+        """
+        wrong = [f"{name} is missing" for name in shapes if name not in self.tensors]
+        wrong += [f"{name} is not expected" for name in self.tensors if name not in shapes]
+        for name, shape in shapes.items():
+            found = self.tensors.get(name)
+            if found is not None and tuple(found.shape) != tuple(shape):
+                wrong.append(f"{name} has shape {tuple(found.shape)}, expected {tuple(shape)}")
+        if len(wrong) > 0:
+            raise ValueError(f"{self.path}: weights do not fit this network: {'; '.join(wrong)}")
+        bad = [name for name in shapes if not bool(self.tensors[name].isfinite().all())]
+        if len(bad) > 0:
+            raise ValueError(f"{self.path}: nan or infinity in {', '.join(bad)}; train again")
+        return {name: self.tensors[name] for name in shapes}
+
+    def into(self, network: nn.Module) -> None:
+        """Copy all tensors into a network of the same layers; raises as `require`."""
+        layers = {name: tuple(value.shape) for name, value in network.state_dict().items()}
+        network.load_state_dict(self.require(layers), strict=True)
+
+
+def save_checkpoint(
+    path: str | Path,
+    kind: str,
+    tensors: Mapping[str, Tensor],
+    settings: Mapping[str, Any],
+) -> None:
+    """Write weights in one step.
+
+    Args:
+        path: ends in .safetensors by custom.
+        kind: what the weights are of, for example "pose"; checked on loading.
+        tensors: by layer.
+        settings: whatever JSON can hold.
+    """
+    from safetensors.torch import save
+
+    path = Path(path)
+    rows = {name: t.detach().cpu().contiguous() for name, t in tensors.items()}
+    about = json.dumps({"kind": kind, "settings": dict(settings)}, sort_keys=True)
+    with replacing(path) as beside:
+        beside.write_bytes(save(rows, metadata={_ABOUT: about}))
+
+
+def load_checkpoint(path: str | Path, kind: str) -> Checkpoint:
+    """Read a weights file of this kind.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+        ValueError: when it is damaged or holds the weights of something else.
+    """
+    from safetensors import SafetensorError, safe_open
+
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such weights file; expected {kind} weights there")
+    try:
+        with safe_open(path, framework="pt") as file:
+            notes = file.metadata() or {}
+            tensors: dict[str, Tensor] = {
+                name: file.get_tensor(name) for name in list(file.keys())
+            }
+    except SafetensorError as error:
+        raise ValueError(f"{path}: expected a safetensors file, got {error}") from error
+    try:
+        about = json.loads(notes.get(_ABOUT, "{}"))
+    except json.JSONDecodeError as error:
+        raise ValueError(f"{path}: its metadata is not JSON: {error}") from error
+    found = about.get("kind") if isinstance(about, dict) else None
+    if found != kind:
+        raise ValueError(f"{path}: expected {kind} weights, the file says {found!r}")
+    settings = about.get("settings")
+    if not isinstance(settings, dict):
+        raise ValueError(f"{path}: expected settings by name, got {type(settings).__name__}")
+    return Checkpoint(path, tensors, settings)
