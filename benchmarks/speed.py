@@ -2,7 +2,8 @@
 
     python -m benchmarks.speed --json speed.json
 
-Ratios are taken within one run, the variants in turn; quote those. Threads are set per row.
+Ratios are taken within one run, the variants in turn; quote those. One thread throughout: a second
+one gains little on so small operations, and on a shared machine costs many times what it gains.
 """
 
 import argparse
@@ -19,6 +20,7 @@ from rich.console import Console
 from rich.table import Table
 
 import recon
+from observations import Joints3D
 from priors.pose import PosePrior
 from recon import rotations as so3
 from recon import simulate
@@ -37,6 +39,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
+    torch.set_num_threads(1)
     body = BodyModel.load()
     demo = Path(recon.__file__).parent / "assets" / "demo.npz"
     motion = load_motion(demo).motion.resample(30.0).window(0, FRAMES)
@@ -53,7 +56,6 @@ def main() -> None:
 
 def posing(body: BodyModel, motion: Motion) -> dict[str, float]:
     """Forward and backward pass of 60 frames: joints only, 43 points, the naive full mesh."""
-    torch.set_num_threads(2)
     turns = so3.log(motion.rotations.double()).float()
 
     def run(value: Callable[[Motion], torch.Tensor]) -> Callable[[], None]:
@@ -94,35 +96,33 @@ def naive_vertices(body: BodyModel, motion: Motion) -> torch.Tensor:
 
 
 def fitting(body: BodyModel, motion: Motion) -> dict[str, float]:
-    """Stages 1 and 2: one clip on two threads, sixteen clips as one batch."""
+    """Stages 1 and 2: one clip, and sixteen as one batch."""
     clips = stack([simulate.joints3d(motion, body, Corruption(noise=0.04), k) for k in range(16)])
     one = clips[:1]
     prior = PosePrior.load()
     fit([one], prior, body)
 
-    def timed(count: int, threads: int) -> float:
-        torch.set_num_threads(threads)
+    def timed(observation: Joints3D) -> float:
         began = time.perf_counter()
-        fit([one if count == 1 else clips], prior, body)
+        fit([observation], prior, body)
         return time.perf_counter() - began
 
-    single = float(np.median([timed(1, 2) for _ in range(3)]))
-    lonely = float(np.median([timed(1, 1) for _ in range(3)]))
-    batch = float(np.median([timed(16, 2) for _ in range(3)]))
+    single = float(np.median([timed(one) for _ in range(5)]))
+    batch = float(np.median([timed(clips) for _ in range(3)]))
     return {
-        "one clip, two threads, s": single,
-        "one clip, one thread, s": lonely,
-        "sixteen clips at once, s": batch,
+        "stages 1-2 of one clip, s": single,
+        "stages 1-2 of sixteen clips at once, s": batch,
         "clips per minute, sixteen at once": 60 * 16 / batch,
-        "batch is faster per clip by": 16 * single / batch,
+        "at once, a clip is faster by": 16 * single / batch,
     }
 
 
 def interleaved(calls: dict[str, Callable[[], None]], rounds: int = 15) -> dict[str, float]:
-    """Median seconds of each, the variants in turn."""
+    """Median seconds of each, the variants in turn, each once untimed to get its own caches."""
     times: dict[str, list[float]] = {name: [] for name in calls}
     for _ in range(rounds + 2):
         for name, call in calls.items():
+            call()
             began = time.perf_counter()
             call()
             times[name].append(time.perf_counter() - began)

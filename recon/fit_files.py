@@ -35,6 +35,8 @@ def fit_files(
     Raises:
         FileNotFoundError, ValueError: for bad input; nothing is written then.
     """
+    if len(paths) == 0:
+        raise ValueError("nothing to fit: expected at least one observation file, got none")
     torch.manual_seed(settings.seed)
     body = BodyModel.load(settings.body).to(device=settings.device)
     ask = {"unit": settings.unit, "up": settings.up, "robust": settings.robust}

@@ -88,26 +88,41 @@ def _clips(folder: Path, root: Path) -> Iterator[Clip]:
                 yield Clip(title, name, folder / row["path"], None, row)
 
 
-def read_clips(clips: list[Clip]) -> Iterator[tuple[Clip, SkeletonRecording]]:
-    """Clips with their recordings, T-pose cut; an archive is read once.
-
-    Raises:
-        FileNotFoundError: when a file of the manifest is missing.
-        ValueError: when one is damaged or no skeleton.
-    """
+def read_clips(clips: list[Clip]) -> Iterator[tuple[Clip, SkeletonRecording | str]]:
+    """Clips with their recordings, T-pose cut, or with why there is none; archives once each."""
     packed: dict[Path, dict[str, Clip]] = {}
     for clip in clips:
         if clip.member is None:
-            recording = read_recording(clip.path)
-            if not isinstance(recording, SkeletonRecording):
-                raise ValueError(f"{clip.path}: expected a skeleton, got markers")
-            yield clip, drop_lead_in(recording)
+            yield clip, _read_file(clip.path)
         else:
             packed.setdefault(clip.path, {})[clip.member] = clip
     for archive, members in packed.items():
-        for inside, text in iterate_texts(archive):
-            if clip := members.get(Path(inside).stem):
-                yield clip, drop_lead_in(parse_bvh(text, inside))
+        missing = f"not in {archive.name}"
+        try:
+            for inside, text in iterate_texts(archive):
+                if clip := members.pop(Path(inside).stem, None):
+                    yield clip, _parse(text, inside)
+        except (FileNotFoundError, ValueError) as error:
+            missing = str(error)
+        for clip in members.values():
+            yield clip, missing
+
+
+def _read_file(path: Path) -> SkeletonRecording | str:
+    try:
+        recording = read_recording(path)
+    except (FileNotFoundError, ValueError) as error:
+        return str(error)
+    if not isinstance(recording, SkeletonRecording):
+        return f"{path}: expected a skeleton, got markers"
+    return drop_lead_in(recording)
+
+
+def _parse(text: str, name: str) -> SkeletonRecording | str:
+    try:
+        return drop_lead_in(parse_bvh(text, name))
+    except ValueError as error:
+        return str(error)
 
 
 def skeleton_key(recording: SkeletonRecording) -> str:

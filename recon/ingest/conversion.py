@@ -1,6 +1,7 @@
 """One recording becomes a motion of our body, with what was decided and how well it went."""
 
 import dataclasses
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,17 +13,14 @@ from torch import Tensor
 
 from recon.body import BodyModel
 from recon.contacts import contact_labels, rest_heights
-from recon.formats import read_recording
 from recon.formats.amass import MotionFile, save_motion
-from recon.ingest.skeletons import recognise
-from recon.ingest.soles import Soles, ground_height
+from recon.ingest.soles import Soles, Stance, levelling, turned
 from recon.ingest.solve import Solved, residual_names, solve
-from recon.ingest.subject import SubjectModel, calibrate
+from recon.ingest.subject import SubjectModel
 from recon.metrics import slip_speed
 from recon.motion import Motion
-from recon.recording import MarkerRecording, SkeletonRecording, drop_lead_in
+from recon.recording import SkeletonRecording
 from recon.skeleton import FEET, JOINTS
-from recon.units import Axis
 
 GLITCH_SPEED = 20.0
 """Metres per second: no joint of a body moves so fast; between such frames it jumped."""
@@ -59,50 +57,6 @@ class Conversion:
                 ground=torch.tensor([0.0, 0.0, 1.0, 0.0]),
             ),
         )
-
-
-def convert(
-    recording: str | Path | SkeletonRecording | MarkerRecording,
-    body: BodyModel | None = None,
-    *,
-    unit: str | None = None,
-    up: Axis | None = None,
-    subject: SubjectModel | None = None,
-    mapping: str | Path | None = None,
-    fps: float | None = None,
-) -> Conversion:
-    """Any full-body recording, of joints or of markers, as a motion of our body.
-
-    Args:
-        recording: a file (.bvh, .amc, .c3d, .trc, ...) or what its reader made of it.
-        body: whose motion it becomes; None is the bundled body.
-        unit: of the file; None finds it out.
-        up: axis of the file that points up; None finds it out.
-        subject: shape, offsets and alignments from other recordings of the same skeleton; None
-            finds them from this one.
-        mapping: TOML file that says which of its joints or markers are ours.
-        fps: resample to this rate; None keeps the recording's.
-
-    Raises:
-        FileNotFoundError: when there is no such file.
-        ValueError: when it cannot be read, its unit or axis cannot be told, its skeleton or
-            markers are not known or do not cover the body, or the rate is not positive.
-    """
-    if fps is not None and not fps > 0:
-        raise ValueError(f"expected a positive frame rate, got {fps}")
-    if isinstance(recording, (str, Path)):
-        recording = read_recording(recording, unit=unit, up=up)
-    body = BodyModel.load() if body is None else body
-    if isinstance(recording, MarkerRecording):
-        from recon.ingest.markers import convert_markers
-
-        found = convert_markers(recording, body, mapping=mapping)
-    else:
-        recording = drop_lead_in(recording)
-        if subject is None:
-            subject = calibrate([recording], recognise(recording, mapping), body)
-        (found,) = convert_skeletons([recording], subject, body)
-    return found if fps is None or fps == found.motion.fps else resampled(found, body, fps)
 
 
 def convert_skeletons(
@@ -151,13 +105,21 @@ def grounded(
     n_glitch: int,
 ) -> Conversion:
     """Stand a motion on z = 0, label its contacts and report."""
-    shift, stance = ground_height(motion, body, soles)
+    stance = Stance.of(motion, body, soles)
+    notes: list[str] = []
+    tilt = 0.0
+    if (rotation := levelling(stance)) is not None:
+        motion = turned(motion, rotation, body)
+        stance = Stance.of(motion, body, soles)
+        tilt = math.degrees(math.acos(min(1.0, float(rotation[2, 2]))))
+        notes.append(f"levelled by {tilt:.1f} degrees: the soles stand on a tilted plane")
+    shift = stance.height()
     down = motion.translation.new_tensor([0.0, 0.0, shift])
     motion = motion.replace(translation=motion.translation - down)
     joints = body.pose(motion).joints
     contacts = contact_labels(joints, rest_heights(body, motion.shape), motion.fps)
-    seen = f"in {stance} frames of stance" if stance > 0 else "in all frames: no foot ever stands"
-    notes = [f"lowered by {shift:.3f} m: 5th percentile of the soles {seen}"]
+    seen = f"in {stance.frames} frames of stance" if stance.frames > 0 else "in all frames"
+    notes.append(f"lowered by {shift:.3f} m: 5th percentile of the soles {seen}")
     if n_glitch > 0:
         notes.append(f"{n_glitch} jumps: a joint is faster than {GLITCH_SPEED:g} m/s")
     values = list(residuals.values())
@@ -175,7 +137,8 @@ def grounded(
             "residual_mm": float(np.mean(values)),
             "residual_max_mm": float(np.max(values)),
             "ground_shift_m": shift,
-            "stance_frames": stance,
+            "tilt_degrees": round(tilt, 2),
+            "stance_frames": stance.frames,
             "n_glitch": n_glitch,
             "slip_mps": slip_speed(joints, contacts, motion.fps),
         },

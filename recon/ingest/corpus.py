@@ -5,9 +5,10 @@ import hashlib
 import json
 import logging
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -25,7 +26,7 @@ from recon.recording import SkeletonRecording
 
 logger = logging.getLogger(__name__)
 
-VERSION = 1
+VERSION = 2
 """Raised when the conversion gives other results, so that old outputs are made anew."""
 SHORTEST = 1.0
 """Seconds; what is left between jumps must last so long to be kept."""
@@ -78,13 +79,27 @@ def convert_corpus(
         target = out / clips[0].collection
         target.mkdir(parents=True, exist_ok=True)
         with ProcessPoolExecutor(processes, get_context("spawn"), initializer=_one_thread) as pool:
-            groups = _by_skeleton(clips, pool)
-            subjects = list(pool.map(partial(calibrate_group, body_path=body), groups))
-            jobs = [
-                pool.submit(convert_chunk, chunk, subject, target, settings, body)
-                for group, subject in zip(groups, subjects, strict=True)
-                for chunk in _chunks(group)
-            ]
+            groups, unread = _by_skeleton(clips, pool)
+            rows += unread
+            pending: list[list[Clip]] = []
+            for group in groups:
+                found = {c.name: _finished(target / f"{c.name}.npz", settings) for c in group}
+                rows += [row for row in found.values() if row is not None]
+                pending.append([clip for clip in group if found[clip.name] is None])
+            waiting = [(g, p) for g, p in zip(groups, pending, strict=True) if p]
+            calibrated = pool.map(
+                partial(calibrate_group, body_path=body), [group for group, _ in waiting]
+            )
+            jobs: list[Future[list[Row]]] = []
+            for (_, clips_left), subject in zip(waiting, list(calibrated), strict=True):
+                if isinstance(subject, str):
+                    rows += [_rejection(clip, subject) for clip in clips_left]
+                    continue
+                jobs += [
+                    pool.submit(convert_chunk, chunk, subject, target, settings, body)
+                    for chunk in _chunks(clips_left)
+                ]
+            write_report(out, rows)
             for job in as_completed(jobs):
                 rows += job.result()
                 write_report(out, rows)
@@ -92,17 +107,25 @@ def convert_corpus(
     return rows
 
 
-def calibrate_group(clips: Sequence[Clip], body_path: str | Path | None) -> SubjectModel:
-    """Shape, offsets and alignments of one skeleton, from up to 200 of its clips."""
+def calibrate_group(clips: Sequence[Clip], body_path: str | Path | None) -> SubjectModel | str:
+    """Shape, offsets and alignments of one skeleton, from up to 200 of its clips.
+
+    Or why there is none: nobody knows the skeleton, or no clip is whole.
+    """
     some = list(clips[:: max(1, -(-len(clips) // _CALIBRATION_CLIPS))])
     recordings = [
         piece.recording
         for clip, recording in read_clips(some)
+        if isinstance(recording, SkeletonRecording)
         for piece in split(clip, recording)[0]
     ]
     if not recordings:
-        recordings = [recording for _, recording in read_clips(some)]
-    return calibrate(recordings, recognise(recordings[0]), BodyModel.load(body_path))
+        return "no clip of its skeleton lasts a second without jumps"
+    try:
+        skeleton = recognise(recordings[0])
+    except ValueError as error:
+        return str(error)
+    return calibrate(recordings, skeleton, BodyModel.load(body_path))
 
 
 def convert_chunk(
@@ -117,6 +140,9 @@ def convert_chunk(
     rows: list[Row] = []
     pieces: list[Piece] = []
     for clip, recording in read_clips(list(clips)):
+        if isinstance(recording, str):
+            rows.append(_rejection(clip, recording))
+            continue
         kept, rejected = split(clip, recording)
         rows += rejected
         for piece in kept:
@@ -163,7 +189,7 @@ def split(clip: Clip, recording: SkeletonRecording) -> tuple[list[Piece], list[R
     """What of a recording is whole: the runs between jumps that last a second or more."""
     jumps = glitches(recording)
     edges = [0, *(jump + 1 for jump in jumps), recording.frames]
-    runs = [(a, b) for a, b in zip(edges, edges[1:], strict=False) if b > a]
+    runs = [(a, b) for a, b in pairwise(edges) if b > a]
     pieces: list[Piece] = []
     rejected: list[Row] = []
     for first, last in runs:
@@ -174,21 +200,22 @@ def split(clip: Clip, recording: SkeletonRecording) -> tuple[list[Piece], list[R
         pieces.append(Piece(clip, name, recording.window(first, last), cut))
     kept = sum(piece.recording.frames for piece in pieces)
     if kept < recording.frames:
-        rejected.append(
-            {
-                "collection": clip.collection,
-                "clip": clip.name,
-                "subject": clip.subject,
-                "action": clip.action,
-                "kept": False,
-                "frames": recording.frames - kept,
-                "fps": recording.fps,
-                "n_glitch": len(jumps),
-                "reason": "shorter than a second"
-                + (f" between its {len(jumps)} jumps" if jumps else ""),
-            }
-        )
+        between = f" between its {len(jumps)} jumps" if jumps else ""
+        row = _rejection(clip, f"shorter than a second{between}")
+        frames = recording.frames - kept
+        rejected.append(row | {"frames": frames, "fps": recording.fps, "n_glitch": len(jumps)})
     return pieces, rejected
+
+
+def _rejection(clip: Clip, reason: str) -> Row:
+    return {
+        "collection": clip.collection,
+        "clip": clip.name,
+        "subject": clip.subject,
+        "action": clip.action,
+        "kept": False,
+        "reason": reason,
+    }
 
 
 def config_hash(body: BodyModel) -> str:
@@ -227,19 +254,26 @@ def _finished(path: Path, settings: str) -> Row | None:
     return row if row.get("settings") == settings else None
 
 
-def _by_skeleton(clips: Sequence[Clip], pool: Executor) -> list[list[Clip]]:
-    """Clips that share names and lengths of bones."""
+def _by_skeleton(clips: Sequence[Clip], pool: Executor) -> tuple[list[list[Clip]], list[Row]]:
+    """Clips that share names and lengths of bones, and rows of those that cannot be read."""
     groups: dict[str, list[Clip]] = {}
+    unread: list[Row] = []
     parts = [list(clips[k : k + _CHUNK_CLIPS]) for k in range(0, len(clips), _CHUNK_CLIPS)]
-    for part, keys in zip(parts, pool.map(_skeleton_keys, parts), strict=True):
-        by_name = {clip.name: clip for clip in part}
-        for name, key in keys:
-            groups.setdefault(key, []).append(by_name[name])
-    return list(groups.values())
+    for found in pool.map(_skeleton_keys, parts):
+        for clip, key, reason in found:
+            if key:
+                groups.setdefault(key, []).append(clip)
+            else:
+                unread.append(_rejection(clip, reason))
+    return list(groups.values()), unread
 
 
-def _skeleton_keys(clips: list[Clip]) -> list[tuple[str, str]]:
-    return [(clip.name, skeleton_key(recording)) for clip, recording in read_clips(clips)]
+def _skeleton_keys(clips: list[Clip]) -> list[tuple[Clip, str, str]]:
+    """Every clip with the key of its skeleton, or without and why."""
+    return [
+        (clip, "", found) if isinstance(found, str) else (clip, skeleton_key(found), "")
+        for clip, found in read_clips(clips)
+    ]
 
 
 def _chunks(clips: Sequence[Clip]) -> Iterator[list[Clip]]:

@@ -51,8 +51,8 @@ def full_body_markers(
         )
     seen = [
         label
-        for label, shown in zip(recording.marker_names, recording.visible.any(0), strict=True)
-        if shown
+        for marker, label in enumerate(recording.marker_names)
+        if recording.visible[:, marker].any()
     ]
     if mapping is None:
         names, unknown = match_markers(seen)
@@ -79,11 +79,11 @@ def _check_cover(
     name: str, vertices: dict[str, int], unknown: tuple[str, ...], body: BodyModel
 ) -> None:
     bones = body.weights[list(vertices.values())].argmax(-1).tolist() if vertices else []
-    parts = {"pelvis": (0, 1, 2, 3)}
+    parts: dict[str, tuple[int, ...]] = {"pelvis": (0, 1, 2, 3)}
     for side in ("left", "right"):
-        parts[f"{side} thigh"] = (joint_index(f"{side}_hip"),)
-        parts[f"{side} shank"] = (joint_index(f"{side}_knee"),)
-        parts[f"{side} foot"] = descendants(joint_index(f"{side}_ankle"))
+        knee = joint_index(f"{side}_knee")
+        parts[f"{side} thigh or knee"] = (joint_index(f"{side}_hip"), knee)
+        parts[f"{side} shank or foot"] = descendants(knee)
     parts["trunk"] = descendants(joint_index("spine2"))
     bare = [part for part, joints in parts.items() if not any(b in joints for b in bones)]
     left = f"; labels not known: {', '.join(unknown)}" if unknown else ""

@@ -21,8 +21,8 @@ from recon import terms
 from recon.body import BodyModel
 from recon.free import FreeMotion
 from recon.ingest.conversion import Conversion, grounded
-from recon.ingest.energies import AboveGround
 from recon.ingest.coverage import MarkerSet, full_body_markers
+from recon.ingest.energies import AboveGround
 from recon.ingest.soles import Soles
 from recon.motion import Motion
 from recon.protocols import REFERENCE_FPS, Estimate
@@ -111,7 +111,7 @@ def convert_markers(
     apart = (fit.predicted - torch.from_numpy(chosen.positions).float()).norm(dim=-1)
     mean = apart.where(seen, 0.0).sum(0) / seen.sum(0).clamp(min=1)
     left = f"; not known: {', '.join(markers.unknown)}" if markers.unknown else ""
-    found = grounded(
+    return grounded(
         fit.motion,
         dict(zip(markers.labels, (1000 * mean).tolist(), strict=True)),
         (*recording.decisions, f"{len(markers.labels)} markers used{left}"),
@@ -119,7 +119,6 @@ def convert_markers(
         Soles.of(body),
         n_glitch=0,
     )
-    return found
 
 
 def fit_markers(
@@ -271,9 +270,7 @@ def _between(
     fraction = ((wanted - known[before]) / gap).clamp(0, 1)
     a, b = motion.rotations[before], motion.rotations[after]
     return Motion.create(
-        translation=motion.translation[before].lerp(
-            motion.translation[after], fraction[:, None]
-        ),
+        translation=motion.translation[before].lerp(motion.translation[after], fraction[:, None]),
         rotations=so3.interpolate(a, b, fraction[:, None].expand(a.shape[:2])),
         shape=motion.shape,
         fps=motion.fps,
@@ -306,9 +303,7 @@ def _stands_on_zero(
     return len(low) > 0 and _FOOT_MARKER[0] < float(low.quantile(0.1)) < _FOOT_MARKER[1]
 
 
-def nominal_offsets(
-    body: BodyModel, vertices: Sequence[int]
-) -> Float[Tensor, "markers 3"]:
+def nominal_offsets(body: BodyModel, vertices: Sequence[int]) -> Float[Tensor, "markers 3"]:
     """A marker's centre off the skin, along the normal of the rest body, metres."""
     corners = body.template[body.faces]
     normals = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

@@ -1,11 +1,13 @@
 """Soles on the ground: their vertices, when a foot stands, and how high the ground is."""
 
+import math
 from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from recon import rotations as so3
 from recon.body import BodyModel
 from recon.contacts import MAXIMUM_SPEED, speeds
 from recon.motion import Motion
@@ -23,6 +25,20 @@ _FLAT = 0.03
 """And the ankle is as high above the toe as usual, within metres."""
 _GROUND_PERCENTILE = 0.05
 _CHUNK = 2000
+
+_LEAST_POINTS = 30
+_LEAST_EXTENT = 0.7
+"""Metres that feet must stand apart for a slope to be seen."""
+_STEEPEST = 4.0
+"""Degrees; more is terrain."""
+_BETTER = 0.6
+"""A slope must leave less than this share of the deviations of a level floor."""
+_LEVEL = 0.005
+"""Metres of mean deviation up to which a floor is level as it is."""
+_SLOPE_PULL = 0.01
+"""Metres²: worth as much as feet spread by 0.1 m, root mean square."""
+_SMALL_DEVIATION = 0.003
+_REWEIGHTINGS = 30
 
 
 @dataclass(frozen=True)
@@ -86,18 +102,88 @@ def standing_flat(feet: Float[Tensor, "time 4 3"], fps: float) -> Bool[Tensor, "
     return flat
 
 
-def ground_height(motion: Motion, body: BodyModel, soles: Soles) -> tuple[float, int]:
-    """Height of the ground under one clip, metres, and the stance frames it was seen in.
+@dataclass(frozen=True)
+class Stance:
+    """Soles of one clip, and the frames in which they carry weight."""
 
-    The 5th percentile of the lowest point of the soles over frames in which an ankle or a toe is
-    slower than 0.25 m/s; over all frames when there is none.
+    lowest: Float[Tensor, "time 2 3"]
+    """Lowest point under the left and the right foot, world, metres."""
+    slow: Bool[Tensor, "time 2"]
+    """Ankle or toe is slower than 0.25 m/s."""
+    firm: Bool[Tensor, "time 2"]
+    """Ankle and toe are."""
+
+    @classmethod
+    def of(cls, motion: Motion, body: BodyModel, soles: Soles) -> "Stance":
+        """Watch a motion's feet."""
+        lowest = []
+        for first in range(0, motion.frames, _CHUNK):
+            posed = body.pose(motion.window(first, first + _CHUNK))
+            points = posed.points(soles.points.flatten()).unflatten(-2, soles.points.shape)
+            deepest = points[..., 2].argmin(-1)[..., None, None]
+            lowest.append(points.take_along_dim(deepest, -2).squeeze(-2))
+        joints = body.pose(motion).joints[..., list(FEET), :]
+        slow = (speeds(joints, motion.fps) < MAXIMUM_SPEED).unflatten(-1, (2, 2))
+        return cls(torch.cat(lowest), slow.any(-2), slow.all(-2))
+
+    @property
+    def frames(self) -> int:
+        """Frames in which a foot carries weight."""
+        return int(self.slow.any(-1).sum())
+
+    def height(self) -> float:
+        """Height of level ground, metres.
+
+        The 5th percentile over stance frames of the sole's lowest point; over all frames when no
+        foot ever stands.
+        """
+        heights = self.lowest[..., 2]
+        chosen = heights[self.slow] if self.frames > 0 else heights.amin(-1)
+        return float(chosen.quantile(_GROUND_PERCENTILE))
+
+
+def levelling(stance: Stance) -> Float[Tensor, "3 3"] | None:
+    """Rotation that levels a tilted floor, or None where the floor is level or not one plane.
+
+    z = a x + b y + c through the soles of firm stance, by least absolute deviations (reweighted
+    least squares) with a mild pull of the slope towards zero: across the direction of a walk it
+    is hardly seen. Accepted where feet stood far enough apart, the slope is small, as of a
+    capture volume that was calibrated carelessly, and the soles lie on that plane much better
+    than on a level one.
     """
-    lowest = []
-    for first in range(0, motion.frames, _CHUNK):
-        posed = body.pose(motion.window(first, first + _CHUNK))
-        lowest.append(posed.points(soles.points.flatten())[..., 2].amin(-1))
-    joints = body.pose(motion).joints[..., list(FEET), :]
-    stance = (speeds(joints, motion.fps) < MAXIMUM_SPEED).any(-1)
-    heights = torch.cat(lowest)
-    chosen = heights[stance] if bool(stance.any()) else heights
-    return float(chosen.quantile(_GROUND_PERCENTILE)), int(stance.sum())
+    points = stance.lowest[stance.firm].double()
+    if len(points) < _LEAST_POINTS:
+        return None
+    middle = points.median(0).values
+    ends = (points[:, :2].quantile(0.95, dim=0) - points[:, :2].quantile(0.05, dim=0)).norm()
+    if float(ends) < _LEAST_EXTENT:
+        return None
+    x = torch.cat((points[:, :2] - middle[:2], torch.ones_like(points[:, :1])), 1)
+    z = points[:, 2] - middle[2]
+    pull = torch.diag(torch.tensor([_SLOPE_PULL, _SLOPE_PULL, 0.0], dtype=torch.float64))
+    weight = torch.ones_like(z)
+    plane = torch.zeros(3, dtype=torch.float64)
+    for _ in range(_REWEIGHTINGS):
+        normal = (x * weight[:, None]).mT @ x / len(z) + pull * weight.mean()
+        plane = torch.linalg.solve(normal, (x * weight[:, None]).mT @ z / len(z))
+        weight = 1 / (z - x @ plane).abs().clamp(min=_SMALL_DEVIATION)
+    level = (z - z.median()).abs().mean()
+    tilted = (z - x @ plane).abs().mean()
+    slope = plane[:2].norm()
+    flat = level < _LEVEL or tilted > _BETTER * level
+    if flat or slope > math.tan(math.radians(_STEEPEST)):
+        return None
+    angle = torch.atan(slope)
+    axis = torch.stack((plane[1], -plane[0], torch.zeros_like(slope))) / slope
+    # the normal (-a, -b, 1) goes to z: about n × z = (-b, a, 0)
+    return so3.exp(-axis * angle).float()
+
+
+def turned(motion: Motion, rotation: Float[Tensor, "3 3"], body: BodyModel) -> Motion:
+    """The same motion in a world turned about its origin."""
+    pelvis = body.rest_joints(motion.shape)[..., 0, :]
+    place = (rotation @ (motion.translation + pelvis)[..., None])[..., 0] - pelvis
+    root = rotation @ motion.rotations[..., :1, :, :]
+    return motion.replace(
+        translation=place, rotations=torch.cat((root, motion.rotations[..., 1:, :, :]), -3)
+    )

@@ -1,0 +1,54 @@
+"""One recording of any kind, on its own."""
+
+from pathlib import Path
+
+from recon.body import BodyModel
+from recon.formats import read_recording
+from recon.ingest.conversion import Conversion, convert_skeletons, resampled
+from recon.ingest.markers import convert_markers
+from recon.ingest.skeletons import recognise
+from recon.ingest.subject import SubjectModel, calibrate
+from recon.recording import MarkerRecording, SkeletonRecording, drop_lead_in
+from recon.units import Axis
+
+
+def convert(
+    recording: str | Path | SkeletonRecording | MarkerRecording,
+    body: BodyModel | None = None,
+    *,
+    unit: str | None = None,
+    up: Axis | None = None,
+    subject: SubjectModel | None = None,
+    mapping: str | Path | None = None,
+    fps: float | None = None,
+) -> Conversion:
+    """Any full-body recording, of joints or of markers, as a motion of our body.
+
+    Args:
+        recording: a file (.bvh, .amc, .c3d, .trc, ...) or what its reader made of it.
+        body: whose motion it becomes; None is the bundled body.
+        unit: of the file; None finds it out.
+        up: axis of the file that points up; None finds it out.
+        subject: shape, offsets and alignments from other recordings of the same skeleton; None
+            finds them from this one.
+        mapping: TOML file that says which of its joints or markers are ours.
+        fps: resample to this rate; None keeps the recording's.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+        ValueError: when it cannot be read, its unit or axis cannot be told, its skeleton or
+            markers are not known or do not cover the body, or the rate is not positive.
+    """
+    if fps is not None and not fps > 0:
+        raise ValueError(f"expected a positive frame rate, got {fps}")
+    if isinstance(recording, (str, Path)):
+        recording = read_recording(recording, unit=unit, up=up)
+    body = BodyModel.load() if body is None else body
+    if isinstance(recording, MarkerRecording):
+        found = convert_markers(recording, body, mapping=mapping)
+    else:
+        recording = drop_lead_in(recording)
+        if subject is None:
+            subject = calibrate([recording], recognise(recording, mapping), body)
+        (found,) = convert_skeletons([recording], subject, body)
+    return found if fps is None or fps == found.motion.fps else resampled(found, body, fps)
