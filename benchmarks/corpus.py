@@ -8,13 +8,14 @@ Reads the report that the conversion wrote.
 
 import argparse
 import csv
-import json
 from collections import Counter, defaultdict
 from pathlib import Path
 from statistics import mean, median
 
 from rich.console import Console
 from rich.table import Table
+
+from benchmarks.results import write
 
 Row = dict[str, str]
 
@@ -41,10 +42,8 @@ def main() -> None:
     for reason, count in reasons.most_common():
         console.print(f"rejected {count}: {reason}", markup=False)
     if arguments.json is not None:
-        about = {"command": "python -m benchmarks.corpus CORPUS"}
-        arguments.json.write_text(
-            json.dumps({"about": about, "rows": summary, "rejected": reasons}, indent=1)
-        )
+        command = "python -m benchmarks.corpus CORPUS"
+        write(arguments.json, command, None, rows=summary, rejected=reasons)
 
 
 def summarise(rows: list[Row]) -> dict[str, float]:

@@ -11,7 +11,6 @@ a message that names the file, and nothing written.
 import argparse
 import contextlib
 import io
-import json
 import pickle
 import tempfile
 import traceback
@@ -26,6 +25,7 @@ import torch
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.results import write
 from recon import cli
 from recon.formats.amass import load_motion
 from recon.simulate import Corruption, simulate_file
@@ -54,10 +54,9 @@ def main() -> None:
                 faults.append(f"file {number} ({name}): {verdict}")
     report(verdicts, faults)
     if arguments.json is not None:
-        about = {"command": f"python -m benchmarks.fuzz --count {arguments.count}"}
-        about |= {"seed": arguments.seed}
         rows = {f"{name}: {verdict}": count for (name, verdict), count in verdicts.items()}
-        arguments.json.write_text(json.dumps({"about": about, "rows": rows, "faults": faults}))
+        command = f"python -m benchmarks.fuzz --count {arguments.count}"
+        write(arguments.json, command, arguments.seed, rows=rows, faults=faults)
 
 
 def judge(name: str, folder: Path, random: Random) -> str:

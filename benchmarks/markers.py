@@ -16,7 +16,6 @@ fitted, evenly spaced.
 """
 
 import argparse
-import json
 import logging
 from collections.abc import Iterator
 from pathlib import Path
@@ -25,9 +24,9 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from benchmarks.results import write
 from recon.body import BodyModel
 from recon.formats import read_recording
-from recon.formats.files import replacing
 from recon.ingest.coverage import MarkerSet, full_body_markers
 from recon.ingest.markers import MarkerFit, fit_markers, nominal_offsets
 from recon.recording import MarkerRecording
@@ -160,9 +159,7 @@ def main() -> None:
         rows.append(row)
         print(f"{name:44s}" + "".join(f"{value:>10}" for value in list(row.values())[1:]))
         if options.json:
-            options.json.parent.mkdir(parents=True, exist_ok=True)
-            with replacing(options.json) as beside:
-                beside.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+            write(options.json, "python -m benchmarks.markers OBSERVATIONS", None, rows=rows)
     within = sum(float(row["left_out_mm"]) <= LIMIT_MM for row in rows)
     print(f"{within} of {len(rows)} recordings predict left-out markers within {LIMIT_MM:g} mm")
 

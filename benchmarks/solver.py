@@ -1,6 +1,6 @@
 """Evaluations our L-BFGS needs on standard problems, beside SciPy's L-BFGS-B.
 
-    python benchmarks/solver.py --json solver.json
+    python -m benchmarks.solver --json solver.json
 
 Both start at the same point in double precision, remember 20 pairs, and stop once no component of
 the gradient exceeds 1e-6. `solved` counts the evaluations until the objective was within 1e-8
@@ -11,8 +11,6 @@ Sources: Moré, Garbow & Hillstrom (1981), Testing unconstrained optimization so
 """
 
 import argparse
-import json
-import os
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -22,6 +20,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from benchmarks.results import write
 from recon.solver import LBFGS, Solution
 
 TOLERANCE_GRADIENT = 1e-6
@@ -285,7 +284,6 @@ def main() -> None:
         print(f"{cost.batch:>5}{cost.n:>7}{cost.objective_ms:>14.2f}{cost.solver_ms:>26.2f}")
 
     if arguments.json is not None:
-        beside = arguments.json.with_suffix(arguments.json.suffix + ".part")
         report = {
             "problems": [asdict(row) for row in rows],
             "solved": solved,
@@ -296,8 +294,7 @@ def main() -> None:
             "ratio_total": total / total_scipy,
             "overhead": [asdict(cost) for cost in costs],
         }
-        beside.write_text(json.dumps(report, indent=1))
-        os.replace(beside, arguments.json)
+        write(arguments.json, "python -m benchmarks.solver", None, **report)
 
 
 if __name__ == "__main__":

@@ -7,9 +7,7 @@ one gains little on so small operations, and on a shared machine costs many time
 """
 
 import argparse
-import json
 import os
-import platform
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -20,6 +18,7 @@ from rich.console import Console
 from rich.table import Table
 
 import recon
+from benchmarks.results import write
 from observations import Joints3D
 from priors.pose import PosePrior
 from recon import rotations as so3
@@ -49,9 +48,7 @@ def main() -> None:
         table.add_row(name, f"{value:.4g}")
     Console().print(table)
     if arguments.json is not None:
-        about = {"command": "python -m benchmarks.speed", "seed": SEED, "torch": torch.__version__}
-        about |= {"machine": platform.processor() or platform.machine(), "cores": os.cpu_count()}
-        arguments.json.write_text(json.dumps({"about": about, "rows": rows}, indent=1))
+        write(arguments.json, "python -m benchmarks.speed", SEED, rows=rows)
 
 
 def posing(body: BodyModel, motion: Motion) -> dict[str, float]:

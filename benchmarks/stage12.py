@@ -10,9 +10,6 @@ Values are means over a subject's windows, then over subjects.
 """
 
 import argparse
-import json
-import os
-import platform
 import sys
 import time
 from collections.abc import Callable
@@ -24,6 +21,7 @@ from rich.console import Console
 from rich.table import Table
 from torch import Tensor
 
+from benchmarks.results import write
 from benchmarks.smoothers import butterworth, whittaker
 from benchmarks.windows import FPS, Windows, load_windows, noisy_joints, occluded_points
 from priors.pose import PosePrior, PoseWeights
@@ -83,11 +81,10 @@ def main() -> None:
             console.print(row)
     console.print(", ".join(f"{k} {v:.3g}" for k, v in speed.items()))
     if arguments.json is not None:
-        report = {**environment(), "part": arguments.part, "windows": windows.names}
-        report |= {"smoothers": {k: v for k, (_, v) in smoothers.items()}}
-        arguments.json.write_text(
-            json.dumps({**report, "tables": tables, "speed": speed}, indent=1)
-        )
+        tuned = {name: value for name, (_, value) in smoothers.items()}
+        about = {"part": arguments.part, "windows": windows.names, "smoothers": tuned}
+        command = "python -m benchmarks.stage12 CORPUS"
+        write(arguments.json, command, SEED, **about, tables=tables, speed=speed)
 
 
 Smoother = Callable[[Tensor], Tensor]
@@ -242,17 +239,6 @@ def table(title: str, columns: dict[str, tuple[str, float]], rows: dict[str, Row
 
 def cell(value: float | None, factor: float) -> str:
     return "–" if value is None else f"{value * factor:.2f}"
-
-
-def environment() -> dict[str, object]:
-    return {
-        "command": " ".join(["python", *sys.argv]),
-        "seed": SEED,
-        "python": platform.python_version(),
-        "torch": torch.__version__,
-        "numpy": np.__version__,
-        "machine": f"{platform.machine()}, {os.cpu_count()} cores",
-    }
 
 
 if __name__ == "__main__":
