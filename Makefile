@@ -2,29 +2,33 @@
 # make bench: every table of the README (needs RECON_DATA).
 PYTHON ?= python3
 BIN := .venv/bin
-STAMP := .venv/.installed
+PIP := $(BIN)/pip install --quiet --no-compile --constraint constraints.txt
 OUT ?= out
 
 .PHONY: demo test bench clean
 
-demo: $(STAMP)
+demo: .venv/installed
 	$(BIN)/recon demo --out demo
 
-test: $(STAMP)
+test: .venv/developed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
 	$(BIN)/lint-imports
 	$(BIN)/pytest -q -n 2 --dist loadfile
 
-bench: $(STAMP)
+bench: .venv/developed
 	mkdir -p $(OUT)
 	$(BIN)/python -m benchmarks.all --out $(OUT)
 
-$(STAMP): pyproject.toml constraints.txt
+.venv/installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
 	$(BIN)/pip install --quiet --upgrade 'pip>=25.1'
-	$(BIN)/pip install --quiet --constraint constraints.txt --editable . --group dev
+	$(PIP) --editable .
+	touch $@
+
+.venv/developed: .venv/installed
+	$(PIP) --group dev
 	touch $@
 
 clean:
