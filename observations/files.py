@@ -56,7 +56,7 @@ def load(
     visible = torch.from_numpy(file.visible)[None]
     points = torch.from_numpy(positions).float()[None] * visible[..., None]
     adapter = Joints3D if file.kind == "joints3d" else Markers3D
-    return adapter(points, visible, places, file.fps, file.start_time, kernel)
+    return adapter(points, visible, places, file.fps, file.start_time, kernel, file.ground_known)
 
 
 def _places(
@@ -71,6 +71,11 @@ def _places(
             )
         joints = tuple(JOINTS.index(name) for name in file.names)
         return joints, body.joint_template[list(joints)]
+    if body.checksum != BodyModel.load().checksum:
+        raise ValueError(
+            f"{path}: markers sit on vertices of the bundled body, which {body.name!r} does not "
+            "have; fit markers without --body, or build Markers3D with vertices of your own mesh"
+        )
     matched, _ = match_markers(file.names)
     matched |= {name: name for name in file.names if name in landmarks()}
     if unknown := [name for name in file.names if name not in matched]:

@@ -29,6 +29,8 @@ class Markers3D(TensorStruct):
     start_time: float = 0.0
     kernel: Callable[[Tensor], Tensor] = squared
     """How much a squared distance counts; see `recon.robust`."""
+    ground_known: bool = True
+    """Whether the ground is at z = 0."""
     offset_rows: tuple[int, int] | None = None
     """Rows of `Scene.offsets` that belong to these markers: how they stand off the skin."""
 

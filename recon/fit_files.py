@@ -18,6 +18,7 @@ from recon.body import BodyModel
 from recon.contacts import contact_labels, rest_heights
 from recon.formats.amass import MotionFile, save_motion
 from recon.formats.files import replacing
+from recon.ingest.soles import Soles, Stance
 from recon.motion import Motion
 from recon.reconstruction import Reconstruction, fit
 from recon.settings import FitSettings
@@ -50,15 +51,20 @@ def fit_files(
     if settings.fps is not None:
         motion = motion.resample(settings.fps)
     report = describe(result, paths, settings) | {"noise": noises}
-    write_result(out, motion, body.to(device="cpu"), report)
+    known = all(observation.ground_known for observation in observations)
+    ground = 0.0 if known else Stance.of(motion, here, Soles.of(here)).height()
+    write_result(out, motion, here, report | {"ground_known": known}, ground)
     return report
 
 
-def write_result(out: Path, motion: Motion, body: BodyModel, report: dict[str, Any]) -> None:
-    """The motion file with joints, contacts and ground, and its report beside it."""
+def write_result(
+    out: Path, motion: Motion, body: BodyModel, report: dict[str, Any], ground: float = 0.0
+) -> None:
+    """The motion file with joints, contacts and ground (its height), and its report beside it."""
     out.parent.mkdir(parents=True, exist_ok=True)
     joints = body.pose(motion).joints
-    labels = contact_labels(joints, rest_heights(body, motion.shape), motion.fps)
+    above = joints - joints.new_tensor([0.0, 0.0, ground])
+    labels = contact_labels(above, rest_heights(body, motion.shape), motion.fps)
     save_motion(
         out,
         MotionFile(
@@ -67,7 +73,7 @@ def write_result(out: Path, motion: Motion, body: BodyModel, report: dict[str, A
             checksum=body.checksum,
             joints=joints,
             contacts=labels.to(joints),
-            ground=torch.tensor([0.0, 0.0, 1.0, 0.0]),
+            ground=torch.tensor([0.0, 0.0, 1.0, ground]),
         ),
     )
     with replacing(out.with_name(out.name + ".json")) as beside:

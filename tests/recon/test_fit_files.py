@@ -163,6 +163,21 @@ def test_hard_but_honest_data_never_gives_nan(truth, tmp_path):
         assert motion.rotations.isfinite().all()
 
 
+def test_an_unknown_ground_is_found_under_the_feet(truth, tmp_path):
+    seen = observation(truth, tmp_path, noise=0.005)
+    with np.load(seen) as file:
+        lifted = file["positions"] + np.array([0.0, 0.0, 3.0]) * file["visible"][..., None]
+    rewritten(seen, positions=lifted, ground_known=False)
+    report = fit_files([seen], tmp_path / "motion.npz", FitSettings())
+    assert report["noise"][0] >= 0.01
+    result = load_motion(tmp_path / "motion.npz")
+    assert result.ground is not None
+    assert result.joints is not None
+    lowest = float(result.joints[..., 2].min())
+    assert abs(lowest - float(result.ground[3])) < 0.3  # metres; the toy walker floats and tilts
+    assert float(result.ground[3]) > 2
+
+
 def test_one_frame_and_a_still_person(truth, tmp_path):
     seen = tmp_path / "one.npz"
     simulate_file(truth, seen, "joints3d", Corruption(), seed=1, frames=(3, 4))
