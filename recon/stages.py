@@ -29,6 +29,9 @@ class Stage(Generic[S]):
     free: frozenset[str]
     """Paths of the tensors to move: the prior's own (`pose`) or the scene's (`scene.offsets`)."""
     minimiser: LBFGS = LBFGS()
+    frames: int | None = None
+    """Decode and compare only the first so many frames; the prior's `decode` must then take
+    their number beside the variables. None decodes all."""
 
     def __post_init__(self) -> None:
         names = [term.name for term in self.terms]
@@ -80,7 +83,7 @@ def run_stage(
             bound = tuple(term.rows(active) for term in stage.terms), start[active]
             bound_to = active
         terms, fixed = bound
-        estimate = _estimate(stage.prior, body, layout.unflatten(fixed, x))
+        estimate = _estimate(stage.prior, body, layout.unflatten(fixed, x), stage.frames)
         return torch.stack([term.weight * term.energy(estimate) for term in terms], -1)
 
     told = None if watch is None else partial(watch, stage.name)
@@ -122,8 +125,11 @@ def run_stages(
     return evaluate_stage(stages[-1], body, variables, scene), reports
 
 
-def _estimate(prior: Prior[S], body: BodyModel, unknowns: Unknowns[S]) -> Estimate:
-    decoded = prior.decode(unknowns.variables)
+def _estimate(
+    prior: Prior[S], body: BodyModel, unknowns: Unknowns[S], frames: int | None = None
+) -> Estimate:
+    some: Any = prior
+    decoded = some.decode(unknowns.variables, *(() if frames is None else (frames,)))
     return Estimate(decoded, body.pose(decoded.motion), unknowns.scene)
 
 
