@@ -1,0 +1,87 @@
+"""HuMoR's weights on disk: ours, in safetensors with the mixture, and the authors' checkpoint."""
+
+import pickle
+from collections.abc import Mapping
+from dataclasses import replace
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from priors.checkpoints import Checkpoint, load_checkpoint, save_checkpoint
+from priors.humor_nets import HumorNetworks, width_of
+from priors.mixture import Mixture
+
+_INITIAL = "initial."
+"""What names of the mixture's tensors begin with."""
+
+
+_DAMAGED = (pickle.UnpicklingError, RuntimeError, EOFError, LookupError, TypeError, ValueError)
+"""What reading bytes that are no checkpoint ends in."""
+
+
+def bundled_weights() -> Checkpoint:
+    """Those in the package."""
+    with resources.as_file(resources.files("priors") / "weights" / "humor.safetensors") as path:
+        return load_checkpoint(path, "humor")
+
+
+def read_weights(path: str | Path) -> Checkpoint:
+    """Ours (.safetensors), or a PyTorch checkpoint of the authors or of a run (.pth, .pt).
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+        ValueError: when it holds something else.
+    """
+    path = Path(path)
+    return load_checkpoint(path, "humor") if path.suffix == ".safetensors" else _pytorch(path)
+
+
+def save_weights(
+    path: str | Path, networks: HumorNetworks, initial: Mixture, settings: Mapping[str, Any]
+) -> None:
+    """Write networks in half precision and their mixture in single."""
+    tensors = {name: tensor.half() for name, tensor in networks.state_dict().items()}
+    for name, tensor in initial.tensors().items():
+        tensors[_INITIAL + name] = tensor.float() if tensor.is_floating_point() else tensor
+    save_checkpoint(path, "humor", tensors, {"width": networks.width, **settings})
+
+
+def networks_from(weights: Checkpoint) -> HumorNetworks:
+    """Networks of the width that the weights have."""
+    own = {k: v.float() for k, v in weights.tensors.items() if not k.startswith(_INITIAL)}
+    networks = HumorNetworks(width_of(own))
+    replace(weights, tensors=own).into(networks)
+    return networks
+
+
+def mixture_from(weights: Checkpoint) -> Mixture | None:
+    """The mixture beside the networks, if there is one."""
+    own = {
+        k.removeprefix(_INITIAL): v for k, v in weights.tensors.items() if k.startswith(_INITIAL)
+    }
+    if len(own) == 0:
+        return None
+    count, size = own["means"].shape if "means" in own else (12, 138)
+    shapes = {
+        "features": (size,),
+        "log_weights": (count,),
+        "means": (count, size),
+        "whitening": (count, size, size),
+    }
+    return Mixture(**replace(weights, tensors=own).require(shapes))
+
+
+def _pytorch(path: Path) -> Checkpoint:
+    """Read without running code from it."""
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such weights file; expected HuMoR weights there")
+    try:
+        found = torch.load(path, map_location="cpu", weights_only=True)
+    except _DAMAGED as error:
+        raise ValueError(f"{path}: expected a PyTorch checkpoint, got {error}") from error
+    for name in ("average", "model"):
+        if isinstance(found, dict) and isinstance(found.get(name), dict):
+            return Checkpoint(path, found[name], {})
+    raise ValueError(f"{path}: expected a checkpoint with the networks' weights under 'model'")
