@@ -7,21 +7,28 @@ from tyro.conf import Positional
 
 
 def train(
-    prior: Positional[Literal["pose"]],
+    prior: Positional[Literal["pose", "humor"]],
     corpus: Positional[Path],
     out: Path,
     data: Literal["open", "nc"] = "open",
+    steps: int = 20_000,
+    device: Literal["cpu", "cuda"] = "cpu",
+    seed: int = 0,
 ) -> None:
     """Learn the weights of a prior.
 
-    `pose` is a density of single poses and takes seconds.
+    `pose` is a density of single poses, takes seconds and has no steps. `humor` is the transition
+    network: hours on two cores; a run that was cut goes on from its checkpoint.
 
     Args:
         prior: which one.
         corpus: folder that `recon convert --all` wrote.
-        out: weights to write (.safetensors); a log is written beside them.
+        out: weights to write (.safetensors); logs and checkpoints are kept beside them.
         data: `open` learns from clips whose weights may be shipped, `nc` also from those under a
             non-commercial licence.
+        steps: of the optimiser.
+        device: where to compute.
+        seed: of everything random.
     """
     from recon.cli import console
 
@@ -29,5 +36,14 @@ def train(
         from priors.training.pose import PoseTraining
         from priors.training.pose import train as train_pose
 
-        written = train_pose(PoseTraining(corpus=corpus, out=out, data=data))
-        console.say(f"{written} and its log, {written.with_suffix('.log')}")
+        train_pose(PoseTraining(corpus=corpus, out=out, data=data))
+    else:
+        from priors.training.humor import train as train_humor
+        from priors.training.humor_run import HumorTraining, export_weights
+
+        run = HumorTraining(
+            corpus=corpus, out=out.with_suffix(""), data=data, steps=steps, device=device, seed=seed
+        )
+        train_humor(run)
+        export_weights(run, out)
+    console.say(str(out))

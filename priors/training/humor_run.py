@@ -1,0 +1,203 @@
+"""A training run of HuMoR on disk: settings, checkpoints, losses and the weights in the end."""
+
+import dataclasses
+import logging
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import torch
+
+from priors.humor_nets import HumorNetworks
+from priors.humor_state import canonical, distinct_features, initial_features, rest_pelvis
+from priors.humor_weights import save_weights
+from priors.mixture import Mixture
+from priors.training.dataset import SPLITS, Licence, Splits
+from priors.training.humor_corpus import Corpus, Variation
+from recon.body import BodyModel
+from recon.formats.files import replacing
+
+_LOG = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class HumorTraining:
+    """Settings of a run."""
+
+    corpus: Path
+    """Folder of converted motions (`recon convert --all`)."""
+    out: Path
+    """Folder of the run: checkpoint.pt, best.pt, losses.csv, losses.png, train.log. A run that was
+    interrupted goes on from its checkpoint."""
+    data: Licence = "open"
+    """`open`: clips whose weights may be shipped; `nc`: the non-commercial ones too."""
+    splits: Path = SPLITS
+    """Who is held out."""
+    width: int = 512
+    """Units of the hidden layers; 1024 is published."""
+    steps: int = 20_000
+    """Steps of the optimiser."""
+    windows: int = 200
+    """Windows per step (published)."""
+    frames: int = 11
+    """Frames per window: ten transitions (published)."""
+    rate: float = 1e-3
+    """Learning rate of Adamax at the start; it falls to a hundredth along a cosine."""
+    decay: float = 0.0
+    """Weight decay."""
+    clip: float = 5.0
+    """Longest gradient."""
+    average: float = 0.999
+    """Share of the averaged weights kept in every step."""
+    kl_until: float = 0.25
+    """Share of the run over which the KL weight rises from zero (published)."""
+    own_from: float = 0.05
+    own_until: float = 0.1
+    """Shares of the run between which inputs change from true states to own predictions
+    (published)."""
+    variation: Variation = field(default_factory=Variation)
+    """How windows are varied."""
+    validate_every: int = 500
+    """Steps."""
+    save_every: float = 180.0
+    """Seconds."""
+    precision: Literal["float32", "bfloat16"] = "bfloat16"
+    """Of the networks' products while training; weights and all else are in float32. The lower
+    one takes half the time."""
+    seed: int = 0
+    threads: int = 1
+    device: str = "cpu"
+
+
+@dataclass
+class Run:
+    """All that a run needs to go on exactly where it was."""
+
+    settings: HumorTraining
+    networks: HumorNetworks
+    averaged: HumorNetworks
+    optimiser: torch.optim.Adamax
+    random: torch.Generator
+    step: int = 0
+    rows: list[dict[str, float]] = field(default_factory=list)
+    sums: dict[str, float] = field(default_factory=dict)
+    """Of the losses since the last row."""
+
+    @classmethod
+    def start(cls, settings: HumorTraining) -> "Run":
+        """A new run, or the one whose checkpoint is in the folder."""
+        random = torch.Generator().manual_seed(settings.seed)
+        torch.manual_seed(settings.seed)
+        networks = HumorNetworks(settings.width).to(settings.device)
+        averaged = HumorNetworks(settings.width).to(settings.device).requires_grad_(False)
+        averaged.load_state_dict(networks.state_dict())
+        optimiser = torch.optim.Adamax(
+            networks.parameters(), lr=settings.rate, weight_decay=settings.decay
+        )
+        run = cls(settings, networks, averaged, optimiser, random)
+        path = settings.out / "checkpoint.pt"
+        if path.is_file():
+            run._resume(path)
+        return run
+
+    def _resume(self, path: Path) -> None:
+        state: dict[str, Any] = torch.load(path, weights_only=True, map_location="cpu")
+        own = _plain(self.settings)
+        changed = [k for k in own if k in _FIXED and own[k] != state["settings"].get(k)]
+        if len(changed) > 0:
+            raise ValueError(
+                f"{path}: a run with other {', '.join(changed)}; take another folder, or the "
+                "settings of that run"
+            )
+        self.networks.load_state_dict(state["model"])
+        self.averaged.load_state_dict(state["average"])
+        self.optimiser.load_state_dict(state["optimiser"])
+        self.random.set_state(state["random"])
+        self.step, self.rows = state["step"], state["rows"]
+        self.sums = state.get("sums", {})
+
+    def note(self, row: dict[str, float]) -> None:
+        """Remember losses, write them as a table and as curves; keep the best networks."""
+        self.rows.append({"step": float(self.step), **row})
+        if row["score"] == min(r["score"] for r in self.rows):
+            best = {"average": self.averaged.state_dict(), "step": self.step}
+            with replacing(self.settings.out / "best.pt") as beside:
+                torch.save(best, beside)
+        columns = list(self.rows[0])
+        lines = [",".join(columns)]
+        lines += [",".join(f"{r[c]:.6g}" for c in columns) for r in self.rows]
+        with replacing(self.settings.out / "losses.csv") as beside:
+            beside.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        _draw(self.rows, self.settings.out / "losses.png")
+
+    def save(self) -> None:
+        """Write the checkpoint in one step."""
+        state = {
+            "settings": _plain(self.settings),
+            "model": self.networks.state_dict(),
+            "average": self.averaged.state_dict(),
+            "optimiser": self.optimiser.state_dict(),
+            "random": self.random.get_state(),
+            "step": self.step,
+            "rows": self.rows,
+            "sums": self.sums,
+        }
+        with replacing(self.settings.out / "checkpoint.pt") as beside:
+            torch.save(state, beside)
+
+
+_FIXED = ("width", "data", "windows", "frames", "seed", "steps")
+"""Settings that a run keeps."""
+
+
+def _plain(settings: HumorTraining) -> dict[str, Any]:
+    values = dataclasses.asdict(settings)
+    return {k: str(v) if isinstance(v, Path) else v for k, v in values.items()}
+
+
+def export_weights(settings: HumorTraining, path: Path, samples: int = 20_000) -> Path:
+    """Write the best networks of a run, with the mixture of initial states of its corpus.
+
+    Raises:
+        FileNotFoundError: when the run has not validated yet, or there is no corpus.
+    """
+    best = settings.out / "best.pt"
+    if not best.is_file():
+        raise FileNotFoundError(f"{best}: no networks there yet; train first")
+    found: dict[str, Any] = torch.load(best, weights_only=True, map_location="cpu")
+    networks = HumorNetworks(settings.width)
+    networks.load_state_dict(found["average"])
+
+    body = BodyModel.load()
+    splits = Splits.load(settings.splits)
+    learned = Corpus.load(settings.corpus, splits, "train", settings.data, body)
+    random = torch.Generator().manual_seed(settings.seed)
+    states = learned.draw(samples, 1, settings.variation, random).states[:, 0]
+    features = initial_features(canonical(states, rest_pelvis(states)))
+    initial = Mixture.fit(features, distinct_features(), seed=settings.seed)
+
+    about = {k: v for k, v in _plain(settings).items() if k not in ("corpus", "out", "splits")}
+    save_weights(path, networks, initial, about | {"step": found["step"]})
+    _LOG.info("wrote the networks of step %d as %s", found["step"], path)
+    return path
+
+
+def _draw(rows: list[dict[str, float]], path: Path) -> None:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(12, 4), layout="constrained")
+    FigureCanvasAgg(figure)
+    panels = (
+        ("train_total", "one_total", "own_total"),
+        ("train_kl", "one_kl", "own_kl"),
+        ("drift_cm", "own_feet_right"),
+    )
+    for axes, names in zip(figure.subplots(1, len(panels)), panels, strict=True):
+        for name in names:
+            axes.plot([r["step"] for r in rows], [r[name] for r in rows], label=name)
+        axes.set_yscale("log")
+        axes.set_xlabel("step")
+        axes.legend()
+    with replacing(path) as beside:
+        figure.savefig(beside, format="png", dpi=100)

@@ -1,0 +1,242 @@
+"""Training HuMoR: windows are what was recorded, runs go on where they were, losses fall."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from priors.humor import Humor
+from priors.humor_nets import HumorNetworks
+from priors.humor_state import rest_pelvis, states_of
+from priors.training.dataset import Splits
+from priors.training.humor import LossWeights, loss_terms, total_loss, train, unroll
+from priors.training.humor_corpus import Corpus, Variation, Windows
+from priors.training.humor_run import HumorTraining, export_weights
+from recon.body import BodyModel
+from recon.contacts import rest_heights
+from recon.formats.amass import MotionFile, save_motion
+from recon.kinematics import forward_kinematics
+from recon.motion import Motion
+from recon.skeleton import CONTACT_JOINTS, MIRROR
+from tests.priors.test_pose import swinging
+
+SPLITS = """
+[subjects]
+[test]
+subjects = ["07"]
+[validation]
+subjects = ["06"]
+every_tenth = []
+[licence]
+non_commercial = ["dataset-*"]
+[excluded]
+clips = []
+"""
+
+AS_RECORDED = Variation(mirror=0.0, reverse=0.0, speed=0.0, shape=0.0)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A corpus of made-up clips, at several rates, one on a playground, one without contacts."""
+    root = tmp_path_factory.mktemp("humor")
+    (root / "splits.toml").write_text(SPLITS)
+    corpus = root / "corpus"
+    corpus.mkdir()
+    rates = {"08_01": 120.0, "09_01": 30.0, "10_01": 120.0, "11_01": 120.0}
+    rates |= {"06_01": 120.0, "07_01": 120.0}
+    for seed, (name, fps) in enumerate(rates.items()):
+        motion = swinging(int(2 * fps), seed, fps)
+        contacts = torch.zeros(motion.frames, 22, dtype=torch.float64)
+        contacts[:, 7] = 1.0  # the left ankle
+        save_motion(
+            corpus / f"{name}.npz",
+            MotionFile(motion, contacts=None if name == "11_01" else contacts),
+        )
+        (corpus / f"{name}.json").write_text(json.dumps({"flat": name != "10_01"}))
+    return root
+
+
+def corpus_of(folder: Path, body: BodyModel) -> Corpus:
+    splits = Splits.load(folder / "splits.toml")
+    return Corpus.load(folder / "corpus", splits, "train", "open", body)
+
+
+def settings_of(folder: Path, out: Path, steps: int = 6) -> HumorTraining:
+    return HumorTraining(
+        corpus=folder / "corpus",
+        out=out,
+        splits=folder / "splits.toml",
+        width=64,
+        steps=steps,
+        windows=4,
+        own_from=0.3,
+        own_until=0.6,
+        validate_every=3,
+        save_every=0.0,
+    )
+
+
+def drawn(corpus: Corpus, variation: Variation, windows: int = 6, frames: int = 5) -> Windows:
+    return corpus.draw(windows, frames, variation, torch.Generator().manual_seed(0))
+
+
+def test_uneven_ground_and_other_parts_are_left_out(folder: Path) -> None:
+    corpus = corpus_of(folder, BodyModel.load())
+    assert corpus.names == ("08_01", "09_01", "11_01")
+    assert corpus.trusted.tolist() == [True, True, False]
+    assert corpus.count.tolist() == [240, 237, 240]  # all at 120 Hz
+
+
+def test_windows_are_what_was_recorded(folder: Path) -> None:
+    body = BodyModel.load()
+    windows = corpus_of(folder, body).every(11)
+    clip = swinging(240, 0, 120.0).to(dtype=torch.float32)  # 08_01
+    expected = states_of(clip[None], body)[0]
+    for name, value in windows.states[0].tensors().items():
+        target = expected.tensors()[name][1:42:4]
+        torch.testing.assert_close(value, target, rtol=0, atol=2e-3)  # m/s, of float32 / 120 Hz
+    between = corpus_of(folder, body).every(11).states[5]  # 09_01, recorded at 30 Hz
+    known = swinging(240, 1, 120.0)  # the same function of time
+    torch.testing.assert_close(between.pose[3], known.rotations[13, 1:].float(), rtol=0, atol=2e-3)
+
+
+@pytest.mark.parametrize("variation", [AS_RECORDED, Variation(0.5, 0.5, 0.15, 1.0)])
+def test_whatever_is_drawn_agrees_with_itself(folder: Path, variation: Variation) -> None:
+    """Joints are those of the pose, and velocities those of the joints."""
+    windows = drawn(corpus_of(folder, BodyModel.load()), variation)
+    states = windows.states
+    rotations = torch.cat((states.root[..., None, :, :], states.pose), -3)
+    joints = forward_kinematics(rotations, windows.rest)[1] + states.translation[..., None, :]
+    torch.testing.assert_close(joints, states.joints, rtol=0, atol=1e-5)  # metres
+    moved = states.joints[:, 2:] - states.joints[:, :-2]
+    torch.testing.assert_close(
+        states.joint_velocities[:, 1:-1], moved * 15, rtol=0, atol=0.02
+    )  # m/s; the made-up motions bend little in 1/15 s
+    torch.testing.assert_close(states.velocity, states.joint_velocities[:, :, 0])
+    identity = torch.eye(3).expand_as(states.pose)
+    torch.testing.assert_close(states.pose @ states.pose.mT, identity, rtol=0, atol=1e-5)
+
+
+def test_mirrored_windows_are_the_mirror_image(folder: Path) -> None:
+    corpus = corpus_of(folder, BodyModel.load())
+    plain, mirrored = drawn(corpus, AS_RECORDED), drawn(corpus, Variation(1.0, 0.0, 0.0, 0.0))
+    flip = torch.tensor([-1.0, 1.0, 1.0])
+    expected = (plain.states.joints * flip)[..., list(MIRROR), :]
+    torch.testing.assert_close(mirrored.states.joints, expected, rtol=0, atol=2e-3)  # metres
+    trusted = plain.trusted
+    assert (plain.contacts[trusted][..., CONTACT_JOINTS.index(7)] == 1).all()
+    assert (mirrored.contacts[trusted][..., CONTACT_JOINTS.index(8)] == 1).all()
+    assert mirrored.contacts.sum() == plain.contacts.sum()
+
+
+def test_backwards_is_the_same_in_another_order(folder: Path) -> None:
+    corpus = corpus_of(folder, BodyModel.load())
+    plain, back = drawn(corpus, AS_RECORDED), drawn(corpus, Variation(0.0, 1.0, 0.0, 0.0))
+    torch.testing.assert_close(back.states.joints.flip(1), plain.states.joints)
+    velocity = -plain.states.joint_velocities
+    torch.testing.assert_close(back.states.joint_velocities.flip(1), velocity)
+    spin = -plain.states.angular_velocity
+    torch.testing.assert_close(back.states.angular_velocity.flip(1), spin, rtol=0, atol=1e-3)
+
+
+def test_other_bodies_stand_on_the_ground_too(tmp_path: Path) -> None:
+    """A body that stands on its soles still does with another shape."""
+    body = BodyModel.load()
+    upright = torch.tensor([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+    rotations = torch.eye(3).repeat(240, 22, 1, 1)
+    rotations[:, 0] = upright
+    rest = body.rest_joints(torch.zeros(16))
+    translation = rest_heights(body, torch.zeros(16))[0] * torch.tensor([0.0, 0, 1]) - rest[0]
+    motion = Motion.create(translation.repeat(240, 1), rotations, torch.zeros(16), 120.0)
+    (tmp_path / "splits.toml").write_text(SPLITS)
+    save_motion(tmp_path / "08_01.npz", motion)
+    corpus = Corpus.load(tmp_path, Splits.load(tmp_path / "splits.toml"), "train", "open", body)
+    windows = drawn(corpus, Variation(0.0, 0.0, 0.0, 1.0))
+    # a standing body's joints are as high above its soles as at rest
+    above = windows.states.joints[:, 0, :, 2] - windows.rest[..., 1]
+    torch.testing.assert_close(above, above[:, :1].expand_as(above), rtol=0, atol=1e-5)  # metres
+    assert above.std(0)[0] > 1e-3  # bodies differ
+    for number in range(len(above)):
+        seen = windows.rest[number] - body.joint_template
+        shape = torch.linalg.lstsq(body.joint_directions.flatten(0, 1), seen.flatten()).solution
+        sole = -body.rest_vertices(shape)[:, 1].min()
+        assert abs(above[number, 0] - sole) < 2e-3  # metres; joints tell a shape not exactly
+
+
+def test_losses_are_zero_at_the_truth(folder: Path) -> None:
+    windows = drawn(corpus_of(folder, BodyModel.load()), AS_RECORDED)
+    networks = HumorNetworks(64)
+    with torch.no_grad():
+        found, target = unroll(networks, windows, torch.ones(4, dtype=torch.bool), None)
+    certain = (2 * windows.contacts[:, 1:] - 1) * 100
+    perfect = found.replace(
+        after=target,
+        contacts=certain,
+        posterior_mean=found.prior_mean,
+        posterior_log_variance=found.prior_log_variance,
+    )
+    losses = loss_terms(perfect, target, windows)
+    for name, value in losses.items():
+        if name != "contact_velocity":
+            assert value.item() == pytest.approx(0.0, abs=1e-9), name
+    assert target.translation.shape == (6, 4, 3)
+    total = total_loss({"kl": torch.tensor(2.0), "joints": torch.tensor(3.0)}, 0.5)
+    assert total.item() == pytest.approx(3 + 0.5 * LossWeights().kl * 2)
+
+
+def test_own_predictions_are_fed_back_without_gradient(folder: Path) -> None:
+    windows = drawn(corpus_of(folder, BodyModel.load()), AS_RECORDED)
+    networks = HumorNetworks(64)
+    truth, target = unroll(networks, windows, torch.tensor([True] * 4), None)
+    own, same = unroll(networks, windows, torch.tensor([True, False, True, False]), None)
+    torch.testing.assert_close(own.after.joints[:, 0], truth.after.joints[:, 0])
+    torch.testing.assert_close(own.after.joints[:, 2], truth.after.joints[:, 2])
+    assert not torch.allclose(own.after.joints[:, 1], truth.after.joints[:, 1])
+    torch.testing.assert_close(same.joints, target.joints)
+    level = torch.tensor([1.0, 1.0, 0.0])
+    pelvis = (windows.rest[:, None, 0] * level).expand(-1, 4, 3)
+    torch.testing.assert_close(rest_pelvis(target), pelvis, rtol=0, atol=1e-5)  # metres
+
+
+def test_a_run_that_was_interrupted_goes_on_exactly(folder: Path, tmp_path: Path) -> None:
+    whole = replace(settings_of(folder, tmp_path / "whole"), validate_every=6)
+    train(whole)
+    parts = replace(whole, out=tmp_path / "parts")
+
+    class Interrupted(Exception):
+        pass
+
+    from priors.training import humor_run
+
+    save, saved = humor_run.Run.save, []
+
+    def once(run: humor_run.Run) -> None:
+        save(run)
+        saved.append(run.step)
+        if len(saved) == 4:
+            raise Interrupted
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(humor_run.Run, "save", once)
+        with pytest.raises(Interrupted):
+            train(parts)
+    train(parts)
+    a, b = (torch.load(s.out / "checkpoint.pt", weights_only=True) for s in (whole, parts))
+    assert a["step"] == b["step"] == 6
+    for name, value in a["average"].items():
+        assert torch.equal(value, b["average"][name]), name
+    assert (whole.out / "losses.csv").read_text() == (parts.out / "losses.csv").read_text()
+    assert (whole.out / "losses.png").stat().st_size > 1000
+    assert "step 6" in (whole.out / "train.log").read_text()
+    with pytest.raises(ValueError, match="other width"):
+        train(replace(whole, width=96))
+
+    path = export_weights(whole, tmp_path / "humor.safetensors", samples=300)
+    prior = Humor.load(path)
+    decoded = prior.decode(prior.encode(swinging(5, 0)[None]))
+    assert all(energy.isfinite().all() for energy in decoded.energies.values())
+    with pytest.raises(FileNotFoundError, match="train first"):
+        export_weights(replace(whole, out=tmp_path / "absent"), path)
