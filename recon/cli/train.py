@@ -41,9 +41,9 @@ def train(
         from priors.training.humor import train as train_humor
         from priors.training.humor_run import HumorTraining, export_weights
 
-        run = HumorTraining(
-            corpus=corpus, out=out.with_suffix(""), data=data, steps=steps, device=device, seed=seed
-        )
+        folder = out.with_suffix("")
+        ask = {"data": data, "steps": steps, "device": device, "seed": seed}
+        run = HumorTraining(corpus=corpus, out=folder, **ask)
         train_humor(run)
         export_weights(run, out)
     console.say(str(out))
