@@ -62,9 +62,8 @@ class BodyModel(TensorStruct):
 
     def rest_joints(self, shape: Float[Tensor, "*batch shape"]) -> Float[Tensor, "*batch 22 3"]:
         """Joints of the unposed body, metres; missing trailing coefficients are zero."""
-        return self.joint_template + torch.einsum(
-            "jdk,...k->...jd", self.joint_directions[..., : self._size(shape)], shape
-        )
+        directions = self.joint_directions[..., : self._size(shape)].flatten(0, 1)
+        return self.joint_template + (shape @ directions.mT).unflatten(-1, (-1, 3))
 
     def rest_vertices(
         self,
