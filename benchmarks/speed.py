@@ -115,15 +115,20 @@ def fitting(body: BodyModel, motion: Motion) -> dict[str, float]:
 
 
 def interleaved(calls: dict[str, Callable[[], None]], rounds: int = 15) -> dict[str, float]:
-    """Median seconds of each, the variants in turn, each once untimed to get its own caches."""
+    """Median seconds of each, the variants in turn.
+
+    A turn is five calls of which the last three count: the first ones pay for the memory and the
+    caches that another variant left behind.
+    """
     times: dict[str, list[float]] = {name: [] for name in calls}
-    for _ in range(rounds + 2):
+    for _ in range(rounds):
         for name, call in calls.items():
-            call()
-            began = time.perf_counter()
-            call()
-            times[name].append(time.perf_counter() - began)
-    return {name: float(np.median(values[2:])) for name, values in times.items()}
+            for turn in range(5):
+                began = time.perf_counter()
+                call()
+                if turn >= 2:
+                    times[name].append(time.perf_counter() - began)
+    return {name: float(np.median(values)) for name, values in times.items()}
 
 
 if __name__ == "__main__":
