@@ -12,8 +12,7 @@ from recon.formats.amass import MotionFile, load_motion
 from recon.formats.files import replacing
 from recon.formats.observation import PositionsFile, load_observation
 from recon.motion import Motion
-from recon.protocols import Decoded, Estimate
-from recon.scene import Scene
+from recon.protocols import Estimate
 
 
 def evaluate_files(
@@ -74,14 +73,8 @@ def _observed(
     adapter = load(observation, body.to(dtype=torch.float32))
     truth = theirs.motion.at(ours.motion.times, ours.motion.fps)
     predicted, actual = (
-        adapter.predict(_estimate(motion, body))[0] for motion in (ours.motion, truth)
+        adapter.predict(Estimate.of_clip(motion, body))[0] for motion in (ours.motion, truth)
     )
     seen = torch.from_numpy(file.visible)
     times = file.start_time + torch.arange(len(seen), dtype=torch.float64) / file.fps
     return ObservedPoints(predicted, actual, nearest_labels(seen, times, ours.motion.times))
-
-
-def _estimate(motion: Motion, body: BodyModel) -> Estimate:
-    clip = motion.map(lambda tensor: tensor[None])
-    scene = Scene.create(1, like=clip.translation)
-    return Estimate(Decoded(clip), body.pose(clip), scene)

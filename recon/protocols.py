@@ -37,6 +37,12 @@ class Estimate:
     body: PosedBody
     scene: Scene
 
+    @classmethod
+    def of_clip(cls, motion: Motion, body: BodyModel) -> "Estimate":
+        """A finished motion of one clip (no batch axis) as a batch of one, for observations."""
+        clip = motion.map(lambda tensor: tensor[None])
+        return cls(Decoded(clip), body.pose(clip), Scene.create(1, like=clip.translation))
+
     @property
     def motion(self) -> Motion:
         """The motion as it stands."""

@@ -24,6 +24,7 @@ from priors.humor_state import Frame, State, canonical, compose
 from priors.training.dataset import Splits
 from priors.training.humor_corpus import Corpus, Windows
 from priors.training.humor_run import HumorTraining, Run, export_weights
+from priors.training.logfile import logged_to
 from recon.body import BodyModel
 from recon.kinematics import forward_kinematics
 from recon.skeleton import CONTACT_JOINTS
@@ -62,18 +63,8 @@ def train(settings: HumorTraining) -> Path:
         ValueError: when no clip may be learned from, or the folder holds another run.
     """
     settings.out.mkdir(parents=True, exist_ok=True)
-    log = logging.FileHandler(settings.out / "train.log")
-    log.setFormatter(logging.Formatter("%(asctime)s %(message)s"))
-    package = logging.getLogger("priors")
-    before = package.level
-    package.addHandler(log)
-    package.setLevel(logging.INFO)
-    try:
+    with logged_to(settings.out / "train.log", "a"):
         return _train(settings)
-    finally:
-        package.removeHandler(log)
-        package.setLevel(before)
-        log.close()
 
 
 def _train(settings: HumorTraining) -> Path:

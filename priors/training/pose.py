@@ -15,6 +15,7 @@ from torch import Tensor
 from priors.checkpoints import save_checkpoint
 from priors.pose_density import COORDINATES, PoseDensity, fit_density
 from priors.training.dataset import SPLITS, Licence, Splits, load_clips, poses
+from priors.training.logfile import logged_to
 from recon.body import BodyModel
 
 _LOG = logging.getLogger(__name__)
@@ -47,18 +48,8 @@ def train(settings: PoseTraining) -> Path:
         FileNotFoundError: when there is no corpus, splits file or folder for the output.
         ValueError: when no clip of the corpus may be learned from.
     """
-    log = logging.FileHandler(settings.out.with_suffix(".log"), mode="w")
-    log.setFormatter(logging.Formatter("%(asctime)s %(message)s"))
-    package = logging.getLogger("priors")
-    before = package.level
-    package.addHandler(log)
-    package.setLevel(logging.INFO)
-    try:
+    with logged_to(settings.out.with_suffix(".log"), "w"):
         return _train(settings)
-    finally:
-        package.removeHandler(log)
-        package.setLevel(before)
-        log.close()
 
 
 def _train(settings: PoseTraining) -> Path:

@@ -8,8 +8,7 @@ from observations.files import load
 from recon.body import BodyModel
 from recon.formats.amass import MotionFile, load_motion
 from recon.motion import Motion
-from recon.protocols import Decoded, Estimate
-from recon.scene import Scene
+from recon.protocols import Estimate
 from recon.view.scene import GREY, Figure, Points, Show
 
 
@@ -65,6 +64,5 @@ def _points(path: Path, motion: Motion, body: BodyModel) -> Points:
     points = Points(observation.positions[0], observation.visible[0]).on(
         motion.times, observation.start_time + moments / observation.fps
     )
-    clip = motion.map(lambda tensor: tensor[None])
-    estimate = Estimate(Decoded(clip), body.pose(clip), Scene.create(1, like=clip.translation))
+    estimate = Estimate.of_clip(motion, body)
     return Points(points.positions, points.visible, observation.predict(estimate)[0])
