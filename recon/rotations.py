@@ -68,6 +68,15 @@ def log(rotation: Float[Tensor, "*shape 3 3"]) -> Float[Tensor, "*shape 3"]:
     return roma.rotmat_to_rotvec(rotation)
 
 
+def axis_sine(rotation: Float[Tensor, "*shape 3 3"]) -> Float[Tensor, "*shape 3"]:
+    """The skew part of a rotation as a vector: its axis times the sine of its angle.
+
+    Equals `log` for small angles, and is smooth everywhere.
+    """
+    skew = rotation - rotation.mT
+    return torch.stack((skew[..., 2, 1], skew[..., 0, 2], skew[..., 1, 0]), -1) / 2
+
+
 def geodesic(a: Float[Tensor, "*shape 3 3"], b: Float[Tensor, "*shape 3 3"]) -> Tensor:
     """Angle between two rotations, in radians."""
     return roma.rotmat_geodesic_distance(a, b)
