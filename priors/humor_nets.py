@@ -10,6 +10,7 @@ from itertools import pairwise
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
+from torch.nn import functional
 
 STATE = 339
 """Numbers of a state (see `priors.humor_state`)."""
@@ -24,6 +25,16 @@ PUBLISHED_WIDTH = 1024
 _GROUPS = 16
 
 
+class GroupNorm(nn.GroupNorm):
+    """`nn.GroupNorm` of rows, as the normalisation of each group alone: two times as fast."""
+
+    def forward(self, input: Float[Tensor, "rows units"]) -> Float[Tensor, "rows units"]:
+        """Each group of units of a row to mean zero and variance one; then scale and shift."""
+        groups = input.unflatten(1, (self.num_groups, -1))
+        normal = functional.layer_norm(groups, groups.shape[2:], eps=self.eps).flatten(1)
+        return torch.addcmul(self.bias, normal, self.weight)
+
+
 class Perceptron(nn.Module):
     """Linear, then GroupNorm, ReLU and Linear for every further layer.
 
@@ -34,7 +45,7 @@ class Perceptron(nn.Module):
         super().__init__()
         layers: list[nn.Module] = [nn.Linear(sizes[0], sizes[1])]
         for size, following in pairwise(sizes[1:]):
-            layers += [nn.GroupNorm(_GROUPS, size), nn.ReLU(), nn.Linear(size + skip, following)]
+            layers += [GroupNorm(_GROUPS, size), nn.ReLU(), nn.Linear(size + skip, following)]
         self.net = nn.ModuleList(layers)
         self.skip = skip
 

@@ -140,6 +140,18 @@ def compose(
     return after, parts[7]
 
 
+def step_between(before: State, after: State) -> Float[Tensor, "*batch 207"]:
+    """What `compose` adds to reach a state from another, of the same frame; no contact logits.
+
+    Turns are axes times sines of angles: those of a step are small.
+    """
+    pairs = zip(before.tensors().values(), after.tensors().values(), strict=True)
+    turns = {2, 4}
+    parts = [so3.axis_sine(b @ a.mT) if k in turns else b - a for k, (a, b) in enumerate(pairs)]
+    batch = before.translation.shape[:-1]
+    return torch.cat([part.reshape(*batch, -1) for part in parts], -1)
+
+
 def _turned(turn: Float[Tensor, "*batch 3 3"], vector: Float[Tensor, "*batch 3"]) -> Tensor:
     return (turn @ vector[..., None])[..., 0]
 

@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
 from priors.checkpoints import Checkpoint, load_checkpoint, save_checkpoint
 from priors.humor_nets import HumorNetworks, width_of
@@ -16,9 +18,15 @@ from priors.mixture import Mixture
 _INITIAL = "initial."
 """What names of the mixture's tensors begin with."""
 
+_WHITENING = "error_whitening"
+"""Name of the tensor that says how far the decoder's steps are off."""
 
 _DAMAGED = (pickle.UnpicklingError, RuntimeError, EOFError, LookupError, TypeError, ValueError)
 """What reading bytes that are no checkpoint ends in."""
+
+
+_NONCOMMERCIAL = Path(__file__).parents[1] / "weights-nc" / "humor.safetensors"
+"""In a source checkout; not in the package, since its licence (CC BY-NC 4.0) is another."""
 
 
 def bundled_weights() -> Checkpoint:
@@ -30,27 +38,50 @@ def bundled_weights() -> Checkpoint:
 def read_weights(path: str | Path) -> Checkpoint:
     """Ours (.safetensors), or a PyTorch checkpoint of the authors or of a run (.pth, .pt).
 
+    Args:
+        path: a file; or `open` for the weights in the package, `nc` for those of a source
+            checkout that may not be used commercially.
+
     Raises:
         FileNotFoundError: when there is no such file.
         ValueError: when it holds something else.
     """
-    path = Path(path)
+    if path == "open":
+        return bundled_weights()
+    if path == "nc" and not _NONCOMMERCIAL.is_file():
+        raise FileNotFoundError(
+            f"{_NONCOMMERCIAL}: the nc weights are not part of the package; take "
+            "weights-nc/humor.safetensors from the source repository and give its path"
+        )
+    path = _NONCOMMERCIAL if path == "nc" else Path(path)
     return load_checkpoint(path, "humor") if path.suffix == ".safetensors" else _pytorch(path)
 
 
 def save_weights(
-    path: str | Path, networks: HumorNetworks, initial: Mixture, settings: Mapping[str, Any]
+    path: str | Path,
+    networks: HumorNetworks,
+    initial: Mixture,
+    whitening: Float[Tensor, "207 207"],
+    settings: Mapping[str, Any],
 ) -> None:
-    """Write networks in half precision and their mixture in single."""
-    tensors = {name: tensor.half() for name, tensor in networks.state_dict().items()}
+    """Write networks in half precision, their first layers and the mixture in single.
+
+    The first layers see states: small differences of large numbers.
+    """
+    tensors = {
+        name: tensor.float() if name.endswith("net.0.weight") else tensor.half()
+        for name, tensor in networks.state_dict().items()
+    }
     for name, tensor in initial.tensors().items():
         tensors[_INITIAL + name] = tensor.float() if tensor.is_floating_point() else tensor
+    tensors[_WHITENING] = whitening.float()
     save_checkpoint(path, "humor", tensors, {"width": networks.width, **settings})
 
 
 def networks_from(weights: Checkpoint) -> HumorNetworks:
     """Networks of the width that the weights have."""
-    own = {k: v.float() for k, v in weights.tensors.items() if not k.startswith(_INITIAL)}
+    others = (_INITIAL, _WHITENING)
+    own = {k: v.float() for k, v in weights.tensors.items() if not k.startswith(others)}
     networks = HumorNetworks(width_of(own))
     replace(weights, tensors=own).into(networks)
     return networks
@@ -71,6 +102,16 @@ def mixture_from(weights: Checkpoint) -> Mixture | None:
         "whitening": (count, size, size),
     }
     return Mixture(**replace(weights, tensors=own).require(shapes))
+
+
+def whitening_from(weights: Checkpoint) -> Float[Tensor, "207 207"] | None:
+    """What whitens the decoder's errors, if it is there."""
+    found = weights.tensors.get(_WHITENING)
+    if found is None:
+        return None
+    return replace(weights, tensors={_WHITENING: found}).require({_WHITENING: (207, 207)})[
+        _WHITENING
+    ]
 
 
 def _pytorch(path: Path) -> Checkpoint:

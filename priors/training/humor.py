@@ -19,11 +19,11 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional
 
-from priors.humor_nets import HumorNetworks
 from priors.humor_state import Frame, State, canonical, compose
 from priors.training.dataset import Splits
 from priors.training.humor_corpus import Corpus, Windows
-from priors.training.humor_run import HumorTraining, Run, export_weights
+from priors.training.humor_run import HumorTraining, LossWeights, Run, export_weights
+from priors.training.humor_scaling import ScaledNetworks
 from priors.training.logfile import logged_to
 from recon.body import BodyModel
 from recon.kinematics import forward_kinematics
@@ -31,15 +31,6 @@ from recon.skeleton import CONTACT_JOINTS
 from recon.struct import TensorStruct, stack
 
 _LOG = logging.getLogger("priors.training.humor")
-
-
-@dataclass(frozen=True)
-class LossWeights:
-    """Published multipliers; all others are one."""
-
-    kl: float = 4e-4
-    contacts: float = 0.01
-    contact_velocity: float = 0.01
 
 
 @dataclass(frozen=True)
@@ -55,8 +46,12 @@ class Transition(TensorStruct):
     prior_log_variance: Float[Tensor, "*batch 48"]
 
 
-def train(settings: HumorTraining) -> Path:
+def train(settings: HumorTraining, kind: type[ScaledNetworks] = ScaledNetworks) -> Path:
     """Train, or go on training; the checkpoint's path.
+
+    Args:
+        settings: of the run.
+        kind: what learns.
 
     Raises:
         FileNotFoundError: when there is no corpus or splits file.
@@ -64,10 +59,10 @@ def train(settings: HumorTraining) -> Path:
     """
     settings.out.mkdir(parents=True, exist_ok=True)
     with logged_to(settings.out / "train.log", "a"):
-        return _train(settings)
+        return _train(settings, kind)
 
 
-def _train(settings: HumorTraining) -> Path:
+def _train(settings: HumorTraining, kind: type[ScaledNetworks]) -> Path:
     torch.set_num_threads(settings.threads)
     body = BodyModel.load()
     splits = Splits.load(settings.splits)
@@ -76,7 +71,7 @@ def _train(settings: HumorTraining) -> Path:
         for part in ("train", "validation")
     )
     checked = held_out.every(settings.frames)
-    run = Run.start(settings)
+    run = Run.start(settings, learned, kind)
     _LOG.info("settings: %s", settings)
     _LOG.info("from step %d; %d validation windows", run.step, len(checked.trusted))
 
@@ -93,7 +88,7 @@ def _train(settings: HumorTraining) -> Path:
         if run.step % settings.validate_every == 0 or run.step == settings.steps:
             count = (run.step - 1) % settings.validate_every + 1
             row = {f"train_{name}": value / count for name, value in run.sums.items()}
-            row |= validate(run.averaged, checked)
+            row |= validate(run.averaged, checked, settings.losses)
             run.note(row)
             speed = pairs / (time.monotonic() - began)
             _LOG.info("step %d, %.0f transitions/s: %s", run.step, speed, _line(row))
@@ -115,7 +110,8 @@ def training_step(
     half = settings.precision == "bfloat16"
     found, target = unroll(run.networks, windows, draws < chance, run.random, half)
     losses = loss_terms(found, target, windows)
-    total = total_loss(losses, min(1.0, progress / settings.kl_until))
+    annealed = min(1.0, progress / max(settings.kl_until, 1e-9))
+    total = total_loss(losses, annealed, settings.losses)
     run.optimiser.zero_grad()
     total.backward()
     norm = torch.nn.utils.clip_grad_norm_(run.networks.parameters(), settings.clip)
@@ -132,7 +128,7 @@ def training_step(
 
 
 def unroll(
-    networks: HumorNetworks,
+    networks: ScaledNetworks,
     windows: Windows,
     true_input: Bool[Tensor, " steps"],
     random: torch.Generator | None,
@@ -169,7 +165,7 @@ def unroll(
 
 
 def transition(
-    networks: HumorNetworks,
+    networks: ScaledNetworks,
     state: State,
     target: State,
     random: torch.Generator | None,
@@ -217,16 +213,13 @@ def loss_terms(found: Transition, target: State, windows: Windows) -> dict[str, 
     return losses
 
 
-def total_loss(
-    losses: Mapping[str, Tensor], kl: float, weights: LossWeights | None = None
-) -> Tensor:
+def total_loss(losses: Mapping[str, Tensor], kl: float, weights: LossWeights) -> Tensor:
     """The weighted sum; `kl` is the annealed share of that term's weight."""
-    weights = LossWeights() if weights is None else weights
     given = dataclasses.asdict(weights) | {"kl": kl * weights.kl}
     return torch.stack([given.get(name, 1.0) * value for name, value in losses.items()]).sum()
 
 
-def validate(networks: HumorNetworks, windows: Windows) -> dict[str, float]:
+def validate(networks: ScaledNetworks, windows: Windows, weights: LossWeights) -> dict[str, float]:
     """Losses with mean latents and full weights, from true states and from own predictions.
 
     `drift_cm` is the mean error of the posed joints after the window's last own step.
@@ -238,7 +231,7 @@ def validate(networks: HumorNetworks, windows: Windows) -> dict[str, float]:
             given = torch.full((steps,), true_input)
             found, target = unroll(networks, windows, given, None)
             losses = loss_terms(found, target, windows)
-            row[f"{name}_total"] = total_loss(losses, 1.0).item()
+            row[f"{name}_total"] = total_loss(losses, 1.0, weights).item()
             row |= {f"{name}_{key}": value.item() for key, value in losses.items()}
             trusted = windows.trusted
             labels = windows.contacts[trusted, 1:, 3:7] > 0.5

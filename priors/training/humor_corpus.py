@@ -18,6 +18,7 @@ from torch import Tensor
 
 from priors.humor_state import State
 from priors.training.dataset import Licence, Part, Splits, clip_files, mirrored_rotations
+from recon import rotations as so3
 from recon.body import BodyModel
 from recon.formats.amass import MotionFile, load_motion
 from recon.kinematics import forward_kinematics
@@ -231,7 +232,7 @@ class Corpus(TensorStruct):
             translation=translation[:, :, 1],
             velocity=(translation[:, :, 2] - translation[:, :, 0]) * rate,
             root=rotations[:, :, 1, 0],
-            angular_velocity=_axis(spin) * rate,
+            angular_velocity=so3.axis_sine(spin) * rate,
             pose=rotations[:, :, 1, 1:],
             joints=joints[:, :, 1],
             joint_velocities=(joints[:, :, 2] - joints[:, :, 0]) * rate[..., None],
@@ -327,9 +328,3 @@ def _orthonormal(matrix: Float[Tensor, "*shape 3 3"]) -> Float[Tensor, "*shape 3
     """A nearly orthonormal matrix made much more so: one Newton-Schulz step R (3 - RᵀR) / 2."""
     a = matrix.reshape(-1, 3, 3)
     return torch.baddbmm(a, a, a.mT @ a, beta=1.5, alpha=-0.5).view(matrix.shape)
-
-
-def _axis(rotation: Float[Tensor, "*shape 3 3"]) -> Float[Tensor, "*shape 3"]:
-    """The skew part of a rotation as a vector: axis times the sine of the angle."""
-    skew = rotation - rotation.mT
-    return torch.stack((skew[..., 2, 1], skew[..., 0, 2], skew[..., 1, 0]), -1) / 2

@@ -2,6 +2,7 @@
 
 import dataclasses
 import logging
+from copy import deepcopy
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -10,14 +11,36 @@ import torch
 
 from priors.humor_nets import HumorNetworks
 from priors.humor_state import canonical, distinct_features, initial_features, rest_pelvis
-from priors.humor_weights import save_weights
+from priors.humor_steps import error_whitening
+from priors.humor_weights import networks_from, read_weights, save_weights
 from priors.mixture import Mixture
 from priors.training.dataset import SPLITS, Licence, Splits
 from priors.training.humor_corpus import Corpus, Variation
+from priors.training.humor_scaling import ScaledNetworks
 from recon.body import BodyModel
 from recon.formats.files import replacing
 
 _LOG = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class LossWeights:
+    """Multipliers of the losses; those of velocities, contacts and KL are the published ones.
+
+    Published are ones for all positions and rotations too. But in m² and (m/s)² an error of 5 mm
+    weighs 900 times less than the error of velocity that makes it within a step, and steps were
+    then learned to 2 cm only.
+    """
+
+    translation: float = 100.0
+    joints: float = 100.0
+    posed_joints: float = 100.0
+    consistency: float = 100.0
+    root: float = 30.0
+    pose: float = 30.0
+    kl: float = 4e-4
+    contacts: float = 0.01
+    contact_velocity: float = 0.01
 
 
 @dataclass(frozen=True)
@@ -42,9 +65,14 @@ class HumorTraining:
     frames: int = 11
     """Frames per window: ten transitions (published)."""
     rate: float = 1e-3
-    """Learning rate of Adamax at the start; it falls to a hundredth along a cosine."""
-    decay: float = 0.0
+    """Learning rate of AdamW at the start; it falls to a hundredth along a cosine."""
+    decay: float = 0.1
     """Weight decay."""
+    noise: float = 0.1
+    """Standard deviation of what blurs the states that the networks see, in their own ones."""
+    start: Path | None = None
+    """Weights to begin with, of the same width; then `kl_until`, `own_from` and `own_until` may
+    be zero."""
     clip: float = 5.0
     """Longest gradient."""
     average: float = 0.999
@@ -55,6 +83,8 @@ class HumorTraining:
     own_until: float = 0.1
     """Shares of the run between which inputs change from true states to own predictions
     (published)."""
+    losses: LossWeights = field(default_factory=LossWeights)
+    """What is learned."""
     variation: Variation = field(default_factory=Variation)
     """How windows are varied."""
     validate_every: int = 500
@@ -74,9 +104,9 @@ class Run:
     """All that a run needs to go on exactly where it was."""
 
     settings: HumorTraining
-    networks: HumorNetworks
-    averaged: HumorNetworks
-    optimiser: torch.optim.Adamax
+    networks: ScaledNetworks
+    averaged: ScaledNetworks
+    optimiser: torch.optim.Optimizer
     random: torch.Generator
     step: int = 0
     rows: list[dict[str, float]] = field(default_factory=list)
@@ -84,15 +114,29 @@ class Run:
     """Of the losses since the last row."""
 
     @classmethod
-    def start(cls, settings: HumorTraining) -> "Run":
+    def start(
+        cls,
+        settings: HumorTraining,
+        corpus: Corpus,
+        kind: type[ScaledNetworks] = ScaledNetworks,
+    ) -> "Run":
         """A new run, or the one whose checkpoint is in the folder."""
         random = torch.Generator().manual_seed(settings.seed)
         torch.manual_seed(settings.seed)
-        networks = HumorNetworks(settings.width).to(settings.device)
-        averaged = HumorNetworks(settings.width).to(settings.device).requires_grad_(False)
-        averaged.load_state_dict(networks.state_dict())
-        optimiser = torch.optim.Adamax(
-            networks.parameters(), lr=settings.rate, weight_decay=settings.decay
+        windows = corpus.draw(_SCALED_BY, 2, settings.variation, random)
+        scaling = kind.scaling_of(windows.states, rest_pelvis(windows.states[:, 0]))
+        core = HumorNetworks(settings.width).to(settings.device)
+        networks = kind(core, scaling, settings.noise)
+        if settings.start is not None:
+            learned = networks_from(read_weights(settings.start)).to(settings.device)
+            networks = kind.around(learned, scaling, settings.noise)
+        averaged = deepcopy(networks).requires_grad_(False).eval()
+        optimiser = torch.optim.AdamW(
+            networks.parameters(),
+            lr=settings.rate,
+            weight_decay=settings.decay,
+            betas=(0.9, 0.99),
+            fused=True,
         )
         run = cls(settings, networks, averaged, optimiser, random)
         path = settings.out / "checkpoint.pt"
@@ -109,10 +153,11 @@ class Run:
                 f"{path}: a run with other {', '.join(changed)}; take another folder, or the "
                 "settings of that run"
             )
-        self.networks.load_state_dict(state["model"])
-        self.averaged.load_state_dict(state["average"])
+        self.networks.load_state_dict(state["networks"])
+        self.averaged.load_state_dict(state["averaged"])
         self.optimiser.load_state_dict(state["optimiser"])
         self.random.set_state(state["random"])
+        torch.set_rng_state(state["blur"])
         self.step, self.rows = state["step"], state["rows"]
         self.sums = state.get("sums", {})
 
@@ -120,7 +165,7 @@ class Run:
         """Remember losses, write them as a table and as curves; keep the best networks."""
         self.rows.append({"step": float(self.step), **row})
         if row["score"] == min(r["score"] for r in self.rows):
-            best = {"average": self.averaged.state_dict(), "step": self.step}
+            best = {"average": self.averaged.plain().state_dict(), "step": self.step}
             with replacing(self.settings.out / "best.pt") as beside:
                 torch.save(best, beside)
         columns = list(self.rows[0])
@@ -134,10 +179,11 @@ class Run:
         """Write the checkpoint in one step."""
         state = {
             "settings": _plain(self.settings),
-            "model": self.networks.state_dict(),
-            "average": self.averaged.state_dict(),
+            "networks": self.networks.state_dict(),
+            "averaged": self.averaged.state_dict(),
             "optimiser": self.optimiser.state_dict(),
             "random": self.random.get_state(),
+            "blur": torch.get_rng_state(),
             "step": self.step,
             "rows": self.rows,
             "sums": self.sums,
@@ -145,6 +191,9 @@ class Run:
         with replacing(self.settings.out / "checkpoint.pt") as beside:
             torch.save(state, beside)
 
+
+_SCALED_BY = 20_000
+"""Windows from which the scales of inputs and outputs are taken."""
 
 _FIXED = ("width", "data", "windows", "frames", "seed", "steps")
 """Settings that a run keeps."""
@@ -155,8 +204,19 @@ def _plain(settings: HumorTraining) -> dict[str, Any]:
     return {k: str(v) if isinstance(v, Path) else v for k, v in values.items()}
 
 
-def export_weights(settings: HumorTraining, path: Path, samples: int = 20_000) -> Path:
+def export_weights(
+    settings: HumorTraining,
+    path: Path,
+    samples: int = 20_000,
+    kind: type[HumorNetworks] = HumorNetworks,
+) -> Path:
     """Write the best networks of a run, with the mixture of initial states of its corpus.
+
+    Args:
+        settings: of the run.
+        path: weights to write (.safetensors).
+        samples: windows from which the mixture and the decoder's errors are learned.
+        kind: what the networks are once they have learned.
 
     Raises:
         FileNotFoundError: when the run has not validated yet, or there is no corpus.
@@ -165,19 +225,21 @@ def export_weights(settings: HumorTraining, path: Path, samples: int = 20_000) -
     if not best.is_file():
         raise FileNotFoundError(f"{best}: no networks there yet; train first")
     found: dict[str, Any] = torch.load(best, weights_only=True, map_location="cpu")
-    networks = HumorNetworks(settings.width)
+    networks = kind(settings.width)
     networks.load_state_dict(found["average"])
 
     body = BodyModel.load()
     splits = Splits.load(settings.splits)
     learned = Corpus.load(settings.corpus, splits, "train", settings.data, body)
     random = torch.Generator().manual_seed(settings.seed)
-    states = learned.draw(samples, 1, settings.variation, random).states[:, 0]
+    windows = learned.draw(samples, 2, settings.variation, random)
+    states = windows.states[:, 0]
     features = initial_features(canonical(states, rest_pelvis(states)))
     initial = Mixture.fit(features, distinct_features(), seed=settings.seed)
+    whitening = error_whitening(networks, windows.states, rest_pelvis(states))
 
     about = {k: v for k, v in _plain(settings).items() if k not in ("corpus", "out", "splits")}
-    save_weights(path, networks, initial, about | {"step": found["step"]})
+    save_weights(path, networks, initial, whitening, about | {"step": found["step"]})
     _LOG.info("wrote the networks of step %d as %s", found["step"], path)
     return path
 

@@ -11,9 +11,10 @@ from priors.humor import Humor
 from priors.humor_nets import HumorNetworks
 from priors.humor_state import rest_pelvis, states_of
 from priors.training.dataset import Splits
-from priors.training.humor import LossWeights, loss_terms, total_loss, train, unroll
+from priors.training.humor import loss_terms, total_loss, train, unroll
 from priors.training.humor_corpus import Corpus, Variation, Windows
-from priors.training.humor_run import HumorTraining, export_weights
+from priors.training.humor_run import HumorTraining, LossWeights, Run, export_weights
+from priors.training.humor_scaling import ScaledNetworks, Scaling
 from recon.body import BodyModel
 from recon.contacts import rest_heights
 from recon.formats.amass import MotionFile, save_motion
@@ -168,7 +169,7 @@ def test_other_bodies_stand_on_the_ground_too(tmp_path: Path) -> None:
 
 def test_losses_are_zero_at_the_truth(folder: Path) -> None:
     windows = drawn(corpus_of(folder, BodyModel.load()), AS_RECORDED)
-    networks = HumorNetworks(64)
+    networks = ScaledNetworks(HumorNetworks(64), Scaling.none())
     with torch.no_grad():
         found, target = unroll(networks, windows, torch.ones(4, dtype=torch.bool), None)
     certain = (2 * windows.contacts[:, 1:] - 1) * 100
@@ -183,13 +184,13 @@ def test_losses_are_zero_at_the_truth(folder: Path) -> None:
         if name != "contact_velocity":
             assert value.item() == pytest.approx(0.0, abs=1e-9), name
     assert target.translation.shape == (6, 4, 3)
-    total = total_loss({"kl": torch.tensor(2.0), "joints": torch.tensor(3.0)}, 0.5)
-    assert total.item() == pytest.approx(3 + 0.5 * LossWeights().kl * 2)
+    two = {"kl": torch.tensor(2.0), "velocity": torch.tensor(3.0), "contacts": torch.tensor(5.0)}
+    assert total_loss(two, 0.5, LossWeights(kl=4.0, contacts=0.0)).item() == pytest.approx(7.0)
 
 
 def test_own_predictions_are_fed_back_without_gradient(folder: Path) -> None:
     windows = drawn(corpus_of(folder, BodyModel.load()), AS_RECORDED)
-    networks = HumorNetworks(64)
+    networks = ScaledNetworks(HumorNetworks(64), Scaling.none())
     truth, target = unroll(networks, windows, torch.tensor([True] * 4), None)
     own, same = unroll(networks, windows, torch.tensor([True, False, True, False]), None)
     torch.testing.assert_close(own.after.joints[:, 0], truth.after.joints[:, 0])
@@ -226,8 +227,8 @@ def test_a_run_that_was_interrupted_goes_on_exactly(folder: Path, tmp_path: Path
     train(parts)
     a, b = (torch.load(s.out / "checkpoint.pt", weights_only=True) for s in (whole, parts))
     assert a["step"] == b["step"] == 6
-    for name, value in a["average"].items():
-        assert torch.equal(value, b["average"][name]), name
+    for name, value in a["averaged"].items():
+        assert torch.equal(value, b["averaged"][name]), name
     assert (whole.out / "losses.csv").read_text() == (parts.out / "losses.csv").read_text()
     assert (whole.out / "losses.png").stat().st_size > 1000
     assert "step 6" in (whole.out / "train.log").read_text()
@@ -240,3 +241,33 @@ def test_a_run_that_was_interrupted_goes_on_exactly(folder: Path, tmp_path: Path
     assert all(energy.isfinite().all() for energy in decoded.energies.values())
     with pytest.raises(FileNotFoundError, match="train first"):
         export_weights(replace(whole, out=tmp_path / "absent"), path)
+
+
+def test_scales_change_nothing_but_the_numbers_that_are_learned(folder: Path) -> None:
+    """Around plain networks and plain again: the same functions."""
+    windows = drawn(corpus_of(folder, BodyModel.load()), AS_RECORDED, windows=20)
+    scaling = Scaling.of(windows.states, rest_pelvis(windows.states[:, 0]))
+    plain = HumorNetworks(64)
+    scaled = ScaledNetworks.around(plain, scaling)
+    assert not torch.equal(scaled.core.prior_net.net[0].weight, plain.prior_net.net[0].weight)
+    x = windows.states.pack()[:, 0]
+    after, latent = x + 0.01 * torch.randn_like(x), torch.randn(len(x), 48)
+    for other in (scaled, scaled.plain()):
+        pairs = (
+            (plain.prior(x)[0], other.prior(x)[0]),
+            (plain.posterior(x, after)[1], other.posterior(x, after)[1]),
+            (plain.decode(x, latent), other.decode(x, latent)),
+        )
+        for expected, found in pairs:
+            torch.testing.assert_close(found, expected, rtol=1e-3, atol=1e-3)
+
+
+def test_a_run_can_begin_with_weights(folder: Path, tmp_path: Path) -> None:
+    first = settings_of(folder, tmp_path / "first", steps=3)
+    train(first)
+    path = export_weights(first, tmp_path / "humor.safetensors", samples=300)
+    corpus = corpus_of(folder, BodyModel.load())
+    again = Run.start(replace(first, out=tmp_path / "second", start=path), corpus)
+    x = drawn(corpus, AS_RECORDED).states.pack()[:, 0]
+    expected = Humor.load(path).networks.prior(x)[0]
+    torch.testing.assert_close(again.averaged.prior(x)[0], expected, rtol=1e-3, atol=1e-3)
