@@ -2,31 +2,32 @@
 
 import logging
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
 from priors.humor_first import first_states
-from priors.humor_method import HumorWeights, Schedule, humor_stages
 from priors.humor_nets import HumorNetworks
 from priors.humor_rollout import FrozenDecoder, Rollout, roll_on, roll_out
 from priors.humor_state import Frame, State, compose, initial_features, states_of
-from priors.humor_weights import bundled_weights, mixture_from, networks_from, read_weights
+from priors.humor_weights import (
+    bundled_weights,
+    mixture_from,
+    networks_from,
+    read_weights,
+    whitening_from,
+)
 from priors.mixture import Mixture
-from priors.pose import PosePrior, PoseWeights
 from recon import rotations as so3
 from recon.body import BodyModel
 from recon.motion import Motion
 from recon.protocols import REFERENCE_FPS, Decoded
 from recon.skeleton import CONTACT_JOINTS, JOINTS
-from recon.stages import Stage
 from recon.struct import TensorStruct
-from recon.terms import Term
 
 _LOG = logging.getLogger(__name__)
 
@@ -65,9 +66,9 @@ class Humor:
     networks: HumorNetworks
     initial: Mixture
     body: BodyModel
-    weights: HumorWeights = field(default_factory=HumorWeights.published_joints)
-    """Of the energies of a fit."""
-    schedule: Schedule = field(default_factory=Schedule)
+    error_whitening: Float[Tensor, "207 207"]
+    """U with C⁻¹ = U Uᵀ, C the covariance of the decoder's errors over the training corpus
+    (`humor_state.step_between`)."""
     from_body: bool = False
     """Every step starts from the body's joints, not the network's (HuMoR-Qual)."""
 
@@ -82,7 +83,8 @@ class Humor:
         """The bundled weights, ones trained by `recon train humor`, or the released checkpoint.
 
         Args:
-            path: .safetensors of ours, or the authors' .pth; None is the bundled file.
+            path: .safetensors of ours, or the authors' .pth; `open` or None are the weights in the
+                package, `nc` the non-commercial ones of a source checkout.
             body: whose joints the network sees; None is the bundled body.
             mixture: the authors' prior_gmm.npz; None takes the one beside the weights in a
                 .safetensors file, and with a .pth the bundled one.
@@ -92,7 +94,7 @@ class Humor:
             ValueError: when it holds no HuMoR weights; the message names the layers.
         """
         body = BodyModel.load() if body is None else body
-        weights = bundled_weights() if path is None else read_weights(path)
+        weights = read_weights("open" if path is None else path)
         networks = networks_from(weights)
         if mixture is not None:
             initial = Mixture.load(mixture)
@@ -104,21 +106,33 @@ class Humor:
                 "a SMPL-H file of your own",
                 path,
             )
+        whitening = whitening_from(weights)
+        if whitening is None:
+            whitening = whitening_from(bundled_weights())
         assert initial is not None
-        return cls(networks.requires_grad_(False), initial, body)
+        assert whitening is not None
+        return cls(networks.requires_grad_(False), initial, body, whitening)
 
     def to(
         self, *, device: torch.device | str | None = None, dtype: torch.dtype | None = None
     ) -> "Humor":
         """On another device or in another precision."""
-        networks = HumorNetworks(self.networks.width).requires_grad_(False)
+        networks = type(self.networks)(self.networks.width).requires_grad_(False)
         networks.load_state_dict(self.networks.state_dict())
         return replace(
             self,
             networks=networks.to(device=device, dtype=dtype),
             initial=self.initial.to(device=device, dtype=dtype),
+            error_whitening=self.error_whitening.to(device=device, dtype=dtype),
             body=self.body.to(device=device, dtype=dtype),
         )
+
+    def like(self, tensor: Tensor) -> "Humor":
+        """The prior in a tensor's precision and on its device; made once for each."""
+        own = self.body.template
+        if own.dtype == tensor.dtype and own.device == tensor.device:
+            return self
+        return _cast(self, tensor.device, tensor.dtype)
 
     def encode(self, motion: Motion) -> HumorVariables:
         """First state and posterior means of a motion, which is brought to 30 Hz.
@@ -129,7 +143,7 @@ class Humor:
         Raises:
             ValueError: when it has fewer than two frames.
         """
-        own = _like(self, motion.translation)
+        own = self.like(motion.translation)
         motion = motion.resample(REFERENCE_FPS)
         states = states_of(motion, own.body)
         first = states[:, 0]
@@ -141,7 +155,7 @@ class Humor:
             velocity=first.velocity,
             angular_velocity=first.angular_velocity,
             joint_velocities=first.joint_velocities[:, 1:],
-            latents=own._latents(states, own._pelvis(motion.shape)),
+            latents=own._latents(states, own.pelvis(motion.shape)),
             shape=motion.shape,
             base=motion.rotations[:, 0],
             valid=motion.valid,
@@ -154,13 +168,13 @@ class Humor:
         `energies["transition"]` is -Σ log p(z_t | x_(t-1)), `energies["initial"]` -log p(x_0),
         nats.
         """
-        own = _like(self, variables.translation)
+        own = self.like(variables.translation)
         if frames is not None:
             variables = variables.replace(
                 latents=variables.latents[:, : frames - 1], valid=variables.valid[:, :frames]
             )
         first = own._first(variables)
-        pelvis = own._pelvis(variables.shape)
+        pelvis = own.pelvis(variables.shape)
         frame = Frame.of(first)
         start = frame.enter(first, pelvis)
         rest = own.body.rest_joints(variables.shape) if own.from_body else None
@@ -173,11 +187,6 @@ class Humor:
             "initial": own.initial.energy(initial_features(start)),
         }
         return _decoded(first, rollout, rollout.in_world(frame, pelvis), variables, energies)
-
-    def stages(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
-        """Root and poses under the pose prior, then HuMoR's three phases."""
-        poses = PosePrior.load(weights=PoseWeights.tuned_joints()).stages(data)
-        return (*poses, *humor_stages(self, self.weights, self.schedule, data))
 
     def predict(
         self,
@@ -202,7 +211,7 @@ class Humor:
         """
         if not bool(motion.valid.all()):
             raise ValueError("expected clips that exist to their last frame; predict each alone")
-        own = _like(self, motion.translation)
+        own = self.like(motion.translation)
         motion = motion.resample(REFERENCE_FPS)
         first = states_of(motion, own.body)[:, -1]
         rows = [t.expand(samples, *t.shape).flatten(0, 1) for t in first.tensors().values()]
@@ -234,7 +243,7 @@ class Humor:
         random: torch.Generator | None,
         start_time: float,
     ) -> Motion:
-        pelvis = self._pelvis(shape)
+        pelvis = self.pelvis(shape)
         frame = Frame.of(first)
 
         def draw(packed: Tensor) -> Tensor:
@@ -285,7 +294,8 @@ class Humor:
             here = frame.enter(reached, pelvis).pack()
         return torch.stack(latents, 1)
 
-    def _pelvis(self, shape: Float[Tensor, "clips shape"]) -> Float[Tensor, "clips 3"]:
+    def pelvis(self, shape: Float[Tensor, "clips shape"]) -> Float[Tensor, "clips 3"]:
+        """Of bodies at rest, horizontally (see `humor_state.rest_pelvis`)."""
         return self.body.rest_joints(shape)[:, 0] * shape.new_tensor([1.0, 1.0, 0.0])
 
     @cached_property
@@ -296,14 +306,6 @@ class Humor:
 @lru_cache(maxsize=8)
 def _cast(humor: Humor, device: torch.device, dtype: torch.dtype) -> Humor:
     return humor.to(device=device, dtype=dtype)
-
-
-def _like(humor: Humor, tensor: Tensor) -> Humor:
-    """The prior in a tensor's precision and on its device."""
-    own = humor.body.template
-    if own.dtype == tensor.dtype and own.device == tensor.device:
-        return humor
-    return _cast(humor, tensor.device, tensor.dtype)
 
 
 def _motion(

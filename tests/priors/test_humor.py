@@ -41,7 +41,7 @@ def humor(body: BodyModel, still: bool = False, width: int = 64) -> Humor:
     covariances = torch.eye(size, dtype=torch.float64).expand(2, size, size)
     means = torch.stack((torch.zeros(size), torch.ones(size))).double()
     mixture = Mixture.create(torch.tensor([0.4, 0.6]), means, covariances, features)
-    return Humor(networks, mixture, body)
+    return Humor(networks, mixture, body, torch.eye(207, dtype=torch.float64))
 
 
 def motions(frames: int = 8) -> Motion:
@@ -198,7 +198,7 @@ def test_weights_files(
 ) -> None:
     prior = humor(BodyModel.load())
     path = tmp_path / "humor.safetensors"
-    save_weights(path, prior.networks, prior.initial, {"data": "open"})
+    save_weights(path, prior.networks, prior.initial, prior.error_whitening, {"data": "open"})
     loaded = Humor.load(path)
     assert loaded.networks.width == 64
     assert load_checkpoint(path, "humor").settings == {"data": "open", "width": 64}

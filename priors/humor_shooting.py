@@ -1,19 +1,21 @@
-"""HuMoR's test-time optimisation: poses first, then a first state and latents, in three phases."""
+"""HuMoR's published fit, single shooting: a first state and latents, in three phases."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from jaxtyping import Float
 from torch import Tensor
 
+from priors.humor import Humor
 from priors.humor_terms import (
     bone_length,
     contact_height,
     contact_velocity,
     joint_consistency,
 )
-from recon.protocols import Energy, Estimate, Prior
+from priors.pose import PosePrior, PoseWeights
+from recon.protocols import Energy, Estimate
 from recon.solver import LBFGS
 from recon.stages import Stage
 from recon.terms import Term, prior_energy, shape
@@ -62,13 +64,32 @@ class Schedule:
     tolerance: float = 1e-5
 
 
-def humor_stages(
-    prior: Prior[Any], weights: HumorWeights, schedule: Schedule, data: tuple[Term, ...]
-) -> tuple[Stage[Any], ...]:
-    """The first 15 frames; then, the first state held, all latents; then everything.
+@dataclass(frozen=True, eq=False)
+class Shooting:
+    """Stages 1 and 2 under the pose prior, then HuMoR's three phases (section 6.8).
 
-    Contacts count in the first and the last phase (section 6.8).
+    All that is moved is a first state, the latents and the shape; the motion is what the decoder
+    makes of them.
     """
+
+    prior: Humor
+    weights: HumorWeights = field(default_factory=HumorWeights.published_joints)
+    schedule: Schedule = field(default_factory=Schedule)
+    poses: PoseWeights = field(default_factory=PoseWeights.tuned_joints)
+    """Of stages 1 and 2."""
+
+    def stages(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
+        """Root, poses; the first 15 frames; then, the first state held, all latents; then all.
+
+        Contacts count in the first and the last phase.
+        """
+        start = PosePrior.load(weights=self.poses).to(device=self.prior.body.template.device)
+        return (*start.stages(data), *_phases(self.prior, self.weights, self.schedule, data))
+
+
+def _phases(
+    prior: Humor, weights: HumorWeights, schedule: Schedule, data: tuple[Term, ...]
+) -> tuple[Stage[Any], ...]:
     w = weights
     always = (
         *data,

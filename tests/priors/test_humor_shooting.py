@@ -6,7 +6,7 @@ import torch
 
 from observations.joints3d import Joints3D
 from priors.humor import HumorVariables
-from priors.humor_method import HumorWeights
+from priors.humor_shooting import HumorWeights, Shooting
 from recon.body import BodyModel
 from recon.protocols import Estimate
 from recon.reconstruction import Method
@@ -21,9 +21,9 @@ def zero(estimate: Estimate) -> torch.Tensor:
 
 
 def test_the_phases_are_the_published_ones(body: BodyModel) -> None:
-    prior = humor(body)
-    assert isinstance(prior, Method)
-    _, _, first, latents, everything = prior.stages((Term("data", zero, 1.0),))
+    method = Shooting(humor(body))
+    assert isinstance(method, Method)
+    _, _, first, latents, everything = method.stages((Term("data", zero, 1.0),))
     assert (first.frames, latents.frames, everything.frames) == (15, None, None)
     assert latents.free == {"latents", "shape"}
     assert "contact height" not in {term.name for term in latents.terms}
@@ -35,7 +35,7 @@ def test_the_phases_are_the_published_ones(body: BodyModel) -> None:
 
 def test_a_phase_of_some_frames_sees_only_them(body: BodyModel) -> None:
     prior = humor(body)
-    stage = prior.stages((Term("data", zero, 1.0),))[2]
+    stage = Shooting(prior).stages((Term("data", zero, 1.0),))[2]
     stage = replace(stage, frames=4, minimiser=replace(stage.minimiser, max_iterations=2))
     start = prior.encode(motions(8))
     scene = Scene.create(2, like=start.translation)
@@ -54,11 +54,12 @@ def test_a_phase_of_some_frames_sees_only_them(body: BodyModel) -> None:
 
 def test_the_last_phase_brings_the_motion_nearer_to_the_data(body: BodyModel) -> None:
     weights = HumorWeights(1e-6, 1e-6, contact_velocity=0.0, contact_height=0.0)
-    prior = replace(humor(body), weights=weights)  # untrained, it knows nothing of contacts
+    prior = humor(body)
     truth = prior.decode(prior.encode(motions(6))).motion
     joints = body.pose(truth).joints
     seen = Joints3D(joints, torch.ones(2, 6, 22, dtype=torch.bool), tuple(range(22)), 30.0)
-    *_, stage = prior.stages((Term("data", seen, 1.0),))
+    # untrained, it knows nothing of contacts
+    *_, stage = Shooting(prior, weights).stages((Term("data", seen, 1.0),))
     stage = replace(stage, minimiser=replace(stage.minimiser, max_iterations=40))
     start = prior.encode(truth)
     start = start.replace(translation=start.translation + 0.1, root=start.root + 0.1)
