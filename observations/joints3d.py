@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from observations.rigid import rigid_start
-from observations.timing import point_misfit
+from observations.timing import moments_between, point_misfit
 from recon.body import BodyModel
 from recon.motion import Motion
 from recon.protocols import Estimate
@@ -51,6 +51,14 @@ class Joints3D(TensorStruct):
             self.predict(estimate), estimate.motion, self.positions, self.visible,
             fps=self.fps, start_time=self.start_time, kernel=self.kernel,
         )  # fmt: skip
+
+    def window(self, start: float, stop: float) -> "Joints3D":
+        """What was seen from one time to another, both included, seconds; the clock goes on."""
+        positions, visible, first = moments_between(
+            self.positions, self.visible,
+            fps=self.fps, start_time=self.start_time, start=start, stop=stop,
+        )  # fmt: skip
+        return self.replace(positions=positions, visible=visible, start_time=first)
 
     def start(self, body: BodyModel) -> Motion:
         """The rest pose laid on the torso, frame by frame."""

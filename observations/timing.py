@@ -1,5 +1,6 @@
 """When the estimate is looked at: observations bring their own clock."""
 
+import math
 from collections.abc import Callable
 
 import torch
@@ -44,6 +45,29 @@ def at_observation_times(
     fraction = (place - before).to(values)[:, None, None]
     before, after = before.to(values.device), after.to(values.device)
     return values[..., before, :, :].lerp(values[..., after, :, :], fraction), seen
+
+
+def moments_between(
+    positions: Float[Tensor, "*batch moments points 3"],
+    visible: Bool[Tensor, "*batch moments points"],
+    *,
+    fps: float,
+    start_time: float,
+    start: float,
+    stop: float,
+) -> tuple[Float[Tensor, "*batch some points 3"], Bool[Tensor, "*batch some points"], float]:
+    """The moments from `start` to `stop`, both included, and the time of the first.
+
+    The clock of the observation runs on where it has no data, nothing being visible then; so
+    stretches of equal length that begin at equal phases of the clock have equally many moments.
+    """
+    first = math.ceil((start - start_time) * fps - _SAME_MOMENT)
+    last = math.floor((stop - start_time) * fps + _SAME_MOMENT)
+    number = torch.arange(first, last + 1, device=positions.device)
+    exists = ((number >= 0) & (number < positions.shape[-3]))[:, None]
+    number = number.clamp(0, positions.shape[-3] - 1)
+    seen = visible[..., number, :] & exists
+    return positions[..., number, :, :].where(seen[..., None], 0.0), seen, start_time + first / fps
 
 
 def point_misfit(

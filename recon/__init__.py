@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from recon.evaluation import evaluate as evaluate
     from recon.formats.amass import load_motion as load_motion
     from recon.formats.amass import save_motion as save_motion
+    from recon.long import LongReconstruction as LongReconstruction
+    from recon.long import fit_long as fit_long
     from recon.motion import Motion as Motion
     from recon.reconstruction import Reconstruction as Reconstruction
     from recon.reconstruction import fit as fit
@@ -25,6 +27,8 @@ _HOMES = {
     "evaluate": "recon.evaluation",
     "load_motion": "recon.formats.amass",
     "save_motion": "recon.formats.amass",
+    "LongReconstruction": "recon.long",
+    "fit_long": "recon.long",
     "Motion": "recon.motion",
     "Reconstruction": "recon.reconstruction",
     "fit": "recon.reconstruction",

@@ -91,6 +91,26 @@ def test_moments_outside_the_motion_are_left_out(toy_body):
 
 
 @pytest.mark.parametrize("kind", [Joints3D, Markers3D])
+def test_windows_hold_what_was_seen_then_and_nothing_where_nothing_was(kind, toy_body):
+    motion = laws.a_motion(toy_body, frames=30)
+    observation = seen_exactly(kind, toy_body, motion.replace(start_time=2.0))
+    inside = observation.window(2.09, 2.5)  # frames 3 to 15
+    assert inside.start_time == pytest.approx(2.1)
+    assert torch.equal(inside.positions, observation.positions[:, 3:16])
+    assert inside.visible.all()
+    early = observation.window(1.9, 2.1)
+    assert early.start_time == pytest.approx(1.9)
+    assert early.visible.shape[1] == 7
+    assert not early.visible[:, :3].any()
+    assert early.positions[:, :3].abs().max() == 0
+    assert torch.equal(early.positions[:, 3:], observation.positions[:, :4])
+    away = motion.replace(start_time=2.0, translation=motion.translation + 0.01)
+    estimate = laws.estimate_of(toy_body, away)
+    parts = [observation.window(a, b)(estimate) for a, b in ((1.0, 2.41), (2.42, 9.0))]
+    assert torch.allclose(sum(parts), observation(estimate))
+
+
+@pytest.mark.parametrize("kind", [Joints3D, Markers3D])
 def test_the_first_guess_finds_a_rigid_placement(kind, body):
     motion = laws.a_motion(body, clips=1, frames=3)
     rest = torch.eye(3).double().expand(1, 3, 21, 3, 3)
