@@ -7,9 +7,11 @@ from recon.cli.evaluate import evaluate
 from recon.cli.export import export
 from recon.cli.fit import fit
 from recon.cli.info import info
+from recon.cli.predict import predict
+from recon.cli.sample import sample
 from recon.cli.simulate import simulate
 from recon.cli.train import train
 from recon.cli.view import view
 
-ALL = (demo, fit, batch, convert, simulate, evaluate, view, export, info, train)
+ALL = (demo, fit, batch, convert, sample, predict, simulate, evaluate, view, export, info, train)
 """The verbs, in the order of `recon --help`."""

@@ -1,0 +1,44 @@
+"""`recon predict`: what may follow a motion."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from tyro.conf import Positional, arg
+
+
+def predict(
+    motion: Positional[Path],
+    out: Path,
+    seconds: float = 2.0,
+    samples: int = 1,
+    at: float | None = None,
+    seed: int = 0,
+    weights: str | None = None,
+    body: Path | None = None,
+    device: Literal["cpu", "cuda"] = "cpu",
+    json: Annotated[bool, arg(help="Print the report as JSON on stdout.")] = False,
+) -> None:
+    """Go on from the last frame of a motion, in one way or in several.
+
+    Every file begins with the frame that it continues.
+
+    Args:
+        motion: motion file (.npz).
+        out: motion file (.npz) for one continuation, or a folder for several.
+        seconds: to come.
+        samples: continuations.
+        at: seconds after the first frame from which to go on; default: the end.
+        seed: of everything random.
+        weights: `open`, `nc` or a file; default: the bundled ones.
+        body: the SMPL-family file of the motion's body; default: the bundled body.
+        device: where to compute.
+        json: print the report as JSON on stdout.
+    """
+    from recon.cli import console
+    from recon.generate_files import GenerationSettings, predict_files
+
+    settings = GenerationSettings(seconds, seed, weights, body, device)
+    report = predict_files(motion, out, samples, at, settings)
+    console.table(f"{motion}, {seconds:g} s more", report["files"])
+    if json:
+        console.answer(report)

@@ -1,0 +1,152 @@
+"""Motions out of nothing, or after the end of a motion file: what `sample` and `predict` do."""
+
+import json
+import math
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Literal
+
+import torch
+
+from priors.humor import Humor
+from priors.humor_generation import predict, sample
+from recon.body import BodyModel
+from recon.contacts import rest_heights
+from recon.formats.amass import MotionFile, load_motion, save_motion
+from recon.formats.files import replacing
+from recon.generation_metrics import stays_on_its_feet
+from recon.protocols import REFERENCE_FPS, Decoded
+
+
+@dataclass(frozen=True)
+class GenerationSettings:
+    """How to make motions."""
+
+    seconds: float
+    """Of every motion, counted from its first frame."""
+    seed: int = 0
+    """Of everything random."""
+    weights: str | None = None
+    """As `Humor.load` takes them."""
+    body: Path | None = None
+    """A SMPL-family file; None is the bundled body."""
+    device: Literal["cpu", "cuda"] = "cpu"
+    """Where to compute."""
+
+
+def sample_files(out: Path, count: int, settings: GenerationSettings) -> dict[str, Any]:
+    """Write motions that begin anywhere; returns the report, which is written too.
+
+    OUT is one motion file (.npz), or a folder for `sample_000.npz` and so on; the report is
+    OUT.json, or `report.json` in the folder.
+
+    Raises:
+        FileNotFoundError: when there are no such weights, or no such body.
+        ValueError: for several motions in one file, no motions, or no time; nothing is written.
+    """
+    frames = _frames(settings.seconds)
+    paths = _paths(out, count, "sample")
+    humor = _humor(settings)
+    random = torch.Generator().manual_seed(settings.seed)
+    made = sample(humor, frames, count, random)
+    return _write(out, paths, made, humor.body, {"settings": asdict(settings)})
+
+
+def predict_files(
+    motion: Path, out: Path, samples: int, at: float | None, settings: GenerationSettings
+) -> dict[str, Any]:
+    """Write what may follow a motion's last frame; returns the report, which is written too.
+
+    Every file begins with the frame that it continues, at that frame's time. OUT is one motion
+    file, or a folder for `prediction_000.npz` and so on, as in `sample_files`.
+
+    Args:
+        motion: what is known.
+        out: file or folder.
+        samples: how many continuations.
+        at: seconds after the motion's first frame from which on it is not known; None is its end.
+        settings: how to go on.
+
+    Raises:
+        FileNotFoundError: when a file does not exist.
+        ValueError: when the motion is damaged, has less than two frames up to there, or is on
+            another body; or as in `sample_files`.
+    """
+    frames = _frames(settings.seconds)
+    paths = _paths(out, samples, "prediction")
+    file = load_motion(motion)
+    humor = _humor(settings)
+    body = humor.body
+    if file.checksum not in (None, body.checksum):
+        raise ValueError(
+            f"{motion}: made with the body {file.body} ({file.checksum}), not with {body.name} "
+            f"({body.checksum}); give its body with --body"
+        )
+    known = file.motion
+    if at is not None:
+        last = round(at * known.fps) if math.isfinite(at) else -1
+        if not 0 < last < known.frames:
+            raise ValueError(
+                f"{motion}: --at is after its first frame and not after its last, "
+                f"{(known.frames - 1) / known.fps:.3f} s; got {at}"
+            )
+        known = known.window(0, last + 1)
+    if known.frames < 2:
+        raise ValueError(f"{motion}: one frame does not tell how it moves; expected two or more")
+    random = torch.Generator().manual_seed(settings.seed)
+    known = known.to(device=settings.device)
+    made = predict(humor, known.map(lambda t: t[None]), frames, samples, random)
+    about = {"settings": asdict(settings), "motion": str(motion), "at": at}
+    return _write(out, paths, made, body, about)
+
+
+def _humor(settings: GenerationSettings) -> Humor:
+    body = BodyModel.load(settings.body)
+    return Humor.load(settings.weights, body).to(device=settings.device)
+
+
+def _frames(seconds: float) -> int:
+    if not (math.isfinite(seconds) and seconds >= 1 / REFERENCE_FPS):
+        raise ValueError(f"--seconds is a frame (1/30 s) or longer, got {seconds}")
+    return round(seconds * REFERENCE_FPS) + 1
+
+
+def _paths(out: Path, count: int, name: str) -> list[Path]:
+    """One file, or several in a folder."""
+    if count < 1:
+        raise ValueError(f"nothing to write: expected one motion or more, got {count}")
+    if out.suffix != ".npz":
+        return [out / f"{name}_{k:03d}.npz" for k in range(count)]
+    if count > 1:
+        raise ValueError(f"{out} is one file, but {count} motions were asked for; give a folder")
+    return [out]
+
+
+def _write(
+    out: Path, paths: list[Path], made: Decoded, body: BodyModel, about: dict[str, Any]
+) -> dict[str, Any]:
+    joints = body.pose(made.motion).joints
+    stays = stays_on_its_feet(joints, rest_heights(body, made.motion.shape), made.motion.fps)
+    paths[0].parent.mkdir(parents=True, exist_ok=True)
+    contacts = made.contacts
+    assert contacts is not None
+    for k, path in enumerate(paths):
+        save_motion(
+            path,
+            MotionFile(
+                made.motion[k],
+                body=body.name,
+                checksum=body.checksum,
+                joints=joints[k],
+                contacts=contacts[k],
+                ground=torch.tensor([0.0, 0.0, 1.0, 0.0]),
+            ),
+        )
+    files = {str(p): {"stays on its feet": bool(s)} for p, s in zip(paths, stays, strict=True)}
+    versions = {"recon": version("motion-recon"), "torch": torch.__version__}
+    report = {"files": files, **about, "versions": versions}
+    beside = out.with_name(out.name + ".json") if out.suffix == ".npz" else out / "report.json"
+    with replacing(beside) as scratch:
+        scratch.write_text(json.dumps(report, indent=1, default=str))
+    return report

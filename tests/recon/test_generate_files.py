@@ -1,0 +1,130 @@
+"""`recon sample` and `recon predict` as a shell would call them: files, reports, exit codes."""
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+
+from priors.humor_state import canonical, distinct_features, initial_features, states_of
+from priors.humor_weights import save_weights
+from priors.mixture import Mixture
+from recon import cli
+from recon.body import BodyModel
+from recon.formats.amass import MotionFile, load_motion, save_motion
+from recon.view.files import view_files
+from tests.priors.test_humor import humor, motions
+from tests.priors.test_pose import swinging
+
+
+@pytest.fixture(scope="module")
+def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Of an untrained network, and first states near those of two made-up motions."""
+    body = BodyModel.load()
+    prior = humor(body)
+    states = states_of(motions().to(dtype=torch.float32), body)[:, 0]
+    known = distinct_features()
+    means = initial_features(canonical(states, prior.pelvis(motions().shape.float())))[:, known]
+    covariances = 1e-6 * torch.eye(len(known)).double().expand(2, len(known), len(known))
+    initial = Mixture.create(torch.tensor([0.5, 0.5]), means.double(), covariances, known)
+    path = tmp_path_factory.mktemp("weights") / "humor.safetensors"
+    save_weights(path, prior.networks, initial, prior.error_whitening, {"data": "open"})
+    return path
+
+
+@pytest.fixture(scope="module")
+def walk(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A quarter of a second at 60 Hz, from second 2 on."""
+    path = tmp_path_factory.mktemp("walk") / "walk.npz"
+    motion = swinging(16, 3, fps=60.0).to(dtype=torch.float32).replace(start_time=2.0)
+    body = BodyModel.load()
+    save_motion(path, MotionFile(motion, body=body.name, checksum=body.checksum))
+    return path
+
+
+def recon_(*arguments: object) -> int:
+    return cli.run([str(argument) for argument in arguments])
+
+
+def test_samples_are_motion_files(weights: Path, tmp_path: Path, capsys) -> None:
+    folder = tmp_path / "new" / "samples"
+    ask = ("sample", "--count", 2, "--seconds", 0.2, "--weights", weights)
+    assert recon_(*ask, "--out", folder, "--json") == cli.OK
+    report = json.loads(capsys.readouterr().out)
+    files = [load_motion(path) for path in sorted(folder.glob("*.npz"))]
+    assert [Path(path).name for path in report["files"]] == ["sample_000.npz", "sample_001.npz"]
+    assert report == json.loads((folder / "report.json").read_text())
+    assert report["settings"]["seed"] == 0
+    body = BodyModel.load()
+    for file in files:
+        assert (file.motion.frames, file.motion.fps, file.checksum) == (7, 30, body.checksum)
+        assert file.joints is not None
+        assert file.contacts is not None
+        torch.testing.assert_close(file.joints, body.pose(file.motion).joints, atol=1e-5, rtol=0)
+        assert 0 < file.contacts[:, 7:9].min() <= file.contacts.max() < 1
+    assert not torch.equal(files[0].motion.translation, files[1].motion.translation)
+    view_files(folder / "sample_000.npz", compare=folder / "sample_001.npz",
+               png=tmp_path / "two.png")  # fmt: skip
+    again = tmp_path / "again"
+    assert recon_(*ask, "--out", again) == cli.OK
+    same = load_motion(again / "sample_001.npz").motion
+    assert torch.equal(same.rotations, files[1].motion.rotations)
+    assert recon_(*ask, "--out", again, "--seed", 1) == cli.OK
+    other = load_motion(again / "sample_001.npz").motion
+    assert not torch.equal(other.rotations, files[1].motion.rotations)
+
+
+def test_a_prediction_goes_on_where_the_motion_ends(
+    weights: Path, walk: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "more.npz"
+    assert recon_("predict", walk, "--out", out, "--seconds", 0.1, "--weights", weights) == cli.OK
+    known, more = load_motion(walk).motion, load_motion(out).motion
+    assert more.frames == 4
+    assert more.start_time == pytest.approx(2.25)
+    torch.testing.assert_close(more.translation[0], known.translation[-1])
+    torch.testing.assert_close(more.rotations[0], known.rotations[-1], atol=1e-5, rtol=0)
+    report = json.loads((tmp_path / "more.npz.json").read_text())
+    assert report["motion"] == str(walk)
+    at = ("--at", 0.1, "--samples", 3, "--weights", weights)
+    assert recon_("predict", walk, "--out", tmp_path / "some", *at) == cli.OK
+    some = [load_motion(path).motion for path in sorted((tmp_path / "some").glob("*.npz"))]
+    assert len(some) == 3
+    for one in some:
+        assert one.start_time == pytest.approx(2.1)
+        torch.testing.assert_close(one.translation[0], known.translation[6])
+    assert not torch.equal(some[0].translation, some[1].translation)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("sample", "--out", "a.npz", "--count", 2), "give a folder"),
+        (("sample", "--out", "a", "--count", 0), "got 0"),
+        (("sample", "--out", "a", "--seconds", "nan"), "--seconds"),
+        (("sample", "--out", "a", "--weights", "nowhere.pt"), "nowhere.pt"),
+        (("sample", "--out", "a", "--body", "nobody.npz"), "nobody.npz"),
+        (("predict", "nowhere.npz", "--out", "a.npz"), "nowhere.npz"),
+        (("predict", "WALK", "--out", "a.npz", "--samples", 2), "give a folder"),
+        (("predict", "WALK", "--out", "a.npz", "--seconds", -1), "--seconds"),
+        (("predict", "WALK", "--out", "a.npz", "--at", 0), "--at"),
+        (("predict", "WALK", "--out", "a.npz", "--at", 0.3), "0.250 s"),
+        (("predict", "WALK", "--out", "a.npz", "--at", "nan"), "--at"),
+        (("predict", "ONE", "--out", "a.npz"), "one frame"),
+        (("predict", "OTHER", "--out", "a.npz"), "--body"),
+    ],
+)
+def test_bad_input_is_refused_and_nothing_is_written(
+    arguments: tuple[object, ...], words: str, walk: Path, tmp_path: Path, capsys, monkeypatch
+) -> None:
+    file = load_motion(walk)
+    save_motion(tmp_path / "one.npz", MotionFile(file.motion.window(0, 1)))
+    save_motion(tmp_path / "other.npz", MotionFile(file.motion, body="mine", checksum="0123"))
+    files = {"WALK": walk, "ONE": tmp_path / "one.npz", "OTHER": tmp_path / "other.npz"}
+    place = tmp_path / "work"
+    place.mkdir()
+    monkeypatch.chdir(place)
+    given = [files[a] if isinstance(a, str) and a in files else a for a in arguments]
+    assert recon_(*given) == cli.BAD_INPUT
+    assert words in capsys.readouterr().err
+    assert list(place.iterdir()) == []
