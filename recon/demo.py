@@ -1,4 +1,4 @@
-"""The demo: a real recording, corrupted in two ways, given back; a table, a page, a picture."""
+"""The demo: a real recording, spoiled in two ways, given back without and with HuMoR."""
 
 import json
 from collections.abc import Mapping
@@ -9,6 +9,8 @@ from pathlib import Path
 from observations.joints3d import Joints3D
 from observations.markers3d import Markers3D
 from observations.noise import estimate_noise
+from priors.humor import Humor
+from priors.humor_collocation import Collocation
 from priors.pose import PosePrior, PoseWeights
 from recon import simulate
 from recon.body import BodyModel
@@ -22,7 +24,7 @@ from recon.evaluation import (
 from recon.formats.amass import load_motion
 from recon.formats.files import replacing
 from recon.motion import Motion
-from recon.reconstruction import Reconstruction, fit
+from recon.reconstruction import Method, Reconstruction, fit
 from recon.simulate import Corruption
 from recon.view.frames import write_png
 from recon.view.html import write_html
@@ -43,12 +45,12 @@ class Case:
 
 CASES: Mapping[str, Case] = {
     "noisy": Case(
-        "22 joints with 4 cm noise",
+        "joints, 4 cm noise",
         "joints3d",
         Corruption(noise=0.04),
     ),
     "occluded": Case(
-        "43 points of the skin, hidden below 0.9 m",
+        "points of the skin above 0.9 m",
         "markers3d",
         Corruption(hide_below=0.9),
     ),
@@ -67,21 +69,24 @@ def demo(out: Path) -> dict[str, dict[str, Metrics]]:
     body = BodyModel.load()
     with resources.as_file(resources.files("recon") / "assets" / "demo.npz") as path:
         truth = load_motion(path).motion
+    humor = Humor.load(body=body)
     table: dict[str, dict[str, Metrics]] = {}
     shows: list[Show] = []
     for name, case in CASES.items():
         see = simulate.joints3d if case.sensor == "joints3d" else simulate.markers3d
         seen = see(truth, body, case.corruption, SEED)
         noise = estimate_noise(seen.positions, seen.visible)
-        prior = PosePrior.load(weights=PoseWeights.for_noise(noise))
-        result = fit([seen[None]], prior, body)
-        motion = result.clip(0).detach()
-        table[name] = {
-            "observed": _observed(seen, truth, body),
-            "pose": _metrics(result, seen, truth, body),
+        methods: dict[str, Method] = {
+            "pose prior": PosePrior.load(weights=PoseWeights.for_noise(noise)),
+            "HuMoR": Collocation.for_noise(humor, noise),
         }
+        results = {method: fit([seen[None]], prior, body) for method, prior in methods.items()}
+        table[name] = {"observed": _observed(seen, truth, body)}
+        for method, result in results.items():
+            table[name][method] = _metrics(result, seen, truth, body)
+            shows.append(_show(f"{case.title}: {method}", seen, result, truth))
+        motion = results["HuMoR"].clip(0).detach()
         write_result(out / f"{name}.npz", motion, body, {"case": case.title, "seed": SEED})
-        shows.append(_show(case.title, seen, result, truth))
         write_html(out / ("demo.html" if name == "occluded" else f"{name}.html"), shows[-1])
     write_png(out / "demo.png", shows)
     with replacing(out / "demo.json") as beside:
@@ -125,6 +130,7 @@ COLUMNS = {
     "seen points": "observed_visible",
     "hidden points": "observed_hidden",
     "vertices": "vertices",
+    "below ground": "penetration_dist",
 }
 """Headings of the table a person reads, and the metrics below them."""
 

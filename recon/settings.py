@@ -9,8 +9,11 @@ from typing import Literal
 class FitSettings:
     """How to fit files."""
 
-    prior: Literal["pose"] = "pose"
-    """What is likely: `pose` is single poses and smoothness (stages 1-2 of HuMoR)."""
+    prior: Literal["humor", "pose"] = "humor"
+    """What is likely: `humor` is every step from pose to pose and where feet touch, `pose` single
+    poses and smoothness (stages 1-2 of HuMoR)."""
+    weights: str = "open"
+    """Of HuMoR: `open`, `nc` (not for commercial use; in a source checkout) or a file."""
     body: Path | None = None
     """A SMPL-family file of your own; default: the bundled body."""
     unit: Literal["m", "cm", "mm", "inch", "cmu"] | None = None

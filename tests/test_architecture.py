@@ -48,6 +48,6 @@ def test_another_package_of_the_name_is_noticed(monkeypatch):
     import recon
 
     monkeypatch.delattr(recon, "__distribution__")
-    monkeypatch.delitem(sys.modules, "observations")
+    monkeypatch.delitem(sys.modules, "observations", raising=False)
     with pytest.raises(ImportError, match="not motion-recon"):
         __import__("observations")

@@ -3,6 +3,7 @@
 import json
 import pickle
 import zipfile
+from importlib import resources
 from pathlib import Path
 
 import numpy as np
@@ -66,13 +67,13 @@ def test_a_simulated_observation_is_fitted_written_and_evaluated(kind, truth, tm
 def test_two_observations_of_a_clip_add_up(truth, tmp_path):
     joints = observation(truth, tmp_path, "joints3d", noise=0.01)
     markers = observation(truth, tmp_path, "markers3d", noise=0.01)
-    report = fit_files([joints, markers], tmp_path / "motion.npz", FitSettings())
+    report = fit_files([joints, markers], tmp_path / "motion.npz", FitSettings(prior="pose"))
     assert {"data 1", "data 2"} <= set(report["stages"][-1]["energies"])
 
 
 def test_another_rate_may_be_asked_for(truth, tmp_path):
     seen = observation(truth, tmp_path, noise=0.01)
-    fit_files([seen], tmp_path / "motion.npz", FitSettings(fps=60.0))
+    fit_files([seen], tmp_path / "motion.npz", FitSettings(prior="pose", fps=60.0))
     assert load_motion(tmp_path / "motion.npz").motion.fps == 60.0
 
 
@@ -126,19 +127,19 @@ def test_bad_files_are_refused_by_name_and_nothing_is_written(name, truth, tmp_p
     seen = observation(truth, tmp_path, noise=0.01)
     spoil(name, seen, np.random.default_rng(0))
     with pytest.raises(ValueError, match="joints3d"):
-        fit_files([seen], tmp_path / "motion.npz", FitSettings())
+        fit_files([seen], tmp_path / "motion.npz", FitSettings(prior="pose"))
     assert not (tmp_path / "motion.npz").exists()
 
 
 def test_the_stated_remedies_work(truth, tmp_path):
     seen = observation(truth, tmp_path, noise=0.005)
     spoil("millimetres", seen, np.random.default_rng(0))
-    fit_files([seen], tmp_path / "a.npz", FitSettings(unit="mm"))
+    fit_files([seen], tmp_path / "a.npz", FitSettings(prior="pose", unit="mm"))
     seen = observation(truth, tmp_path, noise=0.005)
     spoil("y up", seen, np.random.default_rng(0))
     with pytest.raises(ValueError, match="--up y"):
-        fit_files([seen], tmp_path / "b.npz", FitSettings())
-    fit_files([seen], tmp_path / "b.npz", FitSettings(up="y"))
+        fit_files([seen], tmp_path / "b.npz", FitSettings(prior="pose"))
+    fit_files([seen], tmp_path / "b.npz", FitSettings(prior="pose", up="y"))
     assert load_motion(tmp_path / "b.npz").motion.translation.isfinite().all()
 
 
@@ -157,7 +158,9 @@ def test_hard_but_honest_data_never_gives_nan(truth, tmp_path):
             if not file["visible"].any():
                 continue
         out = tmp_path / "motion.npz"
-        report = fit_files([seen], out, FitSettings(robust=0.1 if trial % 3 else None))
+        report = fit_files(
+            [seen], out, FitSettings(prior="pose", robust=0.1 if trial % 3 else None)
+        )
         assert not report["failed"]
         motion = load_motion(out).motion
         assert motion.rotations.isfinite().all()
@@ -168,7 +171,7 @@ def test_an_unknown_ground_is_found_under_the_feet(truth, tmp_path):
     with np.load(seen) as file:
         lifted = file["positions"] + np.array([0.0, 0.0, 3.0]) * file["visible"][..., None]
     rewritten(seen, positions=lifted, ground_known=False)
-    report = fit_files([seen], tmp_path / "motion.npz", FitSettings())
+    report = fit_files([seen], tmp_path / "motion.npz", FitSettings(prior="pose"))
     assert report["noise"][0] >= 0.01
     result = load_motion(tmp_path / "motion.npz")
     assert result.ground is not None
@@ -181,12 +184,14 @@ def test_an_unknown_ground_is_found_under_the_feet(truth, tmp_path):
 def test_one_frame_and_a_still_person(truth, tmp_path):
     seen = tmp_path / "one.npz"
     simulate_file(truth, seen, "joints3d", Corruption(), seed=1, frames=(3, 4))
-    fit_files([seen], tmp_path / "motion.npz", FitSettings())
+    fit_files([seen], tmp_path / "motion.npz", FitSettings(prior="pose"))
     assert load_motion(tmp_path / "motion.npz").motion.frames == 1
     seen = observation(truth, tmp_path)
     with np.load(seen) as file:
         still = np.repeat(file["positions"][:1], 12, 0)
-    fit_files([rewritten(seen, positions=still)], tmp_path / "motion.npz", FitSettings())
+    fit_files(
+        [rewritten(seen, positions=still)], tmp_path / "motion.npz", FitSettings(prior="pose")
+    )
     joints = load_motion(tmp_path / "motion.npz").joints
     assert joints is not None
     assert (joints[-1] - joints[0]).norm(dim=-1).max() < 0.01  # metres
@@ -195,3 +200,20 @@ def test_one_frame_and_a_still_person(truth, tmp_path):
 def test_failure_is_its_own_kind_of_error():
     assert issubclass(Failed, Exception)
     assert not issubclass(Failed, ValueError)
+
+
+def test_an_unknown_ground_is_found_before_feet_are_judged(tmp_path):
+    """A walk half a metre above z = 0, whose file does not say where the ground is."""
+    with resources.as_file(resources.files("recon") / "assets" / "demo.npz") as path:
+        walk = load_motion(path).motion.window(0, 40)
+    up = walk.translation.new_tensor([0.0, 0.0, 0.5])
+    save_motion(tmp_path / "walk.npz", walk.replace(translation=walk.translation + up))
+    seen = observation(tmp_path / "walk.npz", tmp_path, noise=0.01)
+    seen = rewritten(seen, ground_known=False)
+    report = fit_files([seen], tmp_path / "motion.npz", FitSettings())
+    assert report["ground_known"] is False
+    found = load_motion(tmp_path / "motion.npz")
+    assert found.ground is not None
+    assert found.ground[3].item() == pytest.approx(0.5, abs=0.03)
+    away = found.motion.translation - (walk.translation + up)
+    assert away.norm(dim=-1).mean() < 0.05
