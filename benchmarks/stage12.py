@@ -18,38 +18,40 @@ from pathlib import Path
 import numpy as np
 import torch
 from rich.console import Console
-from rich.table import Table
 from torch import Tensor
 
 from benchmarks.results import write
+from benchmarks.scores import (
+    Columns,
+    Rows,
+    fit_windows,
+    score,
+    score_points,
+    subject_mean,
+    tables,
+)
 from benchmarks.smoothers import butterworth, whittaker
 from benchmarks.windows import FPS, Windows, load_windows, noisy_joints, occluded_points
 from priors.pose import PosePrior, PoseWeights
 from priors.training.dataset import SPLITS, Splits
-from recon import metrics
 from recon.body import BodyModel
-from recon.evaluation import ObservedPoints, evaluate
 from recon.protocols import Observation
-from recon.reconstruction import Reconstruction, fit
-from recon.skeleton import LEGS
+from recon.reconstruction import fit
 
 SEED = 0
 CUTOFFS = tuple(np.arange(2.0, 6.01, 0.25).tolist())
 STIFFNESSES = tuple(np.geomspace(1.0, 1000.0, 25).tolist())
 
-JOINT_COLUMNS: dict[str, tuple[str, float]] = {
+JOINT_COLUMNS: Columns = {
     "joints_all": ("all", 100), "joints_legs": ("legs", 100), "vertices": ("vertices", 100),
     "accel": ("accel", 1), "accel_error": ("accel error", 1),
     "penetration_freq": ("pen. %", 100), "penetration_dist": ("pen. cm", 100),
 }  # fmt: skip
-POINT_COLUMNS: dict[str, tuple[str, float]] = {
-    "observed_visible": ("visible", 100), "observed_hidden": ("hidden", 100),
-    "observed_all": ("all", 100), **{k: v for k, v in JOINT_COLUMNS.items() if k != "joints_all"},
+POINT_COLUMNS: Columns = {
+    "observed_all": ("all", 100), "observed_visible": ("visible", 100),
+    "observed_hidden": ("hidden", 100),
+    **{k: v for k, v in JOINT_COLUMNS.items() if k != "joints_all"},
 }  # fmt: skip
-"""Metric: its heading, and what turns metres into centimetres or shares into per cent."""
-
-Rows = dict[str, dict[str, float | None]]
-"""By subject, and "mean" over subjects: values by metric."""
 
 
 def main() -> None:
@@ -69,7 +71,7 @@ def main() -> None:
     prior = PosePrior.load(arguments.prior)
 
     smoothers = tune_smoothers(tuning, body)
-    tables = {
+    found = {
         "noisy joints": noisy_rows(windows, body, prior, smoothers),
         "occluded points": occluded_rows(windows, body, prior),
     }
@@ -77,14 +79,14 @@ def main() -> None:
 
     console = Console(width=None if sys.stdout.isatty() else 140)
     for name, columns in (("noisy joints", JOINT_COLUMNS), ("occluded points", POINT_COLUMNS)):
-        for row in table(f"{name}: {arguments.part}", columns, tables[name]):
+        for row in tables(f"{name}: {arguments.part}", columns, found[name]):
             console.print(row)
     console.print(", ".join(f"{k} {v:.3g}" for k, v in speed.items()))
     if arguments.json is not None:
         tuned = {name: value for name, (_, value) in smoothers.items()}
         about = {"part": arguments.part, "windows": windows.names, "smoothers": tuned}
         command = "python -m benchmarks.stage12 CORPUS"
-        write(arguments.json, command, SEED, **about, tables=tables, speed=speed)
+        write(arguments.json, command, SEED, **about, tables=found, speed=speed)
 
 
 Smoother = Callable[[Tensor], Tensor]
@@ -117,15 +119,15 @@ def noisy_rows(
 ) -> dict[str, Rows]:
     observed = noisy_joints(windows.truth, body, SEED)
     truth = body.pose(windows.truth).joints
-    rows = {"observed": points_only(windows, observed.positions, truth)}
+    rows = {"observed": score_points(windows, observed.positions, truth)}
     for name, (smooth, _) in smoothers.items():
-        rows[name] = points_only(windows, smooth(observed.positions), truth)
+        rows[name] = score_points(windows, smooth(observed.positions), truth)
     for name, weights in (
         ("stages 1-2, published", PoseWeights.published_joints()),
         ("stages 1-2, tuned", PoseWeights.tuned_joints()),
     ):
-        result = fit([observed], prior.replace(weights=weights), body)
-        rows[name] = full(windows, result, body, None)
+        fitted = fit_windows(observed, prior.replace(weights=weights), body, len(truth))
+        rows[name] = score(windows, fitted, body)
     return rows
 
 
@@ -136,69 +138,9 @@ def occluded_rows(windows: Windows, body: BodyModel, prior: PosePrior) -> dict[s
         ("stages 1-2, published", PoseWeights.published_points()),
         ("stages 1-2, tuned", PoseWeights.tuned_points()),
     ):
-        result = fit([observed], prior.replace(weights=weights), body)
-        predicted = observed.predict(result.estimate)
-        seen = [
-            ObservedPoints(p, t, v)
-            for p, t, v in zip(predicted, truth, observed.visible, strict=True)
-        ]
-        rows[name] = full(windows, result, body, seen)
+        fitted = fit_windows(observed, prior.replace(weights=weights), body, len(truth))
+        rows[name] = score(windows, fitted, body, truth, observed.visible)
     return rows
-
-
-def points_only(windows: Windows, points: Tensor, truth: Tensor) -> Rows:
-    """Metrics of points without a body."""
-    errors = (points - truth).norm(dim=-1)
-    bend, true_bend = (metrics.accelerations(x, FPS) for x in (points, truth))
-    clips = {
-        "joints_all": errors.mean((1, 2)),
-        "joints_legs": errors[..., list(LEGS)].mean((1, 2)),
-        "accel": bend.norm(dim=-1).mean((1, 2)),
-        "accel_error": (bend - true_bend).norm(dim=-1).mean((1, 2)),
-    }
-    return by_subject(
-        windows, [{k: v[i].item() for k, v in clips.items()} for i in range(len(points))]
-    )
-
-
-def full(
-    windows: Windows,
-    result: Reconstruction,
-    body: BodyModel,
-    observed: list[ObservedPoints] | None,
-) -> Rows:
-    """Every metric of `recon evaluate`."""
-    clips = [
-        evaluate(
-            result.clip(i),
-            windows.truth[i],
-            body,
-            observed=None if observed is None else observed[i],
-        )
-        for i in range(len(windows.subjects))
-    ]
-    return by_subject(windows, clips)
-
-
-def by_subject(windows: Windows, clips: list[dict[str, float | None]]) -> Rows:
-    subjects = sorted(set(windows.subjects))
-    rows = {s: mean_of([clips[i] for i in windows.of(s)]) for s in subjects}
-    return {**rows, "mean": mean_of(list(rows.values()))}
-
-
-def mean_of(rows: list[dict[str, float | None]]) -> dict[str, float | None]:
-    """Average by metric over the rows that have it."""
-    found: dict[str, float | None] = {}
-    for key in rows[0]:
-        values = [v for row in rows if (v := row[key]) is not None]
-        found[key] = float(np.mean(values)) if values else None
-    return found
-
-
-def subject_mean(windows: Windows, values: Tensor) -> float:
-    """Mean over each subject's windows, then over subjects."""
-    means = [values[windows.of(s)].mean() for s in sorted(set(windows.subjects))]
-    return torch.stack(means).mean().item()
 
 
 def measure_speed(windows: Windows, body: BodyModel, prior: PosePrior) -> dict[str, float]:
@@ -213,32 +155,6 @@ def measure_speed(windows: Windows, body: BodyModel, prior: PosePrior) -> dict[s
         found[f"seconds for {count}"] = time.perf_counter() - began
     found["clips per second"] = 16 / found["seconds for 16"]
     return found
-
-
-def table(title: str, columns: dict[str, tuple[str, float]], rows: dict[str, Rows]) -> list[Table]:
-    """One table of means, and one of the first columns by subject."""
-    means = Table(title=f"{title} (mean over subjects; cm, m/s², %)", title_justify="left")
-    means.add_column("method")
-    for heading, _ in columns.values():
-        means.add_column(heading, justify="right")
-    for name, row in rows.items():
-        means.add_row(name, *(cell(row["mean"].get(k), f) for k, (_, f) in columns.items()))
-
-    main_column = "joints_all" if "joints_all" in columns else "observed_all"
-    subjects = list(next(iter(rows.values())))
-    single = Table(
-        title=f"{title}: {columns[main_column][0]}, by subject (cm)", title_justify="left"
-    )
-    single.add_column("method")
-    for subject in subjects:
-        single.add_column(subject, justify="right")
-    for name, row in rows.items():
-        single.add_row(name, *(cell(row[s].get(main_column), 100) for s in subjects))
-    return [means, single]
-
-
-def cell(value: float | None, factor: float) -> str:
-    return "–" if value is None else f"{value * factor:.2f}"
 
 
 if __name__ == "__main__":

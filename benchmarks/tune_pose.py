@@ -12,7 +12,8 @@ import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 
-from benchmarks.stage12 import SEED, subject_mean
+from benchmarks.scores import subject_mean
+from benchmarks.stage12 import SEED
 from benchmarks.windows import load_windows, noisy_joints, occluded_points
 from priors.pose import PosePrior, PoseWeights
 from priors.training.dataset import SPLITS, Splits

@@ -1,18 +1,20 @@
 """The listed windows as one batch of true motions, and what a sensor sees of them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from observations.joints3d import Joints3D
 from observations.markers3d import Markers3D
 from priors.training.dataset import Part, Splits, clip_files
 from recon.body import BodyModel
-from recon.formats.amass import load_motion
+from recon.contacts import contact_labels, rest_heights
+from recon.evaluation import nearest_labels
+from recon.formats.amass import MotionFile, load_motion
 from recon.motion import Motion
 from recon.skeleton import JOINTS, PARENTS
 from recon.struct import stack
@@ -20,6 +22,7 @@ from recon.surface import KEYPOINTS_43, landmark
 
 FPS = 30.0
 FRAMES = 60
+"""Of a listed window."""
 
 BONE_ERROR = 0.005
 """Metres: how well a skeleton recording tells the length of a bone."""
@@ -30,46 +33,99 @@ class Windows:
     """True motions, each clock starting at zero."""
 
     truth: Motion
+    contacts: Bool[Tensor, "clips time 22"]
+    """As labelled at the recordings' own rates."""
     subjects: tuple[str, ...]
     names: tuple[str, ...]
     """Clip and start, for the report."""
+    listed: int
+    """Number of windows of which these remain."""
 
     def of(self, subject: str) -> list[int]:
         """The windows of one subject."""
         return [i for i, own in enumerate(self.subjects) if own == subject]
 
+    def frames(self, start: int, stop: int) -> "Windows":
+        """Some frames of every window; the clocks go on."""
+        return replace(
+            self, truth=self.truth.window(start, stop), contacts=self.contacts[:, start:stop]
+        )
+
+    def take(self, rows: list[int]) -> "Windows":
+        """Some of them."""
+        return replace(
+            self,
+            truth=self.truth[rows],
+            contacts=self.contacts[rows],
+            subjects=tuple(self.subjects[i] for i in rows),
+            names=tuple(self.names[i] for i in rows),
+        )
+
 
 def load_windows(
-    corpus: str | Path, splits: Splits, part: Part, body: BodyModel, seed: int = 0
+    corpus: str | Path,
+    splits: Splits,
+    part: Part,
+    body: BodyModel,
+    seed: int = 0,
+    frames: int = FRAMES,
 ) -> Windows:
     """All windows that the splits list for a part, at 30 Hz.
 
-    A skeleton recording does not tell the girth of a body, so one is drawn per subject.
+    Windows of another length than listed lie about the middle of a listed one, shifted as far as
+    needed to lie inside the clip; clips shorter than that drop out, and so does a window that is
+    another one once it is shifted. A skeleton recording does not tell the girth of a body, so one
+    is drawn per subject.
 
     Raises:
-        ValueError: when a listed clip is not in the corpus or too short.
+        ValueError: when a listed clip is not in the corpus or too short for what is listed, or
+            no window is that long.
     """
     files = clip_files(corpus)
     rows = splits.windows[part]
     if missing := sorted({clip for clip, _ in rows} - set(files)):
         raise ValueError(f"{corpus}: {part} clips are missing there: {', '.join(missing)}")
-    whole = {clip: load_motion(files[clip]).motion.resample(FPS) for clip, _ in rows}
+    recorded = {clip: load_motion(files[clip]) for clip, _ in rows}
+    whole = {clip: file.motion.resample(FPS) for clip, file in recorded.items()}
     shapes: dict[str, Tensor] = {}
-    motions: list[Motion] = []
+    found: dict[tuple[str, int], tuple[Motion, Tensor]] = {}
     for clip, seconds in rows:
         subject, first = splits.subject(clip), round(seconds * FPS)
-        window = whole[clip].window(first, first + FRAMES)
-        if window.frames < FRAMES:
+        room = whole[clip].frames
+        if room < first + FRAMES:
             raise ValueError(f"{files[clip]}: no {FRAMES} frames from {seconds} s on")
         if subject not in shapes:
             generator = np.random.default_rng([seed, *subject.encode()])
-            shapes[subject] = draw_girth(body, window.shape, generator)
-        motions.append(window.replace(start_time=0.0, shape=shapes[subject]))
+            shapes[subject] = draw_girth(body, whole[clip].shape, generator)
+        if room < frames:
+            continue
+        first = min(max(first + (FRAMES - frames) // 2, 0), room - frames)
+        window = whole[clip].window(first, first + frames)
+        contacts = contacts_at(recorded[clip], window.times, body)
+        window = window.replace(start_time=0.0, shape=shapes[subject])
+        found[clip, first] = window, contacts
+    if len(found) == 0:
+        raise ValueError(f"{corpus}: no {part} clip is {frames} frames long")
     return Windows(
-        truth=stack(motions),
-        subjects=tuple(splits.subject(clip) for clip, _ in rows),
-        names=tuple(f"{clip}@{seconds:.2f}" for clip, seconds in rows),
+        truth=stack([motion for motion, _ in found.values()]),
+        contacts=torch.stack([contacts for _, contacts in found.values()]),
+        subjects=tuple(splits.subject(clip) for clip, _ in found),
+        names=tuple(f"{clip}@{first / FPS:.2f}" for clip, first in found),
+        listed=len(rows),
     )
+
+
+def contacts_at(
+    recorded: MotionFile, times: Float[Tensor, " time"], body: BodyModel
+) -> Bool[Tensor, "time 22"]:
+    """The recording's labels nearest in time; made from its motion where it has none."""
+    motion, labels = recorded.motion, recorded.contacts
+    if labels is None:
+        heights = rest_heights(body, motion.shape)
+        return nearest_labels(
+            contact_labels(body.pose(motion).joints, heights, motion.fps), motion.times, times
+        )
+    return nearest_labels(labels > 0.5, motion.times, times)
 
 
 def draw_girth(
@@ -91,17 +147,31 @@ def draw_girth(
     return shape + step.to(shape)
 
 
-def noisy_joints(truth: Motion, body: BodyModel, seed: int, noise: float = 0.04) -> Joints3D:
-    """All 22 joints with Gaussian noise, metres per coordinate."""
+def noisy_joints(
+    truth: Motion,
+    body: BodyModel,
+    seed: int,
+    noise: float = 0.04,
+    joints: tuple[int, ...] = tuple(range(len(JOINTS))),
+) -> Joints3D:
+    """Joints, all 22 unless said, with Gaussian noise, metres per coordinate."""
     positions = body.pose(truth).joints
     random = torch.Generator().manual_seed(seed)
     errors = torch.randn(positions.shape, generator=random, dtype=torch.float64)
+    seen = (positions + noise * errors.to(positions))[..., list(joints), :]
     return Joints3D(
-        positions=positions + noise * errors.to(positions),
-        visible=torch.ones(positions.shape[:-1], dtype=torch.bool),
-        joints=tuple(range(len(JOINTS))),
+        positions=seen,
+        visible=torch.ones(seen.shape[:-1], dtype=torch.bool),
+        joints=joints,
         fps=truth.fps,
     )
+
+
+def with_gap(observed: Joints3D, gap: slice) -> Joints3D:
+    """The same with nothing seen in some frames: in-betweening."""
+    positions, visible = observed.positions.clone(), observed.visible.clone()
+    positions[:, gap], visible[:, gap] = 0.0, False
+    return observed.replace(positions=positions, visible=visible)
 
 
 def occluded_points(

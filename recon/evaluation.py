@@ -82,7 +82,7 @@ def evaluate(
         **smoothness(predicted.joints, actual.joints, estimate.fps),
         **_contact(None if contacts is None else _labels(contacts)[:count], touching),
         **_penetration("penetration", _toe_heights(predicted), _toe_heights(actual)),
-        **_penetration("sole_penetration", _sole_heights(predicted), _sole_heights(actual)),
+        **_penetration("sole_penetration", sole_heights(predicted), sole_heights(actual)),
         "slip_speed": metrics.slip_speed(predicted.joints, touching, estimate.fps),
         "slip_speed_truth": metrics.slip_speed(actual.joints, touching, estimate.fps),
     }
@@ -219,7 +219,7 @@ def _toe_heights(posed: PosedBody) -> Tensor:
     return posed.joints[:, toes, 2] - rest_heights(posed.model, posed.shape)[toes]
 
 
-def _sole_heights(posed: PosedBody) -> Tensor:
+def sole_heights(posed: PosedBody) -> Float[Tensor, "time 2"]:
     """Height of the lowest skin of either foot in every frame, metres."""
     owner = posed.model.weights.argmax(-1)
     feet = [torch.isin(owner, owner.new_tensor(joints)).nonzero()[:, 0] for joints in _FEET]

@@ -70,14 +70,17 @@ def contact_accuracy(
 
 
 def contact_balanced_accuracy(
-    predicted: Bool[Tensor, "*frames 22"], truth: Bool[Tensor, "*frames 22"]
+    predicted: Bool[Tensor, "*frames 22"],
+    truth: Bool[Tensor, "*frames 22"],
+    joints: tuple[int, ...] = CONTACT_JOINTS,
 ) -> float | None:
     """Mean of the shares of found contacts and of found non-contacts; one half is guessing.
 
-    None where the truth holds only one of the two.
+    Over HuMoR's nine joints together, or others such as `FEET`. None where the truth holds only
+    one of the two.
     """
-    joints = list(CONTACT_JOINTS)
-    correct, touching = (predicted == truth)[..., joints].double(), truth[..., joints]
+    chosen = list(joints)
+    correct, touching = (predicted == truth)[..., chosen].double(), truth[..., chosen]
     found, spared = mean(correct, touching), mean(correct, ~touching)
     return None if found is None or spared is None else (found + spared) / 2
 

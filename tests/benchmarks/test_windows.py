@@ -6,11 +6,17 @@ import numpy as np
 import torch
 
 from benchmarks.smoothers import butterworth, whittaker
-from benchmarks.windows import draw_girth, load_windows, noisy_joints, occluded_points
+from benchmarks.windows import (
+    draw_girth,
+    load_windows,
+    noisy_joints,
+    occluded_points,
+    with_gap,
+)
 from priors.training.dataset import Splits
 from recon import rotations as so3
 from recon.body import BodyModel
-from recon.formats.amass import save_motion
+from recon.formats.amass import MotionFile, save_motion
 from recon.motion import Motion
 
 
@@ -50,19 +56,23 @@ def test_girth_keeps_the_bones_and_changes_the_rest() -> None:
         assert skin.mean() > 0.002
 
 
-def test_windows_are_cut_where_the_splits_say(tmp_path: Path) -> None:
-    save_motion(tmp_path / "07_01.npz", turning(400, 120.0))
-    (tmp_path / "splits.toml").write_text(
-        """
-        subjects = {}
-        test = {subjects = ["07"]}
-        validation = {subjects = [], every_tenth = []}
-        licence = {non_commercial = []}
-        excluded = {clips = []}
-        windows = {test = [["07_01", 0.0], ["07_01", 1.1667]]}
+def splits_of(folder: Path, windows: str) -> Splits:
+    (folder / "splits.toml").write_text(
+        f"""
+        subjects = {{}}
+        test = {{subjects = ["07"]}}
+        validation = {{subjects = [], every_tenth = []}}
+        licence = {{non_commercial = []}}
+        excluded = {{clips = []}}
+        windows = {{test = [{windows}]}}
         """
     )
-    body, splits = BodyModel.load(), Splits.load(tmp_path / "splits.toml")
+    return Splits.load(folder / "splits.toml")
+
+
+def test_windows_are_cut_where_the_splits_say(tmp_path: Path) -> None:
+    save_motion(tmp_path / "07_01.npz", turning(400, 120.0))
+    body, splits = BodyModel.load(), splits_of(tmp_path, '["07_01", 0.0], ["07_01", 1.1667]')
     windows = load_windows(tmp_path, splits, "test", body)
     assert windows.truth.translation.shape == (2, 60, 3)
     assert windows.subjects == ("07", "07")
@@ -77,3 +87,46 @@ def test_windows_are_cut_where_the_splits_say(tmp_path: Path) -> None:
     assert torch.equal(occluded.visible, points[..., 2] >= 0.9)
     assert occluded.visible.any()
     assert (occluded.positions[~occluded.visible] == 0).all()
+
+
+def test_longer_windows_lie_about_the_middle_of_listed_ones_inside_the_clip(
+    tmp_path: Path,
+) -> None:
+    save_motion(tmp_path / "07_01.npz", turning(480, 120.0))  # 120 frames at 30 Hz
+    save_motion(tmp_path / "07_02.npz", turning(280, 120.0))  # 70 of them: too short
+    listed = ("01", 0.0), ("01", 0.1), ("01", 0.7), ("01", 2.0), ("02", 0.0)
+    splits = splits_of(tmp_path, ", ".join(f'["07_{name}", {at}]' for name, at in listed))
+    body = BodyModel.load()
+    windows = load_windows(tmp_path, splits, "test", body, frames=90)
+    # 0.0 and 0.1 are shifted to the same place; 0.7 s is frame 21, less 15; 2.0 s ends at 120
+    assert windows.names == ("07_01@0.00", "07_01@0.20", "07_01@1.00")
+    assert windows.listed == 5
+    assert windows.truth.frames == 90
+    short = load_windows(tmp_path, splits, "test", body)
+    assert len(short.names) == 5
+    torch.testing.assert_close(windows.truth.rotations[1, 15:75], short.truth.rotations[2])
+    assert torch.equal(windows.truth.shape[0], short.truth.shape[0])
+
+
+def test_contacts_are_those_that_the_recording_was_labelled_with(tmp_path: Path) -> None:
+    motion = turning(400, 120.0)
+    labels = torch.zeros(400, 22)
+    labels[200:, 7] = 1.0  # from 1.667 s on
+    save_motion(tmp_path / "07_01.npz", MotionFile(motion, contacts=labels))
+    splits = splits_of(tmp_path, '["07_01", 1.0]')
+    contacts = load_windows(tmp_path, splits, "test", BodyModel.load()).contacts[0]
+    assert contacts.sum() == contacts[:, 7].sum() == 40
+    assert contacts[20:, 7].all()
+
+
+def test_nothing_is_seen_in_a_gap() -> None:
+    body = BodyModel.load()
+    upper = (0, 12, 15)
+    whole = noisy_joints(turning(60, 30.0)[None], body, seed=0, noise=0.01, joints=upper)
+    seen = with_gap(whole, slice(15, 45))
+    assert seen.joints == upper
+    assert not seen.visible[:, 15:45].any()
+    assert (seen.positions[:, 15:45] == 0).all()
+    assert seen.visible[:, :15].all()
+    assert torch.equal(seen.positions[:, 45:], whole.positions[:, 45:])
+    assert whole.visible.all()

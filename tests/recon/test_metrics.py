@@ -9,7 +9,7 @@ from torch import Tensor
 
 from recon import metrics
 from recon import rotations as so3
-from recon.skeleton import END_EFFECTORS, LEGS, TOES
+from recon.skeleton import END_EFFECTORS, FEET, LEGS, TOES
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "metrics.npz"
 EXACT = 1e-9
@@ -105,6 +105,17 @@ def test_balanced_accuracy_is_one_half_for_a_constant_guess() -> None:
     assert metrics.contact_balanced_accuracy(truth, truth) == 1.0
     assert metrics.contact_balanced_accuracy(truth, ~truth) == 0.0
     assert metrics.contact_balanced_accuracy(truth, torch.zeros_like(truth)) is None
+
+
+def test_balanced_accuracy_can_be_of_the_feet_alone() -> None:
+    truth = torch.zeros(4, 22, dtype=torch.bool)
+    truth[:2, 7] = True
+    wrong_hands = truth.clone()
+    wrong_hands[:, 20] = True
+    assert metrics.contact_balanced_accuracy(wrong_hands, truth, FEET) == 1.0
+    said = truth.clone()
+    said[1, 7] = False
+    assert metrics.contact_balanced_accuracy(said, truth, FEET) == 0.75
 
 
 def test_similarity_alignment_undoes_a_similarity() -> None:

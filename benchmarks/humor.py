@@ -1,0 +1,244 @@
+"""HuMoR on the listed windows, beside what it must beat: the paper's Table 2, and two recipes.
+
+    python -m benchmarks.humor CORPUS --json humor.json
+    python -m benchmarks.humor CORPUS --part validation --only 6 --shooting 3
+    python -m benchmarks.humor CORPUS --ablations FOLDER --nc WEIGHTS --json humor.json
+
+Windows of 60 and of 90 frames. Noisy joints: 22 with 4 cm of noise per coordinate. Occluded
+points: 43 of the skin, those below 0.9 m hidden. In-betweening: 22 joints with 1 cm of noise,
+nothing seen for one second in the middle; errors are those inside the gap. Upper body: the joints
+from the pelvis up with 1 cm of noise, no legs. Smoothers, and all weights but published ones, were
+chosen on the validation windows. `CPU s` is the time of one processor for one clip, sixteen clips
+at once. FOLDER is what `benchmarks.ablations` wrote.
+"""
+
+import argparse
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from rich.console import Console
+from torch import Tensor
+
+from benchmarks.ablations import ABLATIONS, load_ablations
+from benchmarks.humor_recipes import (
+    GAP_COLUMNS,
+    UPPER_COLUMNS,
+    in_between_rows,
+    upper_body_rows,
+)
+from benchmarks.results import write
+from benchmarks.scores import (
+    Columns,
+    Fitted,
+    Rows,
+    constant_contacts,
+    fit_windows,
+    score,
+    score_points,
+    tables,
+)
+from benchmarks.stage12 import SEED, tune_smoothers
+from benchmarks.windows import FRAMES, Windows, load_windows, noisy_joints, occluded_points
+from observations.joints3d import Joints3D
+from observations.markers3d import Markers3D
+from priors.humor import Humor
+from priors.humor_collocation import Collocation
+from priors.humor_shooting import HumorWeights, Shooting
+from priors.pose import PosePrior, PoseWeights
+from priors.training.dataset import SPLITS, Splits
+from recon.body import BodyModel
+from recon.reconstruction import Method
+
+_FEET_COLUMNS: Columns = {
+    "joints_legs": ("legs", 100), "vertices": ("vertices", 100),
+    "accel_ratio": ("accel / true", 1), "accel_error": ("accel error", 1),
+    "penetration_freq": ("pen. %", 100), "penetration_freq_truth": ("true pen.", 100),
+    "sole_height": ("soles cm", 100), "slip_speed": ("slip cm/s", 100),
+    "contact_accuracy": ("contacts %", 100), "feet_balanced": ("feet, bal. %", 100),
+    "seconds": ("CPU s", 1),
+}  # fmt: skip
+COLUMNS: dict[str, Columns] = {
+    "noisy joints": {"joints_all": ("all", 100), **_FEET_COLUMNS},
+    "occluded points": {
+        "observed_all": ("all", 100), "observed_visible": ("visible", 100),
+        "observed_hidden": ("hidden", 100), **_FEET_COLUMNS,
+    },
+    "in-betweening": GAP_COLUMNS,
+    "upper body": UPPER_COLUMNS,
+}  # fmt: skip
+"""`soles`: mean distance of the soles from the ground while they truly stand on it."""
+
+Observed = Joints3D | Markers3D
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument("corpus", type=Path, help="folder of all converted motions")
+    parser.add_argument("--splits", type=Path, default=SPLITS)
+    parser.add_argument("--part", choices=("test", "validation"), default="test")
+    parser.add_argument("--frames", type=int, nargs="+", default=[FRAMES, 90])
+    parser.add_argument("--weights", type=Path, default=None, help="HuMoR's; default: bundled")
+    parser.add_argument("--nc", type=Path, default=None, help="weights of more data, a row more")
+    parser.add_argument("--ablations", type=Path, default=None, help="folder of their weights")
+    parser.add_argument("--shooting", type=int, default=None, help="fit so many windows by it")
+    parser.add_argument("--only", type=int, default=None, help="use so many windows in all")
+    parser.add_argument("--json", type=Path, default=None)
+    arguments = parser.parse_args()
+
+    body, splits = BodyModel.load(), Splits.load(arguments.splits)
+    networks = Networks.load(arguments.weights, arguments.nc, arguments.ablations)
+    console = Console(width=None if sys.stdout.isatty() else 180)
+    about: dict[str, dict[str, object]] = {}
+    found: dict[str, dict[str, dict[str, Rows]]] = {}
+    for frames in arguments.frames:
+        windows, tuning = (
+            load_windows(arguments.corpus, splits, part, body, SEED, frames)
+            for part in (arguments.part, "validation")
+        )
+        if arguments.only is not None:
+            windows = windows.take(evenly(windows, arguments.only))
+        key = f"{frames} frames"
+        console.print(f"{key}: {len(windows.names)} of {windows.listed} listed windows")
+        about[key] = {"names": windows.names, "listed": windows.listed}
+        found[key] = {}
+        for name, rows in protocols(windows, tuning, body, networks, arguments.shooting):
+            found[key][name] = rows
+            for shown in tables(f"{name}, {key}, {arguments.part}", COLUMNS[name], rows):
+                console.print(shown)
+            if arguments.json is not None:
+                command = "python -m benchmarks.humor CORPUS"
+                write(arguments.json, command, SEED, part=arguments.part, windows=about,
+                      tables=found)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Networks:
+    """What is compared."""
+
+    default: Humor
+    nc: Humor | None
+    ablations: dict[str, Humor]
+
+    @classmethod
+    def load(cls, default: Path | None, nc: Path | None, ablations: Path | None) -> "Networks":
+        """From files; `default` None is the bundled one, of the others they are left out."""
+        return cls(
+            default=Humor.load(default),
+            nc=None if nc is None else Humor.load(nc),
+            ablations={} if ablations is None else load_ablations(ablations),
+        )
+
+    @property
+    def trained(self) -> dict[str, Humor]:
+        """Weights of the package, and those of more data where they are given."""
+        return {"HuMoR": self.default} | ({} if self.nc is None else {"HuMoR, nc": self.nc})
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A row to be."""
+
+    name: str
+    method: Method
+    most: int | None = None
+    """Windows; None is all."""
+    knows_contacts: bool = True
+    """Whether what it says of contacts, if anything, was learned."""
+
+
+def entries(
+    networks: Networks,
+    noise: float,
+    published: PoseWeights,
+    shooting: HumorWeights,
+    most: int | None,
+) -> list[Entry]:
+    """All that is fitted to points with so much noise.
+
+    Args:
+        networks: what is compared.
+        noise: metres.
+        published: weights of stages 1 and 2.
+        shooting: published weights of the roll-out.
+        most: windows that are fitted through the roll-out.
+    """
+    tuned = PoseWeights.for_noise(noise)
+    few = "" if most is None else f", {most} windows"
+    rolled = Shooting(networks.default, weights=shooting, poses=tuned)
+    found = [
+        Entry("stages 1-2, published", PosePrior.load(weights=published)),
+        Entry("stages 1-2, tuned", PosePrior.load(weights=tuned)),
+        Entry(f"HuMoR as published (shooting{few})", rolled, most),
+    ]
+    found += [
+        Entry(name, Collocation.for_noise(humor, noise))
+        for name, humor in networks.trained.items()
+    ]
+    for name, humor in networks.ablations.items():
+        own = ABLATIONS[name]
+        method = own.method(humor, noise)
+        found.append(Entry(f"short: {name}", method, knows_contacts=own.knows_contacts))
+    return found
+
+
+def protocols(
+    windows: Windows, tuning: Windows, body: BodyModel, networks: Networks, most: int | None
+) -> Iterator[tuple[str, dict[str, Rows]]]:
+    """Each table's rows, as it is done."""
+    joints = body.pose(windows.truth).joints
+    noisy = noisy_joints(windows.truth, body, SEED)
+    rows = {"observed": score_points(windows, noisy.positions, joints)}
+    for name, (smooth, _) in tune_smoothers(tuning, body).items():
+        if "tuned" in name:
+            rows[name] = score_points(windows, smooth(noisy.positions), joints)
+    published = PoseWeights.published_joints(), HumorWeights.published_joints()
+    rows |= fitted_rows(windows, noisy, joints, entries(networks, 0.04, *published, most), body)
+    rows["each joint's more frequent contact"] = constant_contacts(windows)
+    yield "noisy joints", rows
+
+    occluded, points = occluded_points(windows.truth, body)
+    published = PoseWeights.published_points(), HumorWeights.published_points()
+    rows = fitted_rows(windows, occluded, points, entries(networks, 0.0, *published, most), body)
+    yield "occluded points", rows
+
+    yield "in-betweening", in_between_rows(windows, body, networks.trained, SEED)
+    yield "upper body", upper_body_rows(windows, body, networks.trained, SEED)
+
+
+def fitted_rows(
+    windows: Windows,
+    observed: Observed,
+    truth: Float[Tensor, "clips time points 3"],
+    fits: list[Entry],
+    body: BodyModel,
+) -> dict[str, Rows]:
+    """A row for every method, and the truth's own."""
+    rows: dict[str, Rows] = {}
+    for entry in fits:
+        chosen = evenly(windows, entry.most)
+        fitted = fit_windows(observed[chosen], entry.method, body)
+        print(f"{entry.name}: {fitted.seconds:.1f} CPU s per clip", flush=True)
+        if not entry.knows_contacts:
+            fitted = fitted.without_contacts()
+        some = windows.take(chosen)
+        rows[entry.name] = score(some, fitted, body, truth[chosen], observed.visible[chosen])
+    itself = Fitted(windows.truth, points=truth)
+    return {**rows, "truth": score(windows, itself, body, truth, observed.visible)}
+
+
+def evenly(windows: Windows, most: int | None) -> list[int]:
+    """So many windows, evenly from the list; all when there are no more."""
+    count = len(windows.names)
+    if most is None or most >= count:
+        return list(range(count))
+    return np.linspace(0, count - 1, most).round().astype(int).tolist()
+
+
+if __name__ == "__main__":
+    main()
