@@ -10,9 +10,8 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from priors.humor_first import first_states
 from priors.humor_nets import HumorNetworks
-from priors.humor_rollout import FrozenDecoder, Rollout, roll_on, roll_out
+from priors.humor_rollout import FrozenDecoder, Rollout, roll_out
 from priors.humor_state import Frame, State, compose, initial_features, states_of
 from priors.humor_weights import (
     bundled_weights,
@@ -187,76 +186,6 @@ class Humor:
             "initial": own.initial.energy(initial_features(start)),
         }
         return _decoded(first, rollout, rollout.in_world(frame, pelvis), variables, energies)
-
-    def predict(
-        self,
-        motion: Motion,
-        frames: int,
-        *,
-        samples: int = 1,
-        random: torch.Generator | None = None,
-    ) -> Motion:
-        """What may follow the last frame of a motion; axes (samples, clips, frames).
-
-        The first frame is the motion's last. Latents are drawn from the conditional prior.
-
-        Args:
-            motion: axes (clips, time); its end tells where to start and how fast.
-            frames: to come, at 30 Hz, the first included.
-            samples: continuations of every clip.
-            random: None takes the prior's mean at every step.
-
-        Raises:
-            ValueError: when a clip is padded or shorter than two frames.
-        """
-        if not bool(motion.valid.all()):
-            raise ValueError("expected clips that exist to their last frame; predict each alone")
-        own = self.like(motion.translation)
-        motion = motion.resample(REFERENCE_FPS)
-        first = states_of(motion, own.body)[:, -1]
-        rows = [t.expand(samples, *t.shape).flatten(0, 1) for t in first.tensors().values()]
-        return own._continue(
-            State(*rows),
-            motion.shape.expand(samples, *motion.shape.shape).flatten(0, 1),
-            frames,
-            random,
-            motion.start_time + (motion.frames - 1) / motion.fps,
-        ).map(lambda tensor: tensor.unflatten(0, (samples, len(motion.translation))))
-
-    def sample(self, frames: int, samples: int, random: torch.Generator) -> Motion:
-        """Motions from nothing: first states from the mixture, latents from the prior.
-
-        Axes (samples, frames), 30 Hz; the bodies are those that the first states ask for.
-
-        Raises:
-            ValueError: when the mixture is a released one, over numbers that repeat each other.
-        """
-        first, shape = first_states(self.initial, self.body, samples, random)
-        with torch.no_grad():
-            return self._continue(first, shape, frames, random, 0.0)
-
-    def _continue(
-        self,
-        first: State,
-        shape: Float[Tensor, "clips shape"],
-        frames: int,
-        random: torch.Generator | None,
-        start_time: float,
-    ) -> Motion:
-        pelvis = self.pelvis(shape)
-        frame = Frame.of(first)
-
-        def draw(packed: Tensor) -> Tensor:
-            mean, log_variance = self.networks.prior(packed)
-            if random is None:
-                return mean
-            noise = torch.randn(mean.shape, generator=random).to(mean)
-            return mean + noise * (0.5 * log_variance).exp()
-
-        start = frame.enter(first, pelvis).pack()
-        rest = self.body.rest_joints(shape) if self.from_body else None
-        rollout = roll_on(self._decoder, start, pelvis, frames - 1, draw, rest)
-        return _motion(first, rollout.in_world(frame, pelvis), shape, start_time)
 
     def _first(self, variables: HumorVariables) -> State:
         steps = torch.cat((variables.root[:, None], variables.pose), 1)

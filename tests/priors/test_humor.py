@@ -1,6 +1,5 @@
 """Laws of HuMoR as a prior, its weights files and its predictions."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -168,22 +167,6 @@ def test_decoding_has_the_right_derivative(body: BodyModel) -> None:
     assert torch.autograd.gradcheck(decoded, inputs, fast_mode=True)
 
 
-def test_predictions_start_where_the_motion_ends(body: BodyModel) -> None:
-    prior = humor(body)
-    motion = motions()
-    random = torch.Generator().manual_seed(0)
-    found = prior.predict(motion, 5, samples=3, random=random)
-    assert found.translation.shape == (3, 2, 5, 3)
-    assert found.start_time == pytest.approx(7 / 30)  # seconds
-    torch.testing.assert_close(found.rotations[2, :, 0], motion.rotations[:, -1])
-    assert not torch.allclose(found.translation[0, :, -1], found.translation[1, :, -1])
-    mean = prior.predict(motion, 5)
-    again = prior.predict(motion, 5)
-    assert torch.equal(mean.translation, again.translation)
-    with pytest.raises(ValueError, match="last frame"):
-        prior.predict(pad([swinging(6, 20), swinging(9, 21)]), 5)
-
-
 def test_it_works_in_either_precision(body: BodyModel) -> None:
     prior = humor(BodyModel.load())
     motion = motions()
@@ -235,25 +218,3 @@ def test_weights_files(
     save_checkpoint(path, "humor", {k: v for k, v in tensors.items() if "means" not in k}, {})
     with pytest.raises(ValueError, match="means is missing"):
         Humor.load(path)
-
-
-def test_samples_have_the_first_joints_that_were_drawn() -> None:
-    body = BodyModel.load()
-    prior = humor(body, still=True)
-    states = states_of(motions().to(dtype=torch.float32), body)[:, 0]
-    wanted = initial_features(canonical(states, rest_pelvis(states)))[:, distinct_features()]
-    size = wanted.shape[1]
-    covariances = 1e-6 * torch.eye(size, dtype=torch.float64).expand(2, size, size)
-    mixture = Mixture.create(
-        torch.tensor([0.5, 0.5]), wanted.double(), covariances, distinct_features()
-    )
-    found = replace(prior, initial=mixture).sample(4, 6, torch.Generator().manual_seed(0))
-    assert found.translation.shape == (6, 4, 3)
-    joints = body.pose(found).joints[:, 0].flatten(1)
-    features = joints[:, distinct_features()[: 66 - 2]]
-    nearest = torch.cdist(features, wanted[:, : 66 - 2]).amin(1)
-    assert (nearest < 0.05).all()  # metres, over all joints; a draw is 1 mm off in each number
-    identity = torch.eye(138).expand(1, 138, 138)
-    released = replace(prior, initial=Mixture.create(torch.ones(1), identity[0, :1], identity))
-    with pytest.raises(ValueError, match="our features"):
-        released.sample(4, 2, torch.Generator())
