@@ -12,7 +12,14 @@ from torch import Tensor
 
 from priors.humor_nets import HumorNetworks
 from priors.humor_rollout import FrozenDecoder, Rollout, roll_out
-from priors.humor_state import Frame, State, compose, initial_features, states_of
+from priors.humor_state import (
+    Frame,
+    State,
+    compose,
+    contact_probabilities,
+    initial_features,
+    states_of,
+)
 from priors.humor_weights import (
     bundled_weights,
     mixture_from,
@@ -25,7 +32,6 @@ from recon import rotations as so3
 from recon.body import BodyModel
 from recon.motion import Motion
 from recon.protocols import REFERENCE_FPS, Decoded
-from recon.skeleton import CONTACT_JOINTS, JOINTS
 from recon.struct import TensorStruct
 
 _LOG = logging.getLogger(__name__)
@@ -259,12 +265,9 @@ def _decoded(
     energies: dict[str, Tensor],
 ) -> Decoded:
     motion = _motion(first, states, variables.shape, variables.start_time)
-    probability = rollout.contacts.sigmoid()
-    contacts = probability.new_zeros(*probability.shape[:2], len(JOINTS))
-    contacts[..., list(CONTACT_JOINTS)] = probability
     return Decoded(
         motion=motion.replace(valid=variables.valid),
         energies=energies,
-        contacts=torch.cat((contacts[:, :1], contacts), 1),  # the first frame has no step to it
+        contacts=contact_probabilities(rollout.contacts),
         joints=torch.cat((first.joints[:, None], states.joints), 1),
     )

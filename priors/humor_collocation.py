@@ -17,13 +17,12 @@ import torch
 from torch import Tensor
 
 from priors.humor import Humor
-from priors.humor_state import Frame, initial_features, states_of
+from priors.humor_state import Frame, contact_probabilities, initial_features, states_of
 from priors.humor_steps import explain
 from priors.humor_terms import contact_velocity
 from priors.pose import PosePrior, PoseVariables, PoseWeights
 from recon.motion import Motion
 from recon.protocols import REFERENCE_FPS, Decoded
-from recon.skeleton import CONTACT_JOINTS, JOINTS
 from recon.solver import LBFGS
 from recon.stages import Stage
 from recon.terms import Term, joint_acceleration, prior_energy, shape
@@ -108,13 +107,10 @@ class CollocatedHumor:
                 initial_features(Frame.of(first).enter(first, pelvis))
             ),
         }
-        probability = found.contacts.sigmoid()
-        contacts = probability.new_zeros(*probability.shape[:2], len(JOINTS))
-        contacts[..., list(CONTACT_JOINTS)] = probability
         return Decoded(
             motion=motion,
             energies={**decoded.energies, **energies},
-            contacts=torch.cat((contacts[:, :1], contacts), 1),  # no step leads to the first frame
+            contacts=contact_probabilities(found.contacts),
             joints=torch.cat((first.joints[:, None], found.landed.joints), 1),
         )
 

@@ -8,11 +8,10 @@ from torch import Tensor
 
 from priors.humor import Humor
 from priors.humor_first import first_states
-from priors.humor_state import Frame, State, compose, states_of
+from priors.humor_state import Frame, State, compose, contact_probabilities, states_of
 from recon.kinematics import forward_kinematics
 from recon.motion import Motion
 from recon.protocols import REFERENCE_FPS, Decoded
-from recon.skeleton import CONTACT_JOINTS, JOINTS
 from recon.struct import stack
 
 Landing = Callable[[State, Float[Tensor, "clips 22 3"]], State]
@@ -93,9 +92,7 @@ def roll_from(
         logits.append(touching)
 
     found = stack(states).map(lambda tensor: tensor.transpose(0, 1))
-    said = torch.stack((logits[0], *logits), 1).sigmoid()  # the first frame has no step to it
-    contacts = said.new_zeros(*said.shape[:2], len(JOINTS))
-    contacts[..., list(CONTACT_JOINTS)] = said
+    contacts = contact_probabilities(torch.stack(logits, 1))
     motion = Motion.create(
         translation=found.translation,
         rotations=torch.cat((found.root[:, :, None], found.pose), 2),

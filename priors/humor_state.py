@@ -140,6 +140,16 @@ def compose(
     return after, parts[7]
 
 
+def contact_probabilities(
+    logits: Float[Tensor, "clips steps 9"],
+) -> Float[Tensor, "clips time 22"]:
+    """Of all joints in all frames; no step leads to the first frame, which has its successor's."""
+    probability = logits.sigmoid()
+    contacts = probability.new_zeros(*probability.shape[:2], len(JOINTS))
+    contacts[..., list(CONTACT_JOINTS)] = probability
+    return torch.cat((contacts[:, :1], contacts), 1)
+
+
 def step_between(before: State, after: State) -> Float[Tensor, "*batch 207"]:
     """What `compose` adds to reach a state from another, of the same frame; no contact logits.
 

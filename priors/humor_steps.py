@@ -43,15 +43,25 @@ def explain(networks: HumorNetworks, states: State, pelvis: Float[Tensor, "clips
     x = start.pack()
     mean, log_variance = networks.posterior(x, target.pack())
     prior_mean, prior_log_variance = networks.prior(x)
-    ratio = log_variance - prior_log_variance
-    away = (mean - prior_mean).square() * (-prior_log_variance).exp()
     after, contacts = compose(start, networks.decode(x, mean))
     return Explained(
         error=step_between(after, target),
-        surprise=0.5 * (ratio.exp() + away - 1 - ratio).sum(-1),
+        surprise=divergence(mean, log_variance, prior_mean, prior_log_variance),
         contacts=contacts,
         landed=frame.leave(after, offset),
     )
+
+
+def divergence(
+    mean: Float[Tensor, "*batch 48"],
+    log_variance: Float[Tensor, "*batch 48"],
+    prior_mean: Float[Tensor, "*batch 48"],
+    prior_log_variance: Float[Tensor, "*batch 48"],
+) -> Float[Tensor, "*batch"]:
+    """KL(q ‖ p) of two Gaussians with independent numbers, nats."""
+    ratio = log_variance - prior_log_variance
+    away = (mean - prior_mean).square() * (-prior_log_variance).exp()
+    return 0.5 * (ratio.exp() + away - 1 - ratio).sum(-1)
 
 
 def error_whitening(

@@ -20,6 +20,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from priors.humor_state import Frame, State, canonical, compose
+from priors.humor_steps import divergence
 from priors.training.dataset import Splits
 from priors.training.humor_corpus import Corpus, Windows
 from priors.training.humor_run import HumorTraining, LossWeights, Run, export_weights
@@ -197,10 +198,10 @@ def loss_terms(found: Transition, target: State, windows: Windows) -> dict[str, 
     losses["posed_joints"] = functional.mse_loss(posed, target.joints)
     losses["consistency"] = functional.mse_loss(posed, after.joints)
 
-    difference = (found.posterior_mean - found.prior_mean).square()
-    ratio = found.posterior_log_variance - found.prior_log_variance
-    spread = ratio.exp() + difference * (-found.prior_log_variance).exp() - 1 - ratio
-    losses["kl"] = 0.5 * spread.sum(-1).mean()
+    losses["kl"] = divergence(
+        found.posterior_mean, found.posterior_log_variance,
+        found.prior_mean, found.prior_log_variance,
+    ).mean()  # fmt: skip
 
     trusted = windows.trusted[:, None, None].expand(found.contacts.shape).to(found.contacts)
     count = trusted.sum().clamp(min=1)
