@@ -107,7 +107,7 @@ def write_result(
 
 
 def describe(
-    result: Reconstruction | LongReconstruction, paths: Sequence[Path], settings: FitSettings
+    result: Reconstruction, paths: Sequence[Path], settings: FitSettings
 ) -> dict[str, Any]:
     """What happened, stage by stage, and to what: the contents of OUT.json."""
     windows = result.windows if isinstance(result, LongReconstruction) else ()

@@ -8,11 +8,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from recon.body import BodyModel, PosedBody
+from recon.body import BodyModel
 from recon.long_recording import AT_ONCE, LongRecording, TimedObservation
-from recon.motion import Motion
 from recon.protocols import Decoded, Estimate
-from recon.reconstruction import Method, fit
+from recon.reconstruction import Method, Reconstruction, fit
 from recon.scene import Scene
 from recon.solver import Progress, Solution
 from recon.stages import Stage, StageReport, Watch
@@ -27,41 +26,22 @@ TIE = 1.0
 
 
 @dataclass(frozen=True)
-class LongReconstruction:
+class LongReconstruction(Reconstruction):
     """One clip given back from its windows, and what happened on the way."""
 
-    estimate: Estimate
     windows: tuple[tuple[float, float], ...]
     """First and last moment of each window, seconds."""
     failed_windows: tuple[int, ...]
-    """Windows that met nan or inf; they hold their last finite estimate."""
-    reports: tuple[StageReport, ...]
-    """A row for every window that was fitted alike: some for their `shape`, then every other
-    window `apart`, then those between, `tied` to their neighbours."""
+    """Windows that met nan or inf; they hold their last finite estimate.
 
-    @property
-    def motion(self) -> Motion:
-        """The motion, one batch axis of length one."""
-        return self.estimate.motion
-
-    @property
-    def body(self) -> PosedBody:
-        """The posed body; `vertices` are computed on first use."""
-        return self.estimate.body
-
-    @property
-    def contacts(self) -> Float[Tensor, "clips time 22"] | None:
-        """Probability of contact where the prior predicts it."""
-        return self.estimate.decoded.contacts
+    A report has a row for every window that was fitted alike: some for their `shape`, then every
+    other window `apart`, then those between, `tied` to their neighbours.
+    """
 
     @property
     def failed(self) -> tuple[bool, ...]:
         """Whether any window failed."""
         return (len(self.failed_windows) > 0,)
-
-    def clip(self, index: int) -> Motion:
-        """The motion without its batch axis; there is clip 0 only."""
-        return self.motion[index]
 
 
 def fit_long(
