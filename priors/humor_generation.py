@@ -58,6 +58,7 @@ def roll_from(
     frames: int,
     random: torch.Generator | None,
     *,
+    temperature: float = 1.0,
     landing: Landing = body_at_joints,
     start_time: float = 0.0,
 ) -> Decoded:
@@ -69,6 +70,7 @@ def roll_from(
         shape: of the bodies.
         frames: the first included.
         random: of the latents; None takes the prior's mean at every step.
+        temperature: factor on the prior's standard deviations; above 1 draws more varied motions.
         landing: what becomes of every step's state before the next one starts from it.
         start_time: of the first frame, seconds.
 
@@ -86,7 +88,7 @@ def roll_from(
         latent, log_variance = networks.prior(packed)
         if random is not None:
             noise = torch.randn(latent.shape, generator=random).to(latent)
-            latent = latent + noise * (0.5 * log_variance).exp()
+            latent = latent + temperature * noise * (0.5 * log_variance).exp()
         reached, touching = compose(here, networks.decode(packed, latent))
         states.append(frame.leave(landing(reached, rest), pelvis))
         logits.append(touching)
@@ -105,7 +107,13 @@ def roll_from(
 
 @torch.no_grad()
 def predict(
-    humor: Humor, motion: Motion, frames: int, samples: int, random: torch.Generator | None
+    humor: Humor,
+    motion: Motion,
+    frames: int,
+    samples: int,
+    random: torch.Generator | None,
+    *,
+    temperature: float = 1.0,
 ) -> Decoded:
     """What may follow the last frame of motions; axes (samples · clips, frames), 30 Hz.
 
@@ -118,6 +126,7 @@ def predict(
         frames: to come, the first included.
         samples: continuations of every clip.
         random: of the latents; None takes the prior's mean at every step.
+        temperature: as of `roll_from`.
 
     Raises:
         ValueError: when a clip is padded or shorter than two frames.
@@ -133,11 +142,15 @@ def predict(
 
     last = motion.start_time + (motion.frames - 1) / motion.fps
     shape = repeated(motion.shape)
-    return roll_from(humor, first.map(repeated), shape, frames, random, start_time=last)
+    return roll_from(
+        humor, first.map(repeated), shape, frames, random, temperature=temperature, start_time=last
+    )
 
 
 @torch.no_grad()
-def sample(humor: Humor, frames: int, samples: int, random: torch.Generator) -> Decoded:
+def sample(
+    humor: Humor, frames: int, samples: int, random: torch.Generator, *, temperature: float = 1.0
+) -> Decoded:
     """Motions from nothing: first states from the mixture, latents from the prior.
 
     Axes (samples, frames), 30 Hz; the bodies are those that the first states ask for.
@@ -146,4 +159,4 @@ def sample(humor: Humor, frames: int, samples: int, random: torch.Generator) -> 
         ValueError: when the mixture is a released one, over numbers that repeat each other.
     """
     first, shape = first_states(humor.initial, humor.body, samples, random)
-    return roll_from(humor, first, shape, frames, random)
+    return roll_from(humor, first, shape, frames, random, temperature=temperature)

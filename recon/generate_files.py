@@ -33,6 +33,8 @@ class GenerationSettings:
     """A SMPL-family file; None is the bundled body."""
     device: Literal["cpu", "cuda"] = "cpu"
     """Where to compute."""
+    temperature: float = 1.0
+    """Factor on the standard deviations of the prior; above 1 motions vary more."""
 
 
 def sample_files(out: Path, count: int, settings: GenerationSettings) -> dict[str, Any]:
@@ -47,9 +49,10 @@ def sample_files(out: Path, count: int, settings: GenerationSettings) -> dict[st
     """
     frames = _frames(settings.seconds)
     paths = _paths(out, count, "sample")
+    temperature = _temperature(settings)
     humor = _humor(settings)
     random = torch.Generator().manual_seed(settings.seed)
-    made = sample(humor, frames, count, random)
+    made = sample(humor, frames, count, random, temperature=temperature)
     return _write(out, paths, made, humor.body, {"settings": asdict(settings)})
 
 
@@ -75,6 +78,7 @@ def predict_files(
     """
     frames = _frames(settings.seconds)
     paths = _paths(out, samples, "prediction")
+    temperature = _temperature(settings)
     file = load_motion(motion)
     humor = _humor(settings)
     body = humor.body
@@ -96,7 +100,8 @@ def predict_files(
         raise ValueError(f"{motion}: one frame does not tell how it moves; expected two or more")
     random = torch.Generator().manual_seed(settings.seed)
     known = known.to(device=settings.device)
-    made = predict(humor, known.map(lambda t: t[None]), frames, samples, random)
+    one = known.map(lambda t: t[None])
+    made = predict(humor, one, frames, samples, random, temperature=temperature)
     about = {"settings": asdict(settings), "motion": str(motion), "at": at}
     return _write(out, paths, made, body, about)
 
@@ -110,6 +115,12 @@ def _frames(seconds: float) -> int:
     if not (math.isfinite(seconds) and seconds >= 1 / REFERENCE_FPS):
         raise ValueError(f"--seconds is a frame (1/30 s) or longer, got {seconds}")
     return round(seconds * REFERENCE_FPS) + 1
+
+
+def _temperature(settings: GenerationSettings) -> float:
+    if not (math.isfinite(settings.temperature) and settings.temperature >= 0):
+        raise ValueError(f"--temperature is zero or more, got {settings.temperature}")
+    return settings.temperature
 
 
 def _paths(out: Path, count: int, name: str) -> list[Path]:

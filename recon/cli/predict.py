@@ -16,6 +16,7 @@ def predict(
     weights: str | None = None,
     body: Path | None = None,
     device: Literal["cpu", "cuda"] = "cpu",
+    temperature: float = 1.0,
     json: Annotated[bool, arg(help="Print the report as JSON on stdout.")] = False,
 ) -> None:
     """Go on from the last frame of a motion, in one way or in several.
@@ -32,12 +33,13 @@ def predict(
         weights: `open`, `nc` or a file; default: the bundled ones.
         body: the SMPL-family file of the motion's body; default: the bundled body.
         device: where to compute.
+        temperature: above 1 draws more varied motions, below 1 more usual ones.
         json: print the report as JSON on stdout.
     """
     from recon.cli import console
     from recon.generate_files import GenerationSettings, predict_files
 
-    settings = GenerationSettings(seconds, seed, weights, body, device)
+    settings = GenerationSettings(seconds, seed, weights, body, device, temperature)
     report = predict_files(motion, out, samples, at, settings)
     console.table(f"{motion}, {seconds:g} s more", report["files"])
     if json:

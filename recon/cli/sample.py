@@ -14,6 +14,7 @@ def sample(
     weights: str | None = None,
     body: Path | None = None,
     device: Literal["cpu", "cuda"] = "cpu",
+    temperature: float = 1.0,
     json: Annotated[bool, arg(help="Print the report as JSON on stdout.")] = False,
 ) -> None:
     """Make up motions that HuMoR finds likely.
@@ -29,12 +30,13 @@ def sample(
         weights: `open`, `nc` or a file; default: the bundled ones.
         body: a SMPL-family file of your own; default: the bundled body.
         device: where to compute.
+        temperature: above 1 draws more varied motions, below 1 more usual ones.
         json: print the report as JSON on stdout.
     """
     from recon.cli import console
     from recon.generate_files import GenerationSettings, sample_files
 
-    settings = GenerationSettings(seconds, seed, weights, body, device)
+    settings = GenerationSettings(seconds, seed, weights, body, device, temperature)
     report = sample_files(out, count, settings)
     console.table(f"{count} motions of {seconds:g} s", report["files"])
     if json:

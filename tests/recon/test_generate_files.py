@@ -67,6 +67,18 @@ def test_samples_are_motion_files(weights: Path, tmp_path: Path, capsys) -> None
                png=tmp_path / "two.png")  # fmt: skip
 
 
+def test_temperature_spreads_the_samples(weights: Path, walk: Path, tmp_path: Path) -> None:
+    ask = ("predict", walk, "--samples", 2, "--seconds", 0.2, "--weights", weights)
+    apart = []
+    for temperature in (0, 0.5, 2):
+        folder = tmp_path / str(temperature)
+        assert recon_(*ask, "--out", folder, "--temperature", temperature) == cli.OK
+        one, two = (load_motion(path).motion for path in sorted(folder.glob("*.npz")))
+        apart.append(float((one.rotations - two.rotations).norm()))
+    assert apart[0] < 1e-4
+    assert 1e-3 < apart[1] < apart[2]
+
+
 def test_a_prediction_goes_on_where_the_motion_ends(
     weights: Path, walk: Path, tmp_path: Path
 ) -> None:
