@@ -1,0 +1,32 @@
+"""EasyMocap's `annots/<camera>/<frame>.json`: people with boxes and BODY_25 keypoints."""
+
+from typing import Any
+
+from recon.formats.detections import Row
+from recon.formats.json_files import Frames, as_identity, flat_points
+
+
+def is_easymocap(entry: Any) -> bool:
+    """Whether what was written about a frame is EasyMocap's."""
+    return isinstance(entry, dict) and isinstance(entry.get("annots"), list)
+
+
+def easymocap_rows(frames: Frames, name: str) -> list[Row]:
+    """Everybody in frames of EasyMocap's annotations.
+
+    The confidence is the detector's, in [0, 1]; a negative one means missing.
+
+    Raises:
+        ValueError: when a frame has another form.
+    """
+    rows: list[Row] = []
+    for number, entry in frames:
+        if not entry:
+            continue
+        if not is_easymocap(entry) or not all(isinstance(one, dict) for one in entry["annots"]):
+            raise ValueError(f"{name}, frame {number}: expected annots, as in EasyMocap")
+        for person in entry["annots"]:
+            points = flat_points(person.get("keypoints") or [], f"{name}, frame {number}")
+            identity = as_identity(person.get("personID", person.get("id")))
+            rows.append((number, points, identity))
+    return rows
