@@ -12,8 +12,9 @@ from torch import Tensor
 from priors.checkpoints import load_checkpoint
 from priors.pose_density import COORDINATES, ROTATIONS, PoseDensity
 from recon import rotations as so3
+from recon.body import BodyModel
 from recon.free import FreeMotion
-from recon.motion import Motion
+from recon.motion import Motion, carried_translation
 from recon.protocols import REFERENCE_FPS, Decoded
 from recon.skeleton import JOINTS
 from recon.solver import LBFGS
@@ -114,6 +115,15 @@ class PoseVariables(TensorStruct):
     valid: Bool[Tensor, "*batch time"]
     fps: float
     start_time: float
+
+    def carried(self, T: Float[Tensor, "*batch 4 4"], body: BodyModel) -> "PoseVariables":
+        """Variables of the same motion after a rigid transform."""
+        turn, pelvis = T[..., None, :3, :3], body.rest_joints(self.shape)[..., 0, :]
+        return self.replace(
+            translation=self.translation @ T[..., :3, :3].mT,
+            start_translation=carried_translation(self.start_translation, T, pelvis),
+            start_root=turn @ self.start_root,
+        )
 
 
 @dataclass(frozen=True)

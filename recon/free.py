@@ -7,7 +7,8 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from recon import rotations as so3
-from recon.motion import Motion
+from recon.body import BodyModel
+from recon.motion import Motion, carried_translation
 from recon.protocols import Decoded
 from recon.struct import TensorStruct
 
@@ -26,6 +27,15 @@ class FreeVariables(TensorStruct):
     valid: Bool[Tensor, "*batch time"]
     fps: float
     start_time: float
+
+    def carried(self, T: Float[Tensor, "*batch 4 4"], body: BodyModel) -> "FreeVariables":
+        """Variables of the same motion after a rigid transform."""
+        pelvis = body.rest_joints(self.shape)[..., 0, :]
+        root = T[..., None, None, :3, :3] @ self.base[..., :1, :, :]
+        return self.replace(
+            translation=carried_translation(self.translation, T, pelvis),
+            base=torch.cat((root, self.base[..., 1:, :, :]), -3),
+        )
 
 
 @dataclass(frozen=True)

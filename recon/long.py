@@ -10,6 +10,7 @@ from torch import Tensor
 
 from recon.body import BodyModel
 from recon.long_recording import AT_ONCE, LongRecording, TimedObservation
+from recon.motion import Motion
 from recon.protocols import Decoded, Estimate
 from recon.reconstruction import Method, Reconstruction, fit
 from recon.scene import Scene
@@ -51,6 +52,8 @@ def fit_long(
     *,
     window: float = WINDOW,
     overlap: float = OVERLAP,
+    start: Motion | None = None,
+    scene: Scene | None = None,
     weights: Sequence[float] | None = None,
     watch: Watch | None = None,
 ) -> LongReconstruction:
@@ -69,6 +72,8 @@ def fit_long(
         body: whose motion it is; None is the bundled body.
         window: seconds that a window lasts at most.
         overlap: seconds that neighbours share, at most 40 % of a window.
+        start: a first guess of the whole clip instead, axes (1, time).
+        scene: what surrounds the motion, of one clip; windows share it and do not move it.
         weights: multiplier of each observation; None weighs all equally.
         watch: told about every iteration; the stage's name begins with what it is for.
 
@@ -77,8 +82,10 @@ def fit_long(
             cut, or the overlap is none or more than 40 % of a window.
     """
     body = BodyModel.load() if body is None else body
-    recording = LongRecording.cut(observations, body, window, overlap)
-    job = _Job(recording, body, weights, watch)
+    recording = LongRecording.cut(observations, body, window, overlap, start)
+    if scene is None:
+        scene = Scene.create(1, like=recording.guess.translation)
+    job = _Job(recording, body, scene, weights, watch)
     every = list(range(len(recording.windows.starts)))
     some = torch.linspace(0, every[-1], min(len(every), AT_ONCE)).round().int().tolist()
 
@@ -97,7 +104,7 @@ def fit_long(
         estimate=Estimate(
             Decoded(whole.motion, contacts=whole.contacts),
             body.pose(whole.motion),
-            Scene.create(1, like=whole.motion.translation),
+            scene,
         ),
         windows=tuple(recording.span(row) for row in every),
         failed_windows=tuple(sorted({*apart.failed, *between.failed})),
@@ -161,6 +168,7 @@ class _Job:
 
     recording: LongRecording
     body: BodyModel
+    scene: Scene
     weights: Sequence[float] | None
     watch: Watch | None
 
@@ -182,6 +190,7 @@ class _Job:
                 method(batch),
                 self.body,
                 start=stack([self.recording.start(row, shape) for row in batch]),
+                scene=concatenate([self.scene] * len(batch)),
                 weights=self.weights,
                 watch=self._watch(name),
             )

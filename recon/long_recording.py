@@ -85,6 +85,7 @@ class LongRecording:
         body: BodyModel,
         window: float,
         overlap: float,
+        start: Motion | None = None,
     ) -> "LongRecording":
         """Windows of some seconds; they begin where frames meet those at 30 Hz, if any do.
 
@@ -101,7 +102,7 @@ class LongRecording:
                     "window(start, stop), or fit the recording in one piece"
                 )
         with torch.no_grad():
-            guess = observations[0].start(body)
+            guess = observations[0].start(body) if start is None else start
         if guess.translation.shape[:-2] != (1,):
             raise ValueError(
                 "expected one clip, positions (1, time, points, 3); got a first guess of shape "

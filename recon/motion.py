@@ -94,6 +94,16 @@ class Motion(TensorStruct):
             start_time=float(times[0]) if len(times) > 0 else start,
         )
 
+    def carried(
+        self, T: Float[Tensor, "*batch 4 4"], pelvis: Float[Tensor, "*batch 3"]
+    ) -> "Motion":
+        """The same motion after a rigid transform, given the pelvis of the unposed body."""
+        root = T[..., None, None, :3, :3] @ self.rotations[..., :1, :, :]
+        return self.replace(
+            translation=carried_translation(self.translation, T, pelvis),
+            rotations=torch.cat((root, self.rotations[..., 1:, :, :]), -3),
+        )
+
     def resample(self, fps: float) -> "Motion":
         """The same motion at another rate, from the same first moment."""
         if fps == self.fps:
@@ -101,6 +111,16 @@ class Motion(TensorStruct):
         count = int((self.frames - 1) / self.fps * fps + 1e-6) + 1
         steps = torch.arange(count, dtype=torch.float64, device=self.translation.device)
         return self.at(self.start_time + steps / fps, fps)
+
+
+def carried_translation(
+    translation: Float[Tensor, "*batch time 3"],
+    T: Float[Tensor, "*batch 4 4"],
+    pelvis: Float[Tensor, "*batch 3"],
+) -> Float[Tensor, "*batch time 3"]:
+    """R (t + p) + s - p: a body's translation does not turn its rest pelvis p."""
+    rest = pelvis[..., None, :]
+    return (translation + rest) @ T[..., :3, :3].mT + T[..., None, :3, 3] - rest
 
 
 def pad(motions: list[Motion]) -> Motion:

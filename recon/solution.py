@@ -1,10 +1,11 @@
 """What a solver is given and what it answers."""
 
 import enum
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
+import torch
 from jaxtyping import Float, Float64, Int, Int64
 from torch import Tensor
 
@@ -59,3 +60,14 @@ class Solution:
     trace: Float64[Tensor, "batch iterations terms"]
     """Term values at every iterate. Row 0 is the start; rows past an element's end repeat its
     last."""
+
+
+def in_turn(solutions: Sequence[Solution]) -> Solution:
+    """Several minimisations of the same variables, one after the other, as one."""
+    last = solutions[-1]
+    return replace(
+        last,
+        iterations=torch.stack([s.iterations for s in solutions]).sum(0),
+        evaluations=torch.stack([s.evaluations for s in solutions]).sum(0),
+        trace=torch.cat([s.trace for s in solutions], 1),
+    )

@@ -1,10 +1,11 @@
 """A method is a tuple of stages; this is the loop over them."""
 
+import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from time import perf_counter
-from typing import Any, Generic
+from typing import Any, Generic, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float, Int
@@ -12,11 +13,29 @@ from torch import Tensor
 
 from recon.body import BodyModel
 from recon.motion import Motion
-from recon.protocols import Estimate, Prior
+from recon.protocols import Energy, Estimate, Prior
 from recon.scene import Scene
+from recon.solution import in_turn
 from recon.solver import LBFGS, Progress, Solution
 from recon.struct import S, TensorStruct
 from recon.terms import Term
+
+_ROUNDS, _SHARE = 5, 3
+"""A stage whose energies hold on to pairs is minimised so many times, finding them anew; each time
+with a share of its iterations."""
+
+
+@runtime_checkable
+class Matched(Protocol):
+    """An energy over pairs, such as points and the nearest place of a surface.
+
+    Minimised while it looks for the nearest, it jumps where pairs change, and line searches end
+    there. So pairs are held, and found anew between minimisations (iterated closest points).
+    """
+
+    def matched(self, estimate: Estimate) -> Energy:
+        """The energy over the pairs of this estimate."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -38,6 +57,16 @@ class Stage(Generic[S]):
         if len(names) == 0 or len(set(names)) < len(names):
             raise ValueError(f"stage {self.name!r} needs terms with names of their own: {names}")
 
+    def held(self, estimate: Estimate) -> "Stage[S]":
+        """The same with pairs found that its energies hold on to while it is minimised."""
+        terms = tuple(
+            replace(term, energy=term.energy.matched(estimate))
+            if isinstance(term.energy, Matched)
+            else term
+            for term in self.terms
+        )
+        return replace(self, terms=terms)
+
 
 @dataclass(frozen=True)
 class Unknowns(TensorStruct, Generic[S]):
@@ -56,6 +85,15 @@ class StageReport:
     seconds: float
 
 
+@runtime_checkable
+class Carried(Protocol):
+    """Variables of a motion that can be had in another frame."""
+
+    def carried(self, T: Float[Tensor, "*batch 4 4"], body: BodyModel) -> Any:
+        """Variables of the same motion after a rigid transform."""
+        ...
+
+
 Watch = Callable[[str, Progress], None]
 """Told the stage's name and how far its minimisation has come."""
 
@@ -72,6 +110,22 @@ def run_stage(
     Raises:
         ValueError: when the stage frees a tensor that its prior and the scene do not have.
     """
+    rounds = [stage]
+    if any(isinstance(term.energy, Matched) for term in stage.terms):
+        most = math.ceil(stage.minimiser.max_iterations / _SHARE)
+        shorter = replace(stage.minimiser, max_iterations=most)
+        rounds = [replace(stage, minimiser=shorter)] * _ROUNDS
+    solutions: list[Solution] = []
+    for each in rounds:
+        held = each.held(evaluate_stage(each, body, variables, scene))
+        variables, scene, solution = _minimise(held, body, variables, scene, watch)
+        solutions.append(solution)
+    return variables, scene, in_turn(solutions)
+
+
+def _minimise(
+    stage: Stage[S], body: BodyModel, variables: S, scene: Scene, watch: Watch | None
+) -> tuple[S, Scene, Solution]:
     start = Unknowns(variables, scene).detach()
     layout = _Layout.of(start, _free_paths(stage, start))
     bound = stage.terms, start
@@ -129,7 +183,15 @@ def _estimate(
     prior: Prior[S], body: BodyModel, unknowns: Unknowns[S], frames: int | None = None
 ) -> Estimate:
     some: Any = prior
-    decoded = some.decode(unknowns.variables, *(() if frames is None else (frames,)))
+    variables, ground = unknowns.variables, unknowns.scene.ground
+    if ground is not None:
+        if not isinstance(variables, Carried):
+            raise ValueError(
+                f"{type(prior).__name__} needs to know the ground: its variables cannot be "
+                "carried to another world; give the cameras' poses, or take the default method"
+            )
+        variables = variables.carried(ground.T_world_recording, body)
+    decoded = some.decode(variables, *(() if frames is None else (frames,)))
     return Estimate(decoded, body.pose(decoded.motion), unknowns.scene)
 
 
@@ -157,7 +219,8 @@ class _Layout:
 
     def flatten(self, record: TensorStruct) -> Float[Tensor, "batch n"]:
         tensors = record.tensors()
-        return torch.cat([tensors[path].flatten(1) for path in self.paths], 1)
+        rows = [tensors[path].reshape(len(tensors[path]), -1) for path in self.paths]
+        return torch.cat(rows, 1)
 
     def unflatten(self, record: S, x: Float[Tensor, "batch n"]) -> S:
         pieces = x.split([shape.numel() for shape in self.shapes], 1)

@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from recon.protocols import REFERENCE_FPS, Energy, Estimate
+from recon.scene import TILT
 from recon.struct import TensorStruct
 
 
@@ -98,6 +99,14 @@ def rest_pose(estimate: Estimate) -> Float[Tensor, "*batch"]:
 def offsets(estimate: Estimate) -> Float[Tensor, "*batch"]:
     """½ Σ |o|² of the tracked points' offsets from their place on the model; metres²."""
     return 0.5 * estimate.scene.offsets.square().sum((-1, -2))
+
+
+def ground(estimate: Estimate) -> Float[Tensor, "*batch"]:
+    """½ (|turn|² + lift²) of the ground away from the recording's z = 0; radians², metres²."""
+    unknown = estimate.scene.ground
+    assert unknown is not None, "the ground is known: leave this term out"
+    turn = TILT * unknown.tilt
+    return 0.5 * (turn.square().sum(-1) + unknown.lift.square())
 
 
 def _triples(valid: Bool[Tensor, "*batch time"]) -> Bool[Tensor, "*batch inner"]:

@@ -181,9 +181,6 @@ def levelling(stance: Stance) -> Float[Tensor, "3 3"] | None:
 
 def turned(motion: Motion, rotation: Float[Tensor, "3 3"], body: BodyModel) -> Motion:
     """The same motion in a world turned about its origin."""
-    pelvis = body.rest_joints(motion.shape)[..., 0, :]
-    place = (rotation @ (motion.translation + pelvis)[..., None])[..., 0] - pelvis
-    root = rotation @ motion.rotations[..., :1, :, :]
-    return motion.replace(
-        translation=place, rotations=torch.cat((root, motion.rotations[..., 1:, :, :]), -3)
-    )
+    T = torch.eye(4).to(motion.translation)
+    T[:3, :3] = rotation
+    return motion.carried(T, body.rest_joints(motion.shape)[..., 0, :])
