@@ -46,6 +46,23 @@ def load(
     file = load_observation(path)
     if not isinstance(file, PositionsFile):
         raise ValueError(f"{path}: expected 3D joints or markers (joints3d, markers3d)")
+    return positions_of(file, path, body, unit=unit, up=up, robust=robust)
+
+
+def positions_of(
+    file: PositionsFile,
+    path: str | Path,
+    body: BodyModel,
+    *,
+    unit: str | None = None,
+    up: Axis | None = None,
+    robust: float | None = None,
+) -> Joints3D | Markers3D:
+    """What `load` makes of a file; `path` is for messages.
+
+    Raises:
+        ValueError: as `load` does.
+    """
     if not file.visible.any():
         raise ValueError(f"{path}: no point is visible in any frame, so there is nothing to fit")
     check_override(unit)

@@ -20,7 +20,7 @@ class Joints3D(TensorStruct):
     """Half the squared distance of every visible joint from the body's; metres²."""
 
     positions: Float[Tensor, "*batch moments points 3"]
-    """World frame, z up, metres; zero where not visible."""
+    """Frame of the recording, z up, metres; zero where not visible."""
     visible: Bool[Tensor, "*batch moments points"]
     joints: tuple[int, ...]
     """The body joint each point is."""
@@ -34,7 +34,7 @@ class Joints3D(TensorStruct):
     """Rows of `Scene.offsets` that belong to these points: where they sit away from the joints."""
 
     def predict(self, estimate: Estimate) -> Float[Tensor, "*batch time points 3"]:
-        """Where the estimate has the points, in its own frames."""
+        """Where the estimate has the points, world, in its own frames."""
         chosen = list(self.joints)
         points = estimate.body.joints[..., chosen, :]
         if self.offset_rows is None:
@@ -48,7 +48,8 @@ class Joints3D(TensorStruct):
         HuMoR section 6.5: joints3d.
         """
         return point_misfit(
-            self.predict(estimate), estimate.motion, self.positions, self.visible,
+            estimate.scene.to_recording(self.predict(estimate)), estimate.motion,
+            self.positions, self.visible,
             fps=self.fps, start_time=self.start_time, kernel=self.kernel,
         )  # fmt: skip
 

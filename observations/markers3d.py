@@ -21,7 +21,7 @@ class Markers3D(TensorStruct):
     """Half the squared distance of every visible marker from its point of the skin; metres²."""
 
     positions: Float[Tensor, "*batch moments points 3"]
-    """World frame, z up, metres; zero where not visible."""
+    """Frame of the recording, z up, metres; zero where not visible."""
     visible: Bool[Tensor, "*batch moments points"]
     vertices: tuple[int, ...]
     """The vertex of the body each marker sits on."""
@@ -35,7 +35,7 @@ class Markers3D(TensorStruct):
     """Rows of `Scene.offsets` that belong to these markers: how they stand off the skin."""
 
     def predict(self, estimate: Estimate) -> Float[Tensor, "*batch time points 3"]:
-        """Where the estimate has the markers, in its own frames."""
+        """Where the estimate has the markers, world, in its own frames."""
         index = torch.tensor(self.vertices, device=self.positions.device)
         points = estimate.body.points(index)
         if self.offset_rows is None:
@@ -50,7 +50,8 @@ class Markers3D(TensorStruct):
         HuMoR section 6.5: verts3d.
         """
         return point_misfit(
-            self.predict(estimate), estimate.motion, self.positions, self.visible,
+            estimate.scene.to_recording(self.predict(estimate)), estimate.motion,
+            self.positions, self.visible,
             fps=self.fps, start_time=self.start_time, kernel=self.kernel,
         )  # fmt: skip
 

@@ -15,9 +15,11 @@ _NORMAL_MEDIAN = 0.67449
 
 
 def estimate_noise(
-    positions: Float[Tensor, "*batch time points 3"], visible: Bool[Tensor, "*batch time points"]
+    positions: Float[Tensor, "*batch time points dims"],
+    visible: Bool[Tensor, "*batch time points"],
+    limits: tuple[float, float] = LIMITS,
 ) -> float:
-    """Standard deviation of every coordinate, metres, within `LIMITS`.
+    """Standard deviation of every coordinate, in its unit, within limits.
 
     Bodies move smoothly and white noise does not: third differences in time hold little but
     noise, and their median does not see outliers. Points that are never visible four frames in a
@@ -28,6 +30,6 @@ def estimate_noise(
         run = run[..., 1:, :] & run[..., :-1, :]
     bends = positions.diff(n=3, dim=-3)[run].abs()
     if bends.numel() == 0:
-        return LIMITS[1]
+        return limits[1]
     noise = float(bends.median()) / _NORMAL_MEDIAN / _THIRD_DIFFERENCE
-    return min(max(noise, LIMITS[0]), LIMITS[1])
+    return min(max(noise, limits[0]), limits[1])

@@ -51,7 +51,7 @@ def rigid_start(
     # world = R (rest - pelvis) + pelvis + translation
     turned = (turn @ (rest_centre - pelvis)[..., None])[..., 0]
     translation = centre - turned - pelvis
-    nearest = _nearest_placed(placed)
+    nearest = nearest_placed(placed)
     translation = translation.take_along_dim(nearest[..., None], -2)
     turn = turn.take_along_dim(nearest[..., None, None], -3)
     none = (~placed.any(-1))[..., None, None]
@@ -69,7 +69,7 @@ def rigid_start(
     )
 
 
-def _nearest_placed(placed: Bool[Tensor, "*batch time"]) -> Tensor:
+def nearest_placed(placed: Bool[Tensor, "*batch time"]) -> Tensor:
     """For every frame the index of the closest frame that has a placement."""
     frames = placed.shape[-1]
     index = torch.arange(frames, device=placed.device).expand(placed.shape)

@@ -48,26 +48,32 @@ def at_observation_times(
 
 
 def moments_between(
-    positions: Float[Tensor, "*batch moments points 3"],
+    values: Float[Tensor, "*batch moments points dims"],
     visible: Bool[Tensor, "*batch moments points"],
     *,
     fps: float,
     start_time: float,
     start: float,
     stop: float,
-) -> tuple[Float[Tensor, "*batch some points 3"], Bool[Tensor, "*batch some points"], float]:
+) -> tuple[Float[Tensor, "*batch some points dims"], Bool[Tensor, "*batch some points"], float]:
     """The moments from `start` to `stop`, both included, and the time of the first.
 
     The clock of the observation runs on where it has no data, nothing being visible then; so
     stretches of equal length that begin at equal phases of the clock have equally many moments.
     """
-    first = math.ceil((start - start_time) * fps - _SAME_MOMENT)
-    last = math.floor((stop - start_time) * fps + _SAME_MOMENT)
-    number = torch.arange(first, last + 1, device=positions.device)
-    exists = ((number >= 0) & (number < positions.shape[-3]))[:, None]
-    number = number.clamp(0, positions.shape[-3] - 1)
+    numbers = moment_numbers(fps=fps, start_time=start_time, start=start, stop=stop)
+    number = torch.tensor(numbers, device=values.device)
+    exists = ((number >= 0) & (number < values.shape[-3]))[:, None]
+    number = number.clamp(0, values.shape[-3] - 1)
     seen = visible[..., number, :] & exists
-    return positions[..., number, :, :].where(seen[..., None], 0.0), seen, start_time + first / fps
+    first = start_time + numbers.start / fps
+    return values[..., number, :, :].where(seen[..., None], 0.0), seen, first
+
+
+def moment_numbers(*, fps: float, start_time: float, start: float, stop: float) -> range:
+    """Numbers of a clock's moments from `start` to `stop`, both included; some may not exist."""
+    first = math.ceil((start - start_time) * fps - _SAME_MOMENT)
+    return range(first, math.floor((stop - start_time) * fps + _SAME_MOMENT) + 1)
 
 
 def point_misfit(

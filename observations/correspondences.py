@@ -1,0 +1,131 @@
+"""Where on the body the keypoints of 2D detectors are: one table for all layouts."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from recon.body import BodyModel, PosedBody
+from recon.layouts import keypoint_names
+from recon.skeleton import JOINTS, joint_index
+from recon.surface import landmark
+
+
+@dataclass(frozen=True)
+class Place:
+    """A point of the body: the mean of some joints and landmarks of the skin."""
+
+    joints: tuple[str, ...] = ()
+    landmarks: tuple[str, ...] = ()
+
+
+def _sided(places: Mapping[str, Place]) -> dict[str, Place]:
+    """Both sides of every place; names of joints and landmarks are sided alike."""
+    return {
+        f"{side}_{name}": Place(
+            tuple(f"{side}_{joint}" for joint in place.joints),
+            tuple(f"{side}_{point}" for point in place.landmarks),
+        )
+        for name, place in places.items()
+        for side in ("left", "right")
+    }
+
+
+PLACES: Mapping[str, Place] = {
+    **_sided(
+        {
+            "eye": Place(landmarks=("eye",)),
+            "eye_inner": Place(landmarks=("eye",)),
+            "eye_outer": Place(landmarks=("eye", "temple")),
+            "ear": Place(landmarks=("ear",)),
+            "shoulder": Place(joints=("shoulder",)),
+            "elbow": Place(joints=("elbow",)),
+            "wrist": Place(joints=("wrist",)),
+            "pinky": Place(landmarks=("pinky_knuckle",)),
+            "index": Place(landmarks=("index_knuckle",)),
+            "thumb": Place(landmarks=("hand", "wrist_radial")),
+            "hip": Place(joints=("hip",)),
+            "knee": Place(joints=("knee",)),
+            "ankle": Place(joints=("ankle",)),
+            "heel": Place(landmarks=("heel",)),
+            "big_toe": Place(landmarks=("big_toe",)),
+            "small_toe": Place(landmarks=("small_toe",)),
+        }
+    ),
+    "nose": Place(landmarks=("nose",)),
+    "left_mouth": Place(landmarks=("nose", "chin")),
+    "right_mouth": Place(landmarks=("nose", "chin")),
+    "head_top": Place(landmarks=("head_top", "left_front_head", "right_front_head")),
+    "neck": Place(joints=("left_shoulder", "right_shoulder")),
+    "upper_neck": Place(joints=("neck",)),
+    "mid_hip": Place(joints=("left_hip", "right_hip")),
+    "spine": Place(joints=("spine1", "spine2")),
+    "thorax": Place(joints=("left_shoulder", "right_shoulder")),
+}
+"""Every keypoint of `recon.layouts` but those of `smpl22`, which are the joints themselves.
+
+Two places follow what detectors mean more than the words: the top of the head is found where the
+hair begins, the upper neck at its base (triangulated BODY_25B detections of a person at rest).
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class BodyPoints:
+    """Points as means of joints and vertices: p = A joints + B vertices; no batch axis."""
+
+    of_joints: Float[Tensor, "points 22"]
+    of_vertices: Float[Tensor, "points vertices"]
+    vertices: Int[Tensor, " vertices"]
+    """The vertices that are needed."""
+    names: tuple[str, ...]
+    known: Bool[Tensor, " points"]
+    """Points that this body has; landmarks are vertices of the bundled mesh only."""
+
+    @classmethod
+    def of_layout(cls, layout: str, body: BodyModel) -> "BodyPoints":
+        """The keypoints of a layout, in its order.
+
+        Raises:
+            ValueError: when there is no such layout.
+        """
+        names = keypoint_names(layout)
+        places = [Place((name,)) if layout == "smpl22" else PLACES[name] for name in names]
+        bundled = body.checksum == BodyModel.load().checksum
+        known = [bundled or not place.landmarks for place in places]
+        found = [place if k else Place() for place, k in zip(places, known, strict=True)]
+        vertices = sorted({landmark(name) for place in found for name in place.landmarks})
+        of_joints = torch.zeros(len(names), len(JOINTS))
+        of_vertices = torch.zeros(len(names), len(vertices))
+        for row, place in enumerate(found):
+            share = 1 / max(len(place.joints) + len(place.landmarks), 1)
+            for name in place.joints:
+                of_joints[row, joint_index(name)] += share
+            for name in place.landmarks:
+                of_vertices[row, vertices.index(landmark(name))] += share
+        index = torch.tensor(vertices, dtype=torch.long)
+        return cls(of_joints, of_vertices, index, names, torch.tensor(known))
+
+    def of(self, posed: PosedBody) -> Float[Tensor, "*batch time points 3"]:
+        """Where a posed body has them, world, metres; zero where it has not."""
+        points = self.of_joints.to(posed.joints) @ posed.joints
+        if len(self.vertices) == 0:
+            return points
+        return points + self.of_vertices.to(points) @ posed.points(self.vertices.to(points.device))
+
+    def at_rest(
+        self, body: BodyModel, shape: Float[Tensor, "*batch shape"]
+    ) -> Float[Tensor, "*batch points 3"]:
+        """Where the unposed body has them, metres."""
+        points = self.of_joints.to(shape) @ body.rest_joints(shape)
+        if len(self.vertices) == 0:
+            return points
+        return points + self.of_vertices.to(shape) @ body.rest_vertices(
+            shape, self.vertices.to(shape.device)
+        )
+
+    def bones(self, body: BodyModel) -> tuple[int, ...]:
+        """The joint whose bone each point mostly sits on."""
+        skin = self.of_vertices @ body.weights[self.vertices].to(self.of_vertices)
+        return tuple((self.of_joints + skin).argmax(-1).tolist())

@@ -1,0 +1,250 @@
+"""Depth: points on the body's surface, of which nobody knows which point of the body they are."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from observations.depth_start import depth_start
+from observations.nearest import nearest
+from observations.surfels import Surfels
+from observations.timing import at_observation_times, moment_numbers, moments_between
+from recon.body import BodyModel
+from recon.camera import Camera
+from recon.motion import Motion
+from recon.protocols import REFERENCE_FPS, Estimate
+from recon.robust import (
+    NORMAL_MAD,
+    TUNING,
+    bisquare_weights,
+    geman_mcclure,
+    lower_median,
+    mad_scale,
+)
+from recon.struct import TensorStruct
+
+_FEW_POINTS, _FEW_SURFELS = 96, 500
+LEAST_SCALE = 0.005
+"""Metres; surfaces are not taken for nearer to each other than this."""
+
+
+def to_vertices(
+    offset: Float[Tensor, "*shape 3"],
+    normal: Float[Tensor, "*shape 3"],
+    radius: Float[Tensor, "*shape"],
+) -> Float[Tensor, "*shape"]:
+    """Squared distance from the vertex itself, as published (HuMoR section 6.5)."""
+    del normal, radius
+    return offset.square().sum(-1)
+
+
+def to_discs(
+    offset: Float[Tensor, "*shape 3"],
+    normal: Float[Tensor, "*shape 3"],
+    radius: Float[Tensor, "*shape"],
+) -> Float[Tensor, "*shape"]:
+    """Squared distance from a disc: (n·e)² + max(|e - (n·e) n| - radius, 0)².
+
+    Points between vertices are then as near as the surface is; beyond the ends of the body,
+    where a plane would go on, distances grow.
+    """
+    height = (offset * normal).sum(-1)
+    across = (offset - height[..., None] * normal).square().sum(-1)
+    outside = across > radius.square()
+    # the root is taken of what lies outside only: its gradient at zero is infinite
+    beyond = torch.where(outside, across, radius.square().clamp(min=1e-12)).sqrt() - radius
+    return height.square() + torch.where(outside, beyond, 0.0).square()
+
+
+def reweighted(
+    squared: Float[Tensor, "*batch samples"], present: Bool[Tensor, "*batch samples"]
+) -> Float[Tensor, "*batch samples"]:
+    """Squares e² with bisquare weights, constant for gradients: the published energy of a point.
+
+    Its value falls again where points move away beyond half the cut-off, so it suits a line
+    search badly; `tukey` has the same gradient and a value that belongs to it.
+    """
+    residual = squared.detach().sqrt()
+    return bisquare_weights(residual, mad_scale(residual, present)) * squared
+
+
+def tukey(
+    squared: Float[Tensor, "*batch samples"], present: Bool[Tensor, "*batch samples"]
+) -> Float[Tensor, "*batch samples"]:
+    """c²/3 (1 - (1 - e²/c²)³) up to the cut-off c = 4.6851 s, constant beyond; s has no gradient.
+
+    The gradient is that of `reweighted` at equal scale. The scale is median(e) / 0.67449: of
+    distances, which are zero at best, it is the deviation from zero that matters. At least half
+    of the points always pull, also those of a body that is off as a whole, which deviations
+    from the median cut off altogether.
+    """
+    return within(squared, tukey_scale(squared, present))
+
+
+def tukey_scale(
+    squared: Float[Tensor, "*batch samples"], present: Bool[Tensor, "*batch samples"]
+) -> Float[Tensor, "*batch"]:
+    """Robust standard deviation of distances about zero, metres; no gradient."""
+    residual = squared.detach().sqrt()
+    return (lower_median(residual, present) / NORMAL_MAD).clamp(min=LEAST_SCALE)
+
+
+def within(
+    squared: Float[Tensor, "*batch samples"], scale: Float[Tensor, "*batch"]
+) -> Float[Tensor, "*batch samples"]:
+    """Tukey's c²/3 (1 - (1 - e²/c²)³), constant beyond c = 4.6851 scale."""
+    cutoff = (TUNING * scale).square()[..., None]
+    return cutoff / 3 * (1 - (1 - (squared / cutoff).clamp(max=1)) ** 3)
+
+
+def bounded(
+    squared: Float[Tensor, "*batch samples"],
+    present: Bool[Tensor, "*batch samples"],
+    sigma: float = 0.1,
+) -> Float[Tensor, "*batch samples"]:
+    """Geman-McClure with a fixed scale in metres: a misfit that no scale moves."""
+    del present
+    return geman_mcclure(squared, sigma)
+
+
+@dataclass(frozen=True)
+class PointCloud(TensorStruct):
+    """Half the squared distance of every observed point from the body's surface; metres².
+
+    The points of a moment come in no order and are not those of the next one.
+    """
+
+    points: Float[Tensor, "*batch moments points 3"]
+    """Frame of the recording, metres; zero where not present."""
+    present: Bool[Tensor, "*batch moments points"]
+    surfels: Surfels
+    """The body's surface."""
+    fps: float
+    start_time: float = 0.0
+    camera: Camera | None = None
+    """Axes (batch, 1) for a fixed sensor, (batch, moments) for a moving one; None where points
+    were seen from all sides. Its pose maps the frame of the recording to the sensor."""
+    distance: Callable[[Tensor, Tensor, Tensor], Tensor] = to_discs
+    """What is measured to the nearest vertex: `to_discs` or, as published, `to_vertices`."""
+    kernel: Callable[[Tensor, Tensor], Tensor] = tukey
+    """How much a squared distance counts among those of its clip: `tukey`, `reweighted`
+    (as published) or `bounded`."""
+    ground_known: bool = True
+    """Whether the recording's z = 0 is the ground."""
+    pairs: Int[Tensor, "*batch moments points"] | None = None
+    """Disc that each point belongs to, while that is not in question."""
+    scale: Float[Tensor, "*batch"] | None = None
+    """Of `tukey`, while that is not in question, metres."""
+
+    def matched(self, estimate: Estimate) -> "PointCloud":
+        """With pairs and scale held as they are now: a smooth energy."""
+        with torch.no_grad():
+            middles, normals, seen = self._surface(estimate)
+            pairs = torch.zeros(self.present.shape, dtype=torch.long, device=self.points.device)
+            if self.present[..., seen, :].numel() > 0:
+                pairs[..., seen, :] = self._nearest(middles, normals, seen)
+            held = self.replace(pairs=pairs, scale=None)
+            if self.kernel is not tukey:
+                return held
+            squared, present = held.squared_distances(estimate)
+            return held.replace(scale=tukey_scale(squared.flatten(-2), present.flatten(-2)))
+
+    def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
+        """½ Σ kernel(distance²) over the points present, taken at 30 Hz.
+
+        One-way Chamfer: every point belongs to the nearest vertex of the body at its moment that
+        faces the sensor. HuMoR section 6.5, points3d, is `to_vertices` with `reweighted` on all
+        vertices. Where no vertex faces the sensor, all of them are searched.
+        """
+        squared, present = self.squared_distances(estimate)
+        squared, present = squared.flatten(-2), present.flatten(-2)
+        held = self.scale
+        counted = self.kernel(squared, present) if held is None else within(squared, held)
+        counted = counted.where(present, 0.0)
+        return 0.5 * counted.sum(-1) * (REFERENCE_FPS / self.fps)
+
+    def squared_distances(self, estimate: Estimate) -> tuple[Tensor, Tensor]:
+        """Squared distances (*batch, seen, points), metres², and which points are present."""
+        middles, normals, seen = self._surface(estimate)
+        points, present = self.points[..., seen, :, :], self.present[..., seen, :]
+        if present.numel() == 0:
+            return points.sum(-1), present
+        pairs = self.pairs
+        index = self._nearest(middles, normals, seen) if pairs is None else pairs[..., seen, :]
+        pick = index[..., None].expand(*index.shape, 3)
+        offset = points - middles.gather(-2, pick)
+        radii = torch.from_numpy(self.surfels.radii).to(points)[index]
+        squared = self.distance(offset, normals.gather(-2, pick), radii)
+        return squared.where(present, 0.0), present
+
+    def _nearest(
+        self, middles: Tensor, normals: Tensor, seen: slice
+    ) -> Int[Tensor, "*batch seen points"]:
+        """The nearest disc of every point, among those that face the sensor."""
+        allowed = self._facing(middles.detach(), normals.detach(), seen)
+        return nearest(self.points[..., seen, :, :], self.present[..., seen, :], middles, allowed)
+
+    def _surface(self, estimate: Estimate) -> tuple[Tensor, Tensor, slice]:
+        """Middles and normals of the discs in the recording, at the moments that are covered."""
+        middles, normals = self.surfels.posed(estimate.body)
+        clock = {"fps": self.fps, "start_time": self.start_time, "moments": self.points.shape[-3]}
+        middles, seen = at_observation_times(
+            estimate.scene.to_recording(middles), estimate.motion, **clock
+        )
+        normals, _ = at_observation_times(
+            estimate.scene.to_recording_directions(normals), estimate.motion, **clock
+        )
+        return middles, normals, seen
+
+    def _facing(self, middles: Tensor, normals: Tensor, seen: slice) -> Tensor:
+        """Discs turned towards the sensor; those without a normal are turned everywhere."""
+        if self.camera is None:
+            return torch.ones_like(middles[..., 0], dtype=torch.bool)
+        way = self._camera(range(seen.start, seen.stop)).T_world_camera[..., None, :3, 3] - middles
+        return (way * normals).sum(-1) >= 0
+
+    def _camera(self, moments: range) -> Camera:
+        """The camera at some moments; beyond its poses it stands still."""
+        assert self.camera is not None
+        poses = self.camera.T_camera_world
+        if poses.shape[-3] == 1:
+            return self.camera
+        held = torch.tensor(moments, device=poses.device).clamp(0, poses.shape[-3] - 1)
+        return self.camera.replace(T_camera_world=poses[..., held, :, :])
+
+    def window(self, start: float, stop: float) -> "PointCloud":
+        """What was seen from one time to another, both included, seconds; the clock goes on."""
+        clock = {"fps": self.fps, "start_time": self.start_time, "start": start, "stop": stop}
+        points, present, first = moments_between(self.points, self.present, **clock)
+        camera = None if self.camera is None else self._camera(moment_numbers(**clock))
+        return self.replace(points=points, present=present, camera=camera, start_time=first)
+
+    def coarse(self, body: BodyModel) -> "PointCloud":
+        """Every other moment, few points, a rough surface: enough to tell headings apart."""
+        last = self.points.shape[-2] - 1
+        number = torch.linspace(0, last, min(_FEW_POINTS, last + 1)).long()
+        every = slice(None, None, 2)
+        camera = self.camera
+        if camera is not None and camera.T_camera_world.shape[-3] > 1:
+            camera = camera.replace(T_camera_world=camera.T_camera_world[..., every, :, :])
+        return self.replace(
+            points=self.points[..., every, :, :][..., number, :],
+            present=self.present[..., every, :][..., number],
+            surfels=Surfels.of(body, _FEW_SURFELS),
+            camera=camera,
+            fps=self.fps / 2,
+        )
+
+    def start(self, body: BodyModel) -> Motion:
+        """The rest pose upright in the recording where the cloud suggests; see `depth_start`."""
+        eye = None
+        if self.camera is not None:
+            moments = self.points.shape[-3]
+            eye = self._camera(range(moments)).T_world_camera[..., :3, 3]
+            eye = eye.expand(*self.points.shape[:-2], 3)
+        return depth_start(
+            body, self.surfels, self.points, self.present, eye,
+            fps=self.fps, start_time=self.start_time,
+        )  # fmt: skip

@@ -1,0 +1,108 @@
+"""2D keypoints: where a detector sees points of the body in the image of a calibrated camera."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from observations.correspondences import BodyPoints
+from observations.image_start import image_start
+from observations.timing import at_observation_times, moment_numbers, moments_between
+from recon.body import BodyModel
+from recon.camera import Camera, Projection
+from recon.motion import Motion
+from recon.protocols import REFERENCE_FPS, Estimate
+from recon.robust import geman_mcclure
+from recon.struct import TensorStruct
+
+SIGMA = 100.0
+"""Pixels; HuMoR's (section 6.9)."""
+OFFSET_UNIT = 0.05
+"""Metres; an offset is seen in all frames and views at once, so that its variable is stiff."""
+
+
+@dataclass(frozen=True)
+class Keypoints2D(TensorStruct):
+    """Half the squared distance of every keypoint from the body's in the image; pixels²."""
+
+    pixels: Float[Tensor, "*batch moments points 2"]
+    """Free of lens distortion; zero where the confidence is."""
+    confidence: Float[Tensor, "*batch moments points"]
+    """0 to 1; 0 is not seen."""
+    points: BodyPoints
+    """Where on the body they are."""
+    camera: Camera
+    """Axes (batch, 1) for a fixed camera, (batch, moments) for a moving one; no distortion.
+
+    Its pose maps the frame of the recording to the camera.
+    """
+    fps: float
+    start_time: float = 0.0
+    sigma: float = SIGMA
+    """Pixels from which on an error counts ever less."""
+    ground_known: bool = True
+    """Whether the recording's z = 0 is the ground."""
+    offset_rows: tuple[int, int] | None = None
+    """Rows of `Scene.offsets` that belong to these points, in units of `OFFSET_UNIT`: where they
+    sit on this person."""
+
+    def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
+        """½ Σ c² (ρ(Δu) + ρ(Δv)) with ρ(e) = σ² e² / (σ² + e²), taken at 30 Hz.
+
+        Twice of it is HuMoR's joints2d (section 6.5). A point that the estimate has behind the
+        camera counts as the farthest error.
+        """
+        projected, seen = self.project(estimate)
+        error = geman_mcclure(
+            (projected.pixels - self.pixels[..., seen, :, :]).square(), self.sigma
+        )
+        error = torch.where(projected.in_front[..., None], error, self.sigma**2).sum(-1)
+        counted = self.confidence[..., seen, :].square() * error
+        return 0.5 * counted.sum((-2, -1)) * (REFERENCE_FPS / self.fps)
+
+    def predict(self, estimate: Estimate) -> Float[Tensor, "*batch time points 3"]:
+        """Where the estimate has the keypoints, world, in its own frames."""
+        points = self.points.of(estimate.body)
+        if self.offset_rows is None:
+            return points
+        turns = estimate.body.orientations[..., list(self.points.bones(estimate.body.model)), :, :]
+        offsets = estimate.scene.offsets[..., None, slice(*self.offset_rows), :, None]
+        return points + OFFSET_UNIT * (turns @ offsets)[..., 0]
+
+    def project(self, estimate: Estimate) -> tuple[Projection, slice]:
+        """The estimate's keypoints in the image, at the moments that it covers, and which."""
+        points, seen = at_observation_times(
+            estimate.scene.to_recording(self.predict(estimate)), estimate.motion,
+            fps=self.fps, start_time=self.start_time, moments=self.pixels.shape[-3],
+        )  # fmt: skip
+        return self._camera(range(seen.start, seen.stop)).project(points), seen
+
+    def _camera(self, moments: range) -> Camera:
+        """The camera at some moments; beyond its poses it stands still."""
+        poses = self.camera.T_camera_world
+        if poses.shape[-3] == 1:
+            return self.camera
+        held = torch.tensor(moments, device=poses.device).clamp(0, poses.shape[-3] - 1)
+        return self.camera.replace(T_camera_world=poses[..., held, :, :])
+
+    def window(self, start: float, stop: float) -> "Keypoints2D":
+        """What was seen from one time to another, both included, seconds; the clock goes on."""
+        clock = {"fps": self.fps, "start_time": self.start_time, "start": start, "stop": stop}
+        pixels, _, first = moments_between(self.pixels, self.confidence > 0, **clock)
+        confidence, _, _ = moments_between(
+            self.confidence[..., None], self.confidence > 0, **clock
+        )
+        return self.replace(
+            pixels=pixels,
+            confidence=confidence[..., 0],
+            camera=self._camera(moment_numbers(**clock)),
+            start_time=first,
+        )
+
+    def start(self, body: BodyModel) -> Motion:
+        """The rest pose where the torso's keypoints suggest; see `image_start`."""
+        return image_start(
+            body, self.points, self.pixels, self.confidence, self.camera,
+            fps=self.fps, start_time=self.start_time,
+        )  # fmt: skip

@@ -1,0 +1,65 @@
+"""The body's surface as small discs: sparse enough to search, flat enough to be exact."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from scipy.spatial import KDTree
+from torch import Tensor
+
+from recon.body import BodyModel, PosedBody
+from recon.view.raster import vertex_normals
+
+SURFELS = 1500
+"""Discs a body is covered with; some three centimetres apart on an adult."""
+_NEIGHBOURS = 6
+
+
+@dataclass(frozen=True)
+class Surfels:
+    """A disc at each of some vertices, evenly spread; plain arrays, shared by all clips.
+
+    The normals are those of the unposed average body. They turn with the bones that move the
+    vertex; what the shape changes of them (a few degrees) is left out.
+    """
+
+    vertices: Int[np.ndarray, " surfels"]
+    """Vertex of the body in the middle of every disc."""
+    normals: Float[np.ndarray, "surfels 3"]
+    """Outward unit normals of the unposed body; zero where the mesh has no face."""
+    radii: Float[np.ndarray, " surfels"]
+    """Mean distance of a disc's six nearest neighbours, metres: discs overlap, without gaps."""
+
+    @classmethod
+    def of(cls, body: BodyModel, count: int = SURFELS) -> "Surfels":
+        """Vertices that are farthest from each other, one after the other."""
+        template = body.template.detach().cpu().double().numpy()
+        normals = vertex_normals(template, body.faces.cpu().numpy())
+        chosen = _farthest(template, min(count, len(template)))
+        near = min(_NEIGHBOURS, len(chosen) - 1) + 1
+        distance = KDTree(template[chosen]).query(template[chosen], near)[0]
+        radii = distance.reshape(len(chosen), near)[:, 1:].sum(-1) / max(near - 1, 1)
+        return cls(chosen, normals[chosen], radii)
+
+    def posed(self, body: PosedBody) -> tuple[Tensor, Tensor]:
+        """Middles (metres) and unit normals of the discs in a posed body, world frame."""
+        index = torch.from_numpy(self.vertices).to(body.joints.device)
+        weights = body.model.weights[index]
+        rest = torch.from_numpy(self.normals).to(body.joints)
+        # one product for all frames, as in `PosedBody.points`
+        left = (weights[:, :, None] * rest[:, None]).flatten(-2)
+        right = body.orientations.mT.movedim(-4, -2).flatten(-4, -3).flatten(-2)
+        frames = body.joints.shape[-3]
+        normals = (left @ right).unflatten(-1, (frames, 3)).movedim(-2, -3)
+        return body.points(index), torch.nn.functional.normalize(normals, dim=-1, eps=1e-6)
+
+
+def _farthest(points: Float[np.ndarray, "points 3"], count: int) -> Int[np.ndarray, " count"]:
+    """Farthest point sampling from the first point on; in ascending order."""
+    chosen = np.zeros(count, np.int64)
+    distance = np.full(len(points), np.inf)
+    for k in range(1, count):
+        distance = np.minimum(distance, np.square(points - points[chosen[k - 1]]).sum(1))
+        chosen[k] = distance.argmax()
+    return np.sort(chosen)

@@ -1,0 +1,58 @@
+"""A walk in front of cameras: what the tests of image observations share."""
+
+import functools
+from importlib import resources
+
+import torch
+
+from observations.images import keypoints_of
+from observations.keypoints2d import Keypoints2D
+from recon import rotations as so3
+from recon.body import BodyModel
+from recon.camera import Camera, full_hd_camera
+from recon.formats.amass import load_motion
+from recon.motion import Motion
+from recon.simulate import Corruption
+from recon.simulate_images import dome, keypoints2d
+
+NOISE = 3.0
+"""Pixels."""
+
+
+@functools.cache
+def bundled() -> BodyModel:
+    """The bundled body in single precision, as fits use it."""
+    return BodyModel.load()
+
+
+@functools.cache
+def walk(frames: int = 24, first: int = 0) -> Motion:
+    """The beginning of the demo: half a second and more of walking, at 30 Hz."""
+    with resources.as_file(resources.files("recon") / "assets" / "demo.npz") as path:
+        return load_motion(path).motion.window(first, first + frames)
+
+
+def turned(motion: Motion, angle: float) -> Motion:
+    """The motion turned about the vertical axis of the world, radians."""
+    T = torch.eye(4)
+    T[:3, :3] = so3.about_z(torch.tensor(angle))
+    return motion.carried(T, bundled().rest_joints(motion.shape)[0])
+
+
+def cameras(motion: Motion, count: int = 1, first: float = 0.0) -> tuple[Camera, ...]:
+    """Full HD cameras evenly around the walk."""
+    return dome(motion, bundled(), full_hd_camera(), count, first=first)
+
+
+def view(
+    motion: Motion, camera: Camera, noise: float = NOISE, seed: int = 0, layout: str = "openpose25"
+) -> Keypoints2D:
+    """What a detector finds of it."""
+    file = keypoints2d(motion, bundled(), camera, Corruption(noise=noise), seed, layout)
+    return keypoints_of(file, bundled())
+
+
+def joint_error(found: Motion, truth: Motion) -> float:
+    """Mean distance of joints in the world, metres."""
+    body = bundled()
+    return float((body.pose(found).joints - body.pose(truth).joints).norm(dim=-1).mean())
