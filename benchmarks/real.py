@@ -25,8 +25,9 @@ from recon.formats import read_recording
 from recon.ingest.coverage import full_body_markers
 from recon.reconstruction import Method, fit
 from recon.recording import MarkerRecording
+from recon.view.colours import GREY
 from recon.view.frames import write_png
-from recon.view.scene import GREY, Figure, Points, Show
+from recon.view.scene import Figure, Points, Show
 
 RECORDINGS = (
     "cmu_c3d/02_01.c3d",

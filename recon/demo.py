@@ -26,9 +26,10 @@ from recon.formats.files import replacing
 from recon.motion import Motion
 from recon.reconstruction import Method, Reconstruction, fit
 from recon.simulate import Corruption
+from recon.view.colours import GREY
 from recon.view.frames import write_png
 from recon.view.html import write_html
-from recon.view.scene import GREY, Figure, Points, Show
+from recon.view.scene import Figure, Points, Show
 
 Metrics = dict[str, float | None]
 

@@ -10,19 +10,21 @@ def view(
     html: Path | None = None,
     png: Path | None = None,
     mp4: Path | None = None,
-    obs: Path | None = None,
+    obs: tuple[Path, ...] = (),
     compare: Path | None = None,
 ) -> None:
     """Draw a motion as a page to play, a picture or a film.
 
-    The page is one file that needs no network.
+    The page is one file that needs no network. Observations from cameras add the cameras, and to
+    the picture and the film what each of them sees.
 
     Args:
         motion: motion file.
         html: page to write.
         png: picture to write: frames side by side.
         mp4: film to write.
-        obs: observation whose points are drawn; missing ones where the motion has them.
+        obs: observations of the motion, of any kind: their points, clouds and cameras are drawn;
+            missing points where the motion has them.
         compare: a second motion, for example the truth.
     """
     from recon.view.files import view_files

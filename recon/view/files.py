@@ -1,27 +1,29 @@
 """Motion and observation files as a show, drawn to files: what `recon view` does."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
-import torch
-
-from observations.files import load
 from recon.body import BodyModel
 from recon.formats.amass import MotionFile, load_motion
+from recon.ground import Ground
 from recon.motion import Motion
-from recon.protocols import Estimate
-from recon.view.scene import GREY, Figure, Points, Show
+from recon.view.colours import GREY
+from recon.view.observed import observed
+from recon.view.scene import Figure, Show
 
 
 def view_files(
     motion: Path,
     *,
-    obs: Path | None = None,
+    obs: Sequence[Path] = (),
     compare: Path | None = None,
     html: Path | None = None,
     png: Path | None = None,
     mp4: Path | None = None,
 ) -> None:
-    """Draw a motion, with the points it was fitted to and another motion if given.
+    """Draw a motion, with what it was fitted to and another motion if given.
+
+    With observations from cameras, the picture and the film also show what each camera sees.
 
     Raises:
         FileNotFoundError: when a file does not exist.
@@ -34,20 +36,37 @@ def view_files(
         other = _meanwhile(load_motion(compare), file.motion, compare)
         name = compare.stem if compare.stem != motion.stem else f"{compare.stem} (2)"
         figures.append(Figure(body, other, name, colour=GREY, opacity=0.45))
-    points = None if obs is None else _points(obs, file.motion, body)
-    show = Show(motion.stem, tuple(figures), points)
+    seen = observed(obs, file, body)
+    ground = None if file.ground is None else Ground.create(file.ground[:3], file.ground[3])
+    show = Show(motion.stem, tuple(figures), seen.points, seen.cloud, seen.cameras, ground)
     if html is not None:
         from recon.view.html import write_html
 
         write_html(html, show)
     if png is not None:
-        from recon.view.frames import write_png
-
-        write_png(png, [show])
+        _draw_png(png, show)
     if mp4 is not None:
-        from recon.view.frames import write_mp4
+        _draw_mp4(mp4, show)
 
-        write_mp4(mp4, show)
+
+def _draw_png(path: Path, show: Show) -> None:
+    from recon.view.frames import write_png
+    from recon.view.panels import write_views_png
+
+    if show.cameras:
+        write_views_png(path, show)
+    else:
+        write_png(path, [show])
+
+
+def _draw_mp4(path: Path, show: Show) -> None:
+    from recon.view.frames import write_mp4
+    from recon.view.panels import write_views_mp4
+
+    if show.cameras:
+        write_views_mp4(path, show)
+    else:
+        write_mp4(path, show)
 
 
 def _meanwhile(file: MotionFile, motion: Motion, path: Path) -> Motion:
@@ -56,13 +75,3 @@ def _meanwhile(file: MotionFile, motion: Motion, path: Path) -> Motion:
         return file.motion.at(motion.times, motion.fps)
     except ValueError as error:
         raise ValueError(f"{path}: cannot be compared: {error}") from error
-
-
-def _points(path: Path, motion: Motion, body: BodyModel) -> Points:
-    observation = load(path, body)
-    moments = torch.arange(observation.positions.shape[1], dtype=torch.float64)
-    points = Points(observation.positions[0], observation.visible[0]).on(
-        motion.times, observation.start_time + moments / observation.fps
-    )
-    estimate = Estimate.of_clip(motion, body)
-    return Points(points.positions, points.visible, observation.predict(estimate)[0])

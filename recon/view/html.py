@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import roma
+import torch
 import trimesh
 from jaxtyping import Float
 from torch import Tensor
@@ -16,8 +17,11 @@ from viser import SceneApi, ViserServer
 
 from recon.formats.files import replacing
 from recon.skeleton import CONTACT_JOINTS
-from recon.view.scene import CLOUD, CONTACT, MISSING, VISIBLE, Colour, Figure, Points, Show
-from recon.view.viewpoint import follow
+from recon.view.colours import CAMERA, CLOUD, CONTACT, MISSING, VISIBLE, Colour
+from recon.view.scene import Figure, Points, Show
+from recon.view.stage import Plane
+from recon.view.viewpoint import Viewpoint, viewpoints
+from recon.view.views import View
 
 logger = logging.getLogger(__name__)
 
@@ -87,6 +91,7 @@ def _record(server: ViserServer, show: Show) -> str:
         layers += _points(scene, show.points)
     if show.cloud is not None:
         layers.append(_scan(scene, show.cloud))
+    layers += [_frustum(scene, view) for view in show.cameras]
     serializer = server.get_scene_serializer()
     for frame in range(show.frames):
         for layer in layers:
@@ -97,10 +102,11 @@ def _record(server: ViserServer, show: Show) -> str:
 
 def _stage(server: ViserServer, show: Show) -> Layer:
     """The ground and a first view; the world glides so that the person stays in it."""
-    views = follow(show.figures, (1280, 800))
+    views = viewpoints([show], (1280, 800))
     glide = np.stack([views[0].target - view.target for view in views])
     world = server.scene.add_frame("/world", show_axes=False)
     reach = float(np.abs(glide).max())
+    wxyz, position = _floor(show, views[0])
     server.scene.add_grid(
         "/world/ground",
         width=2 * reach + 16,
@@ -112,7 +118,8 @@ def _stage(server: ViserServer, show: Show) -> Layer:
         plane_color=(244, 245, 248),
         plane_opacity=1.0,
         shadow_opacity=0.25,
-        position=(*views[0].target[:2], -0.004),
+        wxyz=wxyz,
+        position=position,
     )
     camera, view = server.initial_camera, views[0]
     camera.position, camera.look_at = view.position, view.target
@@ -122,6 +129,15 @@ def _stage(server: ViserServer, show: Show) -> Layer:
         world.position = glide[frame]
 
     return show_frame
+
+
+def _floor(show: Show, view: Viewpoint) -> tuple[np.ndarray, np.ndarray]:
+    """The ground's turn (w, x, y, z), and a point of it, a little sunk, near what is looked at."""
+    plane = Plane.of(show.ground)
+    depth = view.target @ plane.normal - plane.offset + 0.004
+    axes = torch.from_numpy(np.column_stack([plane.tiles, plane.normal]))
+    wxyz = roma.rotmat_to_unitquat(axes).roll(1, -1).numpy()
+    return wxyz, view.target - depth * plane.normal
 
 
 def _body(scene: SceneApi, figure: Figure, opacity: float) -> Layer:
@@ -213,9 +229,32 @@ def _scan(scene: SceneApi, cloud: tuple[Tensor, ...]) -> Layer:
     return show
 
 
-def _node(figure: Figure) -> str:
-    """Name of a figure's layer; a slash would open a new level of the tree."""
-    return figure.name.replace("/", "-").strip() or "figure"
+def _frustum(scene: SceneApi, view: View) -> Layer:
+    """A camera's pyramid; moving cameras move, lenses do not zoom."""
+    camera, moving = view.at(0), view.camera.T_camera_world.ndim == 3
+    width, height = camera.image_size
+    handle = scene.add_camera_frustum(
+        f"/world/cameras/{_node(view)}",
+        fov=float(2 * torch.atan(height / 2 / camera.camera_matrix[1, 1])),
+        aspect=width / height,
+        scale=0.3,
+        color=_deep(CAMERA),
+        cast_shadow=False,
+        receive_shadow=False,
+    )
+
+    def show(frame: int) -> None:
+        if frame == 0 or moving:
+            T = view.at(frame).T_world_camera
+            handle.wxyz = roma.rotmat_to_unitquat(T[:3, :3]).roll(1, -1).numpy()
+            handle.position = T[:3, 3].numpy()
+
+    return show
+
+
+def _node(layer: Figure | View) -> str:
+    """Name of a layer; a slash would open a new level of the tree."""
+    return layer.name.replace("/", "-").strip() or "unnamed"
 
 
 def _deep(colour: Colour) -> Colour:

@@ -9,18 +9,19 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from recon.body import BodyModel, PosedBody
+from recon.ground import Ground
 from recon.motion import Motion
-
-Colour = tuple[int, int, int]
-"""Red, green, blue, 0 to 255."""
-
-BLUE: Colour = (116, 160, 214)
-CORAL: Colour = (232, 150, 122)
-GREY: Colour = (182, 186, 192)
-VISIBLE: Colour = (0, 128, 98)
-MISSING: Colour = (214, 40, 96)
-CONTACT: Colour = (248, 160, 24)
-CLOUD: Colour = (92, 98, 110)
+from recon.view.colours import (
+    BLUE,
+    CAMERA,
+    CLOUD,
+    CONTACT,
+    MISSING,
+    REPROJECTED,
+    VISIBLE,
+    Colour,
+)  # fmt: skip
+from recon.view.views import View, nearest_samples
 
 
 @dataclass(frozen=True)
@@ -102,23 +103,25 @@ class Points:
             raise ValueError(
                 f"{len(self.positions)} samples need as many times, got {len(observed_at)}"
             )
-        gap = (times[:, None].double() - observed_at[None].double()).abs()
-        distance, nearest = gap.min(1)
-        step = observed_at.double().diff().median() if len(observed_at) > 1 else gap.new_tensor(0)
-        seen = self.visible[nearest] & (distance <= 0.5 * step + 1e-6)[:, None]
+        nearest, close = nearest_samples(times, observed_at)
+        seen = self.visible[nearest] & close[:, None]
         return dataclasses.replace(self, positions=self.positions[nearest], visible=seen)
 
 
 @dataclass(frozen=True)
 class Show:
-    """One scene over time: z up, the ground at z = 0, everything on the same frames."""
+    """One scene over time: z up, everything on the same frames."""
 
     title: str
     figures: tuple[Figure, ...]
     """The first is the subject; others are compared with it."""
     points: Points | None = None
     cloud: tuple[Float[Tensor, "_ 3"], ...] | None = None
-    """Scan of every frame, world, metres."""
+    """Scan of every frame, world, metres; a frame may have no points."""
+    cameras: tuple[View, ...] = ()
+    """Cameras that filmed the scene."""
+    ground: Ground | None = None
+    """In the world; None is z = 0."""
 
     def __post_init__(self) -> None:
         if len(self.figures) == 0:
@@ -126,6 +129,9 @@ class Show:
         names = [figure.name for figure in self.figures]
         if len(set(names)) != len(names):
             raise ValueError(f"figures of one show need different names, got {names}")
+        views = [view.name for view in self.cameras]
+        if len(set(views)) != len(views):
+            raise ValueError(f"cameras of one show need different names, got {views}")
         rates = {figure.motion.fps for figure in self.figures}
         if len(rates) != 1:
             raise ValueError(f"figures of one show need one rate, got {rates}; resample them")
@@ -134,6 +140,7 @@ class Show:
             counts["points"] = len(self.points.positions)
         if self.cloud is not None:
             counts["cloud"] = len(self.cloud)
+        counts |= {view.name: view.frames for view in self.cameras if view.frames is not None}
         if len(set(counts.values())) != 1:
             raise ValueError(f"a show needs the same frames everywhere, got {counts}")
 
@@ -159,4 +166,19 @@ class Show:
                 entries.append(("missing point, estimated", MISSING))
         if self.cloud is not None:
             entries.append(("scan", CLOUD))
+        if self.cameras:
+            entries.append(("camera", CAMERA))
+        return tuple(entries)
+
+    @property
+    def image_legend(self) -> tuple[tuple[str, Colour], ...]:
+        """Words for the colours that occur in the images of the cameras."""
+        entries = [(figure.name, figure.colour) for figure in self.figures]
+        if any(view.pixels is not None for view in self.cameras):
+            entries.append(("detected (ring: unsure)", VISIBLE))
+        fitted = [view for view in self.cameras if view.reprojected is not None]
+        if fitted:
+            entries.append(("same point of the body", REPROJECTED))
+        if any(view.missing.any() for view in fitted):
+            entries.append(("not detected, on the body", MISSING))
         return tuple(entries)

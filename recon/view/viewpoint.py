@@ -8,13 +8,16 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from recon.view.scene import Figure
+from recon.view.scene import Figure, Show
 
 FIELD_OF_VIEW = math.radians(32)
 """Across the shorter side of the picture: a portrait lens, which keeps limbs in proportion."""
 AZIMUTH = math.radians(38)
 """Of the camera, seen from above, away from the person's front."""
 ELEVATION = math.radians(13)
+OVERVIEW_ELEVATION = math.radians(20)
+OVERVIEW_REACH = 10.0
+"""Metres from the people's middle within which cameras are kept in the picture."""
 FOLLOW_SECONDS = 0.4
 """Standard deviation of the window that smooths the followed path."""
 
@@ -61,6 +64,18 @@ class Viewpoint:
         return x[:, None] * right + y[:, None] * down + forward
 
 
+def viewpoints(shows: Sequence[Show], size: tuple[int, int]) -> tuple[Viewpoint, ...]:
+    """One camera per frame for all shows: following, or standing where cameras are shown too."""
+    figures = [figure for show in shows for figure in show.figures]
+    centres = [
+        view.at(frame).T_world_camera[:3, 3].numpy()
+        for show in shows
+        for view in show.cameras
+        for frame in (range(show.frames) if view.camera.T_camera_world.ndim == 3 else (0,))
+    ]
+    return overview(figures, np.stack(centres), size) if centres else follow(figures, size)
+
+
 def follow(
     figures: Sequence[Figure], size: tuple[int, int], margin: float = 0.9
 ) -> tuple[Viewpoint, ...]:
@@ -74,18 +89,8 @@ def follow(
     target = _smooth(pelvis.astype(np.float64), figures[0].motion.fps * FOLLOW_SECONDS)
     target[:, 2] = (max(surface[..., 2].max(), 0.5) + min(surface[..., 2].min(), 0)) / 2
 
-    front = figures[0].posed.orientations[:, 0, :2, 2].double().numpy().sum(0)
-    heading = math.atan2(front[1], front[0]) - AZIMUTH
-    toward = np.array(
-        [
-            math.cos(heading) * math.cos(ELEVATION),
-            math.sin(heading) * math.cos(ELEVATION),
-            math.sin(ELEVATION),
-        ]
-    )
-    right = np.array([-math.sin(heading), math.cos(heading), 0.0])
-    R_camera_world = np.stack([right, np.cross(-toward, right), -toward])
-
+    R_camera_world = _three_quarter(figures[0], ELEVATION)
+    toward = -R_camera_world[2]
     half = np.array(size) / 2
     focal = float(half.min() / math.tan(FIELD_OF_VIEW / 2))
     local = np.abs((surface - target[:, None]) @ R_camera_world.T)
@@ -96,6 +101,43 @@ def follow(
         Viewpoint(R_camera_world, place + distance * toward, place, focal, size)
         for place in target
     )
+
+
+def overview(
+    figures: Sequence[Figure],
+    others: Float[np.ndarray, "points 3"],
+    size: tuple[int, int],
+    margin: float = 0.9,
+) -> tuple[Viewpoint, ...]:
+    """One standing camera, repeated for every frame, that sees the figures and other points.
+
+    Points farther than `OVERVIEW_REACH` from everybody are left out of it.
+    """
+    surface = np.concatenate([_outline(figure) for figure in figures], 1).reshape(-1, 3)
+    middle = (surface.min(0) + surface.max(0)) / 2
+    reach = OVERVIEW_REACH + np.ptp(surface, axis=0).max() / 2
+    kept = others[np.linalg.norm(others - middle, axis=1) < reach]
+    points = np.concatenate([surface, kept])
+    R_camera_world = _three_quarter(figures[0], OVERVIEW_ELEVATION)
+    local = points @ R_camera_world.T
+    target = (local.min(0) + local.max(0)) / 2 @ R_camera_world
+    half = np.array(size) / 2
+    focal = float(half.min() / math.tan(FIELD_OF_VIEW / 2))
+    local = (points - target) @ R_camera_world.T
+    needed = (np.abs(local[:, :2]) * focal / (half * margin)).max(1) - local[:, 2]
+    place = target - float(needed.max()) * R_camera_world[2]
+    view = Viewpoint(R_camera_world, place, target, focal, size)
+    return (view,) * figures[0].motion.frames
+
+
+def _three_quarter(figure: Figure, elevation: float) -> Float[np.ndarray, "3 3"]:
+    """R_camera_world of a camera `AZIMUTH` from a figure's mean heading, looking down on it."""
+    front = figure.posed.orientations[:, 0, :2, 2].double().numpy().sum(0)
+    heading = math.atan2(front[1], front[0]) - AZIMUTH
+    level = np.array([math.cos(heading), math.sin(heading), 0.0])
+    toward = math.cos(elevation) * level + np.array([0.0, 0.0, math.sin(elevation)])
+    right = np.array([-math.sin(heading), math.cos(heading), 0.0])
+    return np.stack([right, np.cross(-toward, right), -toward])
 
 
 def _outline(figure: Figure) -> Float[np.ndarray, "time points 3"]:

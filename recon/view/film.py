@@ -1,0 +1,38 @@
+"""Films from pictures."""
+
+from collections.abc import Iterable
+from fractions import Fraction
+from pathlib import Path
+
+from recon.formats.files import replacing
+from recon.view.lettering import Picture
+
+
+def write_film(path: Path, pictures: Iterable[Picture], fps: float) -> None:
+    """Write pictures of one size as H.264 that every browser plays.
+
+    Raises:
+        ValueError: when there is no picture, or its width or height is odd (H.264 halves its
+            colours).
+        FileNotFoundError: when the folder of `path` does not exist.
+    """
+    import av
+
+    with (
+        replacing(path) as scratch,
+        av.open(str(scratch), "w", format="mp4", options={"movflags": "+faststart"}) as film,
+    ):
+        stream = None
+        for picture in pictures:
+            if stream is None:
+                height, width = picture.shape[:2]
+                if width % 2 or height % 2:
+                    raise ValueError(f"a film needs an even width and height, got {width, height}")
+                stream = film.add_stream("libx264", rate=Fraction(fps).limit_denominator(1001))
+                stream.width, stream.height = width, height
+                stream.pix_fmt = "yuv420p"
+                stream.options = {"crf": "19", "preset": "medium"}
+            film.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+        if stream is None:
+            raise ValueError("a film needs at least one picture")
+        film.mux(stream.encode(None))
