@@ -28,7 +28,8 @@ from rich.table import Table
 from benchmarks.results import write
 from recon import cli
 from recon.formats.amass import load_motion
-from recon.simulate import Corruption, simulate_file
+from recon.simulate import Corruption
+from recon.simulate_files import simulate_file
 
 Arrays = dict[str, np.ndarray]
 Random = np.random.Generator

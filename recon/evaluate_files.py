@@ -4,21 +4,33 @@ import json
 from pathlib import Path
 
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
-from observations.files import load
+from observations.files import positions_of
 from recon.body import BodyModel
 from recon.evaluation import ObservedPoints, evaluate, nearest_labels
 from recon.formats.amass import MotionFile, load_motion
 from recon.formats.files import replacing
-from recon.formats.observation import PositionsFile, load_observation
+from recon.formats.observation import ObservationFile, PositionsFile, load_observation
+from recon.ground import Ground
 from recon.motion import Motion
 from recon.protocols import Estimate
+
+_ON_ITS_GROUND = ("penetration", "sole_penetration", "contact", "slip_speed")
+"""How metrics that judge a result by the ground it stands on begin."""
 
 
 def evaluate_files(
     result: Path, truth: Path, observation: Path | None, out: Path | None
 ) -> dict[str, float | None]:
     """All metrics of `result`, written to `out` if given.
+
+    Where the observation's camera did not know its pose and the simulation kept it
+    (`truth_T_world_camera`), errors are taken in the true world, into which the camera carries
+    the result: x_true = T_true_camera inv(T_result_camera) x. Contacts, slip and depth below the
+    ground stay those of the ground that was found. How far that ground is off in the camera's
+    frame are `ground_normal` (radians) and `ground_height` (metres); else they are None.
 
     Raises:
         FileNotFoundError: when a file does not exist.
@@ -33,15 +45,31 @@ def evaluate_files(
                 f"{path}: made with the body {file.body} ({file.checksum}), but this version's "
                 f"is {body.name} ({body.checksum}); shapes of different bodies do not compare"
             )
+    seen = None if observation is None else load_observation(observation)
+    labels = _there(theirs, "contacts", ours.motion)
     metrics = evaluate(
         ours.motion,
         theirs.motion,
         body,
         contacts=ours.contacts,
-        truth_contacts=_there(theirs, "contacts", ours.motion),
-        truth_visible=_visible(observation, theirs, ours.motion),
-        observed=None if observation is None else _observed(ours, theirs, observation, body),
+        truth_contacts=labels,
+        truth_visible=_visible(seen, theirs, ours.motion),
+        observed=_observed(ours, theirs, seen, observation, body),
     )
+    metrics |= {"ground_normal": None, "ground_height": None}
+    if (poses := _camera_poses(ours, seen, result)) is not None:
+        found, true = poses
+        pelvis = body.rest_joints(ours.motion.shape)[0]
+        carried = ours.motion.carried(true @ torch.linalg.inv(found), pelvis)
+        there = evaluate(
+            carried,
+            theirs.motion,
+            body,
+            truth_contacts=labels,
+            truth_visible=_visible(seen, theirs, ours.motion),
+        )
+        own = {key: value for key, value in metrics.items() if key.startswith(_ON_ITS_GROUND)}
+        metrics |= there | own | _ground_errors(found, true)
     if out is not None:
         with replacing(out) as beside:
             beside.write_text(json.dumps(metrics, indent=1))
@@ -53,24 +81,62 @@ def _there(file: MotionFile, name: str, motion: Motion) -> torch.Tensor | None:
     return None if labels is None else nearest_labels(labels, file.motion.times, motion.times)
 
 
-def _visible(observation: Path | None, truth: MotionFile, motion: Motion) -> torch.Tensor | None:
+def _camera_poses(
+    ours: MotionFile, seen: ObservationFile | None, result: Path
+) -> tuple[Float[Tensor, "4 4"], Float[Tensor, "4 4"]] | None:
+    """T_world_camera as it was found and as it was; None where either is not known.
+
+    Raises:
+        ValueError: when several poses were found, though the camera stood still.
+    """
+    if seen is None or isinstance(seen, PositionsFile) or seen.truth_T_world_camera is None:
+        return None
+    if ours.T_world_camera is None:
+        return None
+    if len(ours.T_world_camera) != 1:
+        raise ValueError(
+            f"{result}: has {len(ours.T_world_camera)} poses in T_world_camera, but the "
+            "observation is of a camera that stood still; expected one"
+        )
+    true = torch.from_numpy(seen.truth_T_world_camera)
+    return ours.T_world_camera[0].to(true), true
+
+
+def _ground_errors(
+    found: Float[Tensor, "4 4"], true: Float[Tensor, "4 4"]
+) -> dict[str, float | None]:
+    """Angle between the grounds in the camera's frame, and difference of the camera's heights."""
+    ours, theirs = (Ground.seen_from(torch.linalg.inv(T)) for T in (found, true))
+    across = torch.linalg.cross(ours.normal, theirs.normal).norm()
+    angle = torch.atan2(across, (ours.normal * theirs.normal).sum())
+    return {
+        "ground_normal": float(angle),
+        "ground_height": float((ours.offset - theirs.offset).abs()),
+    }
+
+
+def _visible(
+    seen: ObservationFile | None, truth: MotionFile, motion: Motion
+) -> torch.Tensor | None:
     """Joints the sensor could see, from the simulated observation or the truth file."""
-    if observation is not None:
-        file = load_observation(observation)
-        if file.truth_visible is not None:
-            seen = torch.from_numpy(file.truth_visible)
-            times = file.start_time + torch.arange(len(seen), dtype=torch.float64) / file.fps
-            return nearest_labels(seen, times, motion.times)
+    if seen is not None and seen.truth_visible is not None:
+        labels = torch.from_numpy(seen.truth_visible)
+        times = seen.start_time + torch.arange(len(labels), dtype=torch.float64) / seen.fps
+        return nearest_labels(labels, times, motion.times)
     return _there(truth, "truth_visible", motion)
 
 
 def _observed(
-    ours: MotionFile, theirs: MotionFile, observation: Path, body: BodyModel
+    ours: MotionFile,
+    theirs: MotionFile,
+    file: ObservationFile | None,
+    path: Path | None,
+    body: BodyModel,
 ) -> ObservedPoints | None:
     """The observation's own points on the result and on the truth, at the result's frames."""
-    if not isinstance(file := load_observation(observation), PositionsFile):
+    if path is None or not isinstance(file, PositionsFile):
         return None
-    adapter = load(observation, body.to(dtype=torch.float32))
+    adapter = positions_of(file, path, body.to(dtype=torch.float32))
     truth = theirs.motion.at(ours.motion.times, ours.motion.fps)
     predicted, actual = (
         adapter.predict(Estimate.of_clip(motion, body))[0] for motion in (ours.motion, truth)

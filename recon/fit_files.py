@@ -5,38 +5,30 @@ import json
 import platform
 from collections.abc import Sequence
 from dataclasses import asdict
-from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
-from observations.files import load
-from observations.joints3d import Joints3D
-from observations.markers3d import Markers3D
-from observations.noise import estimate_noise
+from recon import rotations as so3
+from recon.agreement import agreement
 from recon.body import BodyModel
+from recon.clip import fit_clip
+from recon.clip_files import load_clip
 from recon.contacts import contact_labels, rest_heights
 from recon.formats.amass import MotionFile, save_motion
 from recon.formats.files import replacing
-from recon.ingest.soles import Soles, Stance
-from recon.long import LongReconstruction, fit_long
-from recon.methods import method_of
+from recon.long import LongReconstruction
 from recon.motion import Motion
-from recon.reconstruction import Reconstruction, fit
+from recon.reconstruction import Reconstruction
 from recon.settings import FitSettings
 from recon.solver import Termination
 from recon.stages import StageReport, Watch
 
-LONG = 10.0
-"""Seconds; longer recordings are fitted by windows."""
-
-POSE = FitSettings(prior="pose")
-
 UP = (0.0, 0.0, 1.0)
-
-Points = TypeVar("Points", bound=Joints3D | Markers3D)
 
 
 def fit_files(
@@ -50,43 +42,45 @@ def fit_files(
     Raises:
         FileNotFoundError, ValueError: for bad input; nothing is written then.
     """
-    if len(paths) == 0:
-        raise ValueError("nothing to fit: expected at least one observation file, got none")
     torch.manual_seed(settings.seed)
-    body = BodyModel.load(settings.body).to(device=settings.device)
-    ask = {"unit": settings.unit, "up": settings.up, "robust": settings.robust}
-    here = body.to(device="cpu")
-    observations = [load(path, here, **ask).to(device=settings.device) for path in paths]
-    noises = [settings.noise or estimate_noise(o.positions, o.visible) for o in observations]
-    weights = [(noises[0] / noise) ** 2 for noise in noises]
-    long = observations[0].positions.shape[-3] > LONG * observations[0].fps
-    reconstruct = partial(fit_long if long else fit, body=body, weights=weights, watch=watch)
-
-    known, ground = all(observation.ground_known for observation in observations), 0.0
-    if not known:  # what a prior says of feet, it says of heights above the ground
-        free = reconstruct(observations, prior=method_of(POSE, noises[0], body))
-        ground = Stance.of(free.clip(0).detach().to(device="cpu"), here, Soles.of(here)).height()
-        observations = [_raised(observation, -ground) for observation in observations]
-    result = reconstruct(observations, prior=method_of(settings, noises[0], body))
-    motion = result.clip(0).detach().to(device="cpu")
-    motion = motion.replace(
-        translation=motion.translation + ground * motion.translation.new_tensor(UP)
-    )
-    motion = motion.resample(observations[0].fps if settings.fps is None else settings.fps)
-    report = describe(result, paths, settings) | {"noise": noises, "ground_known": known}
-    write_result(out, motion, here, report, ground)
+    body = BodyModel.load(settings.body)
+    clip = load_clip(paths, settings, body)
+    seen = [observation.to(device=settings.device) for observation in clip.observations]
+    found = fit_clip(seen, settings, body.to(device=settings.device), watch)
+    motion = found.result.clip(0).detach().to(device="cpu")
+    motion = motion.resample(seen[0].fps if settings.fps is None else settings.fps)
+    T, ground = found.T_world_recording[0].double(), 0.0
+    if clip.T_recording_camera is None and not found.ground_known:
+        # 3D recordings with z up keep their frame; only the ground is lower or higher there
+        ground = -float(T[2, 3])
+        motion = motion.replace(
+            translation=motion.translation + ground * motion.translation.new_tensor(UP)
+        )
+    T_world_camera = None
+    if clip.T_recording_camera is not None:
+        T_world_camera = (T @ torch.from_numpy(clip.T_recording_camera)).float()
+    report = describe(found.result, paths, settings) | {
+        "noise": [asdict(noise) for noise in found.noises],
+        "ground_known": found.ground_known,
+        "read": clip.notes,
+        **agreement(clip, found),
+    }
+    write_result(out, motion, body, report, ground, T_world_camera)
     return report
 
 
-def _raised(observation: Points, height: float) -> Points:
-    positions = observation.positions + height * observation.positions.new_tensor(UP)
-    return observation.replace(positions=positions.where(observation.visible[..., None], 0.0))
-
-
 def write_result(
-    out: Path, motion: Motion, body: BodyModel, report: dict[str, Any], ground: float = 0.0
+    out: Path,
+    motion: Motion,
+    body: BodyModel,
+    report: dict[str, Any],
+    ground: float = 0.0,
+    T_world_camera: Float[Tensor, "4 4"] | None = None,
 ) -> None:
-    """The motion file with joints, contacts and ground (its height), and its report beside it."""
+    """The motion file with joints, contacts and ground (its height), and its report beside it.
+
+    Where a camera's pose was found, the file has it and the root in the camera's frame besides.
+    """
     out.parent.mkdir(parents=True, exist_ok=True)
     joints = body.pose(motion).joints
     above = joints - joints.new_tensor([0.0, 0.0, ground])
@@ -100,10 +94,21 @@ def write_result(
             joints=joints,
             contacts=labels.to(joints),
             ground=torch.tensor([0.0, 0.0, 1.0, ground]),
+            T_world_camera=None if T_world_camera is None else T_world_camera[None],
+            in_camera=None if T_world_camera is None else in_camera(motion, T_world_camera, body),
         ),
     )
     with replacing(out.with_name(out.name + ".json")) as beside:
         beside.write_text(json.dumps(report, indent=1, default=str))
+
+
+def in_camera(
+    motion: Motion, T_world_camera: Float[Tensor, "4 4"], body: BodyModel
+) -> Float[Tensor, "time 6"]:
+    """SMPL translation and root rotation vector of the same motion in the camera's frame."""
+    pelvis = body.rest_joints(motion.shape)[..., 0, :]
+    seen = motion.carried(torch.linalg.inv(T_world_camera), pelvis)
+    return torch.cat((seen.translation, so3.log(seen.rotations[:, 0].double()).float()), -1)
 
 
 def describe(
@@ -120,13 +125,21 @@ def describe(
             for row, (start, stop) in enumerate(windows)
         ],
         "settings": asdict(settings),
-        "inputs": {str(p): hashlib.sha256(p.read_bytes()).hexdigest() for p in paths},
+        "inputs": {str(path): _checksum(path) for path in paths},
         "versions": {
             "recon": version("motion-recon"),
             "torch": torch.__version__,
             "python": platform.python_version(),
         },
     }
+
+
+def _checksum(path: Path) -> str:
+    """SHA-256 of a file, or of all files in a folder, in the order of their names."""
+    found = hashlib.sha256()
+    for file in [path] if path.is_file() else sorted(p for p in path.rglob("*") if p.is_file()):
+        found.update(file.read_bytes())
+    return found.hexdigest()
 
 
 def _stage(report: StageReport) -> dict[str, Any]:

@@ -5,24 +5,45 @@ from typing import Any
 
 import numpy as np
 
+from recon.detections.masks import load_silhouettes
 from recon.formats import read_recording
 from recon.formats.amass import load_motion
 from recon.formats.files import existing, load_arrays
-from recon.formats.observation import KeypointsFile, PositionsFile, load_observation
+from recon.formats.observation import (
+    CameraArrays,
+    KeypointsFile,
+    PositionsFile,
+    load_observation,
+)
 from recon.formats.smpl import load_smpl
+from recon.info_cameras import (
+    describe_calibration,
+    describe_detections,
+    describe_folder,
+    describe_json,
+)
 from recon.recording import MarkerRecording
 
 
 def describe(path: Path) -> dict[str, Any]:
-    """Format, sizes, rate, units and decisions of one file; plain values.
+    """Format, sizes, rate, units and decisions of one file or folder; plain values.
 
     Raises:
         FileNotFoundError: when there is no such file.
         ValueError: when it is nothing that recon reads; the message says what was expected.
     """
-    if path.suffix.lower() == ".pkl":
+    if path.is_dir():
+        return describe_folder(path)
+    ending = path.suffix.lower()
+    if ending == ".pkl":
         return _body(path)
-    if path.suffix.lower() != ".npz":
+    if ending == ".json":
+        return describe_json(path)
+    if ending == ".csv":
+        return describe_detections(path)
+    if ending in (".toml", ".yml", ".yaml"):
+        return describe_calibration(path)
+    if ending != ".npz":
         return _recording(path)
     keys = set(load_arrays(existing(path)))
     if "kind" in keys:
@@ -31,9 +52,15 @@ def describe(path: Path) -> dict[str, Any]:
         return _motion(path)
     if "v_template" in keys:
         return _body(path)
+    if "camera_matrix" in keys:
+        return describe_calibration(path)
+    if "mask" in keys:
+        masks = load_silhouettes(path)
+        return {"format": "masks", "frames": len(masks.images)}
     raise ValueError(
-        f"{path}: neither an observation (has `kind`), a motion (`trans`, `poses`) nor a body "
-        f"(`v_template`); it has {', '.join(sorted(keys))}"
+        f"{path}: neither an observation (has `kind`), a motion (`trans`, `poses`), a body "
+        f"(`v_template`), a calibration (`camera_matrix`) nor masks (`mask`); it has "
+        f"{', '.join(sorted(keys))}"
     )
 
 
@@ -50,6 +77,7 @@ def _motion(path: Path) -> dict[str, Any]:
         "body": file.body,
         "gender": file.gender,
         "has_contacts": file.contacts is not None,
+        "has_camera": file.T_world_camera is not None,
         "units": "metres, z up",
     }
 
@@ -76,13 +104,21 @@ def _observation(path: Path) -> dict[str, Any]:
             "layout": file.layout,
             "missing": float((file.confidence <= 0).mean()) if file.confidence.size else 1.0,
             "image_size": list(file.camera.image_size),
+            **_pose(file.camera),
         }
     return {
         "format": "observation: points",
         "frames": int(file.frame.max()) + 1,
         "points": len(file.points),
         **common,
+        **({"ground_known": True} if file.camera is None else _pose(file.camera)),
     }
+
+
+def _pose(camera: CameraArrays) -> dict[str, Any]:
+    """Whether the camera's pose is known, and with it the ground."""
+    poses = camera.T_camera_world
+    return {"poses": 0 if poses is None else len(poses), "ground_known": poses is not None}
 
 
 def _recording(path: Path) -> dict[str, Any]:

@@ -17,13 +17,35 @@ class FitSettings:
     body: Path | None = None
     """A SMPL-family file of your own; default: the bundled body."""
     unit: Literal["m", "cm", "mm", "inch", "cmu"] | None = None
-    """Unit of the positions, where the file is wrong about it."""
+    """Unit of positions and scans, where the file is wrong about it."""
     up: Literal["x", "y", "z"] | None = None
     """Axis that points up, where the file is wrong about it."""
     noise: float | None = None
-    """Standard deviation of every coordinate of the data, metres; default: told from the data."""
+    """Standard deviation of every coordinate in space, metres; default: told from the data."""
+    noise_pixels: float | None = None
+    """The same of keypoints in images, pixels; default: told from the data."""
+    camera: Path | None = None
+    """Calibration of the cameras that detections and depth images come from."""
+    camera_unit: Literal["m", "mm"] | None = None
+    """Unit of the calibration, where it does not tell."""
+    camera_up: Literal["x", "y", "z"] | None = None
+    """Axis of the calibration's world that points up; default: z."""
+    image_size: tuple[int, int] | None = None
+    """Width and height of the images, pixels, where the calibration does not tell."""
+    layout: str | None = None
+    """Which keypoints detections are, where files do not tell: openpose25, coco17, ..."""
+    person: int | None = None
+    """Whom to follow where detections show several people: number as the message lists them."""
+    masks: Path | None = None
+    """Silhouettes of the person (folder of images, one per frame, or .npz): keypoints outside
+    are taken as occluded."""
+    frame_rate: float | None = None
+    """Frames per second of detections and scans, where files do not tell."""
+    depth_scale: float = 0.001
+    """Metres per unit of depth images; 0.001 where they hold millimetres."""
     robust: float | None = None
-    """Distance in metres beyond which a point counts ever less; default: least squares."""
+    """Distance in metres beyond which a point counts ever less; default: least squares.
+    Keypoints in images and points of scans are always robust."""
     fps: float | None = None
     """Rate of the result; default: that of the first observation."""
     device: Literal["cpu", "cuda"] = "cpu"
@@ -33,3 +55,24 @@ class FitSettings:
 
 
 DEFAULTS = FitSettings()
+
+SensorKind = Literal["joints3d", "markers3d", "keypoints2d", "depth", "scans"]
+"""What a simulated sensor gives: the 22 joints, 43 points of the skin, keypoints in images, points
+that a depth camera sees, points all over the skin."""
+
+
+@dataclass(frozen=True)
+class FilmSettings:
+    """How simulated cameras look at a motion; for keypoints2d and depth."""
+
+    camera: str = "front"
+    """`front` or `side` of the body, near enough to fill the image, or a calibration."""
+    views: int = 1
+    """Cameras evenly around the body, the first as above; OUT is a folder for several."""
+    orbit: float = 0.0
+    """Angle that the cameras are carried around the body by, radians."""
+    layout: str = "openpose25"
+    """Which keypoints."""
+
+
+FILM_DEFAULTS = FilmSettings()

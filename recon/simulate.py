@@ -1,8 +1,7 @@
 """A known motion as a sensor would have seen it: for tests, benchmarks and users' own checks."""
 
+import math
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Literal
 
 import torch
 from jaxtyping import Bool, Float
@@ -11,10 +10,7 @@ from torch import Generator, Tensor
 from observations.joints3d import Joints3D
 from observations.markers3d import Markers3D
 from recon.body import BodyModel
-from recon.formats.amass import load_motion
-from recon.formats.observation import PositionsFile, save_observation
 from recon.motion import Motion
-from recon.skeleton import JOINTS
 from recon.surface import KEYPOINTS_43, landmark
 
 Corner = tuple[float, float, float]
@@ -25,11 +21,13 @@ class Corruption:
     """What stands between the truth and the sensor."""
 
     noise: float = 0.0
-    """Standard deviation of every coordinate, metres."""
+    """Standard deviation of every coordinate, metres; pixels in images."""
     hide_below: float | None = None
     """Points lower than this height are hidden, metres."""
     hide_box: tuple[Corner, Corner] | None = None
-    """Points between these two corners are hidden, metres."""
+    """Points between these two corners are hidden, metres; in images what lies behind it, too."""
+    during: tuple[float, float] | None = None
+    """Seconds of the motion's clock in which things are hidden; None is always."""
     missing_points: float = 0.0
     """Share of points missing at random."""
     missing_frames: float = 0.0
@@ -43,20 +41,31 @@ class Corruption:
             if not 0 <= share <= 1:
                 raise ValueError(f"{name} is a share between 0 and 1, got {share}")
         if not self.noise >= 0:
-            raise ValueError(f"noise is a standard deviation in metres, got {self.noise}")
+            raise ValueError(f"noise is a standard deviation, zero or more, got {self.noise}")
+        if self.during is not None and not self.during[0] < self.during[1]:
+            raise ValueError(f"during is from A to B seconds with A < B, got {self.during}")
+
+    def active(self, times: Float[Tensor, " time"]) -> Bool[Tensor, " time"]:
+        """When things are hidden."""
+        first, last = (-math.inf, math.inf) if self.during is None else self.during
+        return (times >= first) & (times < last)
 
     def visible(
-        self, points: Float[Tensor, "time points 3"], generator: Generator
+        self,
+        points: Float[Tensor, "time points 3"],
+        generator: Generator,
+        times: Float[Tensor, " time"],
     ) -> Bool[Tensor, "time points"]:
         """Which of the true points the sensor sees."""
+        active = self.active(times)[:, None]
         time, count = points.shape[:2]
         seen = torch.rand(time, count, generator=generator) >= self.missing_points
         seen &= torch.rand(time, 1, generator=generator) >= self.missing_frames
         if self.hide_below is not None:
-            seen &= points[..., 2] >= self.hide_below
+            seen &= (points[..., 2] >= self.hide_below) | ~active
         if self.hide_box is not None:
             low, high = points.new_tensor(self.hide_box)
-            seen &= ~((points >= low) & (points <= high)).all(-1)
+            seen &= ~(((points >= low) & (points <= high)).all(-1) & active)
         return seen
 
     def disturb(
@@ -72,7 +81,7 @@ class Corruption:
 def joints3d(motion: Motion, body: BodyModel, corruption: Corruption, seed: int) -> Joints3D:
     """All 22 joints of one clip (no batch axis)."""
     truth = body.pose(motion).joints
-    positions, visible = _observe(truth, corruption, seed)
+    positions, visible = _observe(truth, corruption, seed, motion.times)
     return Joints3D(positions, visible, tuple(range(22)), motion.fps, motion.start_time)
 
 
@@ -86,7 +95,7 @@ def markers3d(
     """Points of the surface of one clip (no batch axis); by default 43 spread over the body."""
     vertices = tuple(landmark(name) for name in names)
     truth = body.pose(motion).points(torch.tensor(vertices))
-    positions, visible = _observe(truth, corruption, seed)
+    positions, visible = _observe(truth, corruption, seed, motion.times)
     return Markers3D(positions, visible, vertices, motion.fps, motion.start_time)
 
 
@@ -105,52 +114,13 @@ def visible_joints(
 ) -> Bool[Tensor, "time 22"]:
     """Which joints of the truth the sensor could have seen; `evaluate` splits errors by it."""
     generator = torch.Generator().manual_seed(seed)
-    return corruption.visible(body.pose(motion).joints, generator)
+    return corruption.visible(body.pose(motion).joints, generator, motion.times)
 
 
-def _observe(truth: Tensor, corruption: Corruption, seed: int) -> tuple[Tensor, Tensor]:
+def _observe(
+    truth: Tensor, corruption: Corruption, seed: int, times: Tensor
+) -> tuple[Tensor, Tensor]:
     generator = torch.Generator().manual_seed(seed)
-    visible = corruption.visible(truth, generator)
+    visible = corruption.visible(truth, generator, times)
     positions = corruption.disturb(truth, generator)
     return torch.where(visible[..., None], positions, 0.0), visible
-
-
-def simulate_file(
-    motion: Path,
-    out: Path,
-    kind: Literal["joints3d", "markers3d"],
-    corruption: Corruption,
-    *,
-    seed: int,
-    fps: float | None = None,
-    frames: tuple[int, int] | None = None,
-    unknown_ground: bool = False,
-) -> None:
-    """Write what a sensor would have seen of a motion file.
-
-    Raises:
-        FileNotFoundError: when there is no such motion.
-        ValueError: when it is damaged or has fewer frames than asked for.
-    """
-    truth = load_motion(motion).motion
-    if frames is not None:
-        if frames[1] > truth.frames:
-            raise ValueError(f"{motion}: has {truth.frames} frames, asked for {frames}")
-        truth = truth.window(*frames)
-    truth = truth if fps is None else truth.resample(fps)
-    body = BodyModel.load()
-    see, names = (joints3d, JOINTS) if kind == "joints3d" else (markers3d, KEYPOINTS_43)
-    seen = see(truth, body, corruption, seed)
-    save_observation(
-        out,
-        PositionsFile(
-            kind=kind,
-            positions=seen.positions.double().numpy(),
-            visible=seen.visible.numpy(),
-            names=names,
-            fps=truth.fps,
-            start_time=truth.start_time,
-            ground_known=not unknown_ground,
-            truth_visible=visible_joints(truth, body, corruption, seed).numpy(),
-        ),
-    )

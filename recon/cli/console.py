@@ -18,6 +18,17 @@ def say(message: str) -> None:
     stderr.print(message, highlight=False, markup=False, soft_wrap=True)
 
 
+def note(message: str) -> None:
+    """A line about what was assumed, which matters when the result surprises."""
+    stderr.print(message, style="dim", highlight=False, markup=False, soft_wrap=True)
+
+
+def warn(message: str) -> None:
+    """A line that should be read before the result is used."""
+    stderr.print(f"warning: {message}", style="yellow", highlight=False, markup=False,
+                 soft_wrap=True)  # fmt: skip
+
+
 def answer(value: Mapping[str, Any]) -> None:
     """The result of a verb for a program: one JSON object on stdout."""
     sys.stdout.write(json.dumps(value, indent=1, default=str) + "\n")
@@ -37,6 +48,9 @@ def table(title: str, rows: Mapping[str, Mapping[str, Any]]) -> None:
 def _cell(value: Any) -> str:
     if value is None:
         return "-"
+    if isinstance(value, list):
+        sentences = any(" " in str(one) for one in value)
+        return ("\n" if sentences else ", ").join(map(str, value))
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 

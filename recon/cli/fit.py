@@ -15,12 +15,18 @@ def fit(
     settings: OmitArgPrefixes[FitSettings] = DEFAULTS,
     json: Annotated[bool, arg(help="Print the report as JSON on stdout.")] = False,
 ) -> None:
-    """Reconstruct the motion behind observation files of one clip.
+    """Reconstruct the motion behind what was recorded of one clip.
+
+    Several observations add up. Of each kind there may be any number, in any order:
+    observation files (.npz) of 3D joints, markers, 2D keypoints or points; with --camera
+    and --frame-rate, 2D detections of OpenPose, MMPose, AlphaPose, MediaPipe,
+    DeepLabCut, EasyMocap or Pose2Sim (a folder or file per view, or a folder of views);
+    a folder of scans (.ply, .pcd); a folder of 16-bit depth images (.png, with --camera).
 
     Writes OUT (AMASS .npz with joints, contacts and ground) and OUT.json (what happened).
 
     Args:
-        observations: 3D joints or markers (.npz); several files of one clip add up.
+        observations: files and folders of one clip.
         out: motion file to write.
         settings: how to fit.
         json: print the report as JSON on stdout.
@@ -30,16 +36,16 @@ def fit(
 
     with console.fitting({}) as watch:
         report = fit_files(observations, out, settings, watch)
-    rows = {
-        stage["name"]: {
-            **stage["energies"],
-            "iterations": stage["iterations"],
-            "seconds": stage["seconds"],
-            "ended because": stage["termination"],
-        }
-        for stage in report["stages"]
-    }
-    console.table(f"{out}: weighted energies", rows)
+    for line in report["read"]:
+        console.note(line)
+    for stage in report["stages"]:
+        console.say(
+            f"{stage['name']:<9} {stage['iterations']:>4} iterations {stage['seconds']:>7.2f} s, "
+            f"total {sum(stage['energies'].values()):.4g}: {stage['termination']}"
+        )
+    for line in report["warnings"]:
+        console.warn(line)
+    console.say(str(out))
     if json:
         console.answer(report)
     if report["failed"]:

@@ -10,10 +10,12 @@ def info(
     file: Positional[Path],
     json: Annotated[bool, arg(help="Print JSON on stdout.")] = False,
 ) -> None:
-    """Say what a motion, observation, recording or body file holds.
+    """Say what a file or folder holds, and how that was told.
+
+    Motions, observations, recordings, bodies, 2D keypoints, calibrations, scans, depth images.
 
     Args:
-        file: any file that recon reads.
+        file: any file or folder that recon reads.
         json: print JSON on stdout.
     """
     from recon.cli import console

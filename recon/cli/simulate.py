@@ -1,18 +1,21 @@
 """`recon simulate`: a known motion as a sensor would have seen it."""
 
 from pathlib import Path
-from typing import Literal
 
-from tyro.conf import Positional
+from tyro.conf import OmitArgPrefixes, Positional
+
+from recon.settings import FILM_DEFAULTS, FilmSettings, SensorKind
 
 
 def simulate(
     motion: Positional[Path],
     out: Positional[Path],
-    kind: Literal["joints3d", "markers3d"],
+    kind: SensorKind,
+    film: OmitArgPrefixes[FilmSettings] = FILM_DEFAULTS,
     noise: float = 0.0,
     hide_below: float | None = None,
     occluder: tuple[float, float, float, float, float, float] | None = None,
+    during: tuple[float, float] | None = None,
     missing_points: float = 0.0,
     missing_frames: float = 0.0,
     outliers: float = 0.0,
@@ -21,38 +24,48 @@ def simulate(
     unknown_ground: bool = False,
     seed: int = 0,
 ) -> None:
-    """Make an observation file from a motion.
+    """Make observation files from a motion.
 
     Args:
         motion: motion file (.npz).
-        out: observation file to write.
-        kind: what the sensor tracks: the 22 joints, or 43 points of the skin.
-        noise: standard deviation of every coordinate, metres.
+        out: observation file to write; a folder for several cameras.
+        kind: what the sensor tracks: the 22 joints, 43 points of the skin, keypoints in images,
+            or points of the surface, of a depth camera or of scanners all around.
+        film: the cameras.
+        noise: standard deviation of every coordinate, metres; of keypoints2d in pixels; of depth
+            in metres, beside the sensor's own.
         hide_below: points lower than this are hidden, metres.
-        occluder: corners of a box that hides points, x0 y0 z0 x1 y1 z1, metres.
+        occluder: corners of a box that hides points, x0 y0 z0 x1 y1 z1, metres; from cameras what
+            lies behind it, too.
+        during: seconds of the motion's clock from which and up to which things are hidden;
+            default: always.
         missing_points: share of points missing at random.
         missing_frames: share of frames in which nothing is seen.
         outliers: share of points that are wildly off.
         frames: part of the motion, A:B, in its own frames.
         fps: rate of the sensor; default: that of the motion.
-        unknown_ground: do not say that the ground is at z = 0.
+        unknown_ground: do not say that the ground is at z = 0, nor where the camera stands.
         seed: of everything random.
     """
-    from recon.simulate import Corruption, simulate_file
+    from recon.cli import console
+    from recon.simulate import Corruption
+    from recon.simulate_files import simulate_file
 
     box = None if occluder is None else (occluder[:3], occluder[3:])
     corruption = Corruption(
         noise=noise,
         hide_below=hide_below,
         hide_box=box,
+        during=during,
         missing_points=missing_points,
         missing_frames=missing_frames,
         outliers=outliers,
     )
-    simulate_file(
+    written = simulate_file(
         motion, out, kind, corruption, seed=seed, fps=fps, frames=_frames(frames),
-        unknown_ground=unknown_ground,
+        unknown_ground=unknown_ground, film=film,
     )  # fmt: skip
+    console.say(", ".join(map(str, written)))
 
 
 def _frames(text: str | None) -> tuple[int, int] | None:

@@ -45,6 +45,8 @@ class MotionFile:
     """Of a simulated truth: joints the sensor could see."""
     T_world_camera: Float[Tensor, "poses 4 4"] | None = None
     """One pose, or one per frame."""
+    in_camera: Float[Tensor, "time 6"] | None = None
+    """SMPL translation (metres) and root rotation vector (radians) in that camera's frame."""
     format_version: int = FORMAT_VERSION
 
 
@@ -55,6 +57,7 @@ _EXTRA = {
     "joint_std": ("time", 22),
     "truth_visible": ("time", 22),
     "T_world_camera": ("poses", 4, 4),
+    "in_camera": ("time", 6),
 }
 """Optional arrays and their shapes."""
 

@@ -64,6 +64,8 @@ class KeypointsFile:
     start_time: float = 0.0
     truth_visible: Bool[np.ndarray, "time 22"] | None = None
     """As in `PositionsFile`."""
+    truth_T_world_camera: Float[np.ndarray, "4 4"] | None = None
+    """Of a simulated camera without pose: where it stood, metres; fits never read it."""
 
 
 @dataclass(frozen=True)
@@ -79,6 +81,8 @@ class PointsFile:
     start_time: float = 0.0
     truth_visible: Bool[np.ndarray, "time 22"] | None = None
     """As in `PositionsFile`."""
+    truth_T_world_camera: Float[np.ndarray, "4 4"] | None = None
+    """As in `KeypointsFile`."""
 
 
 ObservationFile = PositionsFile | KeypointsFile | PointsFile
@@ -133,6 +137,8 @@ def save_observation(path: str | Path, file: ObservationFile) -> None:
     else:
         arrays |= {"kind": "points", "points": file.points, "frame": file.frame, "up_axis": "z"}
     camera = None if isinstance(file, PositionsFile) else file.camera
+    if not isinstance(file, PositionsFile) and file.truth_T_world_camera is not None:
+        arrays["truth_T_world_camera"] = file.truth_T_world_camera
     if camera is not None:
         arrays |= {"camera_matrix": camera.camera_matrix, "image_size": camera.image_size}
         optional = {"distortion": camera.distortion, "T_camera_world": camera.T_camera_world}
@@ -171,6 +177,7 @@ def _keypoints(path: Path, arrays: dict[str, np.ndarray], common: dict[str, Any]
         confidence=confidence,
         layout=_text(path, arrays, "layout", ""),
         camera=_camera(path, arrays, len(confidence)),
+        truth_T_world_camera=_true_pose(path, arrays),
         **common,
     )
 
@@ -205,7 +212,13 @@ def _points(path: Path, arrays: dict[str, np.ndarray], common: dict[str, Any]) -
         pose = camera.T_camera_world.copy()
         pose[:, :3, :3] = pose[:, :3, :3] @ turn.T
         camera = replace(camera, T_camera_world=pose)
-    return PointsFile(points=points, frame=frame.astype(np.int64), camera=camera, **common)
+    return PointsFile(
+        points=points,
+        frame=frame.astype(np.int64),
+        camera=camera,
+        truth_T_world_camera=_true_pose(path, arrays),
+        **common,
+    )
 
 
 def _camera(path: Path, arrays: dict[str, np.ndarray], frames: int) -> CameraArrays:
@@ -221,6 +234,12 @@ def _camera(path: Path, arrays: dict[str, np.ndarray], frames: int) -> CameraArr
             raise ValueError(f"{path}: expected 1 or {frames} poses in T_camera_world")
     matrix = _floats(path, arrays, "camera_matrix", (3, 3))
     return CameraArrays(matrix, (int(size[0]), int(size[1])), distortion, pose)
+
+
+def _true_pose(path: Path, arrays: dict[str, np.ndarray]) -> np.ndarray | None:
+    if "truth_T_world_camera" not in arrays:
+        return None
+    return _floats(path, arrays, "truth_T_world_camera", (4, 4))
 
 
 def _turn(path: Path, arrays: dict[str, np.ndarray]) -> np.ndarray:

@@ -7,7 +7,8 @@ import pytest
 
 from recon.batch import Clip, fit_all, read_manifest, shard
 from recon.settings import FitSettings
-from recon.simulate import Corruption, simulate_file
+from recon.simulate import Corruption
+from recon.simulate_files import simulate_file
 from tests.recon.test_cli import clip  # noqa: F401
 
 

@@ -60,6 +60,45 @@ def test_simulate_fit_evaluate_view_export_info(clip, tmp_path, capsys):
         assert json.loads(capsys.readouterr().out)["fps"] == 30
 
 
+def test_one_camera_from_simulate_to_evaluate(clip, tmp_path, capsys):
+    seen, out = tmp_path / "seen.npz", tmp_path / "motion.npz"
+    film = ("--camera", "side", "--layout", "coco17", "--noise", 2, "--unknown-ground")
+    assert recon_("simulate", clip, seen, "--kind", "keypoints2d", *film) == cli.OK
+    capsys.readouterr()
+    assert recon_("fit", seen, "--out", out, "--prior", "pose") == cli.OK
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    stages = [line for line in shown.err.splitlines() if "iterations" in line]
+    assert [line.split()[0] for line in stages] == ["pose"]
+    assert all(len(line) < 100 and "…" not in line for line in stages)
+    assert recon_("evaluate", out, clip, "--obs", seen) == cli.OK
+    found = json.loads(capsys.readouterr().out)
+    assert found["ground_normal"] < 0.3  # radians
+    assert found["root_joints_all"] < 0.15  # metres
+    with np.load(out) as file:
+        assert file["in_camera"].shape == (15, 6)
+
+
+def test_what_was_assumed_and_what_is_wrong_is_said(clip, tmp_path, capsys, monkeypatch):
+    """A stand-in for the fit: only what is shown of its report matters here."""
+    report = {
+        "read": ["view a: camera b"],
+        "warnings": ["a: check the focal length"],
+        "failed": False,
+        "stages": [
+            {"name": "pose", "iterations": 3, "seconds": 0.1, "termination": "converged",
+             "energies": {"data": 1.0, "pose": 0.5}},
+        ],
+    }  # fmt: skip
+    monkeypatch.setattr("recon.fit_files.fit_files", lambda *_: report)
+    assert recon_("fit", clip, "--out", tmp_path / "o.npz", "--json") == cli.OK
+    shown = capsys.readouterr()
+    assert json.loads(shown.out) == report
+    assert "view a: camera b" in shown.err
+    assert "warning: a: check the focal length" in shown.err
+    assert "total 1.5: converged" in shown.err
+
+
 def test_an_exported_skeleton_converts_back(clip, tmp_path, capsys):
     assert recon_("export", clip, "--bvh", tmp_path / "m.bvh") == cli.OK
     assert recon_("convert", tmp_path / "m.bvh", tmp_path / "back.npz", "--json") == cli.OK
@@ -82,13 +121,18 @@ def test_simulate_takes_a_part_at_another_rate(clip, tmp_path, capsys):
     [
         (("fit", "nowhere.npz", "--out", "out.npz"), "nowhere.npz"),
         (("fit", "--out", "out.npz"), "nothing to fit"),
+        (("fit", ".", "--out", "out.npz"), "expected .json files"),
+        (("fit", __file__, "--out", "out.npz"), "recon convert"),
         (("info", "nowhere.bvh"), "nowhere.bvh"),
+        (("info", "."), "expected a folder of"),
         (("view", "nowhere.npz"), "--html"),
         (("export", "nowhere.npz"), "--glb"),
         (("convert", "nowhere.c3d", "out.npz"), "nowhere.c3d"),
         (("batch", "nowhere.jsonl", "--out", "out"), "nowhere.jsonl"),
         (("batch", "nowhere.jsonl", "--out", "out", "--shard", "2"), "--shard"),
         (("simulate", "nowhere.npz", "o.npz", "--kind", "joints3d", "--frames", "9:3"), "A:B"),
+        (("simulate", "a.npz", "o", "--kind", "depth", "--during", 2, 1), "A < B"),
+        (("sample", "--out", "a.npz", "--temperature", -1), "--temperature"),
     ],
 )
 def test_bad_input_is_exit_code_2_and_a_sentence(arguments, words, tmp_path, capsys, monkeypatch):

@@ -1,0 +1,106 @@
+"""What a fitted person says about the input: distance, size, soles, mirrored images; in words."""
+
+from collections.abc import Sequence
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from observations.first_guess import one_clock
+from observations.keypoints2d import Keypoints2D
+from observations.triangulation import triangulate
+from recon.clip import ClipFit
+from recon.protocols import Estimate
+from recon.upright import sole_heights
+
+_NEAR, _FAR = 0.7, 40.0
+"""Metres at which people are filmed."""
+_SHORT, _TALL = 1.42, 1.96
+"""Metres; body models know adults alone, of whom one in a hundred is smaller or taller."""
+_ODD = 4.0
+"""Standard deviations that no coefficient of a real person's shape is away from the mean."""
+_OFF_GROUND = 0.15
+"""Metres between the soles that stand and the ground."""
+_CLEARLY = 0.6
+"""Mirrored images must fit together with less than this share of the error."""
+_LEAST_PIXELS = 1.0
+"""Errors below this tell nothing."""
+
+
+def distance_warnings(name: str, seen: Keypoints2D, estimate: Estimate) -> list[str]:
+    """A wrong focal length moves a body to where nobody films, or off a ground that is known."""
+    pelvis = estimate.scene.to_recording(estimate.body.joints[..., :1, :])
+    distance = float(seen.camera.to_camera(pelvis.mean(-3, keepdim=True))[..., 2].median())
+    if _NEAR < distance < _FAR:
+        return []
+    return [
+        f"{name}: the person would be {distance:.1f} m from the camera; check the focal length "
+        "and that the calibration is in metres"
+    ]
+
+
+def body_warnings(found: ClipFit) -> list[str]:
+    """Wrong focal lengths, units and poses of cameras make nobody's body, or one that floats.
+
+    Where no camera and no ground tells sizes, the prior does, and nothing can be said.
+    """
+    posed = found.result.estimate.body
+    rest = posed.model.rest_vertices(posed.shape.detach())[..., 1]
+    height = float((rest.amax(-1) - rest.amin(-1)).mean())
+    warnings: list[str] = []
+    if not _SHORT < height < _TALL:
+        warnings.append(
+            f"the person would be {height:.2f} m tall; check focal lengths, units and the poses "
+            "of the cameras (for a child this is as well as an adult body can do)"
+        )
+    elif (odd := float(posed.shape.abs().max())) > _ODD:
+        warnings.append(
+            f"the person's shape is {odd:.1f} standard deviations from the average; check the "
+            "calibration, and that left and right are not mirrored"
+        )
+    if found.ground_known:
+        soles = float(sole_heights(found.result.motion, posed.model).median())
+        if abs(soles) > _OFF_GROUND:
+            warnings.append(
+                f"the soles stand at {soles:.2f} m, but the ground is at 0; check focal lengths, "
+                "image sizes and the heights of the cameras, unless the person stands on something"
+            )
+    return warnings
+
+
+def mirror_warnings(views: Sequence[Keypoints2D]) -> list[str]:
+    """Images that fit together better when mirrored, as front cameras of phones write them.
+
+    One view alone cannot tell: it shows what the mirrored person would have done.
+    """
+    alike = one_clock(views)
+    if len(alike) < 2:
+        return []
+    given, mirrored = views_error(alike), views_error([_mirrored(view) for view in alike])
+    if given < _LEAST_PIXELS or mirrored > _CLEARLY * given:
+        return []
+    return [
+        f"the images seem to be mirrored: their rays miss each other by {given:.1f} pixels, and "
+        f"by {mirrored:.1f} when left and right of all images are exchanged; mirror the videos "
+        "back before keypoints are detected"
+    ]
+
+
+def views_error(views: Sequence[Keypoints2D]) -> float:
+    """Median distance of keypoints from their triangulated points in the images, pixels."""
+    points, exists = triangulate(views)
+    away = [_reprojection(view, points)[exists & (view.confidence > 0)] for view in views]
+    together = torch.cat(away)
+    return float(together.median()) if len(together) > 0 else 0.0
+
+
+def _reprojection(
+    view: Keypoints2D, points: Float[Tensor, "batch moments points 3"]
+) -> Float[Tensor, "batch moments points"]:
+    return (view.camera.project(points).pixels - view.pixels).norm(dim=-1)
+
+
+def _mirrored(view: Keypoints2D) -> Keypoints2D:
+    """The view with left and right of the image exchanged."""
+    turned = view.pixels * view.pixels.new_tensor([-1.0, 1.0])
+    return view.replace(pixels=turned + turned.new_tensor([float(view.camera.image_size[0]), 0.0]))

@@ -1,0 +1,240 @@
+"""A motion file as sensors would have seen it, as observation files: what `simulate` does."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from recon.body import BodyModel
+from recon.camera import Camera, depth_camera, full_hd_camera
+from recon.formats.amass import load_motion
+from recon.formats.calibration import load_cameras
+from recon.formats.observation import (
+    CameraArrays,
+    KeypointsFile,
+    ObservationFile,
+    PointsFile,
+    PositionsFile,
+    save_observation,
+)
+from recon.motion import Motion
+from recon.settings import FILM_DEFAULTS, FilmSettings, SensorKind
+from recon.simulate import Corruption, joints3d, markers3d, visible_joints
+from recon.simulate_depth import DepthSensor, depth_points, scan_points, without_pose
+from recon.simulate_images import dome, keypoints2d, orbiting
+from recon.skeleton import JOINTS
+from recon.surface import KEYPOINTS_43
+
+_PRESETS = {"front": 0.0, "side": math.tau / 4}
+"""Angle of a preset's first camera from where the body faces, radians."""
+
+
+def simulate_file(
+    motion: Path,
+    out: Path,
+    kind: SensorKind,
+    corruption: Corruption,
+    *,
+    seed: int,
+    fps: float | None = None,
+    frames: tuple[int, int] | None = None,
+    unknown_ground: bool = False,
+    film: FilmSettings = FILM_DEFAULTS,
+) -> tuple[Path, ...]:
+    """Write what a sensor would have seen of a motion file; returns the files.
+
+    One camera writes OUT, several write OUT/CAMERA.npz.
+
+    Raises:
+        FileNotFoundError: when there is no such motion or calibration.
+        ValueError: when one is damaged, the motion has fewer frames than asked for, or options
+            contradict each other; nothing is written then.
+    """
+    truth = load_motion(motion).motion
+    if frames is not None:
+        if frames[1] > truth.frames:
+            raise ValueError(f"{motion}: has {truth.frames} frames, asked for {frames}")
+        truth = truth.window(*frames)
+    truth = truth if fps is None else truth.resample(fps)
+    body = BodyModel.load()
+    if kind in ("keypoints2d", "depth"):
+        files = _filmed(truth, body, kind, corruption, seed, film, unknown_ground=unknown_ground)
+    elif film != FILM_DEFAULTS:
+        raise ValueError(f"--camera, --views, --orbit and --layout do not apply to {kind}")
+    else:
+        known = not unknown_ground
+        files = {"": _in_space(truth, body, kind, corruption, seed, ground_known=known)}
+    if len(files) == 1:
+        paths = (out,)
+    elif out.suffix == ".npz":
+        raise ValueError(f"{out} is one file, but there are {len(files)} cameras; give a folder")
+    else:
+        out.mkdir(parents=True, exist_ok=True)
+        paths = tuple(out / f"{name}.npz" for name in files)
+    for path, file in zip(paths, files.values(), strict=True):
+        save_observation(path, file)
+    return paths
+
+
+def _in_space(
+    truth: Motion,
+    body: BodyModel,
+    kind: SensorKind,
+    corruption: Corruption,
+    seed: int,
+    *,
+    ground_known: bool,
+) -> ObservationFile:
+    """Joints, markers or scans."""
+    if kind == "scans":
+        if not ground_known:
+            raise ValueError("scans stand in the world; --unknown-ground does not apply to them")
+        return scan_points(truth, body, corruption, seed)
+    see, names = (joints3d, JOINTS) if kind == "joints3d" else (markers3d, KEYPOINTS_43)
+    seen = see(truth, body, corruption, seed)
+    return PositionsFile(
+        kind="joints3d" if kind == "joints3d" else "markers3d",
+        positions=seen.positions.double().numpy(),
+        visible=seen.visible.numpy(),
+        names=names,
+        fps=truth.fps,
+        start_time=truth.start_time,
+        ground_known=ground_known,
+        truth_visible=visible_joints(truth, body, corruption, seed).numpy(),
+    )
+
+
+def _filmed(
+    truth: Motion,
+    body: BodyModel,
+    kind: SensorKind,
+    corruption: Corruption,
+    seed: int,
+    film: FilmSettings,
+    *,
+    unknown_ground: bool,
+) -> dict[str, ObservationFile]:
+    """One observation per camera, by its name."""
+    if kind == "depth" and film.layout != FILM_DEFAULTS.layout:
+        raise ValueError("--layout is of keypoints; depth has none")
+    cameras = cameras_around(truth, body, film, depth_camera() if kind == "depth" else None)
+    if unknown_ground and len(cameras) > 1:
+        raise ValueError(
+            f"{len(cameras)} views without their poses cannot be put together; film with one "
+            "camera, or leave --unknown-ground out"
+        )
+    files: dict[str, ObservationFile] = {}
+    for k, (name, camera) in enumerate(cameras.items()):
+        # 100 views have seeds of their own before they meet those of the next --seed
+        own = 100 * seed + k
+        if kind == "depth":
+            quiet, sensor = replace(corruption, noise=0.0), DepthSensor()
+            sensor = replace(sensor, constant=math.hypot(sensor.constant, corruption.noise))
+            file = depth_points(truth, body, camera, quiet, own, sensor=sensor)
+        else:
+            file = keypoints2d(truth, body, camera, corruption, own, film.layout)
+            if not (file.confidence > 0).any():
+                raise ValueError(f"camera {name} sees nothing of the motion in any frame")
+        files[name] = _lost(file) if unknown_ground else file
+    return files
+
+
+def cameras_around(
+    truth: Motion, body: BodyModel, film: FilmSettings, lens: Camera | None = None
+) -> dict[str, Camera]:
+    """The cameras of a preset or of a calibration, by name.
+
+    Args:
+        truth: one clip (no batch axis).
+        body: whose motion it is.
+        film: which cameras; one from a calibration without a pose is placed in front.
+        lens: of a preset's cameras; default: full HD.
+
+    Raises:
+        FileNotFoundError: when there is no such calibration.
+        ValueError: when it is damaged or does not say where its cameras are, or cameras that move
+            already are to be carried around.
+    """
+    if film.views < 1:
+        raise ValueError(f"--views is one camera or more, got {film.views}")
+    lens = full_hd_camera() if lens is None else lens
+    if film.camera in _PRESETS:
+        first = _heading(truth) + _PRESETS[film.camera]
+        placed = dome(truth, body, lens.to(dtype=truth.translation.dtype), film.views, first=first)
+        cameras = {f"cam{k}": camera for k, camera in enumerate(placed, 1)}
+    else:
+        cameras = _calibrated(Path(film.camera), truth, body, film.views)
+    if film.orbit == 0:
+        return cameras
+    if any(camera.T_camera_world.ndim == 3 for camera in cameras.values()):
+        raise ValueError(f"{film.camera}: its cameras move already; leave --orbit out")
+    middle = body.pose(truth).joints.flatten(0, -2).mean(0)
+    return {n: orbiting(c, middle, truth.frames, film.orbit) for n, c in cameras.items()}
+
+
+def _calibrated(path: Path, truth: Motion, body: BodyModel, views: int) -> dict[str, Camera]:
+    if not path.exists():
+        raise FileNotFoundError(
+            f"{path}: no such calibration; expected a file, or one of {', '.join(_PRESETS)}"
+        )
+    found = load_cameras(path).cameras
+    if views != 1:
+        raise ValueError(f"{path} says which cameras there are ({len(found)}); leave --views out")
+    cameras = {}
+    for name, arrays in found.items():
+        camera = _camera(arrays, truth)
+        if arrays.T_camera_world is None:
+            if len(found) > 1:
+                raise ValueError(f"{path}: camera {name} has no pose, so it cannot be placed")
+            camera = dome(truth, body, camera, 1, first=_heading(truth))[0]
+        elif camera.T_camera_world.ndim == 3 and len(camera.T_camera_world) < truth.frames:
+            raise ValueError(
+                f"{path}: camera {name} has {len(camera.T_camera_world)} poses, the motion "
+                f"{truth.frames} frames"
+            )
+        elif camera.T_camera_world.ndim == 3:
+            poses = camera.T_camera_world[: truth.frames]
+            camera = camera.replace(T_camera_world=poses)
+        cameras[name] = camera
+    return cameras
+
+
+def _camera(arrays: CameraArrays, truth: Motion) -> Camera:
+    """As tensors; one pose has no time axis."""
+    poses = arrays.T_camera_world
+    if poses is not None and len(poses) == 1:
+        poses = poses[0]
+    return Camera.create(
+        torch.from_numpy(arrays.camera_matrix),
+        arrays.image_size,
+        None if arrays.distortion is None else torch.from_numpy(arrays.distortion),
+        None if poses is None else torch.from_numpy(poses),
+    ).to(dtype=truth.translation.dtype)
+
+
+def _heading(truth: Motion) -> float:
+    """Where the body faces most of the time, radians from the world's x axis."""
+    x, y, _ = truth.rotations[:, 0, :, 2].mean(0).tolist()
+    return math.atan2(y, x)
+
+
+def _lost(file: KeypointsFile | PointsFile) -> KeypointsFile | PointsFile:
+    """The same from a camera that does not know where it stands, and where it really stood.
+
+    Raises:
+        ValueError: when the camera moves.
+    """
+    camera = file.camera
+    assert camera is not None
+    assert camera.T_camera_world is not None
+    if len(camera.T_camera_world) != 1:
+        raise ValueError(
+            "a moving camera must know its poses; leave --orbit or --unknown-ground out"
+        )
+    true = np.linalg.inv(camera.T_camera_world[0])
+    if isinstance(file, PointsFile):
+        return replace(without_pose(file), truth_T_world_camera=true)
+    lost = replace(camera, T_camera_world=None)
+    return replace(file, camera=lost, truth_T_world_camera=true)

@@ -1,0 +1,203 @@
+"""`recon simulate` for cameras: which cameras there are, what they keep, and what is refused."""
+
+import math
+from dataclasses import replace
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from recon.body import BodyModel
+from recon.camera import full_hd_camera
+from recon.formats.amass import load_motion, save_motion
+from recon.formats.observation import KeypointsFile, PointsFile, load_observation
+from recon.motion import Motion
+from recon.settings import FilmSettings
+from recon.simulate import Corruption
+from recon.simulate_files import cameras_around, simulate_file
+from tests.recon.keypoint_scene import camera, write_toml
+
+NOTHING = Corruption()
+
+
+@pytest.fixture(scope="module")
+def clip(tmp_path_factory) -> Path:
+    """Six frames of the bundled walk."""
+    with resources.as_file(resources.files("recon") / "assets" / "demo.npz") as path:
+        motion = load_motion(path).motion.window(30, 36)
+    target = tmp_path_factory.mktemp("clip") / "truth.npz"
+    save_motion(target, motion)
+    return target
+
+
+@pytest.fixture(scope="module")
+def walk(clip) -> Motion:
+    return load_motion(clip).motion
+
+
+@pytest.fixture(scope="module")
+def person() -> BodyModel:
+    return BodyModel.load()
+
+
+def keypoints(path: Path) -> KeypointsFile:
+    file = load_observation(path)
+    assert isinstance(file, KeypointsFile)
+    return file
+
+
+def test_front_and_side_look_at_the_body_from_there(walk, person):
+    front = cameras_around(walk, person, FilmSettings())["cam1"]
+    side = cameras_around(walk, person, FilmSettings(camera="side"))["cam1"]
+    facing = walk.rotations[:, 0, :, 2].mean(0)
+    facing[2] = 0
+    facing = facing / facing.norm()
+    middle = person.pose(walk).joints.flatten(0, -2).mean(0)
+    ahead = (front.T_world_camera[:3, 3] - middle)[:2]
+    assert torch.dot(ahead / ahead.norm(), facing[:2]) > 0.95
+    left = (side.T_world_camera[:3, 3] - middle)[:2]
+    assert abs(torch.dot(left / left.norm(), facing[:2])) < 0.3
+    for one in (front, side):
+        projected = one.project(person.pose(walk).joints)
+        assert one.in_image(projected.pixels).all()
+        assert projected.in_front.all()
+
+
+def test_several_views_are_a_folder_and_see_the_same_body(clip, walk, person, tmp_path):
+    film = FilmSettings(views=3, layout="smpl22")
+    paths = simulate_file(clip, tmp_path / "views", "keypoints2d", NOTHING, seed=0, film=film)
+    assert [path.name for path in paths] == ["cam1.npz", "cam2.npz", "cam3.npz"]
+    joints = person.pose(walk).joints
+    cameras = cameras_around(walk, person, film)
+    for path, one in zip(paths, cameras.values(), strict=True):
+        file = keypoints(path)
+        assert file.layout == "smpl22"
+        seen = file.confidence > 0
+        away = np.abs(file.pixels - one.project(joints).pixels.numpy())[seen]
+        assert away.max() < 1e-2  # pixels
+        assert file.truth_T_world_camera is None
+        assert file.camera.T_camera_world is not None
+
+
+def test_noise_of_two_views_is_not_the_same(clip, tmp_path):
+    film = FilmSettings(views=2)
+    noisy, clean = Corruption(noise=3.0), tmp_path / "clean"
+    paths = simulate_file(clip, tmp_path / "noisy", "keypoints2d", noisy, seed=4, film=film)
+    clear = simulate_file(clip, clean, "keypoints2d", NOTHING, seed=4, film=film)
+    off = [keypoints(a).pixels - keypoints(b).pixels for a, b in zip(paths, clear, strict=True)]
+    both = np.all([keypoints(path).confidence > 0 for path in paths], 0)
+    assert np.concatenate(off)[np.concatenate([both, both])].std() == pytest.approx(3, rel=0.15)
+    correlation = np.corrcoef(off[0][both].ravel(), off[1][both].ravel())[0, 1]
+    assert abs(correlation) < 0.2
+
+
+@pytest.mark.parametrize("kind", ["keypoints2d", "depth"])
+def test_an_unknown_ground_leaves_the_pose_to_the_truth(kind, clip, walk, person, tmp_path):
+    lost, placed = tmp_path / "lost.npz", tmp_path / "placed.npz"
+    simulate_file(clip, lost, kind, NOTHING, seed=0, unknown_ground=True)
+    simulate_file(clip, placed, kind, NOTHING, seed=0)
+    file, known = load_observation(lost), load_observation(placed)
+    assert isinstance(file, KeypointsFile | PointsFile)
+    assert isinstance(known, KeypointsFile | PointsFile)
+    assert file.camera is not None
+    assert known.camera is not None
+    assert file.camera.T_camera_world is None
+    assert file.truth_T_world_camera is not None
+    assert known.camera.T_camera_world is not None
+    away = file.truth_T_world_camera @ known.camera.T_camera_world[0] - np.eye(4)
+    assert np.abs(away).max() < 1e-6
+    if isinstance(file, PointsFile) and isinstance(known, PointsFile):
+        T = file.truth_T_world_camera
+        world = file.points @ T[:3, :3].T + T[:3, 3]
+        assert np.abs(world - known.points).max() < 1e-5  # metres
+
+
+def test_things_are_hidden_during_their_time_alone(clip, walk, tmp_path):
+    begin = walk.start_time + 2 / walk.fps - 1e-3
+    hidden = Corruption(hide_below=0.9, during=(begin, begin + 2 / walk.fps))
+    path = tmp_path / "seen.npz"
+    simulate_file(clip, path, "keypoints2d", hidden, seed=0, film=FilmSettings(layout="smpl22"))
+    truth = keypoints(path).truth_visible
+    assert truth is not None
+    assert truth[:, [7, 8]].all(1).tolist() == [True, True, False, False, True, True]
+
+
+def test_a_moving_camera_has_a_pose_per_frame(clip, tmp_path):
+    path = tmp_path / "moving.npz"
+    film = FilmSettings(orbit=0.5)
+    simulate_file(clip, path, "keypoints2d", NOTHING, seed=0, film=film)
+    poses = keypoints(path).camera.T_camera_world
+    assert poses is not None
+    assert poses.shape == (6, 4, 4)
+    ahead = poses[:, 2, :3]  # the viewing axis in the world
+    turned = math.acos(np.clip(ahead[0] @ ahead[-1], -1, 1))
+    assert turned == pytest.approx(0.5, abs=0.15)  # radians
+
+
+def test_cameras_of_a_calibration_are_taken_as_they_stand(clip, walk, person, tmp_path):
+    cameras = {"left": camera(0, 6.0), "right": camera(90, 6.0)}
+    table = write_toml(tmp_path / "Calib.toml", cameras)
+    film = FilmSettings(camera=str(table))
+    paths = simulate_file(clip, tmp_path / "out", "keypoints2d", NOTHING, seed=0, film=film)
+    assert [path.stem for path in paths] == ["left", "right"]
+    for path, one in zip(paths, cameras.values(), strict=True):
+        kept = keypoints(path).camera
+        assert np.allclose(kept.camera_matrix, one.camera_matrix, atol=1e-3)
+        assert kept.distortion is not None
+        assert one.T_camera_world is not None
+        assert kept.T_camera_world is not None
+        assert np.allclose(kept.T_camera_world, one.T_camera_world, atol=1e-5)
+
+
+def test_a_lens_without_pose_is_placed_in_front(walk, person, tmp_path):
+    lens = full_hd_camera()
+    np.savez(tmp_path / "lens.npz", camera_matrix=lens.camera_matrix, image_size=lens.image_size)
+    film = FilmSettings(camera=str(tmp_path / "lens.npz"))
+    placed = cameras_around(walk, person, film)["lens"]
+    front = cameras_around(walk, person, FilmSettings())["cam1"]
+    assert torch.allclose(placed.T_camera_world, front.T_camera_world, atol=1e-5)
+
+
+def test_scans_and_depth_keep_their_noise(clip, tmp_path):
+    sizes = {}
+    for kind in ("depth", "scans"):
+        for noise in (0.0, 0.03):
+            path = tmp_path / f"{kind}{noise}.npz"
+            simulate_file(clip, path, kind, Corruption(noise=noise), seed=0)
+            file = load_observation(path)
+            assert isinstance(file, PointsFile)
+            sizes[kind, noise] = np.linalg.norm(file.points.std(0))
+        assert sizes[kind, 0.03] > sizes[kind, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("kind", "film", "unknown", "words"),
+    [
+        ("joints3d", FilmSettings(layout="coco17"), False, "do not apply"),
+        ("scans", FilmSettings(), True, "--unknown-ground"),
+        ("depth", FilmSettings(layout="coco17"), False, "--layout"),
+        ("keypoints2d", FilmSettings(layout="frobnicate"), False, "frobnicate"),
+        ("keypoints2d", FilmSettings(views=0), False, "--views"),
+        ("keypoints2d", FilmSettings(views=2), True, "cannot be put together"),
+        ("keypoints2d", FilmSettings(orbit=1.0), True, "moving camera"),
+        ("keypoints2d", FilmSettings(views=2), False, "give a folder"),
+    ],
+)
+def test_contradictions_are_refused_and_nothing_is_written(
+    kind, film, unknown, words, clip, tmp_path
+):
+    with pytest.raises(ValueError, match=words):
+        simulate_file(
+            clip, tmp_path / "o.npz", kind, NOTHING, seed=0, film=film, unknown_ground=unknown
+        )
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_missing_calibration_names_the_presets(clip, tmp_path):
+    film = FilmSettings(camera="frnt")
+    with pytest.raises(FileNotFoundError, match="front, side"):
+        simulate_file(clip, tmp_path / "o.npz", "keypoints2d", NOTHING, seed=0, film=film)
+    with pytest.raises(ValueError, match="during"):
+        replace(NOTHING, during=(2.0, 1.0))
