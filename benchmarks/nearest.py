@@ -1,0 +1,115 @@
+"""Nearest neighbours: their share of a fit's objective, and how far off the nearest vertex is.
+
+    python -m benchmarks.nearest --json nearest.json
+
+The objective is one evaluation with its gradient of stage 3's: HuMoR rolled out over 90 frames and
+a simulated depth sensor's points. One thread throughout.
+"""
+
+import argparse
+import time
+from pathlib import Path
+
+import numpy as np
+import torch
+from rich.console import Console
+from rich.table import Table
+from torch import Tensor
+
+import observations.depth
+import recon
+from benchmarks.results import write
+from observations.clouds import cloud_of
+from observations.depth import PointCloud, to_discs, to_vertices
+from observations.nearest import nearest
+from observations.surfels import SURFELS, Surfels
+from priors.humor import Humor
+from recon.body import BodyModel
+from recon.camera import depth_camera
+from recon.formats.amass import load_motion
+from recon.motion import Motion
+from recon.protocols import Estimate
+from recon.scene import Scene
+from recon.simulate import Corruption
+from recon.simulate_depth import PERFECT, depth_points
+from recon.simulate_images import dome
+
+FRAMES, SEED, REPEATS = 90, 0, 5
+"""Of the bundled demo."""
+
+
+def main() -> None:
+    """Measure, print and write."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--json", type=Path)
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+    body = BodyModel.load()
+    demo = Path(recon.__file__).parent / "assets" / "demo.npz"
+    motion = load_motion(demo).motion.resample(30.0).window(0, FRAMES)
+    rows = {**shares(body, motion), **distances(body, motion)}
+    table = Table("what", "value", title=f"{FRAMES} frames")
+    for name, value in rows.items():
+        table.add_row(name, f"{value:.4g}")
+    Console().print(table)
+    if arguments.json is not None:
+        write(arguments.json, "python -m benchmarks.nearest", SEED, rows=rows)
+
+
+def shares(body: BodyModel, motion: Motion) -> dict[str, float]:
+    """Milliseconds of an evaluation and of the search in it, for several numbers of points."""
+    sensor = dome(motion, body, depth_camera(), 1, height=1.2)[0]
+    file = depth_points(motion, body, sensor, Corruption(), SEED)
+    rows: dict[str, float] = {}
+    for points in (512, 1024, 4096):
+        total, search = timed(cloud_of(file, body, points=points).cloud, body, motion)
+        rows[f"{points} points: objective, ms"] = 1e3 * total
+        rows[f"{points} points: search, ms"] = 1e3 * search
+        rows[f"{points} points: share of the search"] = search / total
+    return rows
+
+
+def timed(cloud: PointCloud, body: BodyModel, motion: Motion) -> tuple[float, float]:
+    """Median seconds of evaluation and gradient, and of the search for neighbours alone."""
+    spent: list[float] = []
+
+    def watched(*arguments: Tensor) -> Tensor:
+        begin = time.perf_counter()
+        found = nearest(*arguments)
+        spent.append(time.perf_counter() - begin)
+        return found
+
+    prior = Humor.load(body=body)
+    variables = prior.encode(motion.map(lambda tensor: tensor[None])).detach()
+    leaves = [t.requires_grad_() for t in variables.tensors().values() if t.is_floating_point()]
+    whole: list[float] = []
+    observations.depth.nearest = watched  # type: ignore[assignment]
+    for _ in range(REPEATS):
+        begin = time.perf_counter()
+        decoded = prior.decode(variables)
+        scene = Scene.create(1, like=motion.translation)
+        value = cloud(Estimate(decoded, body.pose(decoded.motion), scene))
+        value = value + sum(decoded.energies.values(), torch.zeros(()))
+        torch.autograd.grad(value.sum(), leaves, allow_unused=True)
+        whole.append(time.perf_counter() - begin)
+    observations.depth.nearest = nearest
+    return float(np.median(whole)), float(np.median(spent))
+
+
+def distances(body: BodyModel, motion: Motion) -> dict[str, float]:
+    """Median distance, mm, of points that lie exactly on the surface; it should be zero."""
+    few = motion.window(0, 5)
+    sensor = dome(few, body, depth_camera(), 1, height=1.2)[0]
+    file = depth_points(few, body, sensor, Corruption(), SEED, sensor=PERFECT)
+    cloud = cloud_of(file, body, points=4096).cloud
+    rows: dict[str, float] = {}
+    for count, distance in ((7000, to_vertices), (SURFELS, to_vertices), (SURFELS, to_discs)):
+        case = cloud.replace(surfels=Surfels.of(body, count), distance=distance)
+        squared, present = case.squared_distances(Estimate.of_clip(few, body))
+        name = f"{distance.__name__}, {len(case.surfels.vertices)} vertices: median, mm"
+        rows[name] = 1e3 * float(squared[present].sqrt().median())
+    return rows
+
+
+if __name__ == "__main__":
+    main()
