@@ -34,6 +34,13 @@ def main() -> None:
     run("benchmarks.humor", str(corpus), *parts, "--json", str(out / "ablations.json"))
     run("benchmarks.generation", str(corpus), "--json", str(out / "generation.json"))
     run("benchmarks.real", str(data / "observations"), "--json", str(out / "real.json"))
+    run("benchmarks.cameras", str(corpus), "--only", "24", "--nc", nc, "--ablations",
+        str(out / "ablations"), "--cases", "one camera", "one camera, posed", "moving camera",
+        "three views", "--json", str(out / "cameras.json"))  # fmt: skip
+    run("benchmarks.cameras", str(corpus), "--only", "8", "--cases", "depth", "2D + depth",
+        "--json", str(out / "depth.json"))  # fmt: skip
+    run("benchmarks.pose2sim", str(data / "observations"), "--json", str(out / "pose2sim.json"))
+    run("benchmarks.nearest", "--json", str(out / "nearest.json"))
     run("benchmarks.long", str(corpus), "--prior", "humor", "--json", str(out / "long.json"))
     run("benchmarks.rollout", "--json", str(out / "rollout.json"))
     run("benchmarks.solver", "--json", str(out / "solver.json"))

@@ -41,7 +41,12 @@ class LoadedCloud:
 
 
 def cloud_of(
-    file: PointsFile, body: BodyModel, *, points: int = POINTS, seed: int = 0
+    file: PointsFile,
+    body: BodyModel,
+    *,
+    points: int = POINTS,
+    seed: int = 0,
+    T_recording_camera: Float[np.ndarray, "4 4"] | None = None,
 ) -> LoadedCloud:
     """Points of one clip as an observation.
 
@@ -55,6 +60,7 @@ def cloud_of(
         body: that is to be fitted.
         points: most points kept of a frame, drawn at random.
         seed: of the draw.
+        T_recording_camera: where a camera without pose is, if the ground is given.
 
     Raises:
         ValueError: when no frame has enough points of a person.
@@ -65,7 +71,10 @@ def cloud_of(
     if len(few) > _SEARCHED:
         few = few[generator.permutation(len(few))[:_SEARCHED]]
     found = find_ground(few, np.array(_UP_IN_WORLD if known else _UP_IN_CAMERA))
-    T = np.eye(4) if known else _levelling(file.points, found.ground)
+    T = np.eye(4)
+    if not known:
+        given = T_recording_camera
+        T = _levelling(file.points, found.ground) if given is None else given
     turned = file.points @ T[:3, :3].T + T[:3, 3]
     seen = found.ground is not None
     if known and found.ground is not None:
@@ -101,6 +110,7 @@ def cloud_of(
         start_time=file.start_time,
         camera=None if file.camera is None else _camera(file.camera, T, body),
         ground_known=known,
+        ground_seen=found.ground is not None,
     )
     return LoadedCloud(observation, found, T)
 

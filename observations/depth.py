@@ -133,6 +133,8 @@ class PointCloud(TensorStruct):
     (as published) or `bounded`."""
     ground_known: bool = True
     """Whether the recording's z = 0 is the ground."""
+    ground_seen: bool = False
+    """Whether the recording's z = 0 was laid on a plane that the sensor sees."""
     pairs: Int[Tensor, "*batch moments points"] | None = None
     """Disc that each point belongs to, while that is not in question."""
     scale: Float[Tensor, "*batch"] | None = None

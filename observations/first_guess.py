@@ -37,8 +37,6 @@ class FirstGuess:
     """
     others: tuple[Motion, ...] = ()
     """What it may be as well; only a fit can tell."""
-    posed: bool = False
-    """Whether it has been fitted before, so that its body does not rest any more."""
 
 
 def first_guess(observations: Sequence[Seen], body: BodyModel) -> FirstGuess:

@@ -12,7 +12,7 @@ from recon.camera import Camera
 from recon.formats.observation import CameraArrays, KeypointsFile
 from recon.ground import Ground, world_from_camera
 
-LEVEL_CAMERA = Ground(torch.tensor([0.0, -1.0, 0.0]), torch.tensor(-1.2))
+LEVEL_CAMERA = (0.0, -1.0, 0.0, -1.2)
 """The ground that a camera of unknown pose is first taken to see: level, 1.2 m below it."""
 _FACING = ((-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0))
 """A body that would look where the camera looks; its right is the image's."""
@@ -52,6 +52,21 @@ def keypoints_of(
     )
 
 
+def camera_above(ground: tuple[float, float, float, float]) -> Float[np.ndarray, "4 4"]:
+    """T_recording_camera of a camera that sees the ground n·x = d; it stands above the origin.
+
+    Raises:
+        ValueError: when the normal is zero, or the camera is below the ground.
+    """
+    plane = Ground.create(torch.tensor(ground[:3]), torch.tensor(ground[3]))
+    if not float(plane.offset) < 0:
+        raise ValueError(
+            f"the ground {ground} is not below the camera: expected (nx, ny, nz, d) with the "
+            "normal up and d < 0, such as (0, -1, 0, -1.2) for a level camera 1.2 m above it"
+        )
+    return world_from_camera(plane, torch.tensor(_FACING), torch.zeros(3)).double().numpy()
+
+
 def undistorted(file: KeypointsFile) -> Float[np.ndarray, "time points 2"]:
     """Pixels of the same camera with a perfect lens."""
     camera = file.camera
@@ -71,8 +86,7 @@ def pinhole(
     poses = arrays.T_camera_world
     if poses is None:
         if T_recording_camera is None:
-            level = world_from_camera(LEVEL_CAMERA, torch.tensor(_FACING), torch.zeros(3))
-            T_recording_camera = level.double().numpy()
+            T_recording_camera = camera_above(LEVEL_CAMERA)
         poses = np.linalg.inv(T_recording_camera)[None]
     return Camera.create(
         torch.from_numpy(np.asarray(arrays.camera_matrix)).float()[None],

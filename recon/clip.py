@@ -23,8 +23,8 @@ from recon.scene import GROUND, HEIGHT, OFFSETS, Scene, UnknownGround
 from recon.settings import FitSettings
 from recon.stages import Watch
 from recon.struct import concatenate
-from recon.terms import Term, offsets
-from recon.upright import ground_below, sole_heights, upright_ground
+from recon.terms import Term, ground_moved, offsets
+from recon.upright import ground_below, pelvis_path, sole_heights, upright_ground
 
 LONG = 10.0
 """Seconds; longer recordings are fitted by windows."""
@@ -33,6 +33,9 @@ _MOST = 1.5
 OFFSET_DEVIATION = 0.005
 """Metres by which a detector's idea of a joint differs between people, as one frame would tell it.
 It differs by a centimetre or two, but frames repeat each other."""
+GROUND_DEVIATION = 0.001
+"""Metres and radians by which a plane that is given or seen may miss the ground: thousands of
+points see it, and no step of a person should outweigh them."""
 POSE = FitSettings(prior="pose")
 
 
@@ -137,12 +140,13 @@ class _Job:
     def method(self, settings: FitSettings, moved: frozenset[str]) -> Method:
         noise = min(noise.metres for noise in self.noises)
         method = method_of(settings, noise, self.body)
-        terms = ()
+        terms: tuple[Term, ...] = ()
         if moved >= OFFSETS:
             terms = (Term("offsets", offsets, (noise * OFFSET_UNIT / OFFSET_DEVIATION) ** 2),)
+        if moved >= GROUND and self.ground_seen:
+            terms = (*terms, Term("ground", ground_moved, (noise / GROUND_DEVIATION) ** 2))
         method = WithScene(method, moved, terms) if moved else method
-        again = self.guess.posed or not self.guess.distance_known
-        return WithoutRoot(method) if again else method
+        return method if self.guess.distance_known else WithoutRoot(method)
 
     def fit(
         self, settings: FitSettings, scene: Scene, start: Motion, moved: frozenset[str]
@@ -179,9 +183,9 @@ class _Job:
         starts = [m.resample(m.fps / 2) for m in (self.guess.motion, *self.guess.others)]
         fits = [quick.fit(POSE, self.scene(start), start, frozenset()) for start in starts]
         best = torch.stack([one.reports[-1].solution.value for one in fits]).argmin(0)
-        rows = [fits[k].motion[[row]] for row, k in enumerate(best.tolist())]
-        motion = concatenate(rows).resample(self.guess.motion.fps)
-        return replace(self, guess=FirstGuess(motion, self.guess.distance_known, posed=True))
+        every = (self.guess.motion, *self.guess.others)
+        rows = [every[k][[row]] for row, k in enumerate(best.tolist())]
+        return replace(self, guess=FirstGuess(concatenate(rows), self.guess.distance_known))
 
     def on_known_ground(self) -> Motion:
         """A first motion under the pose prior, as far from the one camera as its soles are low.
@@ -197,6 +201,12 @@ class _Job:
         place = free.translation + (pelvis - eye)[:, None]
         return free.replace(translation=place * factor[:, None, None] - (pelvis - eye)[:, None])
 
+    @property
+    def ground_seen(self) -> bool:
+        """Whether the recording's z = 0 was laid on a plane that is given or seen."""
+        seen = any(isinstance(o, PointCloud) and o.ground_seen for o in self.observations)
+        return seen or self.settings.ground is not None
+
     def free(self) -> Motion:
         """A first motion under the pose prior, which does not ask where the ground is."""
         start = self.guess.motion
@@ -204,15 +214,19 @@ class _Job:
 
     def with_ground(self) -> Reconstruction:
         """The whole clip and its ground, found from the way people stand."""
-        free = self.free()
+        start = self.guess.motion
         level = all(isinstance(o, Joints3D | Markers3D) for o in self.observations)
         if level:  # the recording's z is up, only heights are not known
-            ground, unknown = ground_below(free, self.body), HEIGHT
+            start, unknown = self.free(), HEIGHT
+            ground = ground_below(start, self.body)
+        elif self.ground_seen:
+            ground, unknown = UnknownGround.create(pelvis_path(start, self.body)), GROUND
         else:
-            ground, unknown = upright_ground(free, self.body), GROUND
+            start, unknown = self.free(), GROUND
+            ground = upright_ground(start, self.body)
         if self.settings.prior == "pose":  # it knows nothing of gravity
             unknown = frozenset()
-        return self.fit(self.settings, self.scene(free, ground), free, self.moved | unknown)
+        return self.fit(self.settings, self.scene(start, ground), start, self.moved | unknown)
 
     def first_seconds(self) -> "_Job":
         """The same clip cut off after a window's length."""

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from observations.clouds import cloud_of
 from observations.files import positions_of
 from observations.first_guess import Seen
-from observations.images import keypoints_of
+from observations.images import camera_above, keypoints_of
 from recon.body import BodyModel
 from recon.detections.masks import load_silhouettes, masked
 from recon.detections.views import load_views
@@ -109,11 +109,11 @@ def _together(
             f"the cameras of {', '.join(views_without)} have no pose (T_camera_world), so nobody "
             "knows how they stand to each other; give a calibration, or fit one view alone"
         )
-    T: np.ndarray | None = None
+    T = None if settings.ground is None else camera_above(settings.ground)
     found: dict[int, Seen] = {}
     for k, (name, file) in enumerate(files):
         if isinstance(file, PointsFile):
-            loaded = cloud_of(file, body, seed=settings.seed)
+            loaded = cloud_of(file, body, seed=settings.seed, T_recording_camera=T)
             found[k] = loaded.cloud
             seen = "" if loaded.ground.ground is None else "ground: "
             notes.append(f"{name}: {seen}{loaded.ground.reason}")

@@ -77,7 +77,7 @@ class Ground(TensorStruct):
 def published_pull(ground: Ground, first: Ground) -> Float[Tensor, "*batch"]:
     """½ |n d - n0 d0|², metres²: HuMoR's floor_reg, which holds a ground near a first guess.
 
-    It vanishes for every normal where d is zero; fits here use `recon.terms.ground_tilt`.
+    It vanishes for every normal where d is zero; fits here use `recon.terms.ground_moved`.
     """
     away = ground.normal * ground.offset[..., None] - first.normal * first.offset[..., None]
     return 0.5 * away.square().sum(-1)

@@ -32,6 +32,9 @@ class FitSettings:
     """Axis of the calibration's world that points up; default: z."""
     image_size: tuple[int, int] | None = None
     """Width and height of the images, pixels, where the calibration does not tell."""
+    ground: tuple[float, float, float, float] | None = None
+    """Of a camera without pose: the plane n·x = d in its frame (x right, y down, z forward), the
+    normal up, metres; 0 -1 0 -1.2 is 1.2 m below a level camera. Default: found."""
     layout: str | None = None
     """Which keypoints detections are, where files do not tell: openpose25, coco17, ..."""
     person: int | None = None

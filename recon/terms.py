@@ -101,7 +101,7 @@ def offsets(estimate: Estimate) -> Float[Tensor, "*batch"]:
     return 0.5 * estimate.scene.offsets.square().sum((-1, -2))
 
 
-def ground(estimate: Estimate) -> Float[Tensor, "*batch"]:
+def ground_moved(estimate: Estimate) -> Float[Tensor, "*batch"]:
     """½ (|turn|² + lift²) of the ground away from the recording's z = 0; radians², metres²."""
     unknown = estimate.scene.ground
     assert unknown is not None, "the ground is known: leave this term out"

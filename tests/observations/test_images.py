@@ -52,7 +52,7 @@ def test_a_camera_without_pose_sees_a_level_world():
     assert not view.ground_known
     T = view.camera.T_camera_world[0, 0]
     ground = Ground.seen_from(T)
-    torch.testing.assert_close(ground.coefficients, LEVEL_CAMERA.coefficients)
+    torch.testing.assert_close(ground.coefficients, torch.tensor(LEVEL_CAMERA))
     assert float(torch.linalg.det(T[:3, :3])) == pytest.approx(1.0, abs=1e-6)
     eye = view.camera.T_world_camera[0, 0, :3, 3]
     torch.testing.assert_close(eye, torch.tensor([0.0, 0.0, 1.2]), atol=1e-6, rtol=0)

@@ -232,8 +232,8 @@ def test_bad_requests_are_refused(toy_body):
 
 
 def test_long_files_are_fitted_by_windows_and_the_report_says_so(body, tmp_path, monkeypatch):
-    monkeypatch.setattr("recon.fit_files.LONG", 2.0)
-    monkeypatch.setattr("recon.fit_files.method_of", lambda *_: Rigid(iterations=5))
+    monkeypatch.setattr("recon.clip.LONG", 2.0)
+    monkeypatch.setattr("recon.clip.method_of", lambda *_: Rigid(iterations=5))
     truth = swaying(body, seconds=5.0, fps=6.0)
     observation = seen(body, truth)
     save_observation(
