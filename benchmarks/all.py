@@ -37,7 +37,8 @@ def main() -> None:
     run("benchmarks.cameras", str(corpus), "--only", "24", "--nc", nc, "--ablations",
         str(out / "ablations"), "--cases", "one camera", "one camera, posed", "moving camera",
         "three views", "--json", str(out / "cameras.json"))  # fmt: skip
-    run("benchmarks.cameras", str(corpus), "--only", "8", "--cases", "depth", "2D + depth",
+    sensors = ("depth", "2D of the sensor", "2D + depth")
+    run("benchmarks.cameras", str(corpus), "--only", "8", "--cases", *sensors,
         "--json", str(out / "depth.json"))  # fmt: skip
     run("benchmarks.pose2sim", str(data / "observations"), "--json", str(out / "pose2sim.json"))
     run("benchmarks.nearest", "--json", str(out / "nearest.json"))

@@ -284,12 +284,19 @@ def depth_and_keypoints(truth: Motion, body: BodyModel, seed: int) -> Filmed:
     return replace(cloud, observations=(view, *cloud.observations))
 
 
+def keypoints_of_sensor(truth: Motion, body: BodyModel, seed: int) -> Filmed:
+    """The same keypoints alone."""
+    both = depth_and_keypoints(truth, body, seed)
+    return replace(both, observations=both.observations[:1])
+
+
 CASES: dict[str, Callable[[Motion, BodyModel, int], Filmed]] = {
     "one camera": one_camera,
     "one camera, posed": one_camera_posed,
     "moving camera": moving_camera,
     "three views": three_views,
     "depth": depth,
+    "2D of the sensor": keypoints_of_sensor,
     "2D + depth": depth_and_keypoints,
 }
 
