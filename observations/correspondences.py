@@ -80,6 +80,8 @@ class BodyPoints:
     vertices: Int[Tensor, " vertices"]
     """The vertices that are needed."""
     names: tuple[str, ...]
+    bones: tuple[int, ...]
+    """The joint whose bone each point mostly sits on."""
     known: Bool[Tensor, " points"]
     """Points that this body has; landmarks are vertices of the bundled mesh only."""
 
@@ -105,7 +107,9 @@ class BodyPoints:
             for name in place.landmarks:
                 of_vertices[row, vertices.index(landmark(name))] += share
         index = torch.tensor(vertices, dtype=torch.long)
-        return cls(of_joints, of_vertices, index, names, torch.tensor(known))
+        skin = of_vertices @ body.weights[index].to(of_vertices)
+        bones = tuple((of_joints + skin).argmax(-1).tolist())
+        return cls(of_joints, of_vertices, index, names, bones, torch.tensor(known))
 
     def of(self, posed: PosedBody) -> Float[Tensor, "*batch time points 3"]:
         """Where a posed body has them, world, metres; zero where it has not."""
@@ -124,8 +128,3 @@ class BodyPoints:
         return points + self.of_vertices.to(shape) @ body.rest_vertices(
             shape, self.vertices.to(shape.device)
         )
-
-    def bones(self, body: BodyModel) -> tuple[int, ...]:
-        """The joint whose bone each point mostly sits on."""
-        skin = self.of_vertices @ body.weights[self.vertices].to(self.of_vertices)
-        return tuple((self.of_joints + skin).argmax(-1).tolist())

@@ -147,11 +147,11 @@ class PointCloud(TensorStruct):
             pairs = torch.zeros(self.present.shape, dtype=torch.long, device=self.points.device)
             if self.present[..., seen, :].numel() > 0:
                 pairs[..., seen, :] = self._nearest(middles, normals, seen)
-            held = self.replace(pairs=pairs, scale=None)
             if self.kernel is not tukey:
-                return held
-            squared, present = held.squared_distances(estimate)
-            return held.replace(scale=tukey_scale(squared.flatten(-2), present.flatten(-2)))
+                return self.replace(pairs=pairs, scale=None)
+            squared, present = self._between(middles, normals, seen, pairs[..., seen, :])
+            scale = tukey_scale(squared.flatten(-2), present.flatten(-2))
+            return self.replace(pairs=pairs, scale=scale)
 
     def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
         """½ Σ kernel(distance²) over the points present, taken at 30 Hz.
@@ -170,11 +170,17 @@ class PointCloud(TensorStruct):
     def squared_distances(self, estimate: Estimate) -> tuple[Tensor, Tensor]:
         """Squared distances (*batch, seen, points), metres², and which points are present."""
         middles, normals, seen = self._surface(estimate)
+        if self.pairs is not None:
+            return self._between(middles, normals, seen, self.pairs[..., seen, :])
+        if self.present[..., seen, :].numel() == 0:
+            return self.points[..., seen, :, :].sum(-1), self.present[..., seen, :]
+        return self._between(middles, normals, seen, self._nearest(middles, normals, seen))
+
+    def _between(
+        self, middles: Tensor, normals: Tensor, seen: slice, index: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Squared distances of the points from the discs of these numbers, and which exist."""
         points, present = self.points[..., seen, :, :], self.present[..., seen, :]
-        if present.numel() == 0:
-            return points.sum(-1), present
-        pairs = self.pairs
-        index = self._nearest(middles, normals, seen) if pairs is None else pairs[..., seen, :]
         pick = index[..., None].expand(*index.shape, 3)
         offset = points - middles.gather(-2, pick)
         radii = torch.from_numpy(self.surfels.radii).to(points)[index]
@@ -204,23 +210,16 @@ class PointCloud(TensorStruct):
         """Discs turned towards the sensor; those without a normal are turned everywhere."""
         if self.camera is None:
             return torch.ones_like(middles[..., 0], dtype=torch.bool)
-        way = self._camera(range(seen.start, seen.stop)).T_world_camera[..., None, :3, 3] - middles
+        way = (
+            self.camera.at(range(seen.start, seen.stop)).T_world_camera[..., None, :3, 3] - middles
+        )
         return (way * normals).sum(-1) >= 0
-
-    def _camera(self, moments: range) -> Camera:
-        """The camera at some moments; beyond its poses it stands still."""
-        assert self.camera is not None
-        poses = self.camera.T_camera_world
-        if poses.shape[-3] == 1:
-            return self.camera
-        held = torch.tensor(moments, device=poses.device).clamp(0, poses.shape[-3] - 1)
-        return self.camera.replace(T_camera_world=poses[..., held, :, :])
 
     def window(self, start: float, stop: float) -> "PointCloud":
         """What was seen from one time to another, both included, seconds; the clock goes on."""
         clock = {"fps": self.fps, "start_time": self.start_time, "start": start, "stop": stop}
         points, present, first = moments_between(self.points, self.present, **clock)
-        camera = None if self.camera is None else self._camera(moment_numbers(**clock))
+        camera = None if self.camera is None else self.camera.at(moment_numbers(**clock))
         return self.replace(points=points, present=present, camera=camera, start_time=first)
 
     def coarse(self, body: BodyModel) -> "PointCloud":
@@ -228,9 +227,8 @@ class PointCloud(TensorStruct):
         last = self.points.shape[-2] - 1
         number = torch.linspace(0, last, min(_FEW_POINTS, last + 1)).long()
         every = slice(None, None, 2)
-        camera = self.camera
-        if camera is not None and camera.T_camera_world.shape[-3] > 1:
-            camera = camera.replace(T_camera_world=camera.T_camera_world[..., every, :, :])
+        moments = range(0, self.points.shape[-3], 2)
+        camera = None if self.camera is None else self.camera.at(moments)
         return self.replace(
             points=self.points[..., every, :, :][..., number, :],
             present=self.present[..., every, :][..., number],
@@ -244,7 +242,7 @@ class PointCloud(TensorStruct):
         eye = None
         if self.camera is not None:
             moments = self.points.shape[-3]
-            eye = self._camera(range(moments)).T_world_camera[..., :3, 3]
+            eye = self.camera.at(range(moments)).T_world_camera[..., :3, 3]
             eye = eye.expand(*self.points.shape[:-2], 3)
         return depth_start(
             body, self.surfels, self.points, self.present, eye,

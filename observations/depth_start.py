@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 from scipy.spatial import KDTree
 from torch import Tensor
 
-from observations.image_start import smooth_path
+from observations.image_start import UPRIGHT, smooth_path
 from observations.rigid import nearest_placed
 from observations.surfels import Surfels
 from recon import rotations as so3
@@ -32,8 +32,6 @@ _TOWARDS_SENSOR, _AHEAD = 0.05, 0.3
 """What it costs to turn one's back to the sensor, and to walk backwards; a misfit is at most 1."""
 _WALKING = 0.8
 """Metres per second at which somebody surely walks."""
-_UPRIGHT = (math.pi / 2, 0.0, 0.0)
-"""Rotation vector from the rest pose (y up, facing z) to the recording (z up, facing -y)."""
 _LOWERED = 1.0
 """Radians that the arms hang below those of the rest pose, which are stretched out sideways:
 points of a hanging arm would pull the hip towards them, as that is nearer."""
@@ -61,7 +59,7 @@ def depth_start(
     clips = [tensor.flatten(0, -4) for tensor in (points[None], present[None, ..., None])]
     eyes = [None] * len(clips[0]) if eye is None else list(eye[None].flatten(0, -3).cpu())
     angles = torch.arange(HEADINGS, dtype=points.dtype) * math.tau / HEADINGS
-    turns = so3.about_z(angles) @ so3.exp(points.new_tensor(_UPRIGHT).cpu())
+    turns = so3.about_z(angles) @ so3.exp(points.new_tensor(UPRIGHT).cpu())
     lowered = _lowered(body.shape_size)
     middles, normals = surfels.posed(body.to(device="cpu", dtype=torch.float64).pose(lowered))
     pelvis = body.joint_template[0].cpu().double().numpy()

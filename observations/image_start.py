@@ -31,8 +31,8 @@ _BONES = (
     ("shoulder", "hip"),
 )  # fmt: skip
 _LEAST_POINTS = 4
-_UPRIGHT = (math.pi / 2, 0.0, 0.0)
-"""Rotation vector from the rest pose (y up) to the recording (z up)."""
+UPRIGHT = (math.pi / 2, 0.0, 0.0)
+"""Rotation vector from the rest pose (y up, facing z) to the recording (z up, facing -y)."""
 _LEGS = frozenset(
     joint_index(f"{side}_{name}")
     for side in ("left", "right")
@@ -57,10 +57,10 @@ def image_start(
     (Viterbi's algorithm). The distance is that of `bone_distance`. Frames that show too little
     take the place of the nearest one that does not.
     """
-    weight = confidence.square() * _trust(points, body).to(confidence)
+    weight = confidence.square() * _trust(points).to(confidence)
     placed = (weight > 0).sum(-1) >= _LEAST_POINTS
     angles = torch.arange(HEADINGS, dtype=pixels.dtype, device=pixels.device) * math.tau / HEADINGS
-    upright = so3.exp(pixels.new_tensor(_UPRIGHT))
+    upright = so3.exp(pixels.new_tensor(UPRIGHT))
     turns = so3.about_z(angles) @ upright
     shape = pixels.new_zeros(len(pixels), body.shape_size)
     rest = points.at_rest(body, shape[0]).to(pixels) - body.joint_template[0].to(pixels)
@@ -120,10 +120,9 @@ def bone_distance(
     return focal.expand(scale.shape) / scale
 
 
-def _trust(points: BodyPoints, body: BodyModel) -> Float[Tensor, " points"]:
+def _trust(points: BodyPoints) -> Float[Tensor, " points"]:
     """How much a point of the rest pose says about the torso: arms nothing, legs a little."""
-    bones = points.bones(body)
-    one = [1.0 if bone in TORSO else _LEG_WEIGHT if bone in _LEGS else 0.0 for bone in bones]
+    one = [1.0 if b in TORSO else _LEG_WEIGHT if b in _LEGS else 0.0 for b in points.bones]
     return torch.tensor(one) * points.known
 
 

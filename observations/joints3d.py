@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from observations.offsets import displaced
 from observations.rigid import rigid_start
 from observations.timing import moments_between, point_misfit
 from recon.body import BodyModel
@@ -35,12 +36,8 @@ class Joints3D(TensorStruct):
 
     def predict(self, estimate: Estimate) -> Float[Tensor, "*batch time points 3"]:
         """Where the estimate has the points, world, in its own frames."""
-        chosen = list(self.joints)
-        points = estimate.body.joints[..., chosen, :]
-        if self.offset_rows is None:
-            return points
-        offsets = estimate.scene.offsets[..., None, slice(*self.offset_rows), :, None]
-        return points + (estimate.body.orientations[..., chosen, :, :] @ offsets)[..., 0]
+        points = estimate.body.joints[..., list(self.joints), :]
+        return displaced(points, estimate, self.joints, self.offset_rows)
 
     def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
         """½ Σ kernel(|observed - predicted|²) over visible points, taken at 30 Hz.

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from observations.correspondences import BodyPoints
 from observations.image_start import image_start
+from observations.offsets import displaced
 from observations.timing import at_observation_times, moment_numbers, moments_between
 from recon.body import BodyModel
 from recon.camera import Camera, Projection
@@ -64,11 +65,7 @@ class Keypoints2D(TensorStruct):
     def predict(self, estimate: Estimate) -> Float[Tensor, "*batch time points 3"]:
         """Where the estimate has the keypoints, world, in its own frames."""
         points = self.points.of(estimate.body)
-        if self.offset_rows is None:
-            return points
-        turns = estimate.body.orientations[..., list(self.points.bones(estimate.body.model)), :, :]
-        offsets = estimate.scene.offsets[..., None, slice(*self.offset_rows), :, None]
-        return points + OFFSET_UNIT * (turns @ offsets)[..., 0]
+        return displaced(points, estimate, self.points.bones, self.offset_rows, OFFSET_UNIT)
 
     def project(self, estimate: Estimate) -> tuple[Projection, slice]:
         """The estimate's keypoints in the image, at the moments that it covers, and which."""
@@ -76,15 +73,7 @@ class Keypoints2D(TensorStruct):
             estimate.scene.to_recording(self.predict(estimate)), estimate.motion,
             fps=self.fps, start_time=self.start_time, moments=self.pixels.shape[-3],
         )  # fmt: skip
-        return self._camera(range(seen.start, seen.stop)).project(points), seen
-
-    def _camera(self, moments: range) -> Camera:
-        """The camera at some moments; beyond its poses it stands still."""
-        poses = self.camera.T_camera_world
-        if poses.shape[-3] == 1:
-            return self.camera
-        held = torch.tensor(moments, device=poses.device).clamp(0, poses.shape[-3] - 1)
-        return self.camera.replace(T_camera_world=poses[..., held, :, :])
+        return self.camera.at(range(seen.start, seen.stop)).project(points), seen
 
     def window(self, start: float, stop: float) -> "Keypoints2D":
         """What was seen from one time to another, both included, seconds; the clock goes on."""
@@ -96,7 +85,7 @@ class Keypoints2D(TensorStruct):
         return self.replace(
             pixels=pixels,
             confidence=confidence[..., 0],
-            camera=self._camera(moment_numbers(**clock)),
+            camera=self.camera.at(moment_numbers(**clock)),
             start_time=first,
         )
 

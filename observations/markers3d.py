@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from observations.offsets import displaced
 from observations.rigid import rigid_start
 from observations.timing import moments_between, point_misfit
 from recon.body import BodyModel
@@ -40,9 +41,8 @@ class Markers3D(TensorStruct):
         points = estimate.body.points(index)
         if self.offset_rows is None:
             return points
-        turns = estimate.body.orientations[..., list(self.bones(estimate.body.model)), :, :]
-        offsets = estimate.scene.offsets[..., None, slice(*self.offset_rows), :, None]
-        return points + (turns @ offsets)[..., 0]
+        bones = self.bones(estimate.body.model)
+        return displaced(points, estimate, bones, self.offset_rows)
 
     def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
         """½ Σ kernel(|observed - predicted|²) over visible markers, taken at 30 Hz.

@@ -60,6 +60,6 @@ def views_start(body: BodyModel, views: Sequence[Keypoints2D]) -> Motion:
     positions, visible = triangulate(views)
     shape = positions.new_zeros(body.shape_size)
     return rigid_start(
-        body, first.points.at_rest(body, shape), first.points.bones(body), positions, visible,
+        body, first.points.at_rest(body, shape), first.points.bones, positions, visible,
         fps=first.fps, start_time=first.start_time,
     )  # fmt: skip

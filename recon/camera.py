@@ -87,6 +87,17 @@ class Camera(TensorStruct):
         place = -turn @ self.T_camera_world[..., :3, 3:]
         return torch.cat((torch.cat((turn, place), -1), self.T_camera_world[..., 3:, :]), -2)
 
+    def at(self, moments: range) -> "Camera":
+        """The camera at some moments of its own clock; beyond its poses it stands still.
+
+        Its poses have an axis of frames, of length one for a fixed camera.
+        """
+        poses = self.T_camera_world
+        if poses.shape[-3] == 1:
+            return self
+        held = torch.tensor(moments, device=poses.device).clamp(0, poses.shape[-3] - 1)
+        return self.replace(T_camera_world=poses[..., held, :, :])
+
     def to_camera(
         self, points: Float[Tensor, "*batch points 3"]
     ) -> Float[Tensor, "*all points 3"]:

@@ -50,7 +50,7 @@ class ClipFit:
     T_world_recording: Float[Tensor, "clips 4 4"]
     """Maps the frame of the observations to the world; metres."""
     observations: tuple[Seen, ...]
-    """As they were compared: with the scale of outliers, and where their offsets are."""
+    """As they were compared, with the rows of their offsets."""
 
 
 def fit_clip(
@@ -180,10 +180,10 @@ class _Job:
             o.coarse(self.body) if isinstance(o, PointCloud) else o for o in self.observations
         )
         quick = replace(self, observations=rough)
-        starts = [m.resample(m.fps / 2) for m in (self.guess.motion, *self.guess.others)]
+        every = (self.guess.motion, *self.guess.others)
+        starts = [motion.resample(motion.fps / 2) for motion in every]
         fits = [quick.fit(POSE, self.scene(start), start, frozenset()) for start in starts]
         best = torch.stack([one.reports[-1].solution.value for one in fits]).argmin(0)
-        every = (self.guess.motion, *self.guess.others)
         rows = [every[k][[row]] for row, k in enumerate(best.tolist())]
         return replace(self, guess=FirstGuess(concatenate(rows), self.guess.distance_known))
 

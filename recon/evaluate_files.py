@@ -9,11 +9,10 @@ from torch import Tensor
 
 from observations.files import positions_of
 from recon.body import BodyModel
-from recon.evaluation import ObservedPoints, evaluate, nearest_labels
+from recon.evaluation import ObservedPoints, evaluate, ground_errors, nearest_labels
 from recon.formats.amass import MotionFile, load_motion
 from recon.formats.files import replacing
 from recon.formats.observation import ObservationFile, PositionsFile, load_observation
-from recon.ground import Ground
 from recon.motion import Motion
 from recon.protocols import Estimate
 
@@ -69,7 +68,7 @@ def evaluate_files(
             truth_visible=_visible(seen, theirs, ours.motion),
         )
         own = {key: value for key, value in metrics.items() if key.startswith(_ON_ITS_GROUND)}
-        metrics |= there | own | _ground_errors(found, true)
+        metrics |= there | own | ground_errors(found, true)
     if out is not None:
         with replacing(out) as beside:
             beside.write_text(json.dumps(metrics, indent=1))
@@ -100,19 +99,6 @@ def _camera_poses(
         )
     true = torch.from_numpy(seen.truth_T_world_camera)
     return ours.T_world_camera[0].to(true), true
-
-
-def _ground_errors(
-    found: Float[Tensor, "4 4"], true: Float[Tensor, "4 4"]
-) -> dict[str, float | None]:
-    """Angle between the grounds in the camera's frame, and difference of the camera's heights."""
-    ours, theirs = (Ground.seen_from(torch.linalg.inv(T)) for T in (found, true))
-    across = torch.linalg.cross(ours.normal, theirs.normal).norm()
-    angle = torch.atan2(across, (ours.normal * theirs.normal).sum())
-    return {
-        "ground_normal": float(angle),
-        "ground_height": float((ours.offset - theirs.offset).abs()),
-    }
 
 
 def _visible(

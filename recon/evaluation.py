@@ -9,6 +9,7 @@ from torch import Tensor
 from recon import metrics
 from recon.body import BodyModel, PosedBody
 from recon.contacts import contact_labels, rest_heights
+from recon.ground import Ground
 from recon.motion import Motion
 from recon.skeleton import LEGS, TOES
 from recon.struct import TensorStruct
@@ -85,6 +86,22 @@ def evaluate(
         **_penetration("sole_penetration", sole_heights(predicted), sole_heights(actual)),
         "slip_speed": metrics.slip_speed(predicted.joints, touching, estimate.fps),
         "slip_speed_truth": metrics.slip_speed(actual.joints, touching, estimate.fps),
+    }
+
+
+def ground_errors(found: Float[Tensor, "4 4"], true: Float[Tensor, "4 4"]) -> dict[str, float]:
+    """Angle of two grounds in a camera's frame, radians, and difference of its heights, metres.
+
+    Args:
+        found: T_world_camera as it was found.
+        true: as it is.
+    """
+    ours, theirs = (Ground.seen_from(torch.linalg.inv(T)) for T in (found, true))
+    across = torch.linalg.cross(ours.normal, theirs.normal).norm()
+    angle = torch.atan2(across, (ours.normal * theirs.normal).sum())
+    return {
+        "ground_normal": float(angle),
+        "ground_height": float((ours.offset - theirs.offset).abs()),
     }
 
 

@@ -110,14 +110,13 @@ def run_stage(
     Raises:
         ValueError: when the stage frees a tensor that its prior and the scene do not have.
     """
-    rounds = [stage]
-    if any(isinstance(term.energy, Matched) for term in stage.terms):
-        most = math.ceil(stage.minimiser.max_iterations / _SHARE)
-        shorter = replace(stage.minimiser, max_iterations=most)
-        rounds = [replace(stage, minimiser=shorter)] * _ROUNDS
+    if not any(isinstance(term.energy, Matched) for term in stage.terms):
+        return _minimise(stage, body, variables, scene, watch)
+    most = math.ceil(stage.minimiser.max_iterations / _SHARE)
+    shorter = replace(stage, minimiser=replace(stage.minimiser, max_iterations=most))
     solutions: list[Solution] = []
-    for each in rounds:
-        held = each.held(evaluate_stage(each, body, variables, scene))
+    for _ in range(_ROUNDS):
+        held = shorter.held(evaluate_stage(shorter, body, variables, scene))
         variables, scene, solution = _minimise(held, body, variables, scene, watch)
         solutions.append(solution)
     return variables, scene, in_turn(solutions)

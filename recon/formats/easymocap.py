@@ -3,7 +3,7 @@
 from typing import Any
 
 from recon.formats.detections import Row
-from recon.formats.json_files import Frames, as_identity, flat_points
+from recon.formats.json_files import Frames, as_identity, flat_points, people_in
 
 
 def is_easymocap(entry: Any) -> bool:
@@ -19,14 +19,12 @@ def easymocap_rows(frames: Frames, name: str) -> list[Row]:
     Raises:
         ValueError: when a frame has another form.
     """
-    rows: list[Row] = []
-    for number, entry in frames:
-        if not entry:
-            continue
-        if not is_easymocap(entry) or not all(isinstance(one, dict) for one in entry["annots"]):
-            raise ValueError(f"{name}, frame {number}: expected annots, as in EasyMocap")
-        for person in entry["annots"]:
-            points = flat_points(person.get("keypoints") or [], f"{name}, frame {number}")
-            identity = as_identity(person.get("personID", person.get("id")))
-            rows.append((number, points, identity))
-    return rows
+    everybody = people_in(frames, "annots", name, "annots, as in EasyMocap")
+    return [
+        (
+            number,
+            flat_points(person.get("keypoints") or [], place),
+            as_identity(person.get("personID", person.get("id"))),
+        )
+        for number, person, place in everybody
+    ]

@@ -2,7 +2,7 @@
 
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -95,6 +95,27 @@ def _stated_number(entry: Any) -> int | None:
             if isinstance(entry.get(key), int) and entry[key] >= 0:
                 return entry[key]
     return None
+
+
+def people_in(
+    frames: Frames, key: str, name: str, expected: str
+) -> Iterator[tuple[int, dict[str, Any], str]]:
+    """Frame number, record and place (for messages) of everybody in a list under `key`.
+
+    An empty frame is one without people.
+
+    Raises:
+        ValueError: when a frame has no such list, or somebody in it is no record.
+    """
+    for number, entry in frames:
+        if not entry:
+            continue
+        place = f"{name}, frame {number}"
+        people = entry.get(key) if isinstance(entry, dict) else None
+        if not isinstance(people, list) or not all(isinstance(one, dict) for one in people):
+            raise ValueError(f"{place}: expected {expected}")
+        for person in people:
+            yield number, person, place
 
 
 def as_floats(value: Any, name: str) -> np.ndarray:

@@ -6,7 +6,7 @@ Pose2Sim's `pose-associated` files are the same; somebody without a match is an 
 from typing import Any
 
 from recon.formats.detections import Row
-from recon.formats.json_files import Frames, as_identity, flat_points
+from recon.formats.json_files import Frames, as_identity, flat_points, people_in
 
 
 def is_openpose(entry: Any) -> bool:
@@ -22,14 +22,12 @@ def openpose_rows(frames: Frames, name: str) -> list[Row]:
     Raises:
         ValueError: when a frame has another form.
     """
-    rows: list[Row] = []
-    for number, entry in frames:
-        if not entry:
-            continue
-        if not is_openpose(entry) or not all(isinstance(one, dict) for one in entry["people"]):
-            raise ValueError(f"{name}, frame {number}: expected a list of people, as in OpenPose")
-        for person in entry["people"]:
-            values = person.get("pose_keypoints_2d") or []
-            points = flat_points(values, f"{name}, frame {number}")
-            rows.append((number, points, as_identity(person.get("person_id"))))
-    return rows
+    everybody = people_in(frames, "people", name, "a list of people, as in OpenPose")
+    return [
+        (
+            number,
+            flat_points(person.get("pose_keypoints_2d") or [], place),
+            as_identity(person.get("person_id")),
+        )
+        for number, person, place in everybody
+    ]

@@ -65,7 +65,7 @@ def golden_points(toy_body) -> BodyPoints:
     of_joints, of_vertices = torch.eye(25)[:, :22], torch.eye(25)[:, 22:]
     names = tuple(map(str, range(25)))
     known = torch.ones(25, dtype=torch.bool)
-    return BodyPoints(of_joints, of_vertices, torch.arange(3), names, known)
+    return BodyPoints(of_joints, of_vertices, torch.arange(3), names, (0,) * len(names), known)
 
 
 def test_golden_joints2d(golden, toy_body):
@@ -86,7 +86,9 @@ def test_golden_gradient(golden, toy_body):
             return leaf
 
     some = golden_points(toy_body)
-    given = Given(some.of_joints, some.of_vertices, some.vertices, some.names, some.known)
+    given = Given(
+        some.of_joints, some.of_vertices, some.vertices, some.names, some.bones, some.known
+    )
     seen = golden_view(golden, given)
     value = 2 * value_of(seen, toy_body, laws.a_motion(toy_body, frames=8)).sum()
     assert value.item() == pytest.approx(float(golden["value_joints2d"]), rel=1e-9)
