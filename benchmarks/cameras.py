@@ -13,7 +13,7 @@ world; the others are taken in the true world by way of the true camera. CPU s i
 the time of one processor for one clip.
 """
 
-import argparse
+import math
 import sys
 import time
 from collections.abc import Callable
@@ -25,6 +25,7 @@ from jaxtyping import Float
 from rich.console import Console
 from torch import Tensor
 
+from benchmarks.arguments import over_windows
 from benchmarks.humor import evenly
 from benchmarks.results import write
 from benchmarks.scores import Columns, Row, Rows, by_subject, tables
@@ -32,12 +33,11 @@ from benchmarks.windows import Windows, load_windows
 from observations.clouds import cloud_of
 from observations.first_guess import Seen
 from observations.images import keypoints_of
-from priors.training.dataset import SPLITS, Splits
+from priors.training.dataset import Splits
 from recon.body import BodyModel
 from recon.camera import Camera, depth_camera, full_hd_camera
 from recon.clip import fit_clip
-from recon.evaluation import evaluate
-from recon.ground import Ground
+from recon.evaluation import evaluate, ground_errors
 from recon.motion import Motion
 from recon.settings import FitSettings
 from recon.simulate import Corruption
@@ -85,17 +85,11 @@ class Filmed:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
-    )
-    parser.add_argument("corpus", type=Path, help="folder of all converted motions")
-    parser.add_argument("--splits", type=Path, default=SPLITS)
-    parser.add_argument("--part", choices=("test", "validation"), default="test")
+    parser = over_windows(__doc__)
     parser.add_argument("--only", type=int, default=None, help="use so many windows in all")
     parser.add_argument("--cases", nargs="+", choices=CASES, default=list(CASES))
     parser.add_argument("--nc", type=Path, default=None, help="weights of more data, a row more")
     parser.add_argument("--ablations", type=Path, default=None, help="folder of their weights")
-    parser.add_argument("--json", type=Path, default=None)
     arguments = parser.parse_args()
 
     body, splits = BodyModel.load(), Splits.load(arguments.splits)
@@ -184,14 +178,12 @@ def _to_true_world(
 
 
 def _ground_errors(filmed: Filmed, T_world_recording: Tensor, k: int) -> Row:
-    """Angle between the normals, degrees, and distance of the camera's heights, metres."""
+    """Angle between the normals, degrees, and difference of the camera's heights, metres."""
     if filmed.T_world_camera is None or filmed.T_recording_camera is None:
         return {"normal": None, "height": None}
-    ours = torch.linalg.inv(T_world_recording[k] @ filmed.T_recording_camera[k])
-    true = torch.linalg.inv(filmed.T_world_camera[k])
-    a, b = Ground.seen_from(ours), Ground.seen_from(true)
-    angle = torch.rad2deg(torch.arccos((a.normal * b.normal).sum().clamp(-1, 1)))
-    return {"normal": float(angle), "height": float((a.offset - b.offset).abs())}
+    found = T_world_recording[k] @ filmed.T_recording_camera[k]
+    errors = ground_errors(found, filmed.T_world_camera[k])
+    return {"normal": math.degrees(errors["ground_normal"]), "height": errors["ground_height"]}
 
 
 def _batch(filmed: list[Filmed]) -> Filmed:

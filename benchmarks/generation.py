@@ -9,7 +9,6 @@ sample of the least average displacement is the prediction, as in the paper. Div
 whole 5 s. Joints are those of the posed body. Three to four minutes on one core.
 """
 
-import argparse
 import sys
 import time
 from dataclasses import dataclass
@@ -21,6 +20,7 @@ from rich.console import Console
 from rich.table import Table
 from torch import Tensor
 
+from benchmarks.arguments import over_windows
 from benchmarks.results import write
 from benchmarks.scores import Columns, Row, Rows, by_subject, cell
 from benchmarks.windows import FPS, FRAMES, Windows, load_windows
@@ -34,7 +34,7 @@ from priors.humor_generation import (
     sample,
 )
 from priors.humor_state import Frame, State, states_of
-from priors.training.dataset import SPLITS, Splits, clip_files
+from priors.training.dataset import Splits, clip_files
 from recon import generation_metrics, metrics
 from recon.body import BodyModel
 from recon.contacts import contact_labels, rest_heights
@@ -77,14 +77,8 @@ CONTACT_COLUMNS: Columns = {"accuracy": ("nine joints %", 100), "feet": ("feet, 
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
-    )
-    parser.add_argument("corpus", type=Path, help="folder of converted motions")
-    parser.add_argument("--splits", type=Path, default=SPLITS)
-    parser.add_argument("--part", choices=("test", "validation"), default="test")
+    parser = over_windows(__doc__)
     parser.add_argument("--weights", default=None, help="as Humor.load takes them")
-    parser.add_argument("--json", type=Path, default=None)
     arguments = parser.parse_args()
 
     began = time.perf_counter()

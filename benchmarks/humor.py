@@ -12,7 +12,6 @@ chosen on the validation windows. `CPU s` is the time of one processor for one c
 at once. FOLDER is what `benchmarks.ablations` wrote.
 """
 
-import argparse
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -24,6 +23,7 @@ from rich.console import Console
 from torch import Tensor
 
 from benchmarks.ablations import ABLATIONS, load_ablations
+from benchmarks.arguments import over_windows
 from benchmarks.humor_recipes import (
     GAP_COLUMNS,
     UPPER_COLUMNS,
@@ -49,7 +49,7 @@ from priors.humor import Humor
 from priors.humor_collocation import Collocation
 from priors.humor_shooting import HumorWeights, Shooting
 from priors.pose import PosePrior, PoseWeights
-from priors.training.dataset import SPLITS, Splits
+from priors.training.dataset import Splits
 from recon.body import BodyModel
 from recon.reconstruction import Method
 
@@ -76,19 +76,13 @@ Observed = Joints3D | Markers3D
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
-    )
-    parser.add_argument("corpus", type=Path, help="folder of all converted motions")
-    parser.add_argument("--splits", type=Path, default=SPLITS)
-    parser.add_argument("--part", choices=("test", "validation"), default="test")
+    parser = over_windows(__doc__)
     parser.add_argument("--frames", type=int, nargs="+", default=[FRAMES, 90])
     parser.add_argument("--weights", type=Path, default=None, help="HuMoR's; default: bundled")
     parser.add_argument("--nc", type=Path, default=None, help="weights of more data, a row more")
     parser.add_argument("--ablations", type=Path, default=None, help="folder of their weights")
     parser.add_argument("--shooting", type=int, default=None, help="fit so many windows by it")
     parser.add_argument("--only", type=int, default=None, help="use so many windows in all")
-    parser.add_argument("--json", type=Path, default=None)
     arguments = parser.parse_args()
 
     body, splits = BodyModel.load(), Splits.load(arguments.splits)

@@ -27,9 +27,10 @@ from rich.console import Console
 from rich.table import Table
 from torch import Tensor
 
+from benchmarks.arguments import over_windows
 from benchmarks.results import write
 from benchmarks.windows import FPS, noisy_joints
-from priors.training.dataset import SPLITS, Splits, clip_files
+from priors.training.dataset import Splits, clip_files
 from recon.body import BodyModel
 from recon.formats.amass import load_motion
 from recon.long import fit_long
@@ -53,16 +54,10 @@ Row = dict[str, float]
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
-    )
-    parser.add_argument("corpus", type=Path, help="folder of converted motions")
-    parser.add_argument("--splits", type=Path, default=SPLITS)
-    parser.add_argument("--part", choices=("test", "validation"), default="test")
+    parser = over_windows(__doc__)
     parser.add_argument("--prior", choices=("humor", "pose"), nargs="+", default=["humor", "pose"])
     parser.add_argument("--clips", type=int, default=1, help="so many of the longest")
     parser.add_argument("--seconds", type=int, nargs="+", default=SECONDS)
-    parser.add_argument("--json", type=Path, default=None)
     parser.add_argument("--alone", nargs=4, default=None, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.alone is not None:

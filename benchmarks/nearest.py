@@ -13,11 +13,8 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from rich.console import Console
-from rich.table import Table
 
-import recon
-from benchmarks.results import write
+from benchmarks.results import demo_clip, show, write
 from observations.clouds import cloud_of
 from observations.depth import PointCloud, to_discs, to_vertices
 from observations.surfels import SURFELS, Surfels
@@ -26,7 +23,6 @@ from priors.humor_collocation import CollocatedHumor
 from priors.pose import PosePrior
 from recon.body import BodyModel
 from recon.camera import depth_camera
-from recon.formats.amass import load_motion
 from recon.motion import Motion
 from recon.protocols import Estimate
 from recon.scene import Scene
@@ -47,13 +43,9 @@ def main() -> None:
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     body = BodyModel.load()
-    demo = Path(recon.__file__).parent / "assets" / "demo.npz"
-    motion = load_motion(demo).motion.resample(30.0).window(0, FRAMES)
+    motion = demo_clip(FRAMES)
     rows = {**shares(body, motion), **distances(body, motion)}
-    table = Table("what", "value", title=f"{FRAMES} frames")
-    for name, value in rows.items():
-        table.add_row(name, f"{value:.4g}")
-    Console().print(table)
+    show(f"{FRAMES} frames", rows)
     if arguments.json is not None:
         write(arguments.json, "python -m benchmarks.nearest", SEED, rows=rows)
 

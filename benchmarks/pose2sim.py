@@ -21,18 +21,17 @@ from pathlib import Path
 import torch
 from rich.console import Console
 from rich.table import Table
-from torch import Tensor
 
 from benchmarks.results import write
 from benchmarks.scores import Columns, Row, cell
 from observations.keypoints2d import Keypoints2D
-from observations.triangulation import triangulate
 from recon import metrics
 from recon.agreement import misfits
 from recon.body import BodyModel
 from recon.clip import ClipFit, fit_clip
 from recon.clip_files import load_clip
 from recon.motion import Motion
+from recon.plausibility import views_error
 from recon.settings import FitSettings
 
 SEED = 0
@@ -110,21 +109,10 @@ def _fitted(paths: list[Path], settings: FitSettings, body: BodyModel) -> tuple[
         away = torch.cat([misfits(view, found.result.estimate) for view in found.observations])
     return {
         "frames": float(views[0].pixels.shape[1]),
-        "triangulation": _triangulated(views) if len(views) > 1 else None,
+        "triangulation": views_error(views) if len(views) > 1 else None,
         "reprojection": float(away.median()),
         "seconds": seconds,
     }, found
-
-
-def _triangulated(views: list[Keypoints2D]) -> float:
-    """Median distance of triangulated points from the detections they come from, pixels."""
-    points, exists = triangulate(views)
-    away: list[Tensor] = []
-    for view in views:
-        pixels = view.camera.project(points).pixels
-        seen = exists & (view.confidence > 0)
-        away.append((pixels - view.pixels).norm(dim=-1)[seen])
-    return float(torch.cat(away).median())
 
 
 def _against(one: ClipFit, every: ClipFit, body: BodyModel) -> Row:

@@ -14,17 +14,13 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from rich.console import Console
-from rich.table import Table
 
-import recon
-from benchmarks.results import write
+from benchmarks.results import demo_clip, show, write
 from observations import Joints3D
 from priors.pose import PosePrior
 from recon import rotations as so3
 from recon import simulate
 from recon.body import BodyModel
-from recon.formats.amass import load_motion
 from recon.motion import Motion
 from recon.reconstruction import fit
 from recon.simulate import Corruption
@@ -40,13 +36,9 @@ def main() -> None:
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     body = BodyModel.load()
-    demo = Path(recon.__file__).parent / "assets" / "demo.npz"
-    motion = load_motion(demo).motion.resample(30.0).window(0, FRAMES)
+    motion = demo_clip(FRAMES)
     rows = {**posing(body, motion), **fitting(body, motion)}
-    table = Table("what", "value", title=f"{FRAMES} frames, {os.cpu_count()} cores")
-    for name, value in rows.items():
-        table.add_row(name, f"{value:.4g}")
-    Console().print(table)
+    show(f"{FRAMES} frames, {os.cpu_count()} cores", rows)
     if arguments.json is not None:
         write(arguments.json, "python -m benchmarks.speed", SEED, rows=rows)
 

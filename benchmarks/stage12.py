@@ -9,7 +9,6 @@ so are the presets `PoseWeights.tuned_*`. All windows of a protocol are fitted a
 Values are means over a subject's windows, then over subjects.
 """
 
-import argparse
 import sys
 import time
 from collections.abc import Callable
@@ -20,6 +19,7 @@ import torch
 from rich.console import Console
 from torch import Tensor
 
+from benchmarks.arguments import over_windows
 from benchmarks.results import write
 from benchmarks.scores import (
     Columns,
@@ -33,7 +33,7 @@ from benchmarks.scores import (
 from benchmarks.smoothers import butterworth, whittaker
 from benchmarks.windows import FPS, Windows, load_windows, noisy_joints, occluded_points
 from priors.pose import PosePrior, PoseWeights
-from priors.training.dataset import SPLITS, Splits
+from priors.training.dataset import Splits
 from recon.body import BodyModel
 from recon.protocols import Observation
 from recon.reconstruction import fit
@@ -55,14 +55,8 @@ POINT_COLUMNS: Columns = {
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
-    )
-    parser.add_argument("corpus", type=Path, help="folder of converted motions")
-    parser.add_argument("--splits", type=Path, default=SPLITS)
-    parser.add_argument("--part", choices=("test", "validation"), default="test")
+    parser = over_windows(__doc__)
     parser.add_argument("--prior", type=Path, default=None, help="weights; default: bundled")
-    parser.add_argument("--json", type=Path, default=None)
     arguments = parser.parse_args()
 
     body, splits = BodyModel.load(), Splits.load(arguments.splits)
