@@ -11,7 +11,7 @@ from observations.joints3d import Joints3D
 from observations.markers3d import Markers3D
 from recon.body import BodyModel
 from recon.motion import Motion
-from recon.surface import KEYPOINTS_43, landmark
+from recon.surface import KEYPOINTS_43, LANDMARKS_16, landmark
 
 Corner = tuple[float, float, float]
 
@@ -95,6 +95,36 @@ def markers3d(
     """Points of the surface of one clip (no batch axis); by default 43 spread over the body."""
     vertices = tuple(landmark(name) for name in names)
     truth = body.pose(motion).points(torch.tensor(vertices))
+    positions, visible = _observe(truth, corruption, seed, motion.times)
+    return Markers3D(positions, visible, vertices, motion.fps, motion.start_time)
+
+
+def landmarks3d(
+    motion: Motion,
+    body: BodyModel,
+    corruption: Corruption,
+    seed: int,
+    *,
+    skin_offset: float = 0.01,
+    names: tuple[str, ...] = LANDMARKS_16,
+) -> Markers3D:
+    """Markers of one clip (no batch axis) as a person places them: beside their landmarks.
+
+    Each keeps one offset, N(0, skin_offset² I), in the frame of the bone that carries its vertex.
+
+    Raises:
+        ValueError: when the offset's standard deviation is negative.
+    """
+    if not skin_offset >= 0:
+        raise ValueError(f"skin_offset is a standard deviation, zero or more, got {skin_offset}")
+    vertices = tuple(landmark(name) for name in names)
+    posed = body.pose(motion)
+    bones = body.weights[list(vertices)].argmax(-1)
+    # a stream of its own, so that noise of the same seed is not the offsets again
+    generator = Generator().manual_seed(seed ^ 0x5EED)
+    away = skin_offset * torch.randn(len(names), 3, generator=generator, dtype=torch.float64)
+    turned = (posed.orientations[:, bones] @ away.to(posed.joints)[..., None])[..., 0]
+    truth = posed.points(torch.tensor(vertices)) + turned
     positions, visible = _observe(truth, corruption, seed, motion.times)
     return Markers3D(positions, visible, vertices, motion.fps, motion.start_time)
 

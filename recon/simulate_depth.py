@@ -1,4 +1,4 @@
-"""A known motion as a depth sensor or scanners would have seen it: noise, holes, things before it.
+"""A known motion as a depth sensor would have seen it: noise, holes, things before it.
 
 Depths come from the rasteriser that draws our pictures, so what hides what is exact to a pixel.
 """
@@ -124,45 +124,6 @@ def depth_points(
         camera=camera_arrays(camera),
         start_time=motion.start_time,
         truth_visible=in_sight(joints, camera, clear, motion, generator).numpy(),
-    )
-
-
-def scan_points(
-    motion: Motion,
-    body: BodyModel,
-    corruption: Corruption,
-    seed: int,
-    *,
-    points: int = POINTS,
-) -> PointsFile:
-    """Points of one clip spread evenly over the whole surface, as scanners all around see them.
-
-    The corruption's noise is that of every coordinate, its box and height hide what is inside.
-    """
-    random, generator = np.random.default_rng(seed), torch.Generator().manual_seed(seed)
-    faces = body.faces.cpu().numpy()
-    posed = body.pose(motion)
-    vertices = posed.vertices.double().numpy()
-    corners = vertices[0][faces]
-    area = np.linalg.norm(
-        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
-    )
-    shape = (motion.frames, points)
-    face = random.choice(len(faces), shape, p=area / area.sum())
-    weight = random.dirichlet((1.0, 1.0, 1.0), shape)
-    rows = np.arange(motion.frames)[:, None, None]
-    true = torch.from_numpy(np.einsum("tpk,tpkd->tpd", weight, vertices[rows, faces[face]]))
-    visible = corruption.visible(true, generator, motion.times)
-    seen = corruption.disturb(true, generator)
-    if not visible.any():
-        raise ValueError("the corruption hides every point of every frame")
-    clear = replace(corruption, missing_points=0.0, missing_frames=0.0)
-    return PointsFile(
-        points=seen[visible].numpy(),
-        frame=visible.nonzero()[:, 0].numpy(),
-        fps=motion.fps,
-        start_time=motion.start_time,
-        truth_visible=clear.visible(posed.joints, generator, motion.times).numpy(),
     )
 
 

@@ -19,13 +19,22 @@ from recon.formats.observation import (
     PositionsFile,
     save_observation,
 )
+from recon.formats.scans import write_scans
 from recon.motion import Motion
-from recon.settings import FILM_DEFAULTS, FilmSettings, SensorKind
-from recon.simulate import Corruption, joints3d, markers3d, visible_joints
-from recon.simulate_depth import DepthSensor, depth_points, scan_points, without_pose
+from recon.settings import (
+    FILM_DEFAULTS,
+    SURFACE_DEFAULTS,
+    FilmSettings,
+    SensorKind,
+    SurfaceSettings,
+)
+from recon.simulate import Corruption, joints3d, landmarks3d, markers3d, visible_joints
+from recon.simulate_depth import DepthSensor, depth_points, without_pose
 from recon.simulate_images import dome, keypoints2d, orbiting
+from recon.simulate_scans import scan_points
 from recon.skeleton import JOINTS
-from recon.surface import KEYPOINTS_43
+from recon.surface import KEYPOINTS_43, LANDMARKS_16
+from recon.surface_detail import clothed
 
 _PRESETS = {"front": 0.0, "side": math.tau / 4}
 """Angle of a preset's first camera from where the body faces, radians."""
@@ -42,16 +51,19 @@ def simulate_file(
     frames: tuple[int, int] | None = None,
     unknown_ground: bool = False,
     film: FilmSettings = FILM_DEFAULTS,
+    surface: SurfaceSettings = SURFACE_DEFAULTS,
 ) -> tuple[Path, ...]:
-    """Write what a sensor would have seen of a motion file; returns the files.
+    """Write what a sensor would have seen of a motion file; returns what was written.
 
-    One camera writes OUT, several write OUT/CAMERA.npz.
+    One camera writes OUT, several write OUT/CAMERA.npz; scans whose OUT does not end in .npz are a
+    folder of PLY files with times.csv.
 
     Raises:
         FileNotFoundError: when there is no such motion or calibration.
         ValueError: when one is damaged, the motion has fewer frames than asked for, or options
             contradict each other; nothing is written then.
     """
+    _check_apply(kind, film, surface)
     truth = load_motion(motion).motion
     if frames is not None:
         if frames[1] > truth.frames:
@@ -60,12 +72,21 @@ def simulate_file(
     truth = truth if fps is None else truth.resample(fps)
     body = BodyModel.load()
     if kind in ("keypoints2d", "depth"):
-        files = _filmed(truth, body, kind, corruption, seed, film, unknown_ground=unknown_ground)
-    elif film != FILM_DEFAULTS:
-        raise ValueError(f"--camera, --views, --orbit and --layout do not apply to {kind}")
+        files = _filmed(
+            truth, body, kind, corruption, seed, film, surface, unknown_ground=unknown_ground
+        )
+    elif kind == "scans":
+        if unknown_ground:
+            raise ValueError("scans stand in the world; --unknown-ground does not apply to them")
+        seen = _dressed(body, surface)
+        file = scan_points(truth, seen, corruption, seed, points=surface.points)
+        if out.suffix != ".npz":
+            write_scans(out, file)
+            return (out,)
+        files = {"": file}
     else:
         known = not unknown_ground
-        files = {"": _in_space(truth, body, kind, corruption, seed, ground_known=known)}
+        files = {"": _tracked(truth, body, kind, corruption, seed, surface, ground_known=known)}
     if len(files) == 1:
         paths = (out,)
     elif out.suffix == ".npz":
@@ -78,22 +99,42 @@ def simulate_file(
     return paths
 
 
-def _in_space(
+def _check_apply(kind: SensorKind, film: FilmSettings, surface: SurfaceSettings) -> None:
+    """Refuse options of other sensors."""
+    if kind not in ("keypoints2d", "depth") and film != FILM_DEFAULTS:
+        raise ValueError(f"--camera, --views, --orbit and --layout do not apply to {kind}")
+    clouds = replace(surface, skin_offset=SURFACE_DEFAULTS.skin_offset)
+    if kind not in ("depth", "scans") and clouds != SURFACE_DEFAULTS:
+        raise ValueError(f"--points and --clothed are of depth and scans, not of {kind}")
+    if surface.points < 1:
+        raise ValueError(f"--points is one or more, got {surface.points}")
+    if kind != "landmarks" and surface.skin_offset != SURFACE_DEFAULTS.skin_offset:
+        raise ValueError(f"--skin-offset is of landmarks, not of {kind}")
+
+
+def _dressed(body: BodyModel, surface: SurfaceSettings) -> BodyModel:
+    return body if surface.clothed is None else clothed(body, surface.clothed)
+
+
+def _tracked(
     truth: Motion,
     body: BodyModel,
     kind: SensorKind,
     corruption: Corruption,
     seed: int,
+    surface: SurfaceSettings,
     *,
     ground_known: bool,
-) -> ObservationFile:
-    """Joints, markers or scans."""
-    if kind == "scans":
-        if not ground_known:
-            raise ValueError("scans stand in the world; --unknown-ground does not apply to them")
-        return scan_points(truth, body, corruption, seed)
-    see, names = (joints3d, JOINTS) if kind == "joints3d" else (markers3d, KEYPOINTS_43)
-    seen = see(truth, body, corruption, seed)
+) -> PositionsFile:
+    """Joints or markers."""
+    if kind == "joints3d":
+        seen, names = joints3d(truth, body, corruption, seed), JOINTS
+    elif kind == "markers3d":
+        seen, names = markers3d(truth, body, corruption, seed), KEYPOINTS_43
+    else:
+        away = surface.skin_offset
+        seen = landmarks3d(truth, body, corruption, seed, skin_offset=away)
+        names = LANDMARKS_16
     return PositionsFile(
         kind="joints3d" if kind == "joints3d" else "markers3d",
         positions=seen.positions.double().numpy(),
@@ -113,6 +154,7 @@ def _filmed(
     corruption: Corruption,
     seed: int,
     film: FilmSettings,
+    surface: SurfaceSettings,
     *,
     unknown_ground: bool,
 ) -> dict[str, ObservationFile]:
@@ -132,7 +174,10 @@ def _filmed(
         if kind == "depth":
             quiet, sensor = replace(corruption, noise=0.0), DepthSensor()
             sensor = replace(sensor, constant=math.hypot(sensor.constant, corruption.noise))
-            file = depth_points(truth, body, camera, quiet, own, sensor=sensor)
+            file = depth_points(
+                truth, _dressed(body, surface), camera, quiet, own,
+                sensor=sensor, points=surface.points,
+            )  # fmt: skip
         else:
             file = keypoints2d(truth, body, camera, corruption, own, film.layout)
             if not (file.confidence > 0).any():

@@ -34,6 +34,23 @@ Five on the head, twelve on the trunk, six per arm and seven per leg; left and r
 each other.
 """
 
+LANDMARKS_16: tuple[str, ...] = (
+    "left_front_head", "sternal_notch",
+    *(
+        f"{side}_{name}"
+        for side in ("left", "right")
+        for name in (
+            "acromion", "elbow_lateral", "wrist_radial", "asis", "knee_lateral", "ankle_lateral",
+            "toe2_base",
+        )
+    ),
+)  # fmt: skip
+"""16 landmarks as sparse as a marker recording gets, one for every segment that moves by itself.
+
+Nearly all marker protocols put a marker on each; of heads, those that mark them at all mark the
+temples' front.
+"""
+
 _SIDES = {"left": ("l", "left"), "right": ("r", "right")}
 _IGNORED = re.compile(r"[\s._\-]+")
 

@@ -4,7 +4,13 @@ from pathlib import Path
 
 from tyro.conf import OmitArgPrefixes, Positional
 
-from recon.settings import FILM_DEFAULTS, FilmSettings, SensorKind
+from recon.settings import (
+    FILM_DEFAULTS,
+    SURFACE_DEFAULTS,
+    FilmSettings,
+    SensorKind,
+    SurfaceSettings,
+)
 
 
 def simulate(
@@ -12,6 +18,7 @@ def simulate(
     out: Positional[Path],
     kind: SensorKind,
     film: OmitArgPrefixes[FilmSettings] = FILM_DEFAULTS,
+    surface: OmitArgPrefixes[SurfaceSettings] = SURFACE_DEFAULTS,
     noise: float = 0.0,
     hide_below: float | None = None,
     occluder: tuple[float, float, float, float, float, float] | None = None,
@@ -28,10 +35,13 @@ def simulate(
 
     Args:
         motion: motion file (.npz).
-        out: observation file to write; a folder for several cameras.
-        kind: what the sensor tracks: the 22 joints, 43 points of the skin, keypoints in images,
-            or points of the surface, of a depth camera or of scanners all around.
+        out: observation file to write; a folder for several cameras. Of scans, .npz is one file
+            and all else a folder of .ply files.
+        kind: what the sensor tracks: the 22 joints, 43 points of the skin, 16 markers placed
+            beside the skin's landmarks, keypoints in images, or points of the surface, of a depth
+            camera or of scanners all around.
         film: the cameras.
+        surface: what is seen of the surface.
         noise: standard deviation of every coordinate, metres; of keypoints2d in pixels; of depth
             in metres, beside the sensor's own.
         hide_below: points lower than this are hidden, metres.
@@ -63,7 +73,7 @@ def simulate(
     )
     written = simulate_file(
         motion, out, kind, corruption, seed=seed, fps=fps, frames=_frames(frames),
-        unknown_ground=unknown_ground, film=film,
+        unknown_ground=unknown_ground, film=film, surface=surface,
     )  # fmt: skip
     console.say(", ".join(map(str, written)))
 

@@ -12,11 +12,13 @@ import torch
 from recon.body import BodyModel
 from recon.camera import full_hd_camera
 from recon.formats.amass import load_motion, save_motion
-from recon.formats.observation import KeypointsFile, PointsFile, load_observation
+from recon.formats.observation import KeypointsFile, PointsFile, PositionsFile, load_observation
+from recon.formats.scans import read_scans
 from recon.motion import Motion
-from recon.settings import FilmSettings
+from recon.settings import FilmSettings, SurfaceSettings
 from recon.simulate import Corruption
 from recon.simulate_files import cameras_around, simulate_file
+from recon.surface import LANDMARKS_16, landmark
 from tests.recon.keypoint_scene import camera, write_toml
 
 NOTHING = Corruption()
@@ -170,6 +172,68 @@ def test_scans_and_depth_keep_their_noise(clip, tmp_path):
             assert isinstance(file, PointsFile)
             sizes[kind, noise] = np.linalg.norm(file.points.std(0))
         assert sizes[kind, 0.03] > sizes[kind, 0.0]
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.02])
+def test_landmarks_are_markers_beside_the_skin(offset, clip, walk, person, tmp_path):
+    """The offset is drawn once and turns with the bone."""
+    path = tmp_path / "landmarks.npz"
+    surface = SurfaceSettings(skin_offset=offset)
+    simulate_file(clip, path, "landmarks", NOTHING, seed=1, surface=surface)
+    file = load_observation(path)
+    assert isinstance(file, PositionsFile)
+    assert file.kind == "markers3d"
+    assert file.names == LANDMARKS_16
+    vertices = [landmark(name) for name in file.names]
+    posed = person.pose(walk)
+    away = torch.from_numpy(file.positions) - posed.points(torch.tensor(vertices))
+    assert float(away.square().mean().sqrt()) == pytest.approx(offset, rel=0.3, abs=1e-6)
+    bones = posed.orientations[:, person.weights[vertices].argmax(-1)].double()
+    local = (bones.mT @ away[..., None])[..., 0]
+    assert local.std(0).max() < 1e-5
+
+
+def test_scans_have_as_many_points_as_asked_of_clothes_if_asked(clip, walk, person, tmp_path):
+    surfaces = person.pose(walk).vertices.double()
+    away = []
+    for clothes in (None, 3):
+        path = tmp_path / f"{clothes}.npz"
+        surface = SurfaceSettings(points=300, clothed=clothes)
+        simulate_file(clip, path, "scans", NOTHING, seed=0, surface=surface)
+        file = load_observation(path)
+        assert isinstance(file, PointsFile)
+        points = torch.from_numpy(file.points).reshape(6, 300, 3)
+        away.append(torch.cdist(points, surfaces).amin(-1).mean())
+    assert away[1] > away[0] + 0.001
+
+
+def test_scans_become_a_folder_of_clouds(clip, walk, tmp_path):
+    few = SurfaceSettings(points=200)
+    written = simulate_file(clip, tmp_path / "scans", "scans", NOTHING, seed=0, surface=few)
+    assert written == (tmp_path / "scans",)
+    simulate_file(clip, tmp_path / "scans.npz", "scans", NOTHING, seed=0, surface=few)
+    folder, file = read_scans(*written, outliers=None), load_observation(tmp_path / "scans.npz")
+    assert isinstance(file, PointsFile)
+    assert np.array_equal(folder.frame, file.frame)
+    assert np.abs(folder.points - file.points).max() < 1e-6
+    assert folder.fps == pytest.approx(walk.fps, rel=1e-6)
+    assert folder.start_time == pytest.approx(file.start_time, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("kind", "surface", "words"),
+    [
+        ("landmarks", SurfaceSettings(points=100), "--points"),
+        ("joints3d", SurfaceSettings(clothed=1), "--clothed"),
+        ("scans", SurfaceSettings(skin_offset=0.02), "--skin-offset"),
+        ("landmarks", SurfaceSettings(skin_offset=-0.01), "zero or more"),
+        ("depth", SurfaceSettings(points=0), "one or more"),
+    ],
+)
+def test_options_of_other_sensors_are_refused(kind, surface, words, clip, tmp_path):
+    with pytest.raises(ValueError, match=words):
+        simulate_file(clip, tmp_path / "o.npz", kind, NOTHING, seed=0, surface=surface)
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ import pytest
 from recon.skeleton import JOINTS
 from recon.surface import (
     KEYPOINTS_43,
+    LANDMARKS_16,
     landmark,
     landmarks,
     load_marker_map,
@@ -172,3 +173,11 @@ def test_real_recordings_match(data):
     ):
         labels = ezc3d.c3d(str(folder / name))["parameters"]["POINT"]["LABELS"]["value"]
         assert len(match_markers(labels)[0]) == fewest, name
+
+
+def test_sixteen_landmarks_are_those_that_protocols_share():
+    assert len(set(LANDMARKS_16)) == 16
+    assert set(LANDMARKS_16) <= set(landmarks())
+    assert set(LANDMARKS_16) <= set(match_markers(PLUG_IN_GAIT)[0].values())
+    sided = [name.removeprefix("left_") for name in LANDMARKS_16 if name.startswith("left_")]
+    assert sum(f"right_{name}" in LANDMARKS_16 for name in sided) == 7

@@ -1,0 +1,135 @@
+"""Scanned cycles: test material of sparse 4D scans whose truth is known, and its thinned versions.
+
+A person of a shape nobody in the corpus has, in clothes no shape has, is scanned all around at
+50 Hz; sixteen markers are recorded with it. What a table of completions varies is how many points
+of a frame (`thinned_points`) or which frames (`thinned_frames`, `thinned_landmarks`) remain.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from jaxtyping import Int
+
+from recon.body import BodyModel
+from recon.formats.observation import PointsFile, PositionsFile
+from recon.motion import Motion
+from recon.reshape import with_shape
+from recon.simulate import Corruption, landmarks3d, visible_joints
+from recon.simulate_scans import scan_points
+from recon.surface import LANDMARKS_16
+from recon.surface_detail import clothed
+
+FPS = 50.0
+POINTS = 10_000
+"""Of a frame."""
+NOISE = 0.005
+"""Of every coordinate of a scan, metres."""
+MARKER_NOISE = 0.001
+"""Of every coordinate of a marker, metres."""
+SKIN_OFFSET = 0.01
+"""Of a marker from its landmark, metres per axis, constant within a cycle."""
+SHORTEST, LONGEST = 0.3, 3.0
+"""Seconds of a cycle."""
+ANCHORS = 100
+"""Moments of a cycle, evenly from its first frame to its last, of which some are observed."""
+
+
+@dataclass(frozen=True)
+class ScannedCycle:
+    """One cycle, and what is seen of it; all at 50 Hz from zero seconds on."""
+
+    name: str
+    subject: str
+    truth: Motion
+    """Of the bare body, whose surface is under the clothes."""
+    scans: PointsFile
+    landmarks: PositionsFile
+
+
+def scanned_cycle(
+    name: str, subject: str, cycle: Motion, body: BodyModel, seed: int = 0
+) -> ScannedCycle:
+    """A cycle as scanned: of another person in clothes, with noise.
+
+    Every shape coefficient is N(0, 1), which is as people differ; the same name and seed draw the
+    same person, clothes and noise.
+
+    Raises:
+        ValueError: when the cycle does not last 0.3 to 3 s.
+    """
+    seconds = (cycle.frames - 1) / cycle.fps
+    if not SHORTEST - 1e-6 <= seconds <= LONGEST + 1e-6:
+        raise ValueError(f"{name}: a cycle lasts {SHORTEST} to {LONGEST} s, got {seconds:.2f} s")
+    random = np.random.default_rng([seed, *name.encode()])
+    drawn = torch.from_numpy(random.standard_normal(body.shape_size)).to(cycle.shape)
+    clothes, scanner, markers = random.integers(2**31, size=3).tolist()
+    truth = with_shape(cycle.replace(start_time=0.0).resample(FPS), body, drawn)
+    placed = Corruption(noise=MARKER_NOISE)
+    seen = landmarks3d(truth, body, placed, markers, skin_offset=SKIN_OFFSET)
+    return ScannedCycle(
+        name=name,
+        subject=subject,
+        truth=truth,
+        scans=scan_points(
+            truth, clothed(body, clothes), Corruption(noise=NOISE), scanner, points=POINTS
+        ),
+        landmarks=PositionsFile(
+            kind="markers3d",
+            positions=seen.positions.double().numpy(),
+            visible=seen.visible.numpy(),
+            names=LANDMARKS_16,
+            fps=FPS,
+            truth_visible=visible_joints(truth, body, placed, markers).numpy(),
+        ),
+    )
+
+
+def thinned_points(scans: PointsFile, points: int, seed: int) -> PointsFile:
+    """At most so many points of every frame, drawn at random, other ones every frame.
+
+    Raises:
+        ValueError: when none would remain.
+    """
+    if points < 1:
+        raise ValueError(f"expected one point a frame or more, got {points}; none are landmarks")
+    order = np.random.default_rng(seed).permutation(len(scans.frame))
+    order = order[np.argsort(scans.frame[order], kind="stable")]
+    frames, first = np.unique(scans.frame[order], return_index=True)
+    rank = np.arange(len(order)) - first[np.searchsorted(frames, scans.frame[order])]
+    kept = np.sort(order[rank < points])
+    return replace(scans, points=scans.points[kept], frame=scans.frame[kept])
+
+
+def observed_frames(frames: int, observed: int) -> Int[np.ndarray, " observed"]:
+    """The frames nearest to some of a cycle's 100 anchors: the 100/f-th, 200/f-th, ..., 100th.
+
+    Short cycles have fewer frames than anchors; several anchors then share one.
+
+    Raises:
+        ValueError: when the anchors cannot be divided so.
+    """
+    if not 1 <= observed <= ANCHORS or ANCHORS % observed:
+        raise ValueError(f"expected a divisor of {ANCHORS} anchors, got {observed}")
+    step = ANCHORS // observed
+    anchors = np.arange(step, ANCHORS + 1, step) - 1
+    return np.unique(np.rint(anchors / (ANCHORS - 1) * (frames - 1)).astype(np.int64))
+
+
+def thinned_frames(scans: PointsFile, observed: int) -> PointsFile:
+    """All points of a cycle's frames at some of the 100 anchors; the other frames are empty."""
+    known = scans.truth_visible
+    frames = int(scans.frame.max()) + 1 if known is None else len(known)
+    kept = np.isin(scans.frame, observed_frames(frames, observed))
+    return replace(scans, points=scans.points[kept], frame=scans.frame[kept])
+
+
+def thinned_landmarks(landmarks: PositionsFile, observed: int) -> PositionsFile:
+    """Landmarks at the same frames; in the others none is visible."""
+    frames = len(landmarks.visible)
+    seen = np.isin(np.arange(frames), observed_frames(frames, observed))[:, None]
+    return replace(
+        landmarks,
+        positions=np.where(seen[..., None], landmarks.positions, 0.0),
+        visible=landmarks.visible & seen,
+    )
