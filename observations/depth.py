@@ -169,6 +169,8 @@ class PointCloud(TensorStruct):
 
     def squared_distances(self, estimate: Estimate) -> tuple[Tensor, Tensor]:
         """Squared distances (*batch, seen, points), metres², and which points are present."""
+        if self.pairs is not None and estimate.body.model.pose_directions is None:
+            return self._from_pairs(estimate, self.pairs)
         middles, normals, seen = self._surface(estimate)
         if self.pairs is not None:
             return self._between(middles, normals, seen, self.pairs[..., seen, :])
@@ -180,11 +182,31 @@ class PointCloud(TensorStruct):
         self, middles: Tensor, normals: Tensor, seen: slice, index: Tensor
     ) -> tuple[Tensor, Tensor]:
         """Squared distances of the points from the discs of these numbers, and which exist."""
-        points, present = self.points[..., seen, :, :], self.present[..., seen, :]
         pick = index[..., None].expand(*index.shape, 3)
-        offset = points - middles.gather(-2, pick)
+        return self._from_discs(middles.gather(-2, pick), normals.gather(-2, pick), seen, index)
+
+    def _from_pairs(self, estimate: Estimate, pairs: Tensor) -> tuple[Tensor, Tensor]:
+        """The same where only the discs of these pairs are posed."""
+        bones, seen = at_observation_times(
+            estimate.body.bones.flatten(-3, -2), estimate.motion,
+            fps=self.fps, start_time=self.start_time, moments=self.points.shape[-3],
+        )  # fmt: skip
+        full = self.present[..., seen, :].any(-1).flatten(0, -2).any(0).nonzero()[:, 0]
+        moments = full + seen.start
+        index = pairs[..., moments, :]
+        bones = bones[..., full, :, :].unflatten(-2, (22, 4))
+        middles, normals = self.surfels.at(estimate.body, bones, index)
+        scene = estimate.scene
+        middles, normals = scene.to_recording(middles), scene.to_recording_directions(normals)
+        return self._from_discs(middles, normals, moments, index)
+
+    def _from_discs(
+        self, middles: Tensor, normals: Tensor, seen: slice | Tensor, index: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Squared distances of the points from these discs, one each, at these moments."""
+        points, present = self.points[..., seen, :, :], self.present[..., seen, :]
         radii = torch.from_numpy(self.surfels.radii).to(points)[index]
-        squared = self.distance(offset, normals.gather(-2, pick), radii)
+        squared = self.distance(points - middles, normals, radii)
         return squared.where(present, 0.0), present
 
     def _nearest(
@@ -223,18 +245,22 @@ class PointCloud(TensorStruct):
         return self.replace(points=points, present=present, camera=camera, start_time=first)
 
     def coarse(self, body: BodyModel) -> "PointCloud":
-        """Every other moment, few points, a rough surface: enough to tell headings apart."""
+        """Every other moment, few points, a rough surface: enough to tell headings apart.
+
+        Where most moments are empty, all are kept.
+        """
+        step = 1 if 2 * int(self.present.any(-1).sum()) < self.present[..., 0].numel() else 2
         last = self.points.shape[-2] - 1
         number = torch.linspace(0, last, min(_FEW_POINTS, last + 1)).long()
-        every = slice(None, None, 2)
-        moments = range(0, self.points.shape[-3], 2)
+        every = slice(None, None, step)
+        moments = range(0, self.points.shape[-3], step)
         camera = None if self.camera is None else self.camera.at(moments)
         return self.replace(
             points=self.points[..., every, :, :][..., number, :],
             present=self.present[..., every, :][..., number],
             surfels=Surfels.of(body, _FEW_SURFELS),
             camera=camera,
-            fps=self.fps / 2,
+            fps=self.fps / step,
         )
 
     def start(self, body: BodyModel) -> Motion:

@@ -9,6 +9,7 @@ from scipy.spatial import KDTree
 from torch import Tensor
 
 from recon.body import BodyModel, PosedBody
+from recon.spread import spread_vertices
 from recon.view.raster import vertex_normals
 
 SURFELS = 1500
@@ -36,11 +37,38 @@ class Surfels:
         """Vertices that are farthest from each other, one after the other."""
         template = body.template.detach().cpu().double().numpy()
         normals = vertex_normals(template, body.faces.cpu().numpy())
-        chosen = _farthest(template, min(count, len(template)))
+        chosen = spread_vertices(body, count).cpu().numpy()
         near = min(_NEIGHBOURS, len(chosen) - 1) + 1
         distance = KDTree(template[chosen]).query(template[chosen], near)[0]
         radii = distance.reshape(len(chosen), near)[:, 1:].sum(-1) / max(near - 1, 1)
         return cls(chosen, normals[chosen], radii)
+
+    def at(
+        self,
+        body: PosedBody,
+        bones: Float[Tensor, "*batch moments 22 4 3"],
+        pairs: Int[Tensor, "*batch moments points"],
+    ) -> tuple[Float[Tensor, "*batch moments points 3"], Float[Tensor, "*batch moments points 3"]]:
+        """Middles (metres) and unit normals of some discs, others at every moment.
+
+        Only these are skinned: far fewer than all where few points are seen. The offsets that
+        follow the pose (SMPL) are left out.
+
+        Args:
+            body: whose surface it is.
+            bones: its bones at these moments, as `PosedBody.bones`.
+            pairs: the discs.
+        """
+        index = torch.from_numpy(self.vertices).to(pairs.device)
+        rest = body.model.rest_vertices(body.shape, index)
+        pick = pairs.flatten(-2)
+        middles = rest.take_along_dim(pick[..., None], -2).unflatten(-2, pairs.shape[-2:])
+        normals = torch.from_numpy(self.normals).to(rest)[pairs]
+        blended = body.model.weights[index][pairs] @ bones.flatten(-2)
+        rows = blended.unflatten(-1, (4, 3))
+        turned = (normals[..., None] * rows[..., :3, :]).sum(-2)
+        placed = (middles[..., None] * rows[..., :3, :]).sum(-2) + rows[..., 3, :]
+        return placed, torch.nn.functional.normalize(turned, dim=-1, eps=1e-6)
 
     def posed(self, body: PosedBody) -> tuple[Tensor, Tensor]:
         """Middles (metres) and unit normals of the discs in a posed body, world frame."""
@@ -53,13 +81,3 @@ class Surfels:
         frames = body.joints.shape[-3]
         normals = (left @ right).unflatten(-1, (frames, 3)).movedim(-2, -3)
         return body.points(index), torch.nn.functional.normalize(normals, dim=-1, eps=1e-6)
-
-
-def _farthest(points: Float[np.ndarray, "points 3"], count: int) -> Int[np.ndarray, " count"]:
-    """Farthest point sampling from the first point on; in ascending order."""
-    chosen = np.zeros(count, np.int64)
-    distance = np.full(len(points), np.inf)
-    for k in range(1, count):
-        distance = np.minimum(distance, np.square(points - points[chosen[k - 1]]).sum(1))
-        chosen[k] = distance.argmax()
-    return np.sort(chosen)

@@ -118,6 +118,12 @@ class PosedBody:
         """The whole surface, metres; computed on first use and kept."""
         return self.points(torch.arange(len(self.model.template), device=self.joints.device))
 
+    @property
+    def bones(self) -> Float[Tensor, "*batch time 22 4 3"]:
+        """Where every bone takes points (x, 1) of the unposed surface: rows R_jᵀ, then t_j."""
+        shift = self.joints - (self.orientations @ self.rest[..., None, :, :, None])[..., 0]
+        return torch.cat((self.orientations.transpose(-1, -2), shift[..., None, :]), -2)
+
     def points(self, vertices: Int[Tensor, " points"]) -> Float[Tensor, "*batch time points 3"]:
         """Some vertices of the surface, metres; no other vertex is touched.
 
@@ -128,10 +134,8 @@ class PosedBody:
         unposed = self.model.rest_vertices(self.shape, vertices)
         homogeneous = torch.cat((unposed, torch.ones_like(unposed[..., :1])), -1)
         left = (weights[:, :, None] * homogeneous[..., :, None, :]).flatten(-2)
-        shift = self.joints - (self.orientations @ self.rest[..., None, :, :, None])[..., 0]
-        columns = torch.cat((self.orientations.transpose(-1, -2), shift[..., None, :]), -2)
         # (*batch time joints 4 3) -> (*batch joints·4 time·3)
-        right = columns.movedim(-4, -2).flatten(-4, -3).flatten(-2)
+        right = self.bones.movedim(-4, -2).flatten(-4, -3).flatten(-2)
         skinned = (left @ right).unflatten(-1, (self.joints.shape[-3], 3)).movedim(-2, -3)
         if self.model.pose_directions is None:
             return skinned
