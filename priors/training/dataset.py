@@ -1,5 +1,6 @@
 """The converted corpus in memory: clips, whose they are, and which may be learned from."""
 
+import json
 import logging
 import tomllib
 from collections.abc import Sequence
@@ -145,6 +146,14 @@ def load_clips(
             clips.append(Clip(name, splits.subject(name), motion))
     _LOG.info("%d %s clips, %d frames", len(clips), part, sum(c.motion.frames for c in clips))
     return clips
+
+
+def is_flat(path: Path) -> bool:
+    """What the conversion noted beside the clip; on uneven ground heights mean nothing."""
+    beside = path.with_suffix(".json")
+    if not beside.is_file():
+        return True
+    return bool(json.loads(beside.read_text(encoding="utf-8")).get("flat", True))
 
 
 def mirrored(motion: Motion) -> Motion:

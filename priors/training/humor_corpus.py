@@ -5,7 +5,6 @@ mirrored, played faster or slower, and put on another body, and only then turned
 velocities; so positions, rotations and velocities agree whatever was drawn.
 """
 
-import json
 import logging
 from dataclasses import dataclass
 from itertools import pairwise
@@ -17,7 +16,14 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from priors.humor_state import State
-from priors.training.dataset import Licence, Part, Splits, clip_files, mirrored_rotations
+from priors.training.dataset import (
+    Licence,
+    Part,
+    Splits,
+    clip_files,
+    is_flat,
+    mirrored_rotations,
+)
 from recon import rotations as so3
 from recon.body import BodyModel
 from recon.formats.amass import MotionFile, load_motion
@@ -116,7 +122,7 @@ class Corpus(TensorStruct):
         for name, own in splits.parts(list(files)).items():
             if own != part or (licence == "open" and not splits.is_open(name)):
                 continue
-            if not _is_flat(files[name]):
+            if not is_flat(files[name]):
                 continue
             for piece in _between_jumps(load_motion(files[name])):
                 if piece.motion.frames >= shortest * piece.motion.fps:
@@ -266,14 +272,6 @@ class Corpus(TensorStruct):
         sole = self.body.rest_vertices(shape, self.soles)[..., 1].amin(-1)
         toes = rest[:, list(TOES)].mean(-1)
         return (rest[:, 0] - sole)[:, None] * up, (toes - sole)[:, None] * up
-
-
-def _is_flat(path: Path) -> bool:
-    """What the conversion noted beside the clip; on uneven ground heights mean nothing."""
-    beside = path.with_suffix(".json")
-    if not beside.is_file():
-        return True
-    return bool(json.loads(beside.read_text(encoding="utf-8")).get("flat", True))
 
 
 def _between_jumps(clip: MotionFile) -> list[MotionFile]:

@@ -14,6 +14,7 @@ from priors.humor_state import canonical, distinct_features, initial_features, r
 from priors.humor_steps import error_whitening
 from priors.humor_weights import networks_from, read_weights, save_weights
 from priors.mixture import Mixture
+from priors.training.curves import write_losses
 from priors.training.dataset import SPLITS, Licence, Splits
 from priors.training.humor_corpus import Corpus, Variation
 from priors.training.humor_scaling import ScaledNetworks
@@ -168,12 +169,7 @@ class Run:
             best = {"average": self.averaged.plain().state_dict(), "step": self.step}
             with replacing(self.settings.out / "best.pt") as beside:
                 torch.save(best, beside)
-        columns = list(self.rows[0])
-        lines = [",".join(columns)]
-        lines += [",".join(f"{r[c]:.6g}" for c in columns) for r in self.rows]
-        with replacing(self.settings.out / "losses.csv") as beside:
-            beside.write_text("\n".join(lines) + "\n", encoding="utf-8")
-        _draw(self.rows, self.settings.out / "losses.png")
+        write_losses(self.settings.out, self.rows, _PANELS)
 
     def save(self) -> None:
         """Write the checkpoint in one step."""
@@ -191,6 +187,13 @@ class Run:
         with replacing(self.settings.out / "checkpoint.pt") as beside:
             torch.save(state, beside)
 
+
+_PANELS = (
+    ("train_total", "one_total", "own_total"),
+    ("train_kl", "one_kl", "own_kl"),
+    ("drift_cm", "own_feet_right"),
+)
+"""Losses drawn together."""
 
 _SCALED_BY = 20_000
 """Windows from which the scales of inputs and outputs are taken."""
@@ -242,24 +245,3 @@ def export_weights(
     save_weights(path, networks, initial, whitening, about | {"step": found["step"]})
     _LOG.info("wrote the networks of step %d as %s", found["step"], path)
     return path
-
-
-def _draw(rows: list[dict[str, float]], path: Path) -> None:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(12, 4), layout="constrained")
-    FigureCanvasAgg(figure)
-    panels = (
-        ("train_total", "one_total", "own_total"),
-        ("train_kl", "one_kl", "own_kl"),
-        ("drift_cm", "own_feet_right"),
-    )
-    for axes, names in zip(figure.subplots(1, len(panels)), panels, strict=True):
-        for name in names:
-            axes.plot([r["step"] for r in rows], [r[name] for r in rows], label=name)
-        axes.set_yscale("log")
-        axes.set_xlabel("step")
-        axes.legend()
-    with replacing(path) as beside:
-        figure.savefig(beside, format="png", dpi=100)

@@ -1,0 +1,139 @@
+"""The anchor-frame VAE on disk: networks, basis, and how codes of recorded cycles are spread."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from priors.anchor_basis import CODES, CycleBasis
+from priors.anchor_nets import AnchorNetworks
+from priors.anchors import Alignment
+from priors.checkpoints import Checkpoint, load_checkpoint, save_checkpoint
+from recon.struct import TensorStruct
+
+_NONCOMMERCIAL = Path(__file__).parents[1] / "weights-nc" / "anchor.safetensors"
+"""In a source checkout; not in the package, since its licence (CC BY-NC 4.0) is another."""
+_BASIS, _SPREAD = "basis.", "spread."
+_SETTINGS = ("latent", "shape", "width", "basis")
+
+
+@dataclass(frozen=True)
+class CodeSpread(TensorStruct):
+    """The aggregate posterior of recorded cycles: their codes are about N(mean, root rootᵀ)."""
+
+    mean: Float[Tensor, " latent"]
+    root: Float[Tensor, "latent latent"]
+    """Lower triangular."""
+    typical: Float[Tensor, "typical latent"]
+    """Codes of different kinds of cycles, to begin a search with."""
+
+    @classmethod
+    def fit(
+        cls, means: Float[Tensor, "cycles latent"], variances: Float[Tensor, "cycles latent"],
+        typical: int, seed: int = 0,
+    ) -> "CodeSpread":  # fmt: skip
+        """Moments of the mixture of all posteriors, and the cycles nearest to cluster centres."""
+        from sklearn.cluster import KMeans
+
+        codes = means.double()
+        mean = codes.mean(0)
+        away = codes - mean
+        covariance = away.mT @ away / max(len(codes) - 1, 1) + variances.double().mean(0).diag()
+        rows = codes.numpy()
+        found = KMeans(typical, random_state=seed).fit(rows)
+        centres = torch.from_numpy(found.cluster_centers_)
+        nearest = torch.cdist(centres, codes).argmin(-1)
+        return cls(mean.float(), torch.linalg.cholesky(covariance).float(), means[nearest])
+
+
+@dataclass(frozen=True)
+class AnchorWeights:
+    """What a weights file holds."""
+
+    networks: AnchorNetworks
+    spread: CodeSpread
+    alignment: Alignment
+
+
+def save_weights(path: Path, weights: AnchorWeights, settings: Mapping[str, Any]) -> None:
+    """Write networks and directions in half precision, what scales them in single."""
+    networks, basis = weights.networks, weights.networks.basis
+    tensors = {name: tensor.half() for name, tensor in networks.state_dict().items()}
+    for name, tensor in basis.tensors().items():
+        tensors[_BASIS + name] = tensor.half() if name == "directions" else tensor.float()
+    for name, tensor in weights.spread.tensors().items():
+        tensors[_SPREAD + name] = tensor.float()
+    sizes = {
+        "latent": networks.latent,
+        "shape": networks.shape,
+        "width": networks.width,
+        "basis": len(basis.deviation),
+    }
+    about = {**settings, **sizes, "alignment": weights.alignment.value}
+    save_checkpoint(path, "anchor", tensors, about)
+
+
+def load_weights(path: str | Path) -> AnchorWeights:
+    """Read a weights file.
+
+    Args:
+        path: a file; or `open` for the weights in the package, `nc` for those of a source
+            checkout that may not be used commercially.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+        ValueError: when it holds something else.
+    """
+    if path == "open":
+        with resources.as_file(resources.files("priors") / "weights" / "anchor.safetensors") as p:
+            return load_weights(p)
+    if path == "nc" and not _NONCOMMERCIAL.is_file():
+        raise FileNotFoundError(
+            f"{_NONCOMMERCIAL}: the nc weights are not part of the package; take "
+            "weights-nc/anchor.safetensors from the source repository and give its path"
+        )
+    found = load_checkpoint(_NONCOMMERCIAL if path == "nc" else path, "anchor")
+    sizes = [found.settings.get(name) for name in _SETTINGS]
+    known = {alignment.value for alignment in Alignment}
+    if found.settings.get("alignment") not in known or not all(
+        isinstance(size, int) and size > 0 for size in sizes
+    ):
+        raise ValueError(
+            f"{found.path}: expected the settings {', '.join(_SETTINGS)} (whole numbers) and "
+            f"alignment ({' or '.join(sorted(known))}), got {dict(found.settings)}"
+        )
+    latent, shape, width, size = (int(one) for one in sizes if one is not None)
+    basis = CycleBasis(**_part(found, _BASIS, {
+        "low": (4,), "high": (4,), "mean": (CODES,), "directions": (size, CODES),
+        "deviation": (size,),
+    }))  # fmt: skip
+    networks = AnchorNetworks(basis, latent, shape, width)
+    layers = {
+        name: tensor.float()
+        for name, tensor in found.tensors.items()
+        if not name.startswith((_BASIS, _SPREAD))
+    }
+    Checkpoint(found.path, layers, found.settings).into(networks)
+    count = len(found.tensors.get(_SPREAD + "typical", torch.zeros(0)))
+    spread = CodeSpread(**_part(found, _SPREAD, {
+        "mean": (latent,), "root": (latent, latent), "typical": (count, latent),
+    }))  # fmt: skip
+    networks.eval().requires_grad_(False)
+    return AnchorWeights(networks, spread, Alignment(found.settings["alignment"]))
+
+
+def _part(
+    found: Checkpoint, prefix: str, shapes: Mapping[str, tuple[int, ...]]
+) -> dict[str, Tensor]:
+    """The tensors whose names begin so, without the beginning, in single precision."""
+    own = {
+        name.removeprefix(prefix): tensor.float()
+        for name, tensor in found.tensors.items()
+        if name.startswith(prefix)
+    }
+    return Checkpoint(found.path, own, found.settings).require(shapes)
