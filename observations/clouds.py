@@ -13,7 +13,7 @@ from recon.body import BodyModel
 from recon.camera import Camera
 from recon.formats.observation import CameraArrays, PointsFile
 from recon.ground import Ground
-from recon.planes import FoundGround, above, find_ground, largest_cluster
+from recon.planes import FoundGround, above, find_ground, largest_cluster, spacing
 
 POINTS = 512
 """Points fitted in a frame: the search for neighbours then takes a third of a fit's time."""
@@ -26,6 +26,13 @@ _SEARCHED = 100_000
 _LEVEL = Ground.create(torch.tensor([0.0, 0.0, 1.0]).double(), torch.tensor(0.0).double())
 _LEAST = 20
 """Points that make a frame worth having."""
+_REACH, _SPACINGS = 0.08, 2.0
+"""Steps that join points to one thing: metres, or where points are sparse so many times as far as
+they are from each other."""
+_MUCH = 0.1
+"""Share of the points above which other things than the largest are furniture, not noise."""
+_LOOKED_AT = 50
+"""Frames that tell how sparse points are."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +60,8 @@ def cloud_of(
     A camera without pose does not know where up is: its frame is turned so that the ground that
     RANSAC finds in the points lies at z = 0; where none is found, the camera is taken as held
     level, and the lowest points as being on the ground. `ground_known` is then false. Where a
-    ground is seen, it and what is not the largest thing on it are left out.
+    ground is seen, it and what is not the largest thing on it are left out; of scans without a
+    ground as well, if that is much.
 
     Args:
         file: as read.
@@ -63,7 +71,8 @@ def cloud_of(
         T_recording_camera: where a camera without pose is, if the ground is given.
 
     Raises:
-        ValueError: when no frame has enough points of a person.
+        ValueError: when no frame has enough points of a person, or scans show a ground that is not
+            where it should be.
     """
     known = file.camera is None or file.camera.T_camera_world is not None
     generator = np.random.default_rng(seed)
@@ -79,20 +88,29 @@ def cloud_of(
     seen = found.ground is not None
     if known and found.ground is not None:
         seen = abs(float(found.ground.offset)) < _KNOWN_GROUND
+        if file.camera is None and not seen:
+            raise ValueError(
+                f"the points show a ground at z = {float(found.ground.offset):.2f} m, expected it "
+                "at z = 0: move the points there, or leave out what is no person"
+            )
     frames = int(file.frame.max()) + 1
     if file.truth_visible is not None:
         frames = max(frames, len(file.truth_visible))
-    clouds: list[np.ndarray] = []
     order = np.argsort(file.frame, kind="stable")
     ends = np.searchsorted(file.frame[order], np.arange(frames + 1))
-    for first, last in pairwise(ends):
-        cloud = turned[order[first:last]]
-        if seen:
-            cloud = cloud[above(cloud, _LEVEL)]
-            cloud = cloud[largest_cluster(cloud)]
-        if len(cloud) > points:
-            cloud = cloud[np.sort(generator.permutation(len(cloud))[:points])]
-        clouds.append(cloud)
+    clouds = [turned[order[first:last]] for first, last in pairwise(ends)]
+    if seen:
+        clouds = [cloud[above(cloud, _LEVEL)] for cloud in clouds]
+    if seen or file.camera is None:
+        alone = _largest(clouds)
+        left_out = 1 - sum(map(len, alone)) / max(sum(map(len, clouds)), 1)
+        clouds = alone if seen or left_out > _MUCH else clouds
+    clouds = [
+        cloud[np.sort(generator.permutation(len(cloud))[:points])]
+        if len(cloud) > points
+        else cloud
+        for cloud in clouds
+    ]
     most = max(map(len, clouds))
     if most < _LEAST:
         raise ValueError(
@@ -113,6 +131,14 @@ def cloud_of(
         ground_seen=found.ground is not None,
     )
     return LoadedCloud(observation, found, T)
+
+
+def _largest(clouds: list[np.ndarray]) -> list[np.ndarray]:
+    """The largest thing of every frame; how far its points are apart, all frames tell."""
+    shown = [cloud for cloud in clouds if len(cloud) > 1]
+    sparse = spacing(shown[:: max(1, len(shown) // _LOOKED_AT)])
+    reach = max(_REACH, _SPACINGS * sparse)
+    return [cloud[largest_cluster(cloud, reach)] for cloud in clouds]
 
 
 def _levelling(

@@ -1,16 +1,18 @@
 """Everything that was recorded of one clip, from files of any kind, in one frame."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
 from observations.clouds import cloud_of
+from observations.depth import PointCloud
 from observations.files import positions_of
 from observations.first_guess import Seen
 from observations.images import camera_above, keypoints_of
+from observations.keypoints2d import Keypoints2D
 from recon.body import BodyModel
 from recon.detections.masks import load_silhouettes, masked
 from recon.detections.views import load_views
@@ -60,6 +62,11 @@ def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> 
     for path in paths:
         if not path.exists():
             raise FileNotFoundError(f"no observation at {path}")
+        if path.is_dir() and next(path.iterdir(), None) is None:
+            raise ValueError(
+                f"{path}: the folder is empty; expected scans (.ply, .pcd), depth images (.png) "
+                "or 2D detections (.json, .csv) in it"
+            )
         if path.suffix.lower() == ".npz":
             files.append((str(path), load_observation(path)))
         elif kinds := _inside(path) & (_CLOUDS | _IMAGES):
@@ -92,6 +99,37 @@ def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> 
     return _together(files, notes, settings, body)
 
 
+def window(clip: Clip, start: float, stop: float) -> Clip:
+    """What was seen from one time to another, both included, seconds of the recording's clock.
+
+    Raises:
+        ValueError: when the times do not rise or nothing was seen between them.
+    """
+    if not start < stop:
+        raise ValueError(f"--between takes two rising times in seconds, got {start} {stop}")
+    cut = tuple(observation.window(start, stop) for observation in clip.observations)
+    if not any(len(seen_times(one)) > 0 for one in cut):
+        every = np.concatenate([seen_times(one) for one in clip.observations])
+        raise ValueError(
+            f"{', '.join(clip.names)}: nothing was seen between {start:g} and {stop:g} s; "
+            f"--between counts on the recording's clock, which shows something from "
+            f"{every.min():.2f} to {every.max():.2f} s"
+        )
+    return replace(clip, observations=cut)
+
+
+def seen_times(observation: Seen) -> Float[np.ndarray, " moments"]:
+    """Times at which one clip's observation shows anything, seconds."""
+    if isinstance(observation, PointCloud):
+        there = observation.present
+    elif isinstance(observation, Keypoints2D):
+        there = observation.confidence > 0
+    else:
+        there = observation.visible
+    moments = there[0].any(-1).nonzero()[:, 0].cpu().numpy()
+    return observation.start_time + moments / observation.fps
+
+
 def _together(
     files: Sequence[tuple[str, ObservationFile]],
     notes: list[str],
@@ -113,6 +151,7 @@ def _together(
     found: dict[int, Seen] = {}
     for k, (name, file) in enumerate(files):
         if isinstance(file, PointsFile):
+            notes += [f"{name}: {decision}" for decision in file.decisions]
             loaded = cloud_of(file, body, seed=settings.seed, T_recording_camera=T)
             found[k] = loaded.cloud
             seen = "" if loaded.ground.ground is None else "ground: "

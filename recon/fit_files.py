@@ -17,8 +17,10 @@ from recon import rotations as so3
 from recon.agreement import agreement
 from recon.body import BodyModel
 from recon.clip import fit_clip
-from recon.clip_files import load_clip
+from recon.clip_files import load_clip, window
+from recon.completion import complete
 from recon.contacts import contact_labels, rest_heights
+from recon.domain import cycle_report
 from recon.formats.amass import MotionFile, save_motion
 from recon.formats.files import replacing
 from recon.long import LongReconstruction
@@ -36,6 +38,7 @@ def fit_files(
 ) -> dict[str, Any]:
     """Fit one clip's observation files and write OUT and OUT.json.
 
+    The prior `anchor` completes them to one cycle of gait; the report then has `cycle`.
     Returns the report; its `failed` says whether the fit met nan or inf, in which case the last
     finite estimate was written.
 
@@ -45,10 +48,17 @@ def fit_files(
     torch.manual_seed(settings.seed)
     body = BodyModel.load(settings.body)
     clip = load_clip(paths, settings, body)
+    if settings.between is not None:
+        clip = window(clip, *settings.between)
     seen = [observation.to(device=settings.device) for observation in clip.observations]
-    found = fit_clip(seen, settings, body.to(device=settings.device), watch)
+    completes = settings.prior == "anchor"
+    found = (complete if completes else fit_clip)(
+        seen, settings, body.to(device=settings.device), watch
+    )
     motion = found.result.clip(0).detach().to(device="cpu")
-    motion = motion.resample(seen[0].fps if settings.fps is None else settings.fps)
+    # the clock of few scans is too slow to show a motion
+    rate = max(seen[0].fps, motion.fps) if completes else seen[0].fps
+    motion = motion.resample(rate if settings.fps is None else settings.fps)
     T, ground = found.T_world_recording[0].double(), 0.0
     if clip.T_recording_camera is None and not found.ground_known:
         # 3D recordings with z up keep their frame; only the ground is lower or higher there
@@ -65,6 +75,10 @@ def fit_files(
         "read": clip.notes,
         **agreement(clip, found),
     }
+    if completes:
+        cycle = cycle_report(found, report["misfits"])
+        report |= {"cycle": cycle.numbers}
+        report["warnings"] += cycle.warnings
     write_result(out, motion, body, report, ground, T_world_camera)
     return report
 

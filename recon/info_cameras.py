@@ -15,7 +15,8 @@ from recon.formats.keypoints import read_keypoints
 from recon.formats.observation import CameraArrays
 from recon.formats.pcd import read_pcd
 from recon.formats.ply import read_ply
-from recon.formats.scans import frames_of, naturally, read_times, scan_paths, unit_of_clouds
+from recon.formats.scan_times import timed
+from recon.formats.scans import naturally, scan_paths, unit_of_clouds
 
 _CALIBRATIONS = {".toml", ".yml", ".yaml"}
 _LOOKED_AT = 5
@@ -131,7 +132,7 @@ def _scans(path: Path) -> dict[str, Any]:
     paths = scan_paths(path)
     times, fps, decisions = path / "times.csv", None, []
     if times.exists():
-        _, fps, _ = frames_of(read_times(times, paths), times)
+        fps = timed(times, paths).fps
     else:
         decisions.append("no times.csv: give --frame-rate to fit")
     step = max(len(paths) // _LOOKED_AT, 1)

@@ -18,7 +18,7 @@ def method_of(settings: FitSettings, noise: float, body: BodyModel) -> Method:
 
     Raises:
         FileNotFoundError: when there are no such weights.
-        ValueError: when the file of the weights holds none.
+        ValueError: when the file of the weights holds none, or the prior has a way of its own.
     """
     match settings.prior:
         case "pose":
@@ -27,6 +27,11 @@ def method_of(settings: FitSettings, noise: float, body: BodyModel) -> Method:
         case "humor":
             humor = Humor.load(settings.weights, body.to(device="cpu"))
             return Collocation.for_noise(humor.like(body.template), noise)
+        case "anchor":
+            raise ValueError(
+                "the prior anchor is of one whole cycle, for which beginnings are searched: "
+                "call recon.completion.complete, or `recon complete`"
+            )
 
 
 _PLACE = frozenset({"translation", "root"})

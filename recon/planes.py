@@ -1,6 +1,7 @@
 """The ground as the sensor sees it: a plane through many points of a cloud, and what is not it."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -129,6 +130,15 @@ def above(
 ) -> Bool[np.ndarray, " points"]:
     """Points higher than `least` above the ground, metres."""
     return ground.heights(torch.from_numpy(points).to(ground.normal)).numpy() > least
+
+
+def spacing(clouds: Sequence[np.ndarray]) -> float:
+    """Median distance of a point from the nearest other one of its cloud, metres; zero if none.
+
+    Clouds have axes (points, 3), each its own number of points.
+    """
+    nearest = [KDTree(cloud).query(cloud, 2)[0][:, 1] for cloud in clouds if len(cloud) > 1]
+    return float(np.median(np.concatenate(nearest))) if nearest else 0.0
 
 
 def largest_cluster(

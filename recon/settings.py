@@ -9,13 +9,15 @@ from typing import Literal
 class FitSettings:
     """How to fit files."""
 
-    prior: Literal["humor", "pose"] = "humor"
+    prior: Literal["humor", "pose", "anchor"] = "humor"
     """What is likely: `humor` is every step from pose to pose and where feet touch, `pose` single
-    poses and smoothness (stages 1-2 of HuMoR)."""
+    poses and smoothness (stages 1-2 of HuMoR), `anchor` one whole cycle of gait."""
     weights: str = "open"
-    """Of HuMoR: `open`, `nc` (not for commercial use; in a source checkout) or a file."""
+    """Of the prior: `open`, `nc` (not for commercial use; in a source checkout) or a file."""
     body: Path | None = None
     """A SMPL-family file of your own; default: the bundled body."""
+    between: tuple[float, float] | None = None
+    """Seconds of the recording's clock from which to which to fit; default: all."""
     unit: Literal["m", "cm", "mm", "inch", "cmu"] | None = None
     """Unit of positions and scans, where the file is wrong about it."""
     up: Literal["x", "y", "z"] | None = None
@@ -59,9 +61,9 @@ class FitSettings:
 
 DEFAULTS = FitSettings()
 
-SensorKind = Literal["joints3d", "markers3d", "keypoints2d", "depth", "scans"]
-"""What a simulated sensor gives: the 22 joints, 43 points of the skin, keypoints in images, points
-that a depth camera sees, points all over the skin."""
+SensorKind = Literal["joints3d", "markers3d", "landmarks", "keypoints2d", "depth", "scans"]
+"""What a simulated sensor gives: the 22 joints, 43 points of the skin, 16 markers beside the skin,
+keypoints in images, points that a depth camera sees, points all over the skin."""
 
 
 @dataclass(frozen=True)
@@ -79,3 +81,19 @@ class FilmSettings:
 
 
 FILM_DEFAULTS = FilmSettings()
+
+
+@dataclass(frozen=True)
+class SurfaceSettings:
+    """What simulated sensors see of the surface; for landmarks, depth and scans."""
+
+    points: int = 4096
+    """Most points of a frame of depth and scans."""
+    clothed: int | None = None
+    """Seed of the clothes that depth and scans see; default: bare skin."""
+    skin_offset: float = 0.01
+    """Standard deviation per axis of how far landmarks are placed from where they should be,
+    metres."""
+
+
+SURFACE_DEFAULTS = SurfaceSettings()

@@ -61,6 +61,18 @@ class Solution:
     """Term values at every iterate. Row 0 is the start; rows past an element's end repeat its
     last."""
 
+    def rows(self, index: Int[Tensor, " rows"]) -> "Solution":
+        """Of some elements of the batch."""
+        return replace(
+            self,
+            x=self.x[index],
+            value=self.value[index],
+            iterations=self.iterations[index],
+            evaluations=self.evaluations[index],
+            termination=tuple(self.termination[k] for k in index.tolist()),
+            trace=self.trace[index],
+        )
+
 
 def in_turn(solutions: Sequence[Solution]) -> Solution:
     """Several minimisations of the same variables, one after the other, as one."""

@@ -84,6 +84,10 @@ class StageReport:
     solution: Solution
     seconds: float
 
+    def rows(self, index: Int[Tensor, " rows"]) -> "StageReport":
+        """What it did to some clips of the batch."""
+        return replace(self, solution=self.solution.rows(index))
+
 
 @runtime_checkable
 class Carried(Protocol):

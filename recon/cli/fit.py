@@ -31,6 +31,18 @@ def fit(
         settings: how to fit.
         json: print the report as JSON on stdout.
     """
+    fit_and_say(observations, out, settings, json)
+
+
+def fit_and_say(
+    observations: tuple[Path, ...], out: Path, settings: FitSettings, json: bool
+) -> None:
+    """Fit, and tell what a person at the terminal should know.
+
+    Raises:
+        Failed: when the fit met nan or inf.
+        FileNotFoundError, ValueError: for bad input.
+    """
     from recon.cli import console
     from recon.fit_files import fit_files
 
@@ -42,6 +54,12 @@ def fit(
         console.say(
             f"{stage['name']:<9} {stage['iterations']:>4} iterations {stage['seconds']:>7.2f} s, "
             f"total {sum(stage['energies'].values()):.4g}: {stage['termination']}"
+        )
+    if cycle := report.get("cycle"):
+        console.say(
+            f"one cycle of {cycle['seconds']:.2f} s, seen at {cycle['moments_seen']} moments, "
+            f"code distance {cycle['code_distance']:.2f}, "
+            f"misfit {', '.join(f'{mm:.0f}' for mm in cycle['misfit_mm'] if mm is not None)} mm"
         )
     for line in report["warnings"]:
         console.warn(line)

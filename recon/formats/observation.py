@@ -83,6 +83,8 @@ class PointsFile:
     """As in `PositionsFile`."""
     truth_T_world_camera: Float[np.ndarray, "4 4"] | None = None
     """As in `KeypointsFile`."""
+    decisions: tuple[str, ...] = ()
+    """What was assumed in reading scans; not written."""
 
 
 ObservationFile = PositionsFile | KeypointsFile | PointsFile

@@ -8,18 +8,17 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import KDTree
 
-from recon.formats.files import decode, read_bytes
+from recon.formats.files import replacing
 from recon.formats.observation import PointsFile
 from recon.formats.pcd import read_pcd
-from recon.formats.ply import read_ply
+from recon.formats.ply import read_ply, write_ply
+from recon.formats.scan_times import timed
 from recon.units import METRES, Axis, check_override, to_z_up
 
 POINTS = 4096
 """Points kept of a frame."""
 _BODY = (0.4, 8.0)
 """Metres that a cloud with a person, and some of the room, extends over."""
-_EVEN = 0.2
-"""Frames that the times of a recording may differ from an even clock."""
 
 
 def read_scans(
@@ -35,7 +34,8 @@ def read_scans(
     """Clouds of all frames, in metres, z up. Files count in natural order, `scan_2` first of `10`.
 
     A file `times.csv` beside them (a line per file: its time in seconds, or its name and its
-    time) tells the clock; frames that were dropped stay empty.
+    time) tells the clock; frames that were dropped stay empty. Times of named files may be in any
+    order, and at any distances: they are then put on a clock with a frame near each.
 
     Args:
         folder: with .ply or .pcd files.
@@ -56,8 +56,11 @@ def read_scans(
     check_override(unit)
     paths = scan_paths(folder)
     times = folder / "times.csv"
+    decisions: list[str] = []
     if times.exists():
-        frames, fps, start = frames_of(read_times(times, paths), times)
+        clock = timed(times, paths)
+        paths, frames, fps = clock.files, clock.frames, clock.fps
+        start, decisions = clock.start_time, clock.decisions
     elif fps is None:
         raise ValueError(
             f"{folder}: no times.csv tells when its files were recorded; give frames per second "
@@ -68,17 +71,52 @@ def read_scans(
     if not fps > 0:
         raise ValueError(f"{folder}: expected a positive fps, got {fps}")
     clouds = [_read(path) for path in paths]
-    metres = METRES[unit] if unit else METRES[unit_of_clouds(clouds, str(folder))]
+    if not any(map(len, clouds)):
+        raise ValueError(f"{folder}: no file holds any point")
+    if unit is None and (unit := unit_of_clouds(clouds, str(folder))) != "m":
+        decisions.append(f"by the size of the clouds, their unit is {unit}")
+    metres = METRES[unit]
     generator = np.random.default_rng(seed)
     kept = [thinned(cloud * metres, points, outliers, generator) for cloud in clouds]
-    if not any(map(len, kept)):
-        raise ValueError(f"{folder}: no file holds any point")
     return PointsFile(
         points=np.concatenate(kept) @ to_z_up(up).T,
         frame=np.repeat(frames, [len(cloud) for cloud in kept]),
         fps=fps,
         start_time=start,
+        decisions=tuple(decisions),
     )
+
+
+def write_scans(folder: str | Path, scans: PointsFile) -> tuple[Path, ...]:
+    """Write frame_000000.ply, ... and times.csv; frames without points have no file.
+
+    Only points and times are kept. The clouds read back are the same to single precision.
+
+    Raises:
+        ValueError: when fewer than two frames have points (one has no clock), the points are of a
+            camera, or the folder holds other clouds.
+    """
+    folder = Path(folder)
+    if folder.exists() and not folder.is_dir():
+        raise ValueError(
+            f"{folder} is a file; give a folder, or a name ending in .npz for one file"
+        )
+    frames = np.unique(scans.frame)
+    if len(frames) < 2:
+        raise ValueError(f"{folder}: a folder needs two frames with points, got {len(frames)}")
+    if scans.camera is not None:
+        raise ValueError(f"{folder}: PLY files say nothing of a camera; write .npz instead")
+    paths = tuple(folder / f"frame_{frame:06d}.ply" for frame in frames)
+    if folder.is_dir() and (foreign := set(folder.glob("*.ply")) - set(paths)):
+        raise ValueError(f"{folder} holds other clouds ({min(foreign).name}); give a new folder")
+    folder.mkdir(parents=True, exist_ok=True)
+    times = scans.start_time + frames / scans.fps
+    lines = [f"{path.name},{time:.9f}" for path, time in zip(paths, times, strict=True)]
+    for path, frame in zip(paths, frames, strict=True):
+        write_ply(path, scans.points[scans.frame == frame])
+    with replacing(folder / "times.csv") as beside:
+        beside.write_text("\n".join(["file,seconds", *lines, ""]), encoding="utf-8")
+    return paths
 
 
 def scan_paths(folder: Path) -> list[Path]:
@@ -107,48 +145,6 @@ def naturally(paths: Iterable[Path]) -> list[Path]:
         return [(0, int(part)) if part.isdigit() else (1, part) for part in parts]
 
     return sorted(paths, key=key)
-
-
-def read_times(path: Path, files: list[Path]) -> Float[np.ndarray, " files"]:
-    """Time of every file, seconds; lines of a time, or of a name and a time; a heading may be.
-
-    Raises:
-        ValueError: when a file has no time or the lines are of another kind.
-    """
-    rows = [re.split(r"[,;\s]+", line.strip()) for line in decode(read_bytes(path)).splitlines()]
-    rows = [row for row in rows if row != [""]]
-    if rows and not _is_number(rows[0][-1]):
-        rows = rows[1:]
-    if not all(len(row) in (1, 2) and _is_number(row[-1]) for row in rows):
-        raise ValueError(f"{path}: expected a line per file, its time in s, or its name and time")
-    if any(len(row) == 2 for row in rows):
-        named = {Path(row[0]).name: float(row[-1]) for row in rows}
-        if missing := [file.name for file in files if file.name not in named]:
-            raise ValueError(f"{path}: has no time for {', '.join(missing[:5])}")
-        return np.array([named[file.name] for file in files])
-    if len(rows) != len(files):
-        raise ValueError(f"{path}: expected {len(files)} times, one per file, got {len(rows)}")
-    return np.array([float(row[0]) for row in rows])
-
-
-def frames_of(times: Float[np.ndarray, " files"], path: Path) -> tuple[np.ndarray, float, float]:
-    """Frame numbers on an even clock, its rate and its first time.
-
-    Raises:
-        ValueError: when the times do not rise or lie on no even clock.
-    """
-    steps = np.diff(times)
-    if len(times) < 2 or not (steps > 0).all() or not np.isfinite(times).all():
-        raise ValueError(f"{path}: expected two or more rising times in seconds")
-    step = float(np.median(steps))
-    step = float((times[-1] - times[0]) / max(round((times[-1] - times[0]) / step), 1))
-    place = (times - times[0]) / step
-    off = float(np.abs(place - place.round()).max())
-    if off > _EVEN:
-        raise ValueError(
-            f"{path}: the times lie on no even clock (up to {off:.2f} frames off); resample first"
-        )
-    return place.round().astype(np.int64), 1 / step, float(times[0])
 
 
 def unit_of_clouds(clouds: list[np.ndarray], name: str) -> str:
@@ -200,10 +196,3 @@ def is_outlier(
 
 def _read(path: Path) -> Float[np.ndarray, "points 3"]:
     return read_pcd(path) if path.suffix.lower() == ".pcd" else read_ply(path)[0]
-
-
-def _is_number(text: str) -> bool:
-    try:
-        return np.isfinite(float(text)).item()
-    except ValueError:
-        return False

@@ -79,12 +79,40 @@ def test_times_leave_dropped_frames_empty(tmp_path):
     for text, message in (
         ("0\n1\n2\n", "expected 4 times"),
         ("0\n1\n1\n2\n", "rising"),
-        ("0\n1\n2.5\n4\n", "even clock"),
+        ("0\n1\n2.5\n400\n", "even clock"),
+        ("0\n0.4\n0.401\n0.7\n", "leave one of them out"),
         ("0.ply,0\n", "no time for 1.ply"),
     ):
         (tmp_path / "times.csv").write_text(text)
         with pytest.raises(ValueError, match=message):
             read_scans(tmp_path)
+
+
+def test_scans_at_any_times_get_a_clock_with_a_frame_near_each(tmp_path):
+    for frame, name in enumerate("acbd"):
+        write_ply(tmp_path / f"{name}.ply", person(frame))
+    table = tmp_path / "times.csv"
+    table.write_text("a.ply,0.4\nc.ply,0.8\nb.ply,1.0\nd.ply,1.4\n")
+    file = read_scans(tmp_path)  # frames 20, 40, 50 and 70 of 50 Hz
+    assert file.fps == pytest.approx(5.0)
+    assert sorted(set(file.frame.tolist())) == [0, 2, 3, 5]
+    assert file.points[file.frame == 2][:, 0].mean() == pytest.approx(0.1, abs=0.04)
+    assert any("another order" in line for line in file.decisions)
+    random = np.random.default_rng(0)
+    for _ in range(20):
+        times = np.sort(random.uniform(0, 1, 4)) + 0.02 * np.arange(4)
+        names = zip("acbd", times, strict=True)
+        table.write_text("\n".join(f"{name}.ply {time:.6f}" for name, time in names))
+        file = read_scans(tmp_path)
+        frames = np.unique(file.frame)
+        assert len(frames) == 4
+        assert file.start_time + frames / file.fps == pytest.approx(times, abs=0.0071)
+    table.write_text("0\n0.2\n0.1\n0.3\n")
+    with pytest.raises(ValueError, match="name and time"):
+        read_scans(tmp_path)
+    table.write_text("a.ply,0\nb.ply,0.1\nc.ply,0.1\nd.ply,0.3\n")
+    with pytest.raises(ValueError, match="no two alike"):
+        read_scans(tmp_path)
 
 
 def test_folders_that_say_too_little_are_refused(tmp_path):

@@ -1,0 +1,58 @@
+"""An anchor-frame prior that knows one walk and little else, for tests that take no time."""
+
+from functools import cache
+from importlib import resources
+from pathlib import Path
+
+import torch
+
+from priors.anchor_basis import CycleBasis
+from priors.anchor_nets import AnchorNetworks
+from priors.anchor_weights import AnchorWeights, CodeSpread, save_weights
+from priors.anchors import Alignment, Anchors, rest_pelvis
+from recon import rotations as so3
+from recon.body import BodyModel
+from recon.cycles import Cycle, find_cycles
+from recon.formats.amass import load_motion
+from recon.motion import Motion
+
+LATENT = 8
+
+
+@cache
+def walk() -> tuple[Motion, Cycle]:
+    """The bundled walk, and its most gait-like cycle."""
+    with resources.as_file(resources.files("recon") / "assets" / "demo.npz") as path:
+        motion = load_motion(path).motion
+    return motion, min(find_cycles(motion), key=lambda cycle: cycle.cost)
+
+
+def one_cycle(fps: float = 30.0) -> Motion:
+    """That cycle from zero seconds on."""
+    motion, cycle = walk()
+    count = int(cycle.duration * fps) + 1
+    times = cycle.start + torch.arange(count, dtype=torch.float64) / fps
+    return motion.at(times, fps).replace(start_time=0.0)
+
+
+def tiny_weights(path: Path, *, cycles: int = 40) -> Path:
+    """Write weights of a prior of that walk: faster, slower, stiffer and more lively."""
+    body, random = BodyModel.load(), torch.Generator().manual_seed(0)
+    motion, cycle = walk()
+    clip = cycle.of(motion, 100)
+    walked = Anchors.of(clip)
+    vectors = so3.log(walked.rotations)
+    rows: list[torch.Tensor] = []
+    for lively, faster in (0.1 * torch.randn(cycles, 2, generator=random)).tolist():
+        anchors = walked.replace(
+            rotations=so3.exp(torch.cat((vectors[:, :1], (1 + lively) * vectors[:, 1:]), 1)),
+            times=walked.times * (1 + faster),
+        )
+        rows.append(anchors.aligned(Alignment.YAW, rest_pelvis(body, clip.shape))[0].pack())
+    basis = CycleBasis.fit(torch.stack(rows), 2 * LATENT)
+    networks = AnchorNetworks(basis, LATENT, body.shape_size, 16).eval()
+    with torch.no_grad():
+        means, log_variances = networks.posterior(torch.stack(rows))
+    spread = CodeSpread.fit(means, log_variances.exp(), typical=2)
+    save_weights(path, AnchorWeights(networks, spread, Alignment.YAW), {})
+    return path
