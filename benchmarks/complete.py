@@ -1,0 +1,225 @@
+"""Completing sparse scans of gait cycles: Chamfer distance to the full scans, and vertex error.
+
+python -m benchmarks.complete CORPUS --weights nc --json benchmarks/results/complete_nc.json
+
+Columns are those of Marsot et al., table 1: p points a frame, or f of 100 frames with all points;
+each with the 16 landmarks (+lm) and without. Test cycles, each of a body and in clothes of its
+own (benchmarks/scans.py). The row of the truth is the bare body in its true motion.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from time import process_time
+
+import numpy as np
+import torch
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks.arguments import over_windows
+from benchmarks.cycles import chosen, found_cycles
+from benchmarks.results import write
+from benchmarks.scans import (
+    ScannedCycle,
+    scanned_cycle,
+    thinned_frames,
+    thinned_landmarks,
+    thinned_points,
+)
+from observations.depth import PointCloud
+from observations.files import positions_of
+from observations.surfels import Surfels
+from priors.anchor_fit import AnchorFit, PublishedAnchorFit
+from priors.pose import PosePrior, PoseWeights
+from priors.training.dataset import Splits
+from recon.body import BodyModel
+from recon.chamfer import chamfer_of_clip
+from recon.clip import fit_clip
+from recon.completion import NAMED_NOISE, Points, complete
+from recon.motion import Motion
+from recon.reconstruction import fit
+from recon.settings import FitSettings
+from recon.struct import concatenate
+
+READ = 512
+"""Most points of a frame that the command keeps when it reads scans."""
+_JUDGED = 3
+"""Every so many frames are compared with the full scans."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """What of a scanned cycle is observed."""
+
+    points: int | None = None
+    """Of every frame; None is all, 0 none."""
+    frames: int | None = None
+    """Of 100; None is all."""
+    landmarks: bool = True
+
+
+COLUMNS = {
+    "p=0": Column(points=0),
+    **{f"p={p}+lm": Column(points=p) for p in (50, 100, 1000, 10000)},
+    **{f"p={p}": Column(points=p, landmarks=False) for p in (50, 100, 1000, 10000)},
+    **{f"f={f}+lm": Column(frames=f) for f in (5, 20, 100)},
+    **{f"f={f}": Column(frames=f, landmarks=False) for f in (5, 20, 100)},
+}
+Fitter = Callable[[list[Points]], list[Motion]]
+
+
+def observe(scanned: ScannedCycle, column: Column, body: BodyModel) -> list[Points]:
+    """The observations of one cycle."""
+    scans, landmarks = scanned.scans, scanned.landmarks
+    if column.frames is not None:
+        scans = thinned_frames(scans, column.frames)
+        landmarks = thinned_landmarks(landmarks, column.frames)
+    found: list[Points] = []
+    if column.points != 0:
+        most = min(column.points or READ, READ)
+        thin = thinned_points(scans, most, 0)
+        found.append(_cloud(thin.points, thin.frame, scanned.truth.frames, most, body))
+    if column.landmarks:
+        found.append(positions_of(landmarks, scanned.name, body))
+    return found
+
+
+def together(cycles: Sequence[list[Points]]) -> list[Points]:
+    """Observations of several cycles as one batch; shorter ones see nothing at their end."""
+    return [concatenate([_longer(o, kind) for o in kind]) for kind in zip(*cycles, strict=True)]
+
+
+def completed(weights: str, body: BodyModel, kind: type[AnchorFit] = AnchorFit) -> Fitter:
+    """The anchor-frame prior."""
+
+    def run(observations: list[Points]) -> list[Motion]:
+        result = complete(observations, FitSettings(weights=weights), body, kind=kind).result
+        return [result.clip(k).detach() for k in range(len(result.motion.shape))]
+
+    return run
+
+
+def frame_by_frame(body: BodyModel) -> Fitter:
+    """The density of single poses, which knows nothing of motion."""
+    tuned = PoseWeights.for_noise(NAMED_NOISE)
+    prior = PosePrior.load(weights=replace(tuned, velocity=0.0, acceleration=0.0))
+
+    def run(observations: list[Points]) -> list[Motion]:
+        start = (observations[-1]).start(body)
+        result = fit(observations, prior, body, start=start)
+        return [result.clip(k).detach() for k in range(len(result.motion.shape))]
+
+    return run
+
+
+def with_humor(weights: str, body: BodyModel) -> Fitter:
+    """HuMoR on the same observations, all frames of the batch."""
+
+    def run(observations: list[Points]) -> list[Motion]:
+        settings = FitSettings(prior="humor", weights=weights)
+        result = fit_clip(observations, settings, body).result
+        return [result.clip(k).detach() for k in range(len(result.motion.shape))]
+
+    return run
+
+
+def judged(motion: Motion, scanned: ScannedCycle, body: BodyModel) -> dict[str, float]:
+    """Chamfer distance to the full scans, the truth's own, and vertex error, mm."""
+    last = min(motion.times[-1].item(), scanned.truth.times[-1].item()) + 1e-6
+    scans = scanned.scans
+    kept = (scans.frame % _JUDGED == 0) & (scans.frame / scans.fps <= last)
+    scans = replace(scans, points=scans.points[kept], frame=scans.frame[kept])
+    times = scanned.truth.times[scanned.truth.times <= last][::_JUDGED]
+    pair = [body.pose(m.at(times, scans.fps)).vertices for m in (motion, scanned.truth)]
+    return {
+        "chamfer": 1000 * chamfer_of_clip(motion, body, scans),
+        "truth": 1000 * chamfer_of_clip(scanned.truth, body, scans),
+        "vertices": 1000 * (pair[0] - pair[1]).norm(dim=-1).mean().item(),
+    }
+
+
+def _cloud(
+    points: np.ndarray, frame: np.ndarray, frames: int, most: int, body: BodyModel
+) -> PointCloud:
+    padded, present = np.zeros((1, frames, most, 3)), np.zeros((1, frames, most), np.bool_)
+    for k in range(frames):
+        own = points[frame == k]
+        padded[0, k, : len(own)], present[0, k, : len(own)] = own, True
+    return PointCloud(
+        torch.from_numpy(padded).float(), torch.from_numpy(present), Surfels.of(body), fps=50.0
+    )
+
+
+def _longer(one: Points, others: Sequence[Points]) -> Points:
+    longest = max(_moments(other) for other in others) - _moments(one)
+
+    def pad(tensor: torch.Tensor) -> torch.Tensor:
+        return torch.cat((tensor, torch.zeros_like(tensor[:, :1]).expand(
+            -1, longest, *tensor.shape[2:])), 1)  # fmt: skip
+
+    if isinstance(one, PointCloud):
+        return one.replace(points=pad(one.points), present=pad(one.present))
+    return one.replace(positions=pad(one.positions), visible=pad(one.visible))
+
+
+def _moments(one: Points) -> int:
+    return (one.present if isinstance(one, PointCloud) else one.visible).shape[1]
+
+
+def _show(title: str, table: dict[str, dict[str, float]]) -> None:
+    shown = Table("observed", "Chamfer mm", "sd", "truth", "vertices mm", "CPU s", title=title)
+    for name, row in table.items():
+        shown.add_row(name, *(f"{row[key]:.1f}" for key in row))
+    Console().print(shown)
+
+
+def _main() -> None:
+    parser = over_windows(__doc__)
+    parser.add_argument("--weights", default="nc", help="of the anchor prior: open, nc or a file")
+    parser.add_argument(
+        "--method", choices=("complete", "published", "frames", "humor"), default="complete"
+    )
+    parser.add_argument("--each", type=int, default=4, help="cycles of every subject")
+    parser.add_argument("--columns", nargs="*", choices=COLUMNS, default=list(COLUMNS))
+    given = parser.parse_args()
+    torch.set_num_threads(1)
+    body = BodyModel.load()
+    splits = Splits.load(given.splits)
+    cycles = chosen(list(found_cycles(given.corpus, splits, given.part)), given.each)
+    scanned = [
+        scanned_cycle(f"{c.clip}@{c.cycle.start:.2f}", c.subject, c.motion, body) for c in cycles
+    ]
+    fitter = {
+        "complete": lambda: completed(given.weights, body),
+        "published": lambda: completed(given.weights, body, PublishedAnchorFit),
+        "frames": lambda: frame_by_frame(body),
+        "humor": lambda: with_humor(given.weights, body),
+    }[given.method]()
+    table: dict[str, dict[str, float]] = {}
+    every: dict[str, dict[str, dict[str, float]]] = {}
+    for name in given.columns:
+        seen = [observe(one, COLUMNS[name], body) for one in scanned]
+        began = process_time()
+        motions = fitter(together(seen))
+        seconds = (process_time() - began) / len(scanned)
+        rows = [judged(m, one, body) for m, one in zip(motions, scanned, strict=True)]
+        every[name] = {one.name: row for one, row in zip(scanned, rows, strict=True)}
+        chamfer = [row["chamfer"] for row in rows]
+        table[name] = {
+            "chamfer": float(np.mean(chamfer)),
+            "sd": float(np.std(chamfer)),
+            "truth": float(np.mean([row["truth"] for row in rows])),
+            "vertices": float(np.mean([row["vertices"] for row in rows])),
+            "seconds": seconds,
+        }
+        _show(f"{given.method}, {given.weights}, {given.part}", table)
+        if given.json is not None:
+            command = "python -m benchmarks.complete CORPUS"
+            write(
+                given.json, command, 0, method=given.method, weights=given.weights,
+                part=given.part, mean=table, cycles=every,
+            )  # fmt: skip
+
+
+if __name__ == "__main__":
+    _main()

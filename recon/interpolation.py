@@ -1,0 +1,221 @@
+"""What lies between two cycles of motion: their codes and shapes mixed, and decoded."""
+
+import math
+import platform
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from priors.anchor import AnchorFrames, AnchorVariables
+from priors.anchors import ANCHORS, Anchors, rest_pelvis
+from recon import rotations as so3
+from recon.body import BodyModel
+from recon.cycles import LONGEST, SHORTEST, THRESHOLD, Cycle, find_cycles, hip_flexion
+from recon.fit_files import write_result
+from recon.formats.amass import load_motion
+from recon.motion import Motion
+
+_RETURN = math.radians(10)
+"""How near to its start the flexion of either hip comes back in a file that is one cycle."""
+_SIDES = ((7, 10), (8, 11))
+"""Ankle and toes, left and right."""
+_WHOLE = 0.5
+"""Share of such a file that a cycle found in it lasts; with shorter ones it is several."""
+
+
+@dataclass(frozen=True)
+class InterpolationSettings:
+    """How to mix two motions."""
+
+    at: float
+    """Share of the second, 0 to 1."""
+    weights: str = "open"
+    """As `AnchorFrames.load` takes them."""
+    body: Path | None = None
+    """A SMPL-family file; None is the bundled body."""
+    fps: float | None = None
+    """Of the result; None is the first file's rate."""
+
+
+def interpolate_files(
+    a: Path, b: Path, out: Path, settings: InterpolationSettings
+) -> dict[str, Any]:
+    """Write the cycle between the best cycles of two motion files; returns the report.
+
+    Best are those that look like gait and stand on the same feet: backward walking, whose hips
+    swing as those of forward walking do, stands on the other foot meanwhile. The report is
+    written to OUT.json too.
+
+    Raises:
+        FileNotFoundError: when a file does not exist.
+        ValueError: for a share outside 0 to 1, a motion that is damaged, on another body or
+            without a cycle, and for motions whose cycles never stand on the same feet.
+    """
+    if not 0 <= settings.at <= 1:
+        raise ValueError(f"--at lies between 0 (the first file) and 1, got {settings.at}")
+    if settings.fps is not None and not (math.isfinite(settings.fps) and settings.fps > 0):
+        raise ValueError(f"--fps is a positive rate, got {settings.fps}")
+    body = BodyModel.load(settings.body)
+    prior = AnchorFrames.load(settings.weights, body)
+    motions = [_motion(path, body) for path in (a, b)]
+    candidates = [_cycles(path, motion) for path, motion in zip((a, b), motions, strict=True)]
+    lifts = [_lifts(body, motion, x) for motion, x in zip(motions, candidates, strict=True)]
+    agree = agreement(*lifts)
+    if float(agree.max()) <= 0:
+        raise ValueError(
+            f"{a} and {b}: where one stands on the left foot the other stands on the right, and "
+            "what lies between would stand on neither; give a longer recording of one, or a "
+            "cycle that begins half a cycle later"
+        )
+    costs = [torch.tensor([cycle.cost for cycle in found]) for found in candidates]
+    unlike = costs[0][:, None] + costs[1] - agree
+    first, second = divmod(int(unlike.argmin()), unlike.shape[1])
+    chosen = (candidates[0][first], candidates[1][second])
+    parts = [
+        prior.encode(cycle.of(motion, ANCHORS).map(lambda tensor: tensor[None]))
+        for cycle, motion in zip(chosen, motions, strict=True)
+    ]
+    mixed = between(prior, parts[0], parts[1], settings.at)
+    motion = played(prior, mixed, motions[0].fps if settings.fps is None else settings.fps)
+    report = {
+        "feet agree": float(agree[first, second]),
+        "cycles": {
+            name: {"file": str(path), **asdict(cycle)}
+            for name, path, cycle in zip("AB", (a, b), chosen, strict=True)
+        },
+        "durations": {
+            "A": chosen[0].duration,
+            "B": chosen[1].duration,
+            "result": float(prior.anchors(mixed).duration[0]),
+        },
+        "settings": asdict(settings),
+        "versions": {
+            "recon": version("motion-recon"),
+            "torch": torch.__version__,
+            "python": platform.python_version(),
+        },
+    }
+    write_result(out, motion[0], body, report)
+    return report
+
+
+def between(
+    prior: AnchorFrames, a: AnchorVariables, b: AnchorVariables, share: float
+) -> AnchorVariables:
+    """The cycles `share` of the way from `a` to `b`: (1-k) z_a + k z_b, and so their shapes.
+
+    Marsot et al., section 5.2. Codes hold neither heading nor place on the ground: the first
+    pelvis lies between theirs, and the heading on the shorter arc between theirs.
+    """
+    shape = torch.lerp(a.shape, b.shape, share)
+    base = [x.base for x in (a, b)]
+    pelvis = [(T @ _point(prior, x.shape))[..., :3, :] for T, x in zip(base, (a, b), strict=True)]
+    fraction = shape.new_full(shape.shape[:-1], share)
+    turn = so3.interpolate(base[0][..., :3, :3], base[1][..., :3, :3], fraction)
+    rest = _point(prior, shape)[..., :3, :]
+    place = torch.lerp(pelvis[0], pelvis[1], share) - turn @ rest
+    upper = torch.cat((turn, place), -1)
+    return a.replace(
+        latent=torch.lerp(a.latent, b.latent, share),
+        shape=shape,
+        base=torch.cat((upper, base[0][..., 3:, :]), -2),
+    )
+
+
+def played(prior: AnchorFrames, variables: AnchorVariables, fps: float) -> Motion:
+    """A decoded cycle, one of a batch of one, from its first anchor on at some rate.
+
+    Raises:
+        ValueError: when it lasts no time that a cycle can last.
+    """
+    with torch.no_grad():
+        anchors: Anchors = prior.anchors(variables)
+    duration = float(anchors.duration[0])
+    if not SHORTEST / 2 <= duration <= 2 * LONGEST:
+        raise ValueError(
+            f"the weights decode a cycle of {duration:.2f} s, which no cycle of gait lasts; one "
+            "of the motions is unlike all they know"
+        )
+    motion = anchors.motion(variables.shape, (ANCHORS - 1) / duration)
+    return motion.replace(start_time=variables.start_time).resample(fps)
+
+
+def cycles_of(motion: Motion) -> tuple[Cycle, ...]:
+    """The cycles of one clip; the whole clip where it is one cycle itself.
+
+    It is when it lasts 0.3 to 3 s, its hips come back to where they began, and no cycle found
+    in it is much shorter. It begins with the foot of the thigh that is in front.
+    """
+    found = find_cycles(motion)
+    last = (motion.frames - 1) / motion.fps
+    flexion = hip_flexion(motion)
+    returns = abs(flexion[-1] - flexion[0]).max() <= _RETURN
+    swings = (flexion.max(0) - flexion.min(0)).max() > _RETURN
+    long = all(cycle.duration > _WHOLE * last for cycle in found)
+    if not (SHORTEST <= last <= LONGEST and returns and swings and long):
+        return found
+    left, right = flexion[0]
+    cost = min((cycle.cost for cycle in found), default=THRESHOLD)
+    side = "left" if left > right else "right"
+    return (Cycle(motion.start_time, motion.start_time + last, side, cost),)
+
+
+def foot_lift(joints: Float[Tensor, "*batch time 22 3"]) -> Float[Tensor, "*batch time"]:
+    """How much higher the left foot is than the right, each by its lower joint, metres."""
+    left, right = (joints[..., [foot, toe], 2].amin(-1) for foot, toe in _SIDES)
+    return left - right
+
+
+def agreement(
+    a: Float[Tensor, "first time"], b: Float[Tensor, "second time"]
+) -> Float[Tensor, "first second"]:
+    """Correlation of two sets of courses about zero, -1 to 1."""
+    unit = [x / x.norm(dim=-1, keepdim=True).clamp(min=1e-9) for x in (a, b)]
+    return unit[0] @ unit[1].mT
+
+
+def _cycles(path: Path, motion: Motion) -> tuple[Cycle, ...]:
+    found = cycles_of(motion)
+    if len(found) == 0:
+        raise ValueError(
+            f"{path}: found no cycle of gait, in which both hips swing once and come back within "
+            f"{SHORTEST} to {LONGEST:g} s; give a motion that walks or runs, or cut one cycle out"
+        )
+    return found
+
+
+def _lifts(
+    body: BodyModel, motion: Motion, cycles: tuple[Cycle, ...]
+) -> Float[Tensor, "cycles 100"]:
+    return torch.stack(
+        [foot_lift(body.pose(cycle.of(motion, ANCHORS)).joints) for cycle in cycles]
+    )
+
+
+def _motion(path: Path, body: BodyModel) -> Motion:
+    """One file on the body, with all of its shape coefficients."""
+    file = load_motion(path)
+    if file.checksum not in (None, body.checksum):
+        raise ValueError(
+            f"{path}: made with the body {file.body} ({file.checksum}), not with {body.name} "
+            f"({body.checksum}); give its body with --body"
+        )
+    missing = body.shape_size - file.motion.shape.shape[-1]
+    if missing < 0:
+        raise ValueError(
+            f"{path}: has {file.motion.shape.shape[-1]} shape coefficients, the body "
+            f"{body.name!r} {body.shape_size}; give its body with --body"
+        )
+    shape = torch.nn.functional.pad(file.motion.shape, (0, missing))
+    return file.motion.replace(shape=shape)
+
+
+def _point(prior: AnchorFrames, shape: Tensor) -> Tensor:
+    """The unposed pelvis as a homogeneous column."""
+    pelvis = rest_pelvis(prior.body, shape)
+    return torch.cat((pelvis, torch.ones_like(pelvis[..., :1])), -1)[..., None]
