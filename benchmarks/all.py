@@ -42,6 +42,22 @@ def main() -> None:
         "--json", str(out / "depth.json"))  # fmt: skip
     run("benchmarks.pose2sim", str(data / "observations"), "--json", str(out / "pose2sim.json"))
     run("benchmarks.nearest", "--json", str(out / "nearest.json"))
+    run("benchmarks.cycles", str(corpus), "--json", str(out / "cycles.json"))
+    for weights in ("open", "nc"):
+        run("benchmarks.complete", str(corpus), "--weights", weights,
+            "--json", str(out / f"complete_{weights}.json"))  # fmt: skip
+    for method in ("published", "frames", "humor"):
+        run("benchmarks.complete", str(corpus), "--method", method, "--columns", "p=0",
+            "p=50+lm", "p=1000+lm", "--json", str(out / f"complete_{method}.json"))  # fmt: skip
+    cycles = ("--weights", "nc", "--licence", "nc")
+    for table in ("reconstruction", "structure", "interpolation", "morphology"):
+        run(f"benchmarks.anchor_{table}", str(corpus), *cycles,
+            "--json", str(out / f"anchor_{table}.json"))  # fmt: skip
+    run("benchmarks.anchor_study", str(corpus), "--licence", "nc", "--out", str(out / "study"),
+        "--json", str(out / "anchor_study.json"))  # fmt: skip
+    run("benchmarks.anchor_real", str(data / "observations"), "--json",
+        str(out / "anchor_real.json"))  # fmt: skip
+    run("benchmarks.anchor_speed", str(corpus), "--json", str(out / "anchor_speed.json"))
     run("benchmarks.long", str(corpus), "--prior", "humor", "--json", str(out / "long.json"))
     run("benchmarks.rollout", "--json", str(out / "rollout.json"))
     run("benchmarks.solver", "--json", str(out / "solver.json"))
