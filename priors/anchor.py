@@ -16,7 +16,7 @@ from priors.anchor_weights import AnchorWeights, load_weights
 from priors.anchors import ANCHORS, POSED, Alignment, Anchors, rest_pelvis
 from recon import rotations as so3
 from recon.body import BodyModel
-from recon.motion import Motion, carried_translation
+from recon.motion import Motion
 from recon.protocols import Decoded
 from recon.struct import TensorStruct, stack
 
@@ -163,18 +163,13 @@ class AnchorFrames:
         frames = x.valid.shape[-1]
         at = _at_times(rows, self._moments(x, rows))
         anchors = Anchors.unpack(at)
-        waves = (self._waves(frames) * x.valid.shape[-1] ** 0.5).to(at)
+        waves = (self._waves(frames) * frames**0.5).to(at)
         bend = (waves @ x.bend).unflatten(-1, (len(POSED), 3))
         anchors = anchors.replace(
             rotations=anchors.rotations @ so3.exp(_BEND * bend),
             translation=anchors.translation + _SHIFT * (waves @ x.shift),
         )
-        T, pelvis = self._placing(x), rest_pelvis(self.body, x.shape)
-        root = T[..., None, None, :3, :3] @ anchors.rotations[..., :1, :, :]
-        placed = anchors.replace(
-            rotations=torch.cat((root, anchors.rotations[..., 1:, :, :]), -3),
-            translation=carried_translation(anchors.translation, T, pelvis),
-        )
+        placed = anchors.carried(self._placing(x), rest_pelvis(self.body, x.shape))
         motion = Motion(
             translation=placed.translation,
             rotations=placed.full_rotations,
@@ -207,11 +202,8 @@ class AnchorFrames:
         vector = TURN * x.turn
         if vector.shape[-1] == 1:
             vector = torch.nn.functional.pad(vector, (2, 0))
-        step = torch.cat((so3.exp(vector), PLACE * x.place[..., None]), -1)
-        base = x.base
-        turn = base[..., :3, :3] @ step[..., :3]
-        shift = base[..., :3, 3:] + step[..., 3:]
-        return torch.cat((torch.cat((turn, shift), -1), base[..., 3:, :]), -2)
+        turn = x.base[..., :3, :3] @ so3.exp(vector)
+        return so3.rigid(turn, x.base[..., :3, 3] + PLACE * x.place)
 
     def _waves(self, frames: int) -> Float[Tensor, "frames modes"]:
         """Cosines over the clip, each as large as details of its rate may be."""

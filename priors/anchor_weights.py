@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +12,9 @@ from torch import Tensor
 from priors.anchor_basis import CODES, CycleBasis
 from priors.anchor_nets import AnchorNetworks
 from priors.anchors import Alignment
-from priors.checkpoints import Checkpoint, load_checkpoint, save_checkpoint
+from priors.checkpoints import Checkpoint, named_checkpoint, save_checkpoint
 from recon.struct import TensorStruct
 
-_NONCOMMERCIAL = Path(__file__).parents[1] / "weights-nc" / "anchor.safetensors"
-"""In a source checkout; not in the package, since its licence (CC BY-NC 4.0) is another."""
 _BASIS, _SPREAD = "basis.", "spread."
 _SETTINGS = ("latent", "shape", "width", "basis")
 
@@ -89,15 +86,7 @@ def load_weights(path: str | Path) -> AnchorWeights:
         FileNotFoundError: when there is no such file.
         ValueError: when it holds something else.
     """
-    if path == "open":
-        with resources.as_file(resources.files("priors") / "weights" / "anchor.safetensors") as p:
-            return load_weights(p)
-    if path == "nc" and not _NONCOMMERCIAL.is_file():
-        raise FileNotFoundError(
-            f"{_NONCOMMERCIAL}: the nc weights are not part of the package; take "
-            "weights-nc/anchor.safetensors from the source repository and give its path"
-        )
-    found = load_checkpoint(_NONCOMMERCIAL if path == "nc" else path, "anchor")
+    found = named_checkpoint(path, "anchor")
     sizes = [found.settings.get(name) for name in _SETTINGS]
     known = {alignment.value for alignment in Alignment}
     if found.settings.get("alignment") not in known or not all(

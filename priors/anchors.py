@@ -113,7 +113,7 @@ class Anchors(TensorStruct):
         else:
             turn, kept = first.mT, torch.zeros_like(start)
         shift = kept + pelvis - (turn @ (start + pelvis)[..., None])[..., 0]
-        return self.carried(_rigid(turn, shift), pelvis), _rigid(
+        return self.carried(so3.rigid(turn, shift), pelvis), so3.rigid(
             turn.mT, -(turn.mT @ shift[..., None])[..., 0]
         )
 
@@ -123,11 +123,3 @@ def rest_pelvis(
 ) -> Float[Tensor, "*batch 3"]:
     """Pelvis of the unposed body, which turning a motion must leave in place, metres."""
     return body.rest_joints(shape)[..., 0, :]
-
-
-def _rigid(
-    turn: Float[Tensor, "*batch 3 3"], shift: Float[Tensor, "*batch 3"]
-) -> Float[Tensor, "*batch 4 4"]:
-    upper = torch.cat((turn, shift[..., None]), -1)
-    last = upper.new_tensor([0.0, 0.0, 0.0, 1.0]).expand(*upper.shape[:-2], 1, 4)
-    return torch.cat((upper, last), -2)

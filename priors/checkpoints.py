@@ -6,6 +6,7 @@ Loading is strict. A missing, spare or misshapen tensor is an error that names f
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,8 @@ from torch import Tensor, nn
 
 from recon.formats.files import replacing
 
+_NONCOMMERCIAL = Path(__file__).parents[1] / "weights-nc"
+"""In a source checkout; not in the package, since its licence (CC BY-NC 4.0) is another."""
 _ABOUT = "recon"
 """The one key of the metadata: safetensors writes several in no fixed order."""
 
@@ -71,6 +74,25 @@ def save_checkpoint(
     about = json.dumps({"kind": kind, "settings": dict(settings)}, sort_keys=True)
     with replacing(path) as beside:
         beside.write_bytes(save(rows, metadata={_ABOUT: about}))
+
+
+def named_checkpoint(name: str | Path, kind: str) -> Checkpoint:
+    """Weights of this kind: `open` in the package, `nc` of a source checkout, or a file.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+        ValueError: when it is damaged or holds the weights of something else.
+    """
+    file = f"{kind}.safetensors"
+    if name == "open":
+        with resources.as_file(resources.files("priors") / "weights" / file) as path:
+            return load_checkpoint(path, kind)
+    if name == "nc" and not (_NONCOMMERCIAL / file).is_file():
+        raise FileNotFoundError(
+            f"{_NONCOMMERCIAL / file}: the nc weights are not part of the package; take "
+            f"weights-nc/{file} from the source repository and give its path"
+        )
+    return load_checkpoint(_NONCOMMERCIAL / file if name == "nc" else name, kind)
 
 
 def load_checkpoint(path: str | Path, kind: str) -> Checkpoint:

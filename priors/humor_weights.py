@@ -3,7 +3,6 @@
 import pickle
 from collections.abc import Mapping
 from dataclasses import replace
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from priors.checkpoints import Checkpoint, load_checkpoint, save_checkpoint
+from priors.checkpoints import Checkpoint, named_checkpoint, save_checkpoint
 from priors.humor_nets import HumorNetworks, width_of
 from priors.mixture import Mixture
 
@@ -25,14 +24,9 @@ _DAMAGED = (pickle.UnpicklingError, RuntimeError, EOFError, LookupError, TypeErr
 """What reading bytes that are no checkpoint ends in."""
 
 
-_NONCOMMERCIAL = Path(__file__).parents[1] / "weights-nc" / "humor.safetensors"
-"""In a source checkout; not in the package, since its licence (CC BY-NC 4.0) is another."""
-
-
 def bundled_weights() -> Checkpoint:
     """Those in the package."""
-    with resources.as_file(resources.files("priors") / "weights" / "humor.safetensors") as path:
-        return load_checkpoint(path, "humor")
+    return named_checkpoint("open", "humor")
 
 
 def read_weights(path: str | Path) -> Checkpoint:
@@ -46,15 +40,9 @@ def read_weights(path: str | Path) -> Checkpoint:
         FileNotFoundError: when there is no such file.
         ValueError: when it holds something else.
     """
-    if path == "open":
-        return bundled_weights()
-    if path == "nc" and not _NONCOMMERCIAL.is_file():
-        raise FileNotFoundError(
-            f"{_NONCOMMERCIAL}: the nc weights are not part of the package; take "
-            "weights-nc/humor.safetensors from the source repository and give its path"
-        )
-    path = _NONCOMMERCIAL if path == "nc" else Path(path)
-    return load_checkpoint(path, "humor") if path.suffix == ".safetensors" else _pytorch(path)
+    if path in ("open", "nc") or Path(path).suffix == ".safetensors":
+        return named_checkpoint(path, "humor")
+    return _pytorch(Path(path))
 
 
 def save_weights(

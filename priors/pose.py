@@ -2,14 +2,13 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from importlib import resources
 from pathlib import Path
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from priors.checkpoints import load_checkpoint
+from priors.checkpoints import named_checkpoint
 from priors.pose_density import COORDINATES, ROTATIONS, PoseDensity
 from recon import rotations as so3
 from recon.body import BodyModel
@@ -148,12 +147,7 @@ class PosePrior(TensorStruct):
             ValueError: when it holds no pose density; the message names the layer.
         """
         weights = PoseWeights.tuned_joints() if weights is None else weights
-        if path is None:
-            with resources.as_file(
-                resources.files("priors") / "weights" / "pose.safetensors"
-            ) as p:
-                return cls.load(p, weights)
-        tensors = load_checkpoint(path, "pose").require(_SHAPES)
+        tensors = named_checkpoint("open" if path is None else path, "pose").require(_SHAPES)
         return cls(PoseDensity(**tensors), weights)
 
     def encode(self, motion: Motion) -> PoseVariables:

@@ -6,6 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from recon import rotations as so3
 from recon.struct import TensorStruct
 
 _UPRIGHT = 1e-6
@@ -126,6 +127,4 @@ def world_from_camera(
     rotation = canonical_rotation(ground, root)
     turned = (rotation @ origin[..., None])[..., 0]
     shift = torch.cat((-turned[..., :2], -ground.offset[..., None]), -1)
-    upper = torch.cat((rotation, shift[..., None]), -1)
-    last = torch.tensor([0.0, 0.0, 0.0, 1.0]).to(upper).expand(*upper.shape[:-2], 1, 4)
-    return torch.cat((upper, last), -2)
+    return so3.rigid(rotation, shift)

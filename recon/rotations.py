@@ -113,6 +113,15 @@ def about_z(angle: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape 3 3"]:
     return exp(torch.stack((zero, zero, angle), -1))
 
 
+def rigid(
+    turn: Float[Tensor, "*shape 3 3"], shift: Float[Tensor, "*shape 3"]
+) -> Float[Tensor, "*shape 4 4"]:
+    """The transform x -> turn x + shift as one matrix."""
+    upper = torch.cat((turn, shift[..., None]), -1)
+    last = torch.tensor([0.0, 0.0, 0.0, 1.0]).to(upper).expand(*upper.shape[:-2], 1, 4)
+    return torch.cat((upper, last), -2)
+
+
 def heading(root: Float[Tensor, "*shape 3 3"]) -> Float[Tensor, "*shape 3 3"]:
     """Turn A about the vertical that brings the body's right side to +x (so forward to +y).
 

@@ -50,9 +50,7 @@ class UnknownGround(TensorStruct):
         turn = so3.exp(vector)
         up = torch.nn.functional.pad(self.lift[..., None], (2, 0))
         shift = self.pivot - (turn @ self.pivot[..., None])[..., 0] + up
-        upper = torch.cat((turn, shift[..., None]), -1)
-        last = torch.tensor([0.0, 0.0, 0.0, 1.0]).to(upper).expand(*upper.shape[:-2], 1, 4)
-        return torch.cat((upper, last), -2)
+        return so3.rigid(turn, shift)
 
     @property
     def plane(self) -> Ground:
