@@ -99,7 +99,7 @@ def dynamic_stability(estimate: Estimate) -> Float[Tensor, "*batch"]:
     points = inner(_points(estimate.body), estimate.motion.fps)
     moving = _dynamics(estimate)
     away = (centre_of_pressure(points, surface.areas) - zmp(moving)).square().sum(-1)
-    near = 1 - smoothstep(_softest(points[..., 2]), *NEAR_GROUND)
+    near = 1 - smoothstep(lowest_point(points[..., 2]), *NEAR_GROUND)
     cost = supported(moving) * near * _bounded(away, BALANCE_SCALE)
     total = cost.where(_triples(estimate.motion.valid, step), 0.0).sum(-1)
     return 0.5 * total * (REFERENCE_FPS / estimate.motion.fps)
@@ -110,15 +110,15 @@ def lowest_of_parts(estimate: Estimate) -> Float[Tensor, "*batch time 10"]:
     surface = SampledSurface.of(estimate.body.model)
     heights = _points(estimate.body)[..., 2]
     parts = [heights[..., surface.run(part)] for part in range(len(PARTS))]
-    return torch.stack([_softest(part) for part in parts], -1)
+    return torch.stack([lowest_point(part) for part in parts], -1)
 
 
 def _floating_height(estimate: Estimate) -> Float[Tensor, "*batch time"]:
-    lowest = _softest(_points(estimate.body)[..., 2])
+    lowest = lowest_point(_points(estimate.body)[..., 2])
     return (lowest - TOLERANCE).clamp(min=0)
 
 
-def _softest(heights: Float[Tensor, "*batch points"]) -> Float[Tensor, "*batch"]:
+def lowest_point(heights: Float[Tensor, "*batch points"]) -> Float[Tensor, "*batch"]:
     """Σ h softmax(-h / 2 mm): never below the lowest, and equal to it for a flat sole."""
     return (heights * (-heights / SOFTNESS).softmax(-1)).sum(-1)
 

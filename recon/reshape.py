@@ -20,9 +20,8 @@ def with_shape(motion: Motion, body: BodyModel, shape: Float[Tensor, "*batch sha
     Raises:
         ValueError: when the body has fewer shape coefficients.
     """
-    pelvis_before, toes_before = _standing(body, motion.shape)
-    pelvis_after, toes_after = _standing(body, shape)
-    scale = ((pelvis_after - toes_after) / (pelvis_before - toes_before))[..., None, None]
+    toes_before, toes_after = _toes(body, motion.shape), _toes(body, shape)
+    scale = (leg_length(body, shape) / leg_length(body, motion.shape))[..., None, None]
     pelvis = motion.translation + body.rest_joints(motion.shape)[..., None, 0, :]
     origin = torch.cat((pelvis[..., :1, :2], _column(toes_before)), -1)
     target = torch.cat((pelvis[..., :1, :2], _column(toes_after)), -1)
@@ -32,15 +31,18 @@ def with_shape(motion: Motion, body: BodyModel, shape: Float[Tensor, "*batch sha
     )
 
 
-def _standing(
-    body: BodyModel, shape: Float[Tensor, "*batch shape"]
-) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch"]]:
-    """Heights above the sole of a body at rest, metres: pelvis, toe joints."""
+def leg_length(body: BodyModel, shape: Float[Tensor, "*batch shape"]) -> Float[Tensor, "*batch"]:
+    """Height of the pelvis above the toe joints of a body at rest, metres."""
+    rest = body.rest_joints(shape)[..., 1]
+    return rest[..., 0] - rest[..., list(TOES)].mean(-1)
+
+
+def _toes(body: BodyModel, shape: Float[Tensor, "*batch shape"]) -> Float[Tensor, "*batch"]:
+    """Height of the toe joints above the sole of a body at rest, metres."""
     level = body.joint_template[list(TOES), 1].min()
     below = (body.template[:, 1] < level).nonzero()[:, 0]
-    rest = body.rest_joints(shape)[..., 1]
     sole = body.rest_vertices(shape, below)[..., 1].amin(-1)
-    return rest[..., 0] - sole, rest[..., list(TOES)].mean(-1) - sole
+    return body.rest_joints(shape)[..., list(TOES), 1].mean(-1) - sole
 
 
 def _column(height: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch 1 1"]:
