@@ -8,12 +8,12 @@ from tyro.conf import Positional
 
 
 def train(
-    prior: Positional[Literal["pose", "humor", "anchor"]],
+    prior: Positional[Literal["pose", "humor", "anchor", "humos"]],
     corpus: Positional[Path],
     out: Path,
     data: Literal["open", "nc"] = "open",
     steps: int | None = None,
-    latent: int = 256,
+    latent: int | None = None,
     device: Literal["cpu", "cuda"] = "cpu",
     seed: int = 0,
 ) -> None:
@@ -21,7 +21,8 @@ def train(
 
     `pose` is a density of single poses, takes seconds and has no steps. `humor` is the transition
     network: hours on two cores. `anchor` is the anchor-frame VAE of gait cycles: minutes on two
-    cores. A run that was cut goes on from its checkpoint.
+    cores. `humos` is the decoder that sees the body: an hour on one core. A run that was cut goes
+    on from its checkpoint.
 
     Args:
         prior: which one.
@@ -29,9 +30,11 @@ def train(
         out: weights to write (.safetensors); logs and checkpoints are kept beside them.
         data: `open` learns from clips whose weights may be shipped, `nc` also from those under a
             non-commercial licence.
-        steps: of the optimiser; for `anchor` of its first phase, on parameters. Default: 20,000
-            for `humor`, 1,000 for `anchor`, followed by 2,500 on the surface.
-        latent: size of the code of `anchor`.
+        steps: of the optimiser; for `anchor` of its first phase, on parameters; for `humos` of
+            its second part, from body to body. Default: 20,000 for `humor`; 1,000 for `anchor`,
+            followed by 2,500 on the surface; 1,500 for `humos`, after 1,500 of its auto-encoder.
+        latent: size of the code of `anchor` (default: 256) and of `humos` (default: 96 for every
+            0.4 s).
         device: where to compute.
         seed: of everything random.
     """
@@ -47,14 +50,21 @@ def train(
         from priors.training.anchor_export import export_weights as export_anchor
         from priors.training.anchor_run import AnchorTraining
 
-        if device != "cpu":
-            raise ValueError("the anchor prior is trained on the processor: give --device cpu")
-        asked = AnchorTraining(
-            corpus=corpus, out=out.with_suffix(""), data=data, latent=latent, seed=seed
-        )
-        cycles = asked if steps is None else replace(asked, steps=steps)
-        train_anchor(cycles)
-        export_anchor(cycles, out)
+        _processor_only(prior, device)
+        run = AnchorTraining(corpus=corpus, out=out.with_suffix(""), data=data, seed=seed)
+        run = replace(run, steps=steps or run.steps, latent=latent or run.latent)
+        train_anchor(run)
+        export_anchor(run, out)
+    elif prior == "humos":
+        from priors.training.humos import train as train_humos
+        from priors.training.humos_export import export_weights as export_humos
+        from priors.training.humos_run import HumosTraining
+
+        _processor_only(prior, device)
+        run = HumosTraining(corpus=corpus, out=out.with_suffix(""), data=data, seed=seed)
+        run = replace(run, steps=steps or run.steps, latent=latent or run.latent)
+        train_humos(run)
+        export_humos(run, out)
     else:
         from priors.training.humor import train as train_humor
         from priors.training.humor_run import HumorTraining, export_weights
@@ -65,3 +75,8 @@ def train(
         train_humor(run)
         export_weights(run, out)
     console.say(str(out))
+
+
+def _processor_only(prior: str, device: str) -> None:
+    if device != "cpu":
+        raise ValueError(f"{prior} is trained on the processor: give --device cpu")
