@@ -32,6 +32,8 @@ def main() -> None:
     parts = ("--frames", "60", "--only", "24", "--shooting", "1")
     parts += ("--ablations", str(out / "ablations"))
     run("benchmarks.humor", str(corpus), *parts, "--json", str(out / "ablations.json"))
+    run("benchmarks.physics_fit", str(corpus), "--only", "24", "--json",
+        str(out / "physics_fit.json"))  # fmt: skip
     run("benchmarks.generation", str(corpus), "--json", str(out / "generation.json"))
     run("benchmarks.real", str(data / "observations"), "--json", str(out / "real.json"))
     run("benchmarks.cameras", str(corpus), "--only", "24", "--nc", nc, "--ablations",

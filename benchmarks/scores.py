@@ -59,16 +59,21 @@ class Fitted:
 
 
 def fit_windows(
-    observed: Joints3D | Markers3D, method: Method, body: BodyModel, at_once: int = 16
+    observed: Joints3D | Markers3D,
+    method: Method,
+    body: BodyModel,
+    at_once: int = 16,
+    start: Motion | None = None,
 ) -> Fitted:
-    """Fit all clips of an observation, so many at once, which bounds memory."""
+    """Fit all clips of an observation, so many at once to bound memory; `start` as in `fit`."""
     motions: list[Motion] = []
     contacts: list[Tensor] = []
     points: list[Tensor] = []
     began = time.process_time()
-    for start in range(0, len(observed.positions), at_once):
-        some = observed[start : start + at_once]
-        result = fit([some], method, body)
+    for first in range(0, len(observed.positions), at_once):
+        rows = slice(first, first + at_once)
+        some = observed[rows]
+        result = fit([some], method, body, start=None if start is None else start[rows])
         motions.append(result.motion.detach())
         points.append(some.predict(result.estimate).detach())
         if result.contacts is not None:

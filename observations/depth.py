@@ -244,12 +244,13 @@ class PointCloud(TensorStruct):
         camera = None if self.camera is None else self.camera.at(moment_numbers(**clock))
         return self.replace(points=points, present=present, camera=camera, start_time=first)
 
-    def coarse(self, body: BodyModel) -> "PointCloud":
-        """Every other moment, few points, a rough surface: enough to tell headings apart.
+    def coarse(self, body: BodyModel, step: int = 2) -> "PointCloud":
+        """Every `step`-th moment, few points, a rough surface: enough to tell headings apart.
 
         Where most moments are empty, all are kept.
         """
-        step = 1 if 2 * int(self.present.any(-1).sum()) < self.present[..., 0].numel() else 2
+        if 2 * int(self.present.any(-1).sum()) < self.present[..., 0].numel():
+            step = 1
         last = self.points.shape[-2] - 1
         number = torch.linspace(0, last, min(_FEW_POINTS, last + 1)).long()
         every = slice(None, None, step)

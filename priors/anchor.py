@@ -160,15 +160,10 @@ class AnchorFrames:
         """
         x = variables
         rows = self.rows(x)
-        frames = x.valid.shape[-1]
         at = _at_times(rows, self._moments(x, rows))
         anchors = Anchors.unpack(at)
-        waves = (self._waves(frames) * frames**0.5).to(at)
-        bend = (waves @ x.bend).unflatten(-1, (len(POSED), 3))
-        anchors = anchors.replace(
-            rotations=anchors.rotations @ so3.exp(_BEND * bend),
-            translation=anchors.translation + _SHIFT * (waves @ x.shift),
-        )
+        if any(detail.requires_grad or bool(detail.any()) for detail in (x.bend, x.shift)):
+            anchors = detailed(anchors, x.bend, x.shift)
         placed = anchors.carried(self._placing(x), rest_pelvis(self.body, x.shape))
         motion = Motion(
             translation=placed.translation,
@@ -205,12 +200,23 @@ class AnchorFrames:
         turn = x.base[..., :3, :3] @ so3.exp(vector)
         return so3.rigid(turn, x.base[..., :3, 3] + PLACE * x.place)
 
-    def _waves(self, frames: int) -> Float[Tensor, "frames modes"]:
-        """Cosines over the clip, each as large as details of its rate may be."""
-        waves = torch.zeros(frames, MODES, dtype=torch.float64)
-        count = min(frames, MODES)
-        waves[:, :count] = cosines(frames, count)
-        return waves / (1 + (torch.arange(MODES) / _FAST) ** 2)
+
+def detailed(
+    anchors: Anchors,
+    bend: Float[Tensor, "*batch modes 60"],
+    shift: Float[Tensor, "*batch modes 3"],
+) -> Anchors:
+    """Poses and places with details in cosines of time, each as large as its rate may be."""
+    frames, modes = anchors.translation.shape[-2], bend.shape[-2]
+    waves = torch.zeros(frames, modes, dtype=torch.float64)
+    count = min(frames, modes)
+    waves[:, :count] = cosines(frames, count) * frames**0.5
+    waves = (waves / (1 + (torch.arange(modes) / _FAST) ** 2)).to(bend)
+    turns = so3.exp(_BEND * (waves @ bend).unflatten(-1, (len(POSED), 3)))
+    return anchors.replace(
+        rotations=anchors.rotations @ turns,
+        translation=anchors.translation + _SHIFT * (waves @ shift),
+    )
 
 
 def _at_times(

@@ -79,9 +79,10 @@ class CycleBasis(TensorStruct):
         self, normalised: Float[Tensor, "*batch anchors 124"]
     ) -> Float[Tensor, "*batch anchors 124"]:
         """The inverse of `normalised`: radians-free 6D, metres, seconds."""
-        place = (normalised[..., POSE:-1] + 1) / 2
-        rest = torch.cat((place, normalised[..., -1:]), -1) * (self.high - self.low) + self.low
-        return torch.cat((normalised[..., :POSE], rest), -1)
+        span = (self.high - self.low) / self.high.new_tensor([2.0, 2.0, 2.0, 1.0])
+        low = self.low + span * span.new_tensor([1.0, 1.0, 1.0, 0.0])
+        scale = torch.cat((span.new_ones(POSE), span))
+        return torch.cat((low.new_zeros(POSE), low)) + scale * normalised
 
     def codes(self, normalised: Float[Tensor, "*batch 100 124"]) -> Float[Tensor, "*batch codes"]:
         """Cosines of every channel and the duration, each worth what the losses make of it."""

@@ -48,6 +48,8 @@ FITTED = 256
 """Points of a frame that are compared: smooth bodies need no more, and time grows with them."""
 RATES = (30.0, 60.0)
 """Frames per second that cycles are decoded at, at least and at most."""
+ROUGH_RATE = 15.0
+"""The same, about, while beginnings are told apart: a code moves all moments together."""
 _AT_ONCE = 96
 """Beginnings that are looked at together."""
 Points = PointCloud | Joints3D | Markers3D
@@ -74,8 +76,11 @@ def complete(
         kind: how misfits are weighed: by their noise, or as published.
 
     Raises:
-        ValueError: when nothing tells where the body is, or a clip does not last 0.3 to 3 s.
+        ValueError: when nothing tells where the body is, a clip does not last 0.3 to 3 s, or
+            physics is asked for.
     """
+    if settings.physics != 0:
+        raise ValueError("cycles are completed without physics; leave it out, or fit by humor")
     seen = tuple(o.to(device=settings.device) for o in observations if isinstance(o, Points))
     if len(seen) < len(observations):
         raise ValueError(
@@ -139,12 +144,7 @@ class _Search:
     def fitted(self) -> ClipFit:
         """The best fit of every clip."""
         method, clips = self.method, len(self.clock.valid)
-        variables, clip = self.beginnings()
-        scene = self.scene(clip)
-        variables, clip, _ = _best(variables, clip, self.misfit(variables, scene, clip), TRIED)
-        rough = method.search(self.data(clip, self.rough))
-        variables, scene, _ = self.run(rough, variables, self.scene(clip))
-        variables, clip, _ = _best(variables, clip, self.misfit(variables, scene, clip), KEPT)
+        variables, clip = self.searched()
         coded = self.with_offsets(method.coded(self.data(clip, self.observations)))
         variables, scene, reports = self.run(coded, variables, self.scene(clip))
         variables, clip, best = _best(variables, clip, self.misfit(variables, scene, clip), 1)
@@ -157,6 +157,18 @@ class _Search:
         T = torch.eye(4).expand(clips, 4, 4)
         result = Reconstruction(estimate, tuple(reports))
         return ClipFit(result, self.noises, True, T, self.observations)
+
+    def searched(self) -> tuple[AnchorVariables, Int[Tensor, " rows"]]:
+        """The beginnings that are roughly best, on a clock of few moments until they are found."""
+        step = self.rough_step
+        variables, clip = self.beginnings()
+        variables = variables.replace(valid=variables.valid[:, ::step], fps=self.clock.fps / step)
+        scene = self.scene(clip)
+        variables, clip, _ = _best(variables, clip, self.misfit(variables, scene, clip), TRIED)
+        rough = self.method.search(self.data(clip, self.rough))
+        variables, scene, _ = self.run(rough, variables, self.scene(clip))
+        variables, clip, _ = _best(variables, clip, self.misfit(variables, scene, clip), KEPT)
+        return variables.replace(valid=self.clock.valid[clip], fps=self.clock.fps), clip
 
     def beginnings(self) -> tuple[AnchorVariables, Int[Tensor, " rows"]]:
         """Every typical cycle in every heading, along the path that is seen; whose each is."""
@@ -228,11 +240,14 @@ class _Search:
 
     @cached_property
     def rough(self) -> tuple[Points, ...]:
-        """Few points and a rough surface, a kernel of fixed scale."""
-        return tuple(
-            o.coarse(self.body).replace(kernel=bounded) if isinstance(o, PointCloud) else o
-            for o in self.observations
-        )
+        """Few moments and points, a rough surface, a kernel of fixed scale."""
+        rate = self.clock.fps / self.rough_step
+        return tuple(_rough(o, max(round(o.fps / rate), 1), self.body) for o in self.observations)
+
+    @property
+    def rough_step(self) -> int:
+        """Moments of the clock from one to the next of the rough one."""
+        return max(round(self.clock.fps / ROUGH_RATE), 1)
 
     def with_offsets(self, stages: Sequence[Stage]) -> tuple[Stage, ...]:
         """The same; markers may move once it is about the body."""
@@ -311,6 +326,16 @@ def _thinned(one: Points) -> Points:
         return one
     number = torch.linspace(0, one.points.shape[-2] - 1, FITTED).long()
     return one.replace(points=one.points[..., number, :], present=one.present[..., number])
+
+
+def _rough(one: Points, step: int, body: BodyModel) -> Points:
+    """Every `step`-th moment; all of them where most are empty."""
+    if isinstance(one, PointCloud):
+        return one.coarse(body, step).replace(kernel=bounded)
+    if 2 * int(one.visible.any(-1).sum()) < one.visible[..., 0].numel():
+        return one
+    few = {"positions": one.positions[:, ::step], "visible": one.visible[:, ::step]}
+    return one.replace(fps=one.fps / step, **few)
 
 
 def _fullest(cloud: PointCloud) -> int:

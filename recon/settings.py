@@ -9,9 +9,10 @@ from typing import Literal
 class FitSettings:
     """How to fit files."""
 
-    prior: Literal["humor", "pose", "anchor"] = "humor"
+    prior: Literal["humor", "pose", "anchor", "humos"] = "humor"
     """What is likely: `humor` is every step from pose to pose and where feet touch, `pose` single
-    poses and smoothness (stages 1-2 of HuMoR), `anchor` one whole cycle of gait."""
+    poses and smoothness (stages 1-2 of HuMoR), `anchor` one whole cycle of gait, `humos` codes of
+    stretches of 0.8 s for the body that moves."""
     weights: str = "open"
     """Of the prior: `open`, `nc` (not for commercial use; in a source checkout) or a file."""
     body: Path | None = None
@@ -51,6 +52,9 @@ class FitSettings:
     robust: float | None = None
     """Distance in metres beyond which a point counts ever less; default: least squares.
     Keypoints in images and points of scans are always robust."""
+    physics: float = 0.0
+    """How much physics of a body on flat ground counts, its feet above all: 1 as much as it should
+    where there is nothing else to stand, sit or lean on; 0 leaves it out."""
     fps: float | None = None
     """Rate of the result; default: that of the first observation."""
     device: Literal["cpu", "cuda"] = "cpu"

@@ -227,3 +227,8 @@ def test_hips_tell_cycles_of_gait():
 def test_the_prior_has_a_way_of_its_own(settings):
     with pytest.raises(ValueError, match="recon complete"):
         method_of(settings, 0.01, BodyModel.load())
+
+
+def test_physics_is_refused_rather_than_left_out(settings):
+    with pytest.raises(ValueError, match="without physics"):
+        completion.complete([], replace(settings, physics=1.0), BodyModel.load())
