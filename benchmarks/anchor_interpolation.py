@@ -1,12 +1,13 @@
 """Cycles between cycles: durations, feet that slip, and how far from recorded codes.
 
     python -m benchmarks.anchor_interpolation CORPUS --weights nc --licence nc
-        --json benchmarks/results/anchor_interpolation_nc.json
+        --json benchmarks/results/anchor_interpolation.json
         --picture docs/anchor_interpolation.png
 
 Pairs of cycles, of one subject where there are two: running and walking, walking forward and
 backward, turning left and right. Codes and shapes are mixed by the
-prior, linear coefficients by PCA-72, and anchors by slerp (Marsot et al., section 5.2).
+prior, linear coefficients by PCA-72, and anchors by slerp (Marsot et al., section 5.2); each as it
+is, and settled (`recon.grounding`), as `recon interpolate` leaves it.
 
 Pairs stand on the same feet, each told by which foot is lower: hips of backward walking swing as
 those of forward walking do, while the other foot stands.
@@ -34,14 +35,16 @@ from benchmarks.anchor_baselines import LinearCycles, slerp
 from benchmarks.anchor_structure import learned
 from benchmarks.results import show, write
 from priors.anchor import AnchorFrames
-from priors.anchors import ANCHORS, Anchors
+from priors.anchors import ANCHORS, POSED, Anchors
 from priors.training.anchor_corpus import CycleBatch
 from priors.training.dataset import Part
 from recon import metrics
 from recon.contacts import TOE_REACH, rest_heights, touching_heights
 from recon.formats.files import replacing
+from recon.grounding import flies, grounded
 from recon.interpolation import agreement, foot_lift
 from recon.skeleton import FEET
+from recon.struct import concatenate
 
 KINDS = {
     "run - walk": ("run", "walk"),
@@ -77,6 +80,7 @@ def main() -> None:
         "PCA-72": linear.between,
         "slerp": slerp,
     }
+    methods |= {f"{name}, settled": stood(prior, each) for name, each in methods.items()}
     known = whitened(prior, training.batch)
     parts: dict[str, Any] = {}
     drawn: dict[str, Pairs] = {}
@@ -106,6 +110,35 @@ def mixed(prior: AnchorFrames, a: CycleBatch, b: CycleBatch, share: float) -> Cy
     one, other = (networks.posterior(x.anchors.pack())[0] for x in (a, b))
     shape = torch.lerp(a.shape, b.shape, share)
     return CycleBatch(Anchors.unpack(networks.decode(torch.lerp(one, other, share), shape)), shape)
+
+
+def stood(prior: AnchorFrames, between: Between) -> Between:
+    """The same cycles, with feet that stand where they are; kept, as all tables ask for k = 1/2.
+
+    Durations stay, and only they are looked at elsewhere: other shares are left as they are.
+    """
+    known: dict[int, tuple[CycleBatch, CycleBatch]] = {}
+
+    def settle(a: CycleBatch, b: CycleBatch, share: float) -> CycleBatch:
+        made = between(a, b, share)
+        if share != 0.5:
+            return made
+        if id(a) not in known:
+            rows = [_settled(prior, made[k : k + 1]) for k in range(len(made.shape))]
+            known[id(a)] = a, concatenate(rows)  # a is held, so that its number stays its own
+        return known[id(a)][1]
+
+    return settle
+
+
+def _settled(prior: AnchorFrames, cycle: CycleBatch) -> CycleBatch:
+    anchors = cycle.anchors
+    fps = (ANCHORS - 1) / float(anchors.duration)
+    made = anchors.motion(cycle.shape, fps)
+    motion = grounded(made, made, flies(made, prior.body), prior.body).detach()
+    rotations = motion.rotations[..., POSED, :, :]
+    moved = anchors.replace(rotations=rotations, translation=motion.translation)
+    return cycle.replace(anchors=moved)
 
 
 def paired(
@@ -253,10 +286,12 @@ def draw(
         for cycles, style in ((a, ":"), (b, "--")):
             name = "recorded, k = 0" if cycles is a else "recorded, k = 1"
             above.plot(through, slip_course(prior, cycles), style, color="0.5", label=name)
-        for name, between in methods.items():
-            above.plot(through, slip_course(prior, between(a, b, 0.5)), label=name)
-            durations = torch.stack([between(a, b, k).anchors.duration for k in shares])
-            below.plot(shares, durations.mean(-1), label=name)
+        for number, (name, between) in enumerate(methods.items()):
+            look = {"color": f"C{number % 3}", "linestyle": "-" if number < 3 else "-."}
+            above.plot(through, slip_course(prior, between(a, b, 0.5)), label=name, **look)
+            if number < 3:
+                durations = torch.stack([between(a, b, k).anchors.duration for k in shares])
+                below.plot(shares, durations.mean(-1), label=name, **look)
         above.set_title(f"{kind}, {len(pairs.a.clips)} pairs")
         above.set_xlabel("share of the cycle")
         above.set_ylabel("speed of the held foot, m/s")

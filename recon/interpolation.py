@@ -1,4 +1,4 @@
-"""What lies between two cycles of motion: their codes and shapes mixed, and decoded."""
+"""What lies between two cycles of motion: codes and shapes mixed, decoded, and feet settled."""
 
 import math
 import platform
@@ -17,8 +17,9 @@ from recon import rotations as so3
 from recon.body import BodyModel
 from recon.cycles import LONGEST, SHORTEST, THRESHOLD, Cycle, find_cycles, hip_flexion
 from recon.fit_files import write_result
-from recon.formats.amass import load_motion
+from recon.grounding import flies, grounded
 from recon.motion import Motion
+from recon.motion_files import load_motion_of
 
 _RETURN = math.radians(10)
 """How near to its start the flexion of either hip comes back in a file that is one cycle."""
@@ -62,7 +63,7 @@ def interpolate_files(
         raise ValueError(f"--fps is a positive rate, got {settings.fps}")
     body = BodyModel.load(settings.body)
     prior = AnchorFrames.load(settings.weights, body)
-    motions = [_motion(path, body) for path in (a, b)]
+    motions = [load_motion_of(path, body).motion for path in (a, b)]
     candidates = [_cycles(path, motion) for path, motion in zip((a, b), motions, strict=True)]
     lifts = [_lifts(body, motion, x) for motion, x in zip(motions, candidates, strict=True)]
     agree = agreement(*lifts)
@@ -81,7 +82,9 @@ def interpolate_files(
         for cycle, motion in zip(chosen, motions, strict=True)
     ]
     mixed = between(prior, parts[0], parts[1], settings.at)
-    motion = played(prior, mixed, motions[0].fps if settings.fps is None else settings.fps)
+    fps = motions[0].fps if settings.fps is None else settings.fps
+    made = played(prior, mixed, fps)
+    motion = grounded(made, made, flies(made, body), body).detach()
     report = {
         "feet agree": float(agree[first, second]),
         "cycles": {
@@ -195,24 +198,6 @@ def _lifts(
     return torch.stack(
         [foot_lift(body.pose(cycle.of(motion, ANCHORS)).joints) for cycle in cycles]
     )
-
-
-def _motion(path: Path, body: BodyModel) -> Motion:
-    """One file on the body, with all of its shape coefficients."""
-    file = load_motion(path)
-    if file.checksum not in (None, body.checksum):
-        raise ValueError(
-            f"{path}: made with the body {file.body} ({file.checksum}), not with {body.name} "
-            f"({body.checksum}); give its body with --body"
-        )
-    missing = body.shape_size - file.motion.shape.shape[-1]
-    if missing < 0:
-        raise ValueError(
-            f"{path}: has {file.motion.shape.shape[-1]} shape coefficients, the body "
-            f"{body.name!r} {body.shape_size}; give its body with --body"
-        )
-    shape = torch.nn.functional.pad(file.motion.shape, (0, missing))
-    return file.motion.replace(shape=shape)
 
 
 def _point(prior: AnchorFrames, shape: Tensor) -> Tensor:
