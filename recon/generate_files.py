@@ -11,11 +11,14 @@ import torch
 
 from priors.humor import Humor
 from priors.humor_generation import predict, sample
+from priors.humos import Humos
 from recon.body import BodyModel
-from recon.contacts import rest_heights
-from recon.formats.amass import MotionFile, load_motion, save_motion
+from recon.contacts import contact_labels, rest_heights
+from recon.formats.amass import MotionFile, save_motion
 from recon.formats.files import replacing
 from recon.generation_metrics import stays_on_its_feet
+from recon.identities import doubts, identity
+from recon.motion_files import load_motion_of
 from recon.protocols import REFERENCE_FPS, Decoded
 
 
@@ -28,7 +31,7 @@ class GenerationSettings:
     seed: int = 0
     """Of everything random."""
     weights: str | None = None
-    """As `Humor.load` takes them."""
+    """As the prior's `load` takes them."""
     body: Path | None = None
     """A SMPL-family file; None is the bundled body."""
     device: Literal["cpu", "cuda"] = "cpu"
@@ -37,8 +40,18 @@ class GenerationSettings:
     """Factor on the standard deviations of the prior; above 1 motions vary more."""
 
 
+@dataclass(frozen=True)
+class BodySettings:
+    """Whose motions HUMOS makes."""
+
+    shape: str | None = None
+    """As `recon.identities.identity` takes it; None is the average body."""
+    fps: float = REFERENCE_FPS
+    """Of the files; the prior itself has 20."""
+
+
 def sample_files(out: Path, count: int, settings: GenerationSettings) -> dict[str, Any]:
-    """Write motions that begin anywhere; returns the report, which is written too.
+    """Write motions that begin anywhere, drawn from HuMoR; returns the report, written too.
 
     OUT is one motion file (.npz), or a folder for `sample_000.npz` and so on; the report is
     OUT.json, or `report.json` in the folder.
@@ -54,6 +67,39 @@ def sample_files(out: Path, count: int, settings: GenerationSettings) -> dict[st
     random = torch.Generator().manual_seed(settings.seed)
     made = sample(humor, frames, count, random, temperature=temperature)
     return _write(out, paths, made, humor.body, {"settings": asdict(settings)})
+
+
+def sample_of_body_files(
+    out: Path, count: int, settings: GenerationSettings, whose: BodySettings
+) -> dict[str, Any]:
+    """Write motions of one body, drawn from HUMOS; files and report are as in `sample_files`.
+
+    The report's `warnings` say why the body may be nobody's.
+
+    Raises:
+        FileNotFoundError: when there are no such weights, no such body, or no such motion file.
+        ValueError: as in `sample_files`; when the shape is not understood, for a rate that is
+            none, and where the prior cannot do as asked.
+    """
+    _frames(settings.seconds)
+    paths = _paths(out, count, "sample")
+    if settings.temperature != 1:
+        raise ValueError(f"--temperature is HuMoR's; HUMOS has none, got {settings.temperature}")
+    if settings.device != "cpu":
+        raise ValueError(f"HUMOS makes motions on the processor, got --device {settings.device}")
+    if not (math.isfinite(whose.fps) and whose.fps > 0):
+        raise ValueError(f"--fps is a positive rate, got {whose.fps}")
+    body = BodyModel.load(settings.body)
+    shape = identity("0" if whose.shape is None else whose.shape, body)
+    random = torch.Generator().manual_seed(settings.seed)
+    prior = _humos(settings, body)
+    motion = prior.sample(shape.expand(count, -1), settings.seconds, random).resample(whose.fps)
+    labels = contact_labels(body.pose(motion).joints, rest_heights(body, motion.shape), motion.fps)
+    about = {
+        "settings": asdict(settings) | asdict(whose),
+        "warnings": [f"--shape {whose.shape}: {doubt}" for doubt in doubts(body, shape)],
+    }
+    return _write(out, paths, Decoded(motion, contacts=labels.to(shape)), body, about)
 
 
 def predict_files(
@@ -79,15 +125,9 @@ def predict_files(
     frames = _frames(settings.seconds)
     paths = _paths(out, samples, "prediction")
     temperature = _temperature(settings)
-    file = load_motion(motion)
     humor = _humor(settings)
     body = humor.body
-    if file.checksum not in (None, body.checksum):
-        raise ValueError(
-            f"{motion}: made with the body {file.body} ({file.checksum}), not with {body.name} "
-            f"({body.checksum}); give its body with --body"
-        )
-    known = file.motion
+    known = load_motion_of(motion, body).motion
     if at is not None:
         last = round(at * known.fps) if math.isfinite(at) else -1
         if not 0 < last < known.frames:
@@ -109,6 +149,10 @@ def predict_files(
 def _humor(settings: GenerationSettings) -> Humor:
     body = BodyModel.load(settings.body)
     return Humor.load(settings.weights, body).to(device=settings.device)
+
+
+def _humos(settings: GenerationSettings, body: BodyModel) -> Humos:
+    return Humos.load(settings.weights or "open", body)
 
 
 def _frames(seconds: float) -> int:

@@ -10,15 +10,12 @@ from observations.first_guess import one_clock
 from observations.keypoints2d import Keypoints2D
 from observations.triangulation import triangulate
 from recon.clip import ClipFit
+from recon.identities import ODDEST, SHORTEST, TALLEST, height
 from recon.protocols import Estimate
 from recon.upright import sole_heights
 
 _NEAR, _FAR = 0.7, 40.0
 """Metres at which people are filmed."""
-_SHORT, _TALL = 1.42, 1.96
-"""Metres; body models know adults alone, of whom one in a hundred is smaller or taller."""
-_ODD = 4.0
-"""Standard deviations that no coefficient of a real person's shape is away from the mean."""
 _OFF_GROUND = 0.15
 """Metres between the soles that stand and the ground."""
 _CLEARLY = 0.6
@@ -45,15 +42,14 @@ def body_warnings(found: ClipFit) -> list[str]:
     Where no camera and no ground tells sizes, the prior does, and nothing can be said.
     """
     posed = found.result.estimate.body
-    rest = posed.model.rest_vertices(posed.shape.detach())[..., 1]
-    height = float((rest.amax(-1) - rest.amin(-1)).mean())
+    tall = float(height(posed.model, posed.shape.detach()).mean())
     warnings: list[str] = []
-    if not _SHORT < height < _TALL:
+    if not SHORTEST < tall < TALLEST:
         warnings.append(
-            f"the person would be {height:.2f} m tall; check focal lengths, units and the poses "
+            f"the person would be {tall:.2f} m tall; check focal lengths, units and the poses "
             "of the cameras (for a child this is as well as an adult body can do)"
         )
-    elif (odd := float(posed.shape.abs().max())) > _ODD:
+    elif (odd := float(posed.shape.abs().max())) > ODDEST:
         warnings.append(
             f"the person's shape is {odd:.1f} standard deviations from the average; check the "
             "calibration, and that left and right are not mirrored"

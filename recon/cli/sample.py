@@ -10,6 +10,9 @@ def sample(
     out: Path,
     count: int = 1,
     seconds: float = 5.0,
+    prior: Literal["humor", "humos"] = "humor",
+    shape: str | None = None,
+    fps: float | None = None,
     seed: int = 0,
     weights: str | None = None,
     body: Path | None = None,
@@ -17,27 +20,43 @@ def sample(
     temperature: float = 1.0,
     json: Annotated[bool, arg(help="Print the report as JSON on stdout.")] = False,
 ) -> None:
-    """Make up motions that HuMoR finds likely.
+    """Make up motions that a prior finds likely.
 
-    Where they begin is drawn from the mixture of first states, every step after it from the
-    transition prior.
+    Of HuMoR, where they begin is drawn from the mixture of first states, every step after it from
+    the transition prior. Of HUMOS, the whole motion of a body of your choice is drawn at once.
 
     Args:
         out: motion file (.npz) for one motion, or a folder for several.
         count: motions.
         seconds: of every motion.
+        prior: `humor`, or `humos` for a body of your choice.
+        shape: humos: the body, as `recon retarget` takes it; default: the average body.
+        fps: humos: of the files; default: 30.
         seed: of everything random.
         weights: `open`, `nc` or a file; default: the bundled ones.
         body: a SMPL-family file of your own; default: the bundled body.
-        device: where to compute.
-        temperature: above 1 draws more varied motions, below 1 more usual ones.
+        device: humor: where to compute.
+        temperature: humor: above 1 draws more varied motions, below 1 more usual ones.
         json: print the report as JSON on stdout.
     """
     from recon.cli import console
-    from recon.generate_files import GenerationSettings, sample_files
+    from recon.generate_files import (
+        BodySettings,
+        GenerationSettings,
+        sample_files,
+        sample_of_body_files,
+    )
 
     settings = GenerationSettings(seconds, seed, weights, body, device, temperature)
-    report = sample_files(out, count, settings)
+    if prior == "humos":
+        whose = BodySettings(shape) if fps is None else BodySettings(shape, fps)
+        report = sample_of_body_files(out, count, settings, whose)
+    else:
+        if shape is not None or fps is not None:
+            raise ValueError("--shape and --fps are of --prior humos")
+        report = sample_files(out, count, settings)
     console.table(f"{count} motions of {seconds:g} s", report["files"])
+    for warning in report.get("warnings", []):
+        console.warn(warning)
     if json:
         console.answer(report)

@@ -10,6 +10,7 @@ from recon.cli.fit import fit
 from recon.cli.info import info
 from recon.cli.interpolate import interpolate
 from recon.cli.predict import predict
+from recon.cli.retarget import retarget
 from recon.cli.sample import sample
 from recon.cli.simulate import simulate
 from recon.cli.train import train
@@ -24,6 +25,7 @@ ALL = (
     sample,
     predict,
     interpolate,
+    retarget,
     simulate,
     evaluate,
     view,

@@ -12,6 +12,7 @@ def view(
     mp4: Path | None = None,
     obs: tuple[Path, ...] = (),
     compare: Path | None = None,
+    beside: Path | None = None,
 ) -> None:
     """Draw a motion as a page to play, a picture or a film.
 
@@ -25,10 +26,12 @@ def view(
         mp4: film to write.
         obs: observations of the motion, of any kind: their points, clouds and cameras are drawn;
             missing points where the motion has them.
-        compare: a second motion, for example the truth.
+        compare: a second motion, for example the truth, in the same place at the same times.
+        beside: a motion to play side by side with this one, for example the same motion on
+            another body; both play from their first frames on.
     """
     from recon.view.files import view_files
 
     if html is None and png is None and mp4 is None:
         raise ValueError("nothing to draw: give --html FILE, --png FILE or --mp4 FILE")
-    view_files(motion, obs=obs, compare=compare, html=html, png=png, mp4=mp4)
+    view_files(motion, obs=obs, compare=compare, side=beside, html=html, png=png, mp4=mp4)

@@ -1,13 +1,16 @@
 """Motion and observation files as a show, drawn to files: what `recon view` does."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from recon.body import BodyModel
 from recon.formats.amass import MotionFile, load_motion
 from recon.ground import Ground
+from recon.identities import height, weight
 from recon.motion import Motion
-from recon.view.colours import GREY
+from recon.view.beside import beside, common
+from recon.view.colours import CORAL, GREY
 from recon.view.observed import observed
 from recon.view.scene import Figure, Show
 
@@ -17,6 +20,7 @@ def view_files(
     *,
     obs: Sequence[Path] = (),
     compare: Path | None = None,
+    side: Path | None = None,
     html: Path | None = None,
     png: Path | None = None,
     mp4: Path | None = None,
@@ -24,6 +28,8 @@ def view_files(
     """Draw a motion, with what it was fitted to and another motion if given.
 
     With observations from cameras, the picture and the film also show what each camera sees.
+    `compare` is drawn in the same place at the same times; `side` beside the motion, both from
+    their first frames on for as long as both last, with heights and weights in the legend.
 
     Raises:
         FileNotFoundError: when a file does not exist.
@@ -31,10 +37,18 @@ def view_files(
     """
     body = BodyModel.load()
     file = load_motion(motion)
-    figures = [Figure(body, file.motion, motion.stem, contacts=file.contacts)]
+    figures: list[Figure] = []
+    if side is None:
+        figures.append(Figure(body, file.motion, motion.stem, contacts=file.contacts))
+    else:
+        other = load_motion(side)
+        file, second = common(file, other)
+        figures.append(_measured(Figure(body, file.motion, motion.stem)))
+        aside = Figure(body, second, _another(side, motion), CORAL)
+        figures.append(beside(figures[0], _measured(aside)))
     if compare is not None:
         other = _meanwhile(load_motion(compare), file.motion, compare)
-        name = compare.stem if compare.stem != motion.stem else f"{compare.stem} (2)"
+        name = _another(compare, motion)
         figures.append(Figure(body, other, name, colour=GREY, opacity=0.45))
     seen = observed(obs, file, body)
     ground = None if file.ground is None else Ground.create(file.ground[:3], file.ground[3])
@@ -47,6 +61,18 @@ def view_files(
         _draw_png(png, show)
     if mp4 is not None:
         _draw_mp4(mp4, show)
+
+
+def _another(path: Path, first: Path) -> str:
+    """Name of a second motion."""
+    return path.stem if path.stem != first.stem else f"{path.stem} (2)"
+
+
+def _measured(figure: Figure) -> Figure:
+    """The figure with its height and weight in its name."""
+    shape = figure.motion.shape
+    tall, heavy = height(figure.body, shape), weight(figure.body, shape)
+    return replace(figure, name=f"{figure.name}: {tall:.2f} m, {heavy:.0f} kg")
 
 
 def _draw_png(path: Path, show: Show) -> None:

@@ -130,6 +130,11 @@ def overview(
     return (view,) * figures[0].motion.frames
 
 
+def across(figure: Figure) -> Float[np.ndarray, "3"]:
+    """The level direction that is to the right in pictures of a figure, unit length."""
+    return _three_quarter(figure, ELEVATION)[0]
+
+
 def _three_quarter(figure: Figure, elevation: float) -> Float[np.ndarray, "3 3"]:
     """R_camera_world of a camera `AZIMUTH` from a figure's mean heading, looking down on it."""
     front = figure.posed.orientations[:, 0, :2, 2].double().numpy().sum(0)

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from torch import Tensor
 
 from priors.humor_state import canonical, distinct_features, initial_features, states_of
 from priors.humor_weights import save_weights
@@ -12,6 +13,8 @@ from priors.mixture import Mixture
 from recon import cli
 from recon.body import BodyModel
 from recon.formats.amass import MotionFile, load_motion, save_motion
+from recon.identities import height
+from recon.motion import Motion
 from recon.view.files import view_files
 from tests.priors.test_humor import humor, motions
 from tests.priors.test_pose import swinging
@@ -108,9 +111,44 @@ def test_a_prediction_goes_on_where_the_motion_ends(
     assert not torch.equal(other.rotations, some[1].rotations)
 
 
+class StandIn:
+    """A prior that glides everybody forward, at its own 20 Hz."""
+
+    def sample(self, shape: Tensor, seconds: float, generator: torch.Generator) -> Motion:
+        frames = round(seconds * 20) + 1
+        rotations = torch.eye(3).repeat(len(shape), frames, 22, 1, 1)
+        place = torch.rand(len(shape), 1, 3, generator=generator)
+        path = place + torch.arange(frames)[:, None] * torch.tensor([0.0, 0.05, 0.0])
+        return Motion.create(path, rotations, shape, 20.0)
+
+
+def test_a_body_of_choice_is_sampled_from_humos(tmp_path: Path, monkeypatch, capsys) -> None:
+    monkeypatch.setattr("recon.generate_files._humos", lambda *_: StandIn())
+    ask = ("sample", "--prior", "humos", "--count", 2, "--seconds", 1, "--shape", "height=1.7")
+    assert recon_(*ask, "--out", tmp_path / "made", "--json") == cli.OK
+    report = json.loads(capsys.readouterr().out)
+    assert (report["settings"]["shape"], report["warnings"]) == ("height=1.7", [])
+    one, two = (load_motion(path) for path in sorted((tmp_path / "made").glob("*.npz")))
+    assert (one.motion.frames, one.motion.fps) == (31, 30)
+    assert float(height(BodyModel.load(), two.motion.shape)) == pytest.approx(1.7, abs=1e-4)
+    assert one.contacts is not None
+    speed = one.motion.translation[:, 1].diff() * 30
+    torch.testing.assert_close(speed, torch.ones(30), atol=1e-4, rtol=0)  # m/s at any rate
+    assert not torch.equal(one.motion.translation, two.motion.translation)
+    again = ("sample", "--prior", "humos", "--seconds", 1, "--fps", 60, "--shape", "5")
+    assert recon_(*again, "--out", tmp_path / "a.npz") == cli.OK
+    assert "5.0 standard deviations" in " ".join(capsys.readouterr().err.split())
+    assert load_motion(tmp_path / "a.npz").motion.fps == 60
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
+        (("sample", "--out", "a", "--shape", "tall"), "--prior humos"),
+        (("sample", "--out", "a", "--prior", "humos", "--temperature", 2), "--temperature"),
+        (("sample", "--out", "a", "--prior", "humos", "--fps", 0), "--fps"),
+        (("sample", "--out", "a", "--prior", "humos", "--device", "cuda"), "--device"),
+        (("sample", "--out", "a", "--prior", "humos", "--shape", "blue"), "blue"),
         (("sample", "--out", "a.npz", "--count", 2), "give a folder"),
         (("sample", "--out", "a", "--count", 0), "got 0"),
         (("sample", "--out", "a", "--seconds", "nan"), "--seconds"),

@@ -1,0 +1,75 @@
+"""The same motion on another body: times and place stay, feet stay on the ground."""
+
+import pytest
+import torch
+
+from recon.body import BodyModel
+from recon.physics_metrics import physics_metrics
+from recon.physics_samples import physics_samples
+from recon.reshape import leg_length, with_shape
+from recon.retargeting import retarget
+from tests.priors.tiny_humos import tiny_prior
+from tests.walking import a_walk
+
+BODY = BodyModel.load()
+
+
+@pytest.fixture(scope="module")
+def prior():
+    return tiny_prior(BODY)
+
+
+def other(seed=0):
+    return torch.randn(BODY.shape_size, generator=torch.Generator().manual_seed(seed))
+
+
+@pytest.mark.parametrize("fps", [20.0, 30.0])
+def test_times_place_and_the_new_body(prior, fps):
+    walk = a_walk(BODY, seconds=2.0, fps=fps).replace(start_time=3.0)
+    made = retarget(walk, other(), prior)
+    assert (made.frames, made.fps, made.start_time) == (walk.frames, fps, 3.0)
+    torch.testing.assert_close(made.shape, other())
+    start = [m.translation[0] + BODY.rest_joints(m.shape)[0] for m in (walk, made)]
+    assert float((start[0] - start[1])[:2].norm()) < 0.05
+
+
+def test_the_path_grows_with_the_legs(prior):
+    walk = a_walk(BODY, seconds=2.0, fps=30.0)
+    made = retarget(walk, other(), prior)
+    grown = float(leg_length(BODY, other()) / leg_length(BODY, walk.shape))
+    before, after = (
+        float((m.translation[-1] - m.translation[0])[:2].norm()) for m in (walk, made)
+    )
+    assert after == pytest.approx(grown * before, rel=0.05)
+
+
+def test_long_clips_are_joined_from_windows_without_a_seam(prior):
+    walk = a_walk(BODY, seconds=14.0, fps=20.0)
+    made = retarget(walk, other(), prior)
+    assert made.frames == walk.frames
+    reference = with_shape(walk, BODY, other())
+    step = made.translation.diff(dim=0).norm(dim=-1).max()
+    assert float(step) < 2 * float(reference.translation.diff(dim=0).norm(dim=-1).max())
+
+
+def test_feet_of_another_body_slide_less_than_those_of_a_copy(prior):
+    walk = a_walk(BODY, seconds=2.0, fps=20.0)
+    touch = physics_samples(walk, BODY).soles_touch
+    rows = [
+        physics_metrics(physics_samples(m, BODY, touch))
+        for m in (with_shape(walk, BODY, other()), retarget(walk, other(), prior))
+    ]
+    copy, made = ({k: v or 0.0 for k, v in row.items()} for row in rows)
+    assert 0 < made["slip_in_contact"] < copy["slip_in_contact"]
+    assert made["penetrate"] <= copy["penetrate"] + 1e-3
+
+
+def test_what_cannot_be_retargeted_is_refused(prior):
+    walk = a_walk(BODY, seconds=2.0, fps=20.0)
+    with pytest.raises(ValueError, match="at least 1 s"):
+        retarget(walk.window(0, 15), other(), prior)
+    with pytest.raises(ValueError, match="one clip"):
+        retarget(walk.map(lambda tensor: tensor[None]), other(), prior)
+    padded = walk.replace(valid=torch.arange(walk.frames) < 30)
+    with pytest.raises(ValueError, match="frames exist"):
+        retarget(padded, other(), prior)
