@@ -1,0 +1,110 @@
+"""What each loss of the HUMOS prior is worth, and one code per clip beside many.
+
+    python -m benchmarks.humos_ablations CORPUS --out RUNS [--warm RUN/warm.pt]
+        --json benchmarks/results/humos_ablations.json
+
+Every row is 400 steps from body to body and back, begun with the same auto-encoder (1,500 steps,
+or the one given), on clips that weights of the package may learn from. Judged on the test clips
+of `benchmarks/identities.toml`, without those that fly, on what the networks propose alone:
+physics as in `benchmarks.retarget`, and the joint error of codes on the clips' own bodies.
+"""
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+
+from benchmarks.results import show, write
+from benchmarks.retarget import itself, measured
+from benchmarks.retarget_baselines import copied
+from benchmarks.retarget_clips import Job, load_jobs
+from benchmarks.retarget_shapes import reconstruction
+from priors.humos import Humos
+from priors.training.dataset import Splits
+from priors.training.humos import train_on
+from priors.training.humos_corpus import BodyCorpus
+from priors.training.humos_export import export_learned
+from priors.training.humos_run import HumosTraining
+from recon.body import BodyModel
+from recon.physics_metrics import physics_metrics
+from recon.physics_samples import PhysicsSamples
+from recon.retargeting import proposed
+from recon.struct import concatenate
+
+STEPS = 400
+_ONE_CODE = 320
+"""Numbers of a clip's one code, as published."""
+
+
+def main() -> None:
+    """Train what is missing, measure, print and write."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument("corpus", type=Path)
+    parser.add_argument("--out", type=Path, required=True, help="folder of the runs")
+    parser.add_argument("--warm", type=Path, default=None, help="auto-encoder to begin with")
+    parser.add_argument("--json", type=Path, default=None)
+    ask = parser.parse_args()
+    torch.set_num_threads(1)
+    body, splits = BodyModel.load(), Splits.load()
+    plain = HumosTraining(corpus=ask.corpus, out=ask.out, steps=STEPS)
+    learned = BodyCorpus.load(ask.corpus, splits, "train", "open", body, plain.speeds)
+    checked = BodyCorpus.load(ask.corpus, splits, "validation", "open", body)
+    jobs = [j for j in load_jobs(ask.corpus, splits, "test", "nc", body) if not j.flies]
+    warm = ask.warm or _auto_encoder(plain, learned, checked)
+    rows: dict[str, dict[str, float]] = {
+        "truth": _physics(measured(itself, jobs, body)[0]),
+        "copy": _physics(measured(copied, jobs, body)[0]),
+    }
+    for name, settings in variants(replace(plain, warm=warm)).items():
+        run = replace(settings, out=ask.out / name.replace(" ", "_"))
+        run.out.mkdir(parents=True, exist_ok=True)
+        train_on(run, learned, checked)
+        path = export_learned(run, run.out / "humos.safetensors", learned)
+        rows[name] = judged(Humos.load(str(path), body), jobs)
+        show(name, rows[name])
+        if ask.json is not None:
+            command = "python -m benchmarks.humos_ablations CORPUS"
+            write(ask.json, command, 0, clips=len(jobs), rows=rows)
+
+
+def variants(full: HumosTraining) -> dict[str, HumosTraining]:
+    """Runs that differ in one thing each."""
+    return {
+        "cycle": replace(full, physics=0.0, balance=0.0),
+        "cycle + physics": replace(full, balance=0.0),
+        "cycle + physics + balance": full,
+        "without L_E": replace(full, same_code=0.0),
+        "without L_KL": replace(full, kl=0.0),
+        "one code per clip": replace(full, codes="clip", latent=_ONE_CODE, warm=None),
+    }
+
+
+def judged(prior: Humos, jobs: list[Job]) -> dict[str, float]:
+    """Physics of what the networks propose, and the error of their codes."""
+    samples, more = measured(lambda _, m, s: proposed(m, s, prior), jobs, prior.body)
+    error = reconstruction(prior, jobs)["mean cm"]
+    return {**_physics(samples), "turned": more["turned"] or 0.0, "codes cm": error}
+
+
+def _physics(samples: list[PhysicsSamples]) -> dict[str, float]:
+    found = physics_metrics(concatenate(samples))
+    columns = {
+        "penetrate cm": ("penetrate", 100), "float cm": ("float", 100),
+        "stable %": ("dynamic_stability", 100), "supported stable %": ("stability_supported", 100),
+        "BoS cm": ("bos_distance", 100), "slip m/s": ("slip_in_contact", 1),
+    }  # fmt: skip
+    return {name: factor * (found[key] or 0.0) for name, (key, factor) in columns.items()}
+
+
+def _auto_encoder(plain: HumosTraining, learned: BodyCorpus, checked: BodyCorpus) -> Path:
+    run = replace(plain, out=plain.out / "auto-encoder", steps=0)
+    run.out.mkdir(parents=True, exist_ok=True)
+    train_on(run, learned, checked)
+    return run.out / "warm.pt"
+
+
+if __name__ == "__main__":
+    main()
