@@ -60,6 +60,15 @@ def main() -> None:
     run("benchmarks.anchor_real", str(data / "observations"), "--json",
         str(out / "anchor_real.json"))  # fmt: skip
     run("benchmarks.anchor_speed", str(corpus), "--json", str(out / "anchor_speed.json"))
+    for weights in ("open", "nc"):
+        run("benchmarks.retarget_shapes", str(corpus), "--weights", weights, "--licence", weights,
+            "--json", str(out / f"retarget_shapes_{weights}.json"))  # fmt: skip
+    run("benchmarks.retarget", str(corpus), "--licence", "nc", "--weights", "open", "nc",
+        "--json", str(out / "retarget.json"))  # fmt: skip
+    run("benchmarks.humos_prior", str(corpus), "--only", "24", "--json",
+        str(out / "humos_prior.json"))  # fmt: skip
+    run("benchmarks.humos_ablations", str(corpus), "--out", str(out / "humos_ablations"),
+        "--json", str(out / "humos_ablations.json"))  # fmt: skip
     run("benchmarks.long", str(corpus), "--prior", "humor", "--json", str(out / "long.json"))
     run("benchmarks.rollout", "--json", str(out / "rollout.json"))
     run("benchmarks.solver", "--json", str(out / "solver.json"))

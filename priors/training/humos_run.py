@@ -53,7 +53,7 @@ class HumosTraining:
     """Weight of its dynamic stability; 0: none."""
     warm_steps: int = 1500
     """Steps of the auto-encoder before there is another body."""
-    steps: int = 1500
+    steps: int = 1200
     """Steps from one body to another and back."""
     warm: Path | None = None
     """`warm.pt` of another run to begin the second part with; then there is no first."""
