@@ -12,7 +12,7 @@ from torch import Tensor
 from priors.anchor_basis import CODES, CycleBasis
 from priors.anchor_nets import AnchorNetworks
 from priors.anchors import Alignment
-from priors.checkpoints import Checkpoint, named_checkpoint, save_checkpoint
+from priors.checkpoints import named_checkpoint, save_checkpoint
 from recon.struct import TensorStruct
 
 _BASIS, _SPREAD = "basis.", "spread."
@@ -97,32 +97,15 @@ def load_weights(path: str | Path) -> AnchorWeights:
             f"alignment ({' or '.join(sorted(known))}), got {dict(found.settings)}"
         )
     latent, shape, width, size = (int(one) for one in sizes if one is not None)
-    basis = CycleBasis(**_part(found, _BASIS, {
+    basis = CycleBasis(**found.under(_BASIS).require({
         "low": (4,), "high": (4,), "mean": (CODES,), "directions": (size, CODES),
         "deviation": (size,),
     }))  # fmt: skip
     networks = AnchorNetworks(basis, latent, shape, width)
-    layers = {
-        name: tensor.float()
-        for name, tensor in found.tensors.items()
-        if not name.startswith((_BASIS, _SPREAD))
-    }
-    Checkpoint(found.path, layers, found.settings).into(networks)
+    found.besides(_BASIS, _SPREAD).into(networks)
     count = len(found.tensors.get(_SPREAD + "typical", torch.zeros(0)))
-    spread = CodeSpread(**_part(found, _SPREAD, {
+    spread = CodeSpread(**found.under(_SPREAD).require({
         "mean": (latent,), "root": (latent, latent), "typical": (count, latent),
     }))  # fmt: skip
     networks.eval().requires_grad_(False)
     return AnchorWeights(networks, spread, Alignment(found.settings["alignment"]))
-
-
-def _part(
-    found: Checkpoint, prefix: str, shapes: Mapping[str, tuple[int, ...]]
-) -> dict[str, Tensor]:
-    """The tensors whose names begin so, without the beginning, in single precision."""
-    own = {
-        name.removeprefix(prefix): tensor.float()
-        for name, tensor in found.tensors.items()
-        if name.startswith(prefix)
-    }
-    return Checkpoint(found.path, own, found.settings).require(shapes)

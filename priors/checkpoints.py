@@ -47,6 +47,24 @@ class Checkpoint:
             raise ValueError(f"{self.path}: nan or infinity in {', '.join(bad)}; train again")
         return {name: self.tensors[name] for name in shapes}
 
+    def under(self, prefix: str) -> "Checkpoint":
+        """The tensors whose names begin so, without the beginning, in single precision."""
+        own = {
+            name.removeprefix(prefix): tensor.float()
+            for name, tensor in self.tensors.items()
+            if name.startswith(prefix)
+        }
+        return Checkpoint(self.path, own, self.settings)
+
+    def besides(self, *prefixes: str) -> "Checkpoint":
+        """The tensors whose names begin with none of these, in single precision."""
+        others = {
+            name: tensor.float()
+            for name, tensor in self.tensors.items()
+            if not name.startswith(prefixes)
+        }
+        return Checkpoint(self.path, others, self.settings)
+
     def into(self, network: nn.Module) -> None:
         """Copy all tensors into a network of the same layers; raises as `require`."""
         layers = {name: tuple(value.shape) for name, value in network.state_dict().items()}

@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from priors.checkpoints import Checkpoint, named_checkpoint, save_checkpoint
+from priors.checkpoints import named_checkpoint, save_checkpoint
 from priors.humos_basis import WINDOW, LappedBasis
 from priors.humos_frames import NUMBERS
 from priors.humos_nets import ClipNetworks, Networks, WindowNetworks
@@ -151,31 +151,14 @@ def load_weights(path: str | Path) -> HumosWeights:
         )
     latent, size, shape, width, layers, frames = (int(one) for one in sizes if one is not None)
     numbers = WINDOW * NUMBERS
-    basis = LappedBasis(**_part(found, _BASIS, {
+    basis = LappedBasis(**found.under(_BASIS).require({
         "mean": (numbers,), "directions": (size, numbers), "deviation": (size,),
     }))  # fmt: skip
     networks = _KINDS[kind](basis, latent, shape, width, layers)
-    layers_of = {
-        name: tensor.float()
-        for name, tensor in found.tensors.items()
-        if not name.startswith((_BASIS, _DENSITY))
-    }
-    Checkpoint(found.path, layers_of, found.settings).into(networks)
+    found.besides(_BASIS, _DENSITY).into(networks)
     square = (latent, latent)
-    density = CodeDensity(**_part(found, _DENSITY, {
+    density = CodeDensity(**found.under(_DENSITY).require({
         "mean": (latent,), "root": square, "follow": square, "rest": square,
     }))  # fmt: skip
     networks.eval().requires_grad_(False)
     return HumosWeights(networks, density, frames)
-
-
-def _part(
-    found: Checkpoint, prefix: str, shapes: Mapping[str, tuple[int, ...]]
-) -> dict[str, Tensor]:
-    """The tensors whose names begin so, without the beginning, in single precision."""
-    own = {
-        name.removeprefix(prefix): tensor.float()
-        for name, tensor in found.tensors.items()
-        if name.startswith(prefix)
-    }
-    return Checkpoint(found.path, own, found.settings).require(shapes)

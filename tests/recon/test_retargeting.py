@@ -1,13 +1,19 @@
 """The same motion on another body: times and place stay, feet stay on the ground."""
 
+from importlib import resources
+
 import pytest
 import torch
 
+from priors.humos import Humos
+from recon import rotations as so3
 from recon.body import BodyModel
+from recon.formats.amass import load_motion
+from recon.identities import identity
 from recon.physics_metrics import physics_metrics
 from recon.physics_samples import physics_samples
 from recon.reshape import leg_length, with_shape
-from recon.retargeting import retarget
+from recon.retargeting import proposed, retarget
 from tests.priors.tiny_humos import tiny_prior
 from tests.walking import a_walk
 
@@ -73,3 +79,29 @@ def test_what_cannot_be_retargeted_is_refused(prior):
     padded = walk.replace(valid=torch.arange(walk.frames) < 30)
     with pytest.raises(ValueError, match="frames exist"):
         retarget(padded, other(), prior)
+
+
+def test_the_bundled_weights_on_a_recorded_walk():
+    """A heavy short body: the copy floats and slips, what is proposed stands, the result holds."""
+    prior = Humos.load()
+    with resources.as_file(resources.files("recon") / "assets" / "demo.npz") as path:
+        walk = load_motion(path).motion.resample(20.0).window(0, 50)
+    shape = identity("short,heavy", BODY)
+    touch = physics_samples(walk, BODY).soles_touch
+    pelvis = BODY.rest_joints(walk.shape)[0] - BODY.rest_joints(shape)[0]
+    copy = walk.replace(shape=shape, translation=walk.translation + pelvis)
+    motions = {
+        "truth": walk,
+        "copy": copy,
+        "proposed": proposed(walk, shape, prior),
+        "made": retarget(walk, shape, prior),
+    }
+    rows = {
+        name: {k: v or 0.0 for k, v in physics_metrics(physics_samples(m, BODY, touch)).items()}
+        for name, m in motions.items()
+    }
+    assert rows["proposed"]["physdiff_float"] < 0.1 * rows["copy"]["physdiff_float"]
+    assert rows["made"]["slip_in_contact"] < 0.6 * rows["copy"]["slip_in_contact"]
+    assert rows["made"]["penetrate"] < rows["truth"]["penetrate"] + 0.003
+    turned = so3.geodesic(motions["made"].rotations, walk.rotations).mean().rad2deg()
+    assert 0.05 < float(turned) < 6
