@@ -3,7 +3,8 @@
     python -m benchmarks.humos_prior CORPUS --only 24 --json benchmarks/results/humos_prior.json
     python -m benchmarks.humos_prior CORPUS --part validation --only 8 --weights FILE
 
-Windows of 60 frames; `stages 1-2` have single poses and smoothness, no motion prior. Columns are
+Windows of 60 frames; `stages 1-2` have single poses and smoothness, no motion prior; `codes`
+moves codes and details, `HUMOS` the motion that they judge. Columns are
 those of `benchmarks.humor`.
 """
 
@@ -16,7 +17,8 @@ from benchmarks.windows import load_windows, noisy_joints, occluded_points
 from priors.humor import Humor
 from priors.humor_collocation import Collocation
 from priors.humos import Humos
-from priors.humos_fit import HumosFit
+from priors.humos_codes import CodesFit
+from priors.humos_collocation import HumosFit
 from priors.pose import PosePrior, PoseWeights
 from priors.training.dataset import Splits
 from recon.body import BodyModel
@@ -39,6 +41,7 @@ def main() -> None:
             Entry("stages 1-2", PosePrior.load(weights=PoseWeights.for_noise(noise))),
             Entry("HuMoR", Collocation.for_noise(humor, noise)),
             Entry("HUMOS", HumosFit.for_noise(humos, noise), knows_contacts=False),
+            Entry("HUMOS, codes", CodesFit.for_noise(humos, noise), knows_contacts=False),
         ]
 
     joints = body.pose(windows.truth).joints

@@ -92,7 +92,7 @@ class Humos:
         """Mean codes of each clip, and as details all that they leave out: exact."""
         coarse = at_rate(motion)
         frames, base = BodyFrames.of(coarse, self.body)
-        exists = self._exists(motion.valid, motion.fps)
+        exists = self.exists(motion.valid, motion.fps)
         with torch.no_grad():
             codes, _ = self.weights.networks.posterior(frames.pack(), motion.shape, exists)
         zero = torch.zeros_like(motion.rotations[..., 0])
@@ -128,7 +128,7 @@ class Humos:
         )
         motion = detailed.motion(x.shape, self.body, x.fps, self._base(x))
         energies = {
-            "latent": self.weights.density.energy(x.latent, self._exists(x.valid, x.fps)),
+            "latent": self.weights.density.energy(x.latent, self.exists(x.valid, x.fps)),
             "shape": 0.5 * x.shape.square().sum(-1),
             "details": 0.5 * (x.bend.square().sum((-1, -2, -3)) + x.shift.square().sum((-1, -2))),
         }
@@ -139,8 +139,8 @@ class Humos:
         x = variables
         count = x.valid.shape[-1]
         codes = self.weights.density.codes(x.latent)
-        coarse = _frames_at_rate(count, x.fps)
-        exists = self._exists(x.valid, x.fps)
+        coarse = frames_at_rate(count, x.fps)
+        exists = self.exists(x.valid, x.fps)
         rows = self.weights.networks.decode(codes, x.shape, exists, coarse)
         return BodyFrames.unpack(spline(coarse, count, x.fps).to(rows) @ rows)
 
@@ -192,11 +192,12 @@ class Humos:
         ahead = torch.nn.functional.pad(PLACE * x.place, (0, 1))
         return so3.rigid(turn, x.base[..., :3, 3] + ahead)
 
-    def _exists(
+    def exists(
         self, valid: Bool[Tensor, "*batch time"], fps: float
     ) -> Bool[Tensor, "*batch windows"]:
+        """Windows that hold a frame that exists."""
         count = ((valid.sum(-1, keepdim=True) - 1) * (FPS / fps)).ceil() + 1
-        windows = windows_of(_frames_at_rate(valid.shape[-1], fps))
+        windows = windows_of(frames_at_rate(valid.shape[-1], fps))
         return torch.arange(windows, device=valid.device) * HOP < count + HOP
 
 
@@ -206,14 +207,14 @@ def _bends() -> Float[Tensor, "22 1"]:
     return _BEND / levers()[:, None]
 
 
-def _frames_at_rate(frames: int, fps: float) -> int:
+def frames_at_rate(frames: int, fps: float) -> int:
     """Frames at 20 Hz that cover so many at another rate."""
     return int(np.ceil((frames - 1) * FPS / fps - 1e-6)) + 1
 
 
 def at_rate(motion: Motion) -> Motion:
     """The motion at 20 Hz, its last frame held as long as it takes."""
-    count = _frames_at_rate(motion.frames, motion.fps)
+    count = frames_at_rate(motion.frames, motion.fps)
     times = motion.start_time + torch.arange(count, dtype=torch.float64) / FPS
     return motion.at(times.clamp(max=float(motion.times[-1])), FPS)
 

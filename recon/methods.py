@@ -6,7 +6,7 @@ from typing import Any
 from priors.humor import Humor
 from priors.humor_collocation import Collocation
 from priors.humos import Humos
-from priors.humos_fit import HumosFit
+from priors.humos_collocation import HumosFit
 from priors.pose import PosePrior, PoseWeights
 from recon import physics
 from recon.body import BodyModel

@@ -7,10 +7,12 @@ import torch
 
 from observations.joints3d import Joints3D
 from priors.humos import FPS, Humos
-from priors.humos_fit import HumosCodes, HumosFit
+from priors.humos_codes import CodesFit, HumosCodes
+from priors.humos_collocation import CollocatedHumos, HumosFit
 from priors.humos_frames import lowest_of
 from priors.humos_nets import ClipNetworks, WindowNetworks
 from priors.humos_weights import CodeDensity, load_weights, save_weights
+from priors.pose import PosePrior, PoseWeights
 from recon import rotations as so3
 from recon.body import BodyModel
 from recon.reconstruction import fit
@@ -155,13 +157,14 @@ def test_weights_survive_the_disk(kind, tmp_path):
         load_weights(path)
 
 
-def test_a_fit_through_codes_is_better_than_what_was_seen(prior):
+@pytest.mark.parametrize("method", [HumosFit, CodesFit])
+def test_a_fit_is_better_than_what_was_seen(prior, method):
     motion = walks(seconds=1.3)
     joints = BODY.pose(motion).joints
     noise = 0.03 * torch.randn(joints.shape, generator=torch.Generator().manual_seed(0))
     every = torch.ones(joints.shape[:-1], dtype=torch.bool)
     seen = Joints3D(joints + noise, every, tuple(range(22)), motion.fps)
-    found = fit([seen], HumosFit.for_noise(prior, 0.03), BODY)
+    found = fit([seen], method.for_noise(prior, 0.03), BODY)
     error = (BODY.pose(found.motion).joints - joints).norm(dim=-1).mean()
     assert float(error) < 0.5 * float(noise.norm(dim=-1).mean())
     assert found.failed == (False, False)
@@ -172,6 +175,20 @@ def test_first_guesses_give_codes_and_no_details(prior):
     assert float(found.bend.abs().max()) == 0
     assert float(found.shift.abs().max()) == 0
     assert float(found.latent.abs().max()) > 0
+
+
+def test_a_motion_is_judged_as_a_whole(prior):
+    """What the networks know costs less than the same with frames in disorder."""
+    whole = CollocatedHumos(prior, PosePrior.load(weights=PoseWeights.tuned_joints()))
+    laws.check_prior(whole, walks(), tolerance=1e-3)
+    motion = walks()
+    order = torch.randperm(motion.frames, generator=torch.Generator().manual_seed(0))
+    mixed = motion.replace(rotations=motion.rotations[:, order])
+    good, bad = (whole.decode(whole.encode(m)).energies for m in (motion, mixed))
+    assert bool((good["error"] < 0.5 * bad["error"]).all())
+    short = motion.replace(valid=motion.valid & (torch.arange(motion.frames) < 40))
+    cut = whole.decode(whole.encode(short)).energies["error"]
+    assert bool((cut < good["error"] + 1).all())
 
 
 def test_padding_counts_nothing(prior):

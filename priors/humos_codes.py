@@ -1,4 +1,8 @@
-"""How the HUMOS prior is fitted: poses first, then codes, then details with the ground."""
+"""How codes of the HUMOS prior are fitted: poses first, then codes, then details with the ground.
+
+Slower to converge than `priors.humos_collocation`, the default: codes are whitened by how motions
+vary, from metres to millimetres, and data want all of them alike.
+"""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -34,7 +38,7 @@ class HumosCodes:
 
 
 @dataclass(frozen=True)
-class HumosWeights:
+class CodesWeights:
     """Multipliers of the unweighted energies, for an observation of weight one."""
 
     latent: float
@@ -49,7 +53,7 @@ class HumosWeights:
     """Of penetration and slide, metres²."""
 
     @classmethod
-    def for_noise(cls, noise: float) -> "HumosWeights":
+    def for_noise(cls, noise: float) -> "CodesWeights":
         """For observations whose coordinates are off by about `noise` metres.
 
         A negative log-probability counts noise² for each nat.
@@ -62,18 +66,18 @@ class HumosWeights:
 
 
 @dataclass(frozen=True, eq=False)
-class HumosFit:
+class CodesFit:
     """As a method: stages 1 and 2 under the pose prior, then codes, then all."""
 
     humos: Humos
-    weights: HumosWeights
+    weights: CodesWeights
     start: PoseWeights = field(default_factory=PoseWeights.tuned_joints)
     """Of stages 1 and 2."""
 
     @classmethod
-    def for_noise(cls, humos: Humos, noise: float) -> "HumosFit":
+    def for_noise(cls, humos: Humos, noise: float) -> "CodesFit":
         """For observations whose coordinates are off by about `noise` metres."""
-        return cls(humos, HumosWeights.for_noise(noise), PoseWeights.for_noise(noise))
+        return cls(humos, CodesWeights.for_noise(noise), PoseWeights.for_noise(noise))
 
     @cached_property
     def _poses(self) -> PosePrior:
