@@ -47,14 +47,15 @@ class HumosWeights:
     def for_noise(cls, noise: float) -> "HumosWeights":
         """For observations whose coordinates are off by about `noise` metres.
 
-        Chosen on eight validation windows among nine settings; a calibrated bound would have
-        noise² for all. Errors of neighbouring frames repeat each other, so less is better.
+        Chosen on eight validation windows among thirteen settings; a calibrated bound would have
+        noise² for all. Errors of neighbouring frames repeat each other, so less is better, and
+        codes of 0.4 s do not see trembling: smoothness keeps its weight of stages 1 and 2.
         """
-        pose, variance = PoseWeights.for_noise(noise), max(noise, 0.014) ** 2
+        variance = max(noise, 0.014) ** 2
         return cls(
-            pose=PoseWeights(0.5 * pose.pose, pose.shape, acceleration=0.15 * pose.acceleration),
-            codes=variance,
-            error=0.3 * variance,
+            pose=PoseWeights.for_noise(noise),
+            codes=0.3 * variance,
+            error=0.1 * variance,
             physics=max(noise, 0.008) ** 2,
         )
 
