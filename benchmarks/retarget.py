@@ -1,7 +1,7 @@
 """Retargeting to other bodies: physics of the result, for the network and for baselines.
 
     python -m benchmarks.retarget CORPUS --licence nc --weights nc
-        --json benchmarks/results/retarget.json --picture docs/retarget.png
+        --json benchmarks/results/retarget.json --picture retarget.png
 
 Clips, windows and target bodies are those of `benchmarks/identities.toml`. The five numbers of
 HUMOS are as released, the others as in docs/physics.md. Slip is measured while the source's
@@ -135,6 +135,8 @@ def summary(samples: Sequence[PhysicsSamples], jobs: Sequence[Job]) -> dict[str,
     return {
         "pooled": pooled,
         "without flight": over(lambda job: not job.flies),
+        "bodies of people": over(lambda job: job.real and not job.flies),
+        "bodies drawn": over(lambda job: not (job.real or job.flies)),
         "mean": mean,
         **own,
     }

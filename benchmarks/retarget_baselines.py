@@ -9,13 +9,13 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from benchmarks.retarget_clips import grounded
+from recon import reshape
 from recon import rotations as so3
 from recon.body import BodyModel, PosedBody
 from recon.grounding import flies
 from recon.grounding import grounded as obeying
 from recon.motion import Motion
-from recon.reshape import with_shape
-from recon.skeleton import TOES
+from recon.reshape import leg_length, with_shape
 
 LEGS = ((1, 4, 7, 10), (2, 5, 8, 11))
 """Hip, knee, ankle and toe joints of the left and the right leg."""
@@ -26,8 +26,7 @@ ON_GROUND, OFF_GROUND = 0.015, 0.03
 
 def copied(body: BodyModel, motion: Motion, shape: Float[Tensor, " shape"]) -> Motion:
     """The same rotations and the same path of the pelvis."""
-    before, after = (body.rest_joints(s)[..., 0, :] for s in (motion.shape, shape))
-    return motion.replace(translation=motion.translation + before - after, shape=shape)
+    return reshape.copied(motion, body, shape)
 
 
 def copied_to_ground(body: BodyModel, motion: Motion, shape: Float[Tensor, " shape"]) -> Motion:
@@ -50,7 +49,7 @@ def foot_ik(body: BodyModel, motion: Motion, shape: Float[Tensor, " shape"]) -> 
     start = scaled(body, motion, shape)
     source, posed = body.pose(motion), body.pose(start)
     origin = source.joints[:1, 0, :2]
-    ratio = _leg(body, shape) / _leg(body, motion.shape)
+    ratio = leg_length(body, shape) / leg_length(body, motion.shape)
     level, own = sole_heights(source), sole_heights(posed)
     wanted = torch.minimum(
         level.clamp(min=0),
@@ -81,12 +80,6 @@ def sole_heights(posed: PosedBody) -> Float[Tensor, "time 2"]:
     owner = posed.model.weights.argmax(-1)
     feet = [torch.isin(owner, owner.new_tensor(leg[2:])).nonzero()[:, 0] for leg in LEGS]
     return torch.stack([posed.points(foot)[..., 2].amin(-1) for foot in feet], -1)
-
-
-def _leg(body: BodyModel, shape: Float[Tensor, " shape"]) -> Tensor:
-    """From the toe joints up to the pelvis at rest, as in `recon.reshape`."""
-    rest = body.rest_joints(shape)[:, 1]
-    return rest[0] - rest[list(TOES)].mean()
 
 
 def _reaching(

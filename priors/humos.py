@@ -77,20 +77,25 @@ class Humos:
 
         Raises:
             FileNotFoundError: when there is no such file.
-            ValueError: when it holds something else, or the body has other shape coefficients.
+            ValueError: when it holds something else, or the body is not the bundled one.
         """
         body = BodyModel.load() if body is None else body
         found = load_weights(weights)
-        if body.shape_size != found.shape:
+        if body.checksum != BodyModel.load().checksum:
             raise ValueError(
-                f"the HUMOS weights know bodies of {found.shape} shape coefficients, "
-                f"{body.name!r} has {body.shape_size}; train weights for it"
+                f"the HUMOS weights know the bundled body alone, got {body.name!r}; fit a motion "
+                "of the bundled body first, or take the prior `humor`"
             )
         return cls(found, body)
 
     def encode(self, motion: Motion) -> HumosVariables:
-        """Mean codes of each clip, and as details all that they leave out: exact."""
+        """Mean codes of each clip, and as details all that they leave out: exact.
+
+        Raises:
+            ValueError: when the clips are longer than networks of one code per clip know.
+        """
         coarse = at_rate(motion)
+        self._known(coarse.frames)
         frames, base = BodyFrames.of(coarse, self.body)
         exists = self.exists(motion.valid, motion.fps)
         with torch.no_grad():
@@ -153,16 +158,11 @@ class Humos:
             ValueError: when they would be shorter than a second, or longer than clips that
                 networks of one code per clip know.
         """
-        frames = round(seconds * FPS) + 1
-        if frames <= FPS:
+        if not 1 <= seconds < float("inf"):
             raise ValueError(f"expected at least 1 second, got {seconds:g}; ask for more")
-        one = self.weights.one_code
-        if one and frames > self.weights.frames:
-            raise ValueError(
-                f"these weights know clips of {self.weights.frames / FPS:g} s, asked for "
-                f"{seconds:g}; ask for less, or take weights with a code per window"
-            )
-        memory = 1 if one else windows_of(frames)
+        frames = round(seconds * FPS) + 1
+        self._known(frames)
+        memory = 1 if self.weights.one_code else windows_of(frames)
         codes = self.weights.density.drawn(len(shape), memory, generator)
         exists = torch.ones(len(shape), windows_of(frames), dtype=torch.bool)
         with torch.no_grad():
@@ -170,6 +170,18 @@ class Humos:
         base = torch.eye(4).expand(len(shape), 4, 4)
         made = BodyFrames.unpack(rows)
         return made.motion(shape, self.body, FPS, base)
+
+    @property
+    def longest(self) -> float:
+        """Seconds that a clip may last."""
+        return self.weights.frames / FPS if self.weights.one_code else float("inf")
+
+    def _known(self, frames: int) -> None:
+        if frames > self.longest * FPS:
+            raise ValueError(
+                f"these weights know clips of {self.longest:g} s, got {frames / FPS:g} s; cut it, "
+                "or take weights with a code per window"
+            )
 
     def _with_details(self, x: HumosVariables, motion: Motion) -> HumosVariables:
         """Details with which the variables decode to a motion."""

@@ -31,7 +31,7 @@ _FREE = frozenset({"translation", "root", "pose", "shape"})
 
 
 @dataclass(frozen=True)
-class HumosWeights:
+class WholeWeights:
     """Multipliers of the unweighted energies, for an observation of weight one."""
 
     pose: PoseWeights
@@ -44,7 +44,7 @@ class HumosWeights:
     """Of penetration and slide, nats."""
 
     @classmethod
-    def for_noise(cls, noise: float) -> "HumosWeights":
+    def for_noise(cls, noise: float) -> "WholeWeights":
         """For observations whose coordinates are off by about `noise` metres.
 
         Chosen on eight validation windows among thirteen settings; a calibrated bound would have
@@ -100,14 +100,14 @@ class HumosFit:
     """As a method: stages 1 and 2 under the pose prior, the motion as a whole, then the ground."""
 
     humos: Humos
-    weights: HumosWeights
+    weights: WholeWeights
     start: PoseWeights
     """Of stages 1 and 2."""
 
     @classmethod
     def for_noise(cls, humos: Humos, noise: float) -> "HumosFit":
         """For observations whose coordinates are off by about `noise` metres."""
-        return cls(humos, HumosWeights.for_noise(noise), PoseWeights.for_noise(noise))
+        return cls(humos, WholeWeights.for_noise(noise), PoseWeights.for_noise(noise))
 
     @cached_property
     def _poses(self) -> PosePrior:

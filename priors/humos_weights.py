@@ -17,6 +17,8 @@ from recon.struct import TensorStruct
 
 _BASIS, _DENSITY = "basis.", "density."
 _SIZES = ("latent", "basis", "shape", "width", "layers")
+_MEMORY = 0.98
+"""Most that any direction of a code keeps to the next."""
 _KINDS = {"windows": WindowNetworks, "clip": ClipNetworks}
 
 
@@ -40,7 +42,9 @@ class CodeDensity(TensorStruct):
         cls, codes: Float[Tensor, "codes latent"], variance: Float[Tensor, " latent"],
         pairs: tuple[Float[Tensor, "pairs latent"], Float[Tensor, "pairs latent"]],
     ) -> "CodeDensity":  # fmt: skip
-        """Moments of all posteriors, and least squares from each code to the next.
+        """Moments of all posteriors, and covariances of neighbours.
+
+        Stationary: rest restᵀ = I - follow followᵀ, so that u has unit variance at any time.
 
         Args:
             codes: means of posteriors.
@@ -58,12 +62,11 @@ class CodeDensity(TensorStruct):
                 torch.linalg.solve_triangular(root, (p.double() - mean).mT, upper=False).mT
                 for p in pairs
             )
-            white = torch.linalg.solve_triangular(root, noise, upper=False)
-            white = torch.linalg.solve_triangular(root, white.mT, upper=False)
-            together = before.mT @ before / len(before) + white
-            follow = torch.linalg.solve(together, before.mT @ after / len(before)).mT
-            left = after - before @ follow.mT
-            rest = torch.linalg.cholesky(left.mT @ left / len(left) + white)
+            # u has unit variance, so the covariance of neighbours is the regression itself; held
+            # below one, it forgets, and no clip grows however long it is
+            left, lengths, right = torch.linalg.svd(after.mT @ before / len(before))
+            follow = (left * lengths.clamp(max=_MEMORY)) @ right
+            rest = torch.linalg.cholesky(torch.eye(size, dtype=torch.float64) - follow @ follow.mT)
         return cls(mean.float(), root.float(), follow.float(), rest.float())
 
     def white(

@@ -79,8 +79,8 @@ class NearTo(TensorStruct):
         """½ Σ |p - q|² + `SMOOTH` ½ Σ |second difference of p - r|²; metres², at 30 Hz."""
         motion = estimate.motion
         rate = motion.fps / REFERENCE_FPS
-        exists = motion.valid[..., None, None]
-        away = (estimate.body.joints - self.places).where(exists, 0.0)
-        bend = (estimate.body.joints - self.moving).where(exists, 0.0).diff(n=2, dim=-3)
-        near = away.square().sum((-1, -2, -3)) / rate
-        return 0.5 * (near + SMOOTH * bend.square().sum((-1, -2, -3)) * rate**3)
+        valid, joints = motion.valid, estimate.body.joints
+        triples = valid[..., 2:] & valid[..., 1:-1] & valid[..., :-2]
+        away = (joints - self.places).square().sum((-1, -2)).where(valid, 0.0)
+        bend = (joints - self.moving).diff(n=2, dim=-3).square().sum((-1, -2)).where(triples, 0.0)
+        return 0.5 * (away.sum(-1) / rate + SMOOTH * bend.sum(-1) * rate**3)

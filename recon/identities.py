@@ -81,10 +81,10 @@ def identity(spec: str, body: BodyModel) -> Float[Tensor, " shape"]:
             no shape has it.
     """
     words = [word.strip() for word in spec.split(",")]
-    if spec.strip().endswith(".npz") or Path(spec).is_file():
-        return load_motion_of(Path(spec.strip()), body).motion.shape
     if _numbers(words):
         return _coefficients(spec, words, body)
+    if spec.strip().endswith(".npz") or Path(spec).is_file():
+        return load_motion_of(Path(spec.strip()), body).motion.shape
     return _person(_wishes(spec, words), body)
 
 

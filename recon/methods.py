@@ -128,8 +128,9 @@ class WithPhysics:
     """A method and a stage more, in which the body stands on the ground z = 0 as well.
 
     The stage is the method's last one again, with all that it moves and minimises, and these
-    terms. It comes last and is short because an iteration takes about twice as long with a part of
-    the skin to compute, and because feet that stand wrongly in a first guess would be held there.
+    terms, which take the place of those of the same name. It comes last and is short because an
+    iteration takes about twice as long with a part of the skin to compute, and because feet that
+    stand wrongly in a first guess would be held there.
     """
 
     method: Method
@@ -141,5 +142,6 @@ class WithPhysics:
         stages = self.method.stages(data)
         last = stages[-1]
         minimiser = replace(last.minimiser, max_iterations=self.iterations)
-        terms = (*last.terms, *self.terms)
+        own = {term.name for term in self.terms}
+        terms = (*(term for term in last.terms if term.name not in own), *self.terms)
         return (*stages, replace(last, name="physics", terms=terms, minimiser=minimiser))

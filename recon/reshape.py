@@ -9,6 +9,12 @@ from recon.motion import Motion
 from recon.skeleton import TOES
 
 
+def copied(motion: Motion, body: BodyModel, shape: Float[Tensor, "*batch shape"]) -> Motion:
+    """The same rotations and the same path of the pelvis, wherever that puts the feet."""
+    before, after = (body.rest_joints(s)[..., None, 0, :] for s in (motion.shape, shape))
+    return motion.replace(translation=motion.translation + before - after, shape=shape)
+
+
 def with_shape(motion: Motion, body: BodyModel, shape: Float[Tensor, "*batch shape"]) -> Motion:
     """What a body of another shape does when it does the same.
 

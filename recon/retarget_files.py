@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from priors.humos import Humos
+from priors.humos import FPS, Humos
 from recon import rotations as so3
 from recon.body import BodyModel
 from recon.fit_files import UP, write_result
@@ -22,13 +22,12 @@ from recon.motion import Motion
 from recon.motion_files import load_motion_of
 from recon.physics_metrics import physics_metrics
 from recon.physics_samples import NO_GROUND, PhysicsSamples, physics_samples
-from recon.retargeting import OVERLAP, WINDOW, retarget
+from recon.reshape import copied
+from recon.retargeting import OVERLAP, SHORTEST, WINDOW, retarget
 from recon.windows import Windows
 
-RATE = 20.0
+RATE = FPS
 """Hz, of the prior and of HUMOS's metrics."""
-SHORTEST = 1.0
-"""Seconds that a motion must last, all its frames counted."""
 _LEVEL = math.cos(math.radians(1.0))
 """Cosine of the tilt up to which a ground is level."""
 
@@ -83,6 +82,7 @@ def retarget_files(motion: Path, out: Path, settings: RetargetSettings) -> dict[
     warnings = rate_warnings(motion, source, body) + ground_warnings(motion, before, told)
     warnings += [f"--shape {settings.shape}: {doubt}" for doubt in doubts(body, shape)]
     made = _retargeted(source, shape, body, settings).detach()
+    result = made if settings.fps is None else made.resample(settings.fps)
     windows = Windows.cover(source.frames, round(WINDOW * source.fps), round(OVERLAP * source.fps))
     versions = {
         "recon": version("motion-recon"),
@@ -92,21 +92,20 @@ def retarget_files(motion: Path, out: Path, settings: RetargetSettings) -> dict[
     report = {
         "source": {"file": str(motion), **_measures(body, source.shape)},
         "target": {"asked": settings.shape, **_measures(body, shape)},
-        "frames": source.frames,
-        "fps": source.fps,
+        "frames": result.frames,
+        "fps": result.fps,
         "windows": [start / source.fps for start in windows.starts],
         "ground": ground,
         "rotation_change": float(so3.geodesic(source.rotations, made.rotations).mean()),
         "physics": {
             "source": physics_metrics(before),
-            "copy": _physics(source.replace(shape=shape), body, before),
+            "copy": _physics(copied(source, body, shape), body, before),
             "retargeted": _physics(made, body, before),
         },
         "warnings": warnings,
         "settings": asdict(settings),
         "versions": versions,
     }
-    result = made if settings.fps is None else made.resample(settings.fps)
     write_result(out, raised(result, ground), body, report, ground)
     return report
 

@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from priors.humos import FPS
 from priors.humos_frames import BodyFrames
 from priors.training.dataset import Licence, Part, Splits, clip_files, is_flat, mirrored_rotations
 from recon.body import BodyModel
@@ -18,8 +19,6 @@ from recon.struct import TensorStruct, concatenate
 
 _LOG = logging.getLogger(__name__)
 
-FPS = 20.0
-"""Frames per second of the prior."""
 _HIGH, _LONG = 0.25, 5
 """Clips whose lowest point is above so many metres in more than so many frames stand on something
 that was not recorded (HUMOS, appendix)."""

@@ -6,10 +6,11 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from priors.humos import FPS
 from priors.humos_basis import HOP, windows_of
 from priors.humos_frames import BodyFrames
 from priors.humos_nets import Networks
-from priors.training.humos_corpus import FPS, BodyBatch
+from priors.training.humos_corpus import BodyBatch
 from recon import physics
 from recon import rotations as so3
 from recon.body import BodyModel
@@ -21,7 +22,7 @@ from recon.scene import Scene
 _NUMBER, _JOINT, _STEP = 0.02, 0.02, 0.005
 """Metres: errors of numbers, of joints, and of a joint's step to the next frame, that cost ½."""
 _FLYING = 0.03
-"""Metres above which the lowest point of a recorded body flies."""
+"""Lengths of leg above which the lowest point of a recorded body flies."""
 
 
 @dataclass(frozen=True)

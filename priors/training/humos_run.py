@@ -84,6 +84,17 @@ class HumosTraining:
     seed: int = 0
     threads: int = 1
 
+    def __post_init__(self) -> None:
+        """Refuse what has no meaning, before a corpus is read."""
+        if self.codes == "windows" and self.latent > self.basis:
+            raise ValueError(
+                f"codes of {self.latent} numbers begin as as many of {self.basis} principal "
+                "directions: give a smaller latent, or a larger basis"
+            )
+        for name in ("latent", "basis", "width", "layers", "clips", "frames", "physics_frames"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+
     @property
     def all_steps(self) -> int:
         """Of both parts."""

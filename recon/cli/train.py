@@ -40,6 +40,8 @@ def train(
     """
     from recon.cli import console
 
+    asked = {"steps": steps, "latent": latent}
+    asked = {name: value for name, value in asked.items() if value is not None}
     if prior == "pose":
         from priors.training.pose import PoseTraining
         from priors.training.pose import train as train_pose
@@ -52,7 +54,7 @@ def train(
 
         _processor_only(prior, device)
         run = AnchorTraining(corpus=corpus, out=out.with_suffix(""), data=data, seed=seed)
-        run = replace(run, steps=steps or run.steps, latent=latent or run.latent)
+        run = replace(run, **asked)
         train_anchor(run)
         export_anchor(run, out)
     elif prior == "humos":
@@ -62,7 +64,7 @@ def train(
 
         _processor_only(prior, device)
         run = HumosTraining(corpus=corpus, out=out.with_suffix(""), data=data, seed=seed)
-        run = replace(run, steps=steps or run.steps, latent=latent or run.latent)
+        run = replace(run, **asked)
         train_humos(run)
         export_humos(run, out)
     else:

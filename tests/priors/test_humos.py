@@ -111,6 +111,14 @@ def test_density_is_that_of_codes_one_after_the_other():
     )
 
 
+def test_codes_of_long_clips_do_not_grow():
+    density = Humos.load("open").weights.density
+    white = density.white(density.drawn(64, 300, torch.Generator().manual_seed(0)))
+    assert float(white[:, 0].square().mean()) == pytest.approx(1, rel=0.1)
+    assert float(white[:, -1].square().mean()) == pytest.approx(1, rel=0.1)
+    assert float(torch.linalg.matrix_norm(density.follow, 2)) < 1
+
+
 def test_drawn_codes_are_spread_as_the_density_says():
     weights = tiny_weights(BODY)
     drawn = weights.density.drawn(4000, 3, torch.Generator().manual_seed(0))

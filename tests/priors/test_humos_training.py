@@ -177,6 +177,13 @@ def test_a_run_that_was_cut_goes_on_as_if_it_had_not_been(folder, tmp_path, monk
         train_on(replace(cut, latent=5), corpus, checked)
 
 
+def test_settings_that_mean_nothing_are_refused(folder, tmp_path):
+    with pytest.raises(ValueError, match="codes of 320 numbers"):
+        settings_of(folder, tmp_path, latent=320, basis=256)
+    with pytest.raises(ValueError, match="width must be at least 1"):
+        settings_of(folder, tmp_path, width=0)
+
+
 def test_trained_weights_are_a_prior_and_warm_runs_begin_with_them(folder, tmp_path):
     settings = settings_of(folder, tmp_path / "run")
     train(settings)

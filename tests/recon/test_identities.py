@@ -20,6 +20,13 @@ def measures(spec: str) -> tuple[float, float]:
     return float(height(BODY, shape)), float(weight(BODY, shape))
 
 
+def test_many_long_coefficients_are_no_file():
+    """As pasted from a report: longer than a file's name may be."""
+    spec = ",".join(f"{0.1 * k + 1 / 3:.17f}" for k in range(16))
+    assert len(spec) > 255
+    assert float(identity(spec, BodyModel.load())[3]) == pytest.approx(0.3 + 1 / 3)
+
+
 def test_coefficients_are_themselves_and_the_others_zero():
     shape = identity(" -0.5, 1,2e-1", BODY)
     torch.testing.assert_close(shape, torch.tensor([-0.5, 1.0, 0.2] + [0.0] * 13))

@@ -7,6 +7,7 @@ from observations.joints3d import Joints3D
 from priors.humor_collocation import Collocation
 from priors.pose import PosePrior
 from recon import physics
+from recon.body import BodyModel
 from recon.methods import WithoutRoot, WithPhysics, method_of, physics_terms
 from recon.reconstruction import fit
 from recon.settings import FitSettings
@@ -17,6 +18,16 @@ from tests.recon.standing_body import path, standing, times
 
 def data() -> tuple[Term, ...]:
     return (Term("data", lambda estimate: estimate.motion.translation.sum((-1, -2)), 1.0),)
+
+
+@pytest.mark.parametrize("prior", ["pose", "humor", "humos"])
+def test_every_prior_goes_with_physics(prior):
+    """Terms of the same name are there once."""
+    settings = FitSettings(prior=prior, physics=1.0)
+    stages = method_of(settings, 0.02, BodyModel.load()).stages((Term("data", lambda e: e, 1.0),))
+    names = [term.name for term in stages[-1].terms]
+    assert len(names) == len(set(names))
+    assert {"penetration", "slide"} <= set(names)
 
 
 def test_the_prior_asked_for_with_weights_for_the_noise():

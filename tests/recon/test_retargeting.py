@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from priors.humos import Humos
+from priors.humos_nets import ClipNetworks
 from recon import rotations as so3
 from recon.body import BodyModel
 from recon.formats.amass import load_motion
@@ -58,6 +59,26 @@ def test_long_clips_are_joined_from_windows_without_a_seam(prior):
     assert float(step) < 2 * float(reference.translation.diff(dim=0).norm(dim=-1).max())
 
 
+def test_fast_recordings_do_not_tremble(prior):
+    """Between frames at 20 Hz the body rises and falls as recorded."""
+    walk = a_walk(BODY, seconds=1.5, fps=120.0)
+
+    def shake(motion):
+        return float(motion.translation[:, 2].diff(n=2).square().mean().sqrt()) * 120**2
+
+    scaled = shake(with_shape(walk, BODY, other()))
+    for made in (proposed(walk, other(), prior), retarget(walk, other(), prior)):
+        assert shake(made) < 1.5 * scaled + 6.0
+
+
+def test_one_code_per_clip_is_retargeted_in_windows_that_it_knows():
+    walk = a_walk(BODY, seconds=5.0, fps=20.0)
+    small = tiny_prior(BODY, ClipNetworks)
+    with pytest.raises(ValueError, match="know clips of 2 s"):
+        small.encode(walk[None])
+    assert proposed(walk, other(), small).frames == walk.frames
+
+
 def test_feet_of_another_body_slide_less_than_those_of_a_copy(prior):
     walk = a_walk(BODY, seconds=2.0, fps=20.0)
     touch = physics_samples(walk, BODY).soles_touch
@@ -76,6 +97,12 @@ def test_what_cannot_be_retargeted_is_refused(prior):
         retarget(walk.window(0, 15), other(), prior)
     with pytest.raises(ValueError, match="one clip"):
         retarget(walk.map(lambda tensor: tensor[None]), other(), prior)
+    with pytest.raises(ValueError, match="expected shapes of 16"):
+        retarget(walk, other()[:10], prior)
+    with pytest.raises(ValueError, match="the shape has nan"):
+        retarget(walk, other() * torch.nan, prior)
+    with pytest.raises(ValueError, match="the motion has nan"):
+        retarget(walk.replace(translation=walk.translation * torch.nan), other(), prior)
     padded = walk.replace(valid=torch.arange(walk.frames) < 30)
     with pytest.raises(ValueError, match="frames exist"):
         retarget(padded, other(), prior)
