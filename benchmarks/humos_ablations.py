@@ -4,9 +4,10 @@
         --json benchmarks/results/humos_ablations.json
 
 Every row is 400 steps from body to body and back, begun with the same auto-encoder (1,500 steps,
-or the one given), on clips that weights of the package may learn from. Judged on the test clips
-of `benchmarks/identities.toml`, without those that fly, on what the networks propose alone:
-physics as in `benchmarks.retarget`, and the joint error of codes on the clips' own bodies.
+or the one given; one code per clip has its own), on clips that weights of the package may learn
+from. Judged on the test clips of `benchmarks/identities.toml`, without those that fly, on what the
+networks propose alone: physics as in `benchmarks.retarget`, and the joint error of codes on the
+clips' own bodies.
 """
 
 import argparse
