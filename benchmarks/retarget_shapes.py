@@ -26,7 +26,7 @@ from benchmarks.results import show, write
 from benchmarks.retarget_clips import Job, load_jobs
 from priors.humos import FPS, Humos
 from priors.training.humos_corpus import AS_RECORDED, BodyCorpus
-from priors.training.humos_losses import encoded, existing_windows
+from priors.training.humos_losses import encoded
 from recon import rotations as so3
 from recon.formats.files import replacing
 from recon.identities import identity
@@ -176,7 +176,7 @@ def _codes(
     """Codes of windows on drawn bodies, and of what the networks make of them on others."""
     batch = corpus.draw(_DRAWN, 64, AS_RECORDED, random)
     some = batch.valid.all(-1)
-    exists = existing_windows(batch.valid)[some]
+    exists = batch.windows[some]
     rows = batch.frames.map(lambda rows: rows[some]).pack()
     shape, other = torch.randn(2, *batch.shape[some].shape, generator=random)
     networks, density = prior.weights.networks, prior.weights.density

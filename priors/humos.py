@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from priors.anchor_basis import cosines
-from priors.humos_basis import HOP, windows_of
+from priors.humos_basis import existing_windows, windows_of
 from priors.humos_frames import BodyFrames, levers, lowest_of, turn_of
 from priors.humos_weights import HumosWeights, load_weights
 from recon import rotations as so3
@@ -208,9 +208,8 @@ class Humos:
         self, valid: Bool[Tensor, "*batch time"], fps: float
     ) -> Bool[Tensor, "*batch windows"]:
         """Windows that hold a frame that exists."""
-        count = ((valid.sum(-1, keepdim=True) - 1) * (FPS / fps)).ceil() + 1
-        windows = windows_of(frames_at_rate(valid.shape[-1], fps))
-        return torch.arange(windows, device=valid.device) * HOP < count + HOP
+        count = ((valid.sum(-1, keepdim=True) - 1) * (FPS / fps)).ceil().long() + 1
+        return existing_windows(count, frames_at_rate(valid.shape[-1], fps))
 
 
 @lru_cache(maxsize=1)

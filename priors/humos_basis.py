@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from priors.humos_frames import NUMBERS
@@ -71,6 +71,14 @@ class LappedBasis(TensorStruct):
 def windows_of(frames: int) -> int:
     """Windows that so many frames are cut into."""
     return math.ceil(frames / HOP) + 1
+
+
+def existing_windows(
+    count: Int[Tensor, "*batch 1"], frames: int
+) -> Bool[Tensor, "*batch windows"]:
+    """Windows that hold one of the first `count` of so many frames."""
+    first = torch.arange(windows_of(frames), device=count.device) * HOP
+    return first < count + HOP
 
 
 def _cut(rows: Float[Tensor, "*batch time numbers"]) -> Float[Tensor, "*batch windows all"]:

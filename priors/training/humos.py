@@ -19,7 +19,6 @@ from priors.training.humos_corpus import BodyBatch, BodyCorpus
 from priors.training.humos_losses import (
     divergence,
     encoded,
-    existing_windows,
     numbers_error,
     physics_losses,
     reconstruction,
@@ -106,7 +105,7 @@ def training_step(run: HumosRun, learned: BodyCorpus) -> float:
 def _loss(run: HumosRun, batch: BodyBatch, body: BodyModel, cycle: bool) -> Tensor:
     """Reconstruction and divergence; in the second part also the way to a body and back."""
     settings, networks = run.settings, run.networks.train()
-    frames, exists = settings.frames, existing_windows(batch.valid)
+    frames, exists = settings.frames, batch.windows
     codes = encoded(networks, batch.frames.pack(), batch.shape, exists, run.random)
     same = networks.decode(codes.drawn, batch.shape, exists, frames)
     total = reconstruction(same, batch, body) + settings.kl * divergence(codes, exists)
@@ -131,7 +130,7 @@ def _loss(run: HumosRun, batch: BodyBatch, body: BodyModel, cycle: bool) -> Tens
 def validate(run: HumosRun, held_out: BodyBatch, body: BodyModel) -> dict[str, float]:
     """Errors on other people, there and back, and physics of the motion on another body."""
     networks, frames = run.averaged, run.settings.frames
-    exists = existing_windows(held_out.valid)
+    exists = held_out.windows
     with torch.no_grad():
         codes = encoded(networks, held_out.frames.pack(), held_out.shape, exists, None)
         same = networks.decode(codes.mean, held_out.shape, exists, frames)

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from priors.humos import FPS
+from priors.humos_basis import existing_windows
 from priors.humos_frames import BodyFrames
 from priors.training.dataset import Licence, Part, Splits, clip_files, is_flat, mirrored_rotations
 from recon.body import BodyModel
@@ -55,6 +56,11 @@ class BodyBatch(TensorStruct):
     shape: Float[Tensor, "windows shape"]
     other: Float[Tensor, "windows shape"]
     """Of another body."""
+
+    @property
+    def windows(self) -> Bool[Tensor, "windows codes"]:
+        """Codes that have a frame of their own."""
+        return existing_windows(self.valid.sum(-1, keepdim=True), self.valid.shape[-1])
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import torch
 from priors.humos_weights import CodeDensity, HumosWeights, save_weights
 from priors.training.dataset import Splits
 from priors.training.humos_corpus import BodyCorpus, BodyVariation
-from priors.training.humos_losses import encoded, existing_windows
+from priors.training.humos_losses import encoded
 from priors.training.humos_run import HumosRun, HumosTraining, plain
 from recon.body import BodyModel
 
@@ -41,7 +41,7 @@ def export_learned(settings: HumosTraining, path: Path, learned: BodyCorpus) -> 
     codes, variances, before, after = [], [], [], []
     for _ in range(_STRETCHES // 64):
         batch = learned.draw(64, settings.frames, _SPREAD, random)
-        exists = existing_windows(batch.valid)
+        exists = batch.windows
         with torch.no_grad():
             found = encoded(networks, batch.frames.pack(), batch.shape, exists, None)
         one = found.mean.shape[1] == 1

@@ -7,7 +7,6 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from priors.humos import FPS
-from priors.humos_basis import HOP, windows_of
 from priors.humos_frames import BodyFrames
 from priors.humos_nets import Networks
 from priors.training.humos_corpus import BodyBatch
@@ -47,12 +46,6 @@ def encoded(
         return Codes(mean, log_variance, mean)
     noise = torch.randn(mean.shape, generator=random)
     return Codes(mean, log_variance, mean + noise * (0.5 * log_variance).exp())
-
-
-def existing_windows(valid: Bool[Tensor, "clips time"]) -> Bool[Tensor, "clips windows"]:
-    """Windows that hold a frame that exists."""
-    count = valid.sum(-1, keepdim=True)
-    return torch.arange(windows_of(valid.shape[-1])) * HOP < count + HOP
 
 
 def reconstruction(

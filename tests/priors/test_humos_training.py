@@ -8,13 +8,14 @@ import pytest
 import torch
 
 from priors.humos import Humos
+from priors.humos_basis import existing_windows
 from priors.humos_frames import BodyFrames
 from priors.training import humos as module
 from priors.training.dataset import Licence, Part, Splits
 from priors.training.humos import train, train_on
 from priors.training.humos_corpus import AS_RECORDED, BodyCorpus, BodyVariation
 from priors.training.humos_export import export_learned
-from priors.training.humos_losses import existing_windows, physics_losses, reconstruction
+from priors.training.humos_losses import physics_losses, reconstruction
 from priors.training.humos_run import HumosTraining
 from recon.body import BodyModel
 from recon.formats.amass import MotionFile, save_motion
@@ -143,8 +144,8 @@ def test_physics_sees_sinking_hovering_and_sliding(folder):
 
 
 def test_windows_that_hold_a_frame_exist():
-    valid = torch.arange(40) < torch.tensor([[40], [9], [1]])
-    assert existing_windows(valid).sum(-1).tolist() == [6, 3, 2]
+    count = torch.tensor([[40], [9], [1]])
+    assert existing_windows(count, 40).sum(-1).tolist() == [6, 3, 2]
 
 
 @pytest.mark.parametrize("codes", ["windows", "clip"])
