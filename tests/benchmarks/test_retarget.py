@@ -9,7 +9,6 @@ import torch
 
 from benchmarks.retarget import itself, measured, summary, with_sums
 from benchmarks.retarget_baselines import (
-    ITERATIONS,
     copied,
     copied_to_ground,
     foot_ik,
@@ -162,7 +161,7 @@ def slip_of(samples: PhysicsSamples) -> float:
 def test_physics_alone_lowers_slip_and_stays_near(monkeypatch: pytest.MonkeyPatch) -> None:
     random = torch.Generator().manual_seed(0)
     shape, motion = 2 * torch.randn(16, generator=random), squatting()
-    monkeypatch.setattr("benchmarks.retarget_baselines.ITERATIONS", min(ITERATIONS, 8))
+    monkeypatch.setattr("recon.grounding.ITERATIONS", 8)
     job = Job("clip", "one", motion, shape, False, False)
     (before, _), (after, more) = (measured(f, [job], BODY) for f in (scaled, physics_only))
     a, b = (concatenate(samples) for samples in (before, after))
