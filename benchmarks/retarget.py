@@ -132,7 +132,7 @@ def summary(samples: Sequence[PhysicsSamples], jobs: Sequence[Job]) -> dict[str,
     own = {name: over(lambda job, name=name: job.subject == name) for name in subjects}
     pooled = over(lambda _: True)
     mean = {key: _mean(own, key) for key in pooled}
-    return {
+    groups = {
         "pooled": pooled,
         "without flight": over(lambda job: not job.flies),
         "bodies of people": over(lambda job: job.real and not job.flies),
@@ -140,6 +140,7 @@ def summary(samples: Sequence[PhysicsSamples], jobs: Sequence[Job]) -> dict[str,
         "mean": mean,
         **own,
     }
+    return {name: row for name, row in groups.items() if row}
 
 
 def normalised(errors: Sequence[float | None], copy: Sequence[float | None]) -> float | None:

@@ -180,7 +180,8 @@ def test_rows_are_pooled_by_subject_and_sums_count_copies() -> None:
         samples, _ = measured(method, jobs, BODY)
         table[name] = summary(samples, jobs)
     with_sums(table)
-    assert list(table["copy"]) == ["pooled", "without flight", "mean", "a", "b"]
+    groups = ["pooled", "without flight", "bodies drawn", "mean", "a", "b"]
+    assert list(table["copy"]) == groups  # nobody's target is a recorded person's
     assert table["copy"]["a"] == table["copy"]["without flight"]
     for group in table["copy"].values():
         assert group["penetrate"] > 0.02
