@@ -79,8 +79,8 @@ class NearTo(TensorStruct):
         """½ Σ |p - q|² + `SMOOTH` ½ Σ |second difference of p - r|²; metres², at 30 Hz."""
         motion = estimate.motion
         rate = motion.fps / REFERENCE_FPS
-        valid, joints = motion.valid, estimate.body.joints
-        triples = valid[..., 2:] & valid[..., 1:-1] & valid[..., :-2]
-        away = (joints - self.places).square().sum((-1, -2)).where(valid, 0.0)
-        bend = (joints - self.moving).diff(n=2, dim=-3).square().sum((-1, -2)).where(triples, 0.0)
+        joints = estimate.body.joints
+        away = (joints - self.places).square().sum((-1, -2)).where(motion.valid, 0.0)
+        bend = (joints - self.moving).diff(n=2, dim=-3).square().sum((-1, -2))
+        bend = bend.where(motion.inner(), 0.0)
         return 0.5 * (away.sum(-1) / rate + SMOOTH * bend.sum(-1) * rate**3)

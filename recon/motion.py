@@ -45,6 +45,12 @@ class Motion(TensorStruct):
         """Number of frames, padding included."""
         return self.translation.shape[-2]
 
+    def inner(self, step: int = 1) -> Bool[Tensor, "*batch inner"]:
+        """Frames that exist together with those `step` before and after; none at the ends."""
+        stop = max(self.frames - step, step)
+        before, after = self.valid[..., : stop - step], self.valid[..., 2 * step :]
+        return before & self.valid[..., step:stop] & after
+
     @property
     def times(self) -> Float[Tensor, " time"]:
         """Time of every frame, seconds."""

@@ -101,7 +101,7 @@ def dynamic_stability(estimate: Estimate) -> Float[Tensor, "*batch"]:
     away = (centre_of_pressure(points, surface.areas) - zmp(moving)).square().sum(-1)
     near = 1 - smoothstep(lowest_point(points[..., 2]), *NEAR_GROUND)
     cost = supported(moving) * near * _bounded(away, BALANCE_SCALE)
-    total = cost.where(_triples(estimate.motion.valid, step), 0.0).sum(-1)
+    total = cost.where(estimate.motion.inner(step), 0.0).sum(-1)
     return 0.5 * total * (REFERENCE_FPS / estimate.motion.fps)
 
 
@@ -163,14 +163,8 @@ def _edges_repeated(
         return motion.translation.new_ones(motion.valid.shape)
     step = difference_step(motion.fps)
     # the last inner frame of a padded clip is the last whose neighbours exist
-    last = (_triples(motion.valid, step).sum(-1, keepdim=True) - 1).clamp(min=0)
+    last = (motion.inner(step).sum(-1, keepdim=True) - 1).clamp(min=0)
     frame = torch.arange(motion.frames, device=values.device) - step
     nearest = frame.clamp(min=0).expand(motion.valid.shape).minimum(last)
-    known = _triples(motion.valid, step).any(-1, keepdim=True)
+    known = motion.inner(step).any(-1, keepdim=True)
     return values.gather(-1, nearest).where(known, 1.0)
-
-
-def _triples(valid: Bool[Tensor, "*batch time"], step: int) -> Bool[Tensor, "*batch inner"]:
-    stop = max(valid.shape[-1] - step, step)
-    before, after = valid[..., : stop - step], valid[..., 2 * step :]
-    return before & valid[..., step:stop] & after

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import cast
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
 from recon.protocols import REFERENCE_FPS, Energy, Estimate
@@ -60,16 +60,14 @@ def joint_acceleration(estimate: Estimate) -> Float[Tensor, "*batch"]:
     """½ Σ |p_(t+1) - 2 p_t + p_(t-1)|² of the 22 joints, per (1/30 s)²; metres²."""
     motion = estimate.motion
     bend = estimate.body.joints.diff(n=2, dim=-3).square().sum((-1, -2))
-    return (
-        0.5 * bend.where(_triples(motion.valid), 0.0).sum(-1) * (motion.fps / REFERENCE_FPS) ** 3
-    )
+    return 0.5 * bend.where(motion.inner(), 0.0).sum(-1) * (motion.fps / REFERENCE_FPS) ** 3
 
 
 def joint_jerk(estimate: Estimate) -> Float[Tensor, "*batch"]:
     """½ Σ |third difference|² of the 22 joints, per (1/30 s)³; metres²."""
     motion = estimate.motion
     bend = estimate.body.joints.diff(n=3, dim=-3).square().sum((-1, -2))
-    exists = _triples(motion.valid)[..., 1:] & motion.valid[..., :-3]
+    exists = motion.inner()[..., 1:] & motion.valid[..., :-3]
     return 0.5 * bend.where(exists, 0.0).sum(-1) * (motion.fps / REFERENCE_FPS) ** 5
 
 
@@ -107,7 +105,3 @@ def ground_moved(estimate: Estimate) -> Float[Tensor, "*batch"]:
     assert unknown is not None, "the ground is known: leave this term out"
     turn = TILT * unknown.tilt
     return 0.5 * (turn.square().sum(-1) + unknown.lift.square())
-
-
-def _triples(valid: Bool[Tensor, "*batch time"]) -> Bool[Tensor, "*batch inner"]:
-    return valid[..., 2:] & valid[..., 1:-1] & valid[..., :-2]

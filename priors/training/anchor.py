@@ -6,7 +6,6 @@ place of all vertices, an average of the weights over time as the result.
 """
 
 import logging
-import math
 import time
 from pathlib import Path
 
@@ -22,6 +21,7 @@ from priors.training.anchor_losses import (
 )
 from priors.training.anchor_run import AnchorRun, AnchorTraining
 from priors.training.dataset import Splits
+from priors.training.descent import cosine, descend
 from priors.training.gradnorm import LEAST
 from priors.training.logfile import logged_to
 from recon.body import BodyModel
@@ -98,18 +98,7 @@ def training_step(run: AnchorRun, learned: CycleCorpus, vertices: torch.Tensor) 
         losses["surface"] = run.surface_scale * error.mean()
     run.weights.update(losses, found.latent)
     total = run.weights.total(losses) + settings.kl * divergence(found).mean()
-    run.optimiser.zero_grad()
-    total.backward()
-    norm = torch.nn.utils.clip_grad_norm_(run.networks.parameters(), settings.clip)
-    for group in run.optimiser.param_groups:
-        group["lr"] = _rate(settings, run.step)
-    if bool(norm.isfinite()):
-        run.optimiser.step()
-    run.step += 1
-    keep = min(settings.average, run.step / (run.step + 10))
-    with torch.no_grad():
-        for mean, now in zip(run.averaged.parameters(), run.networks.parameters(), strict=True):
-            mean.lerp_(now, 1 - keep)
+    descend(run, total, _rate(settings, run.step), settings.clip, settings.average)
     return total.item()
 
 
@@ -163,5 +152,4 @@ def _rate(settings: AnchorTraining, step: int) -> float:
     here, length = (
         (step, settings.steps) if first else (step - settings.steps, settings.surface_steps)
     )
-    fall = 0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * here / length))
-    return most * fall * min(1.0, (here + 1) / _WARM)
+    return most * cosine(here / length) * min(1.0, (here + 1) / _WARM)

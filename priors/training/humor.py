@@ -8,7 +8,6 @@ compare.
 
 import dataclasses
 import logging
-import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -22,6 +21,7 @@ from torch.nn import functional
 from priors.humor_state import Frame, State, canonical, compose
 from priors.humor_steps import divergence
 from priors.training.dataset import Splits
+from priors.training.descent import cosine, descend
 from priors.training.humor_corpus import Corpus, Windows
 from priors.training.humor_run import HumorTraining, LossWeights, Run, export_weights
 from priors.training.humor_scaling import ScaledNetworks
@@ -113,18 +113,7 @@ def training_step(
     losses = loss_terms(found, target, windows)
     annealed = min(1.0, progress / max(settings.kl_until, 1e-9))
     total = total_loss(losses, annealed, settings.losses)
-    run.optimiser.zero_grad()
-    total.backward()
-    norm = torch.nn.utils.clip_grad_norm_(run.networks.parameters(), settings.clip)
-    for group in run.optimiser.param_groups:
-        group["lr"] = settings.rate * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * progress)))
-    if bool(norm.isfinite()):
-        run.optimiser.step()
-    run.step += 1
-    keep = min(settings.average, run.step / (run.step + 10))
-    with torch.no_grad():
-        for mean, now in zip(run.averaged.parameters(), run.networks.parameters(), strict=True):
-            mean.lerp_(now, 1 - keep)
+    descend(run, total, settings.rate * cosine(progress), settings.clip, settings.average)
     return {name: value.item() for name, value in (losses | {"total": total}).items()}
 
 

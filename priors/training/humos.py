@@ -6,7 +6,6 @@ stretches, and bodies out of the whole shape space, of which a small corpus show
 """
 
 import logging
-import math
 import time
 from pathlib import Path
 
@@ -15,6 +14,7 @@ from torch import Tensor
 
 from priors.humos_frames import BodyFrames
 from priors.training.dataset import Splits
+from priors.training.descent import cosine, descend
 from priors.training.humos_corpus import BodyBatch, BodyCorpus
 from priors.training.humos_losses import (
     divergence,
@@ -87,18 +87,7 @@ def training_step(run: HumosRun, learned: BodyCorpus) -> float:
     settings = run.settings
     batch = learned.draw(settings.clips, settings.frames, settings.variation, run.random)
     total = _loss(run, batch, learned.body, run.step >= settings.first_steps)
-    run.optimiser.zero_grad()
-    total.backward()
-    norm = torch.nn.utils.clip_grad_norm_(run.networks.parameters(), settings.clip)
-    for group in run.optimiser.param_groups:
-        group["lr"] = _rate(settings, run.step)
-    if bool(norm.isfinite()):
-        run.optimiser.step()
-    run.step += 1
-    keep = min(settings.average, run.step / (run.step + 10))
-    with torch.no_grad():
-        for mean, now in zip(run.averaged.parameters(), run.networks.parameters(), strict=True):
-            mean.lerp_(now, 1 - keep)
+    descend(run, total, _rate(settings, run.step), settings.clip, settings.average)
     return total.item()
 
 
@@ -182,5 +171,4 @@ def _rate(settings: HumosTraining, step: int) -> float:
     here, length = (
         (step, settings.first_steps) if first else (step - settings.first_steps, settings.steps)
     )
-    rise = min(1.0, (here + 1) / _WARM)
-    return most * rise * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * here / length)))
+    return most * cosine(here / length) * min(1.0, (here + 1) / _WARM)

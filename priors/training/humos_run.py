@@ -129,26 +129,25 @@ class HumosRun:
         random = torch.Generator().manual_seed(settings.seed)
         torch.manual_seed(settings.seed)
         path = settings.out / "checkpoint.pt"
-        begun = _read(path) if path.is_file() else None
-        if begun is None and settings.warm is not None:
-            begun = {"basis": _read(settings.warm)["basis"]}
+        state = _read(path) if path.is_file() else None
+        warm = None if settings.warm is None else _read(settings.warm)
+        begun = state or warm
         basis = (
             _basis(settings, corpus, random) if begun is None else LappedBasis(**begun["basis"])
         )
         networks = untrained(settings, basis, corpus.shape.shape[1])
-        if settings.warm is not None:
-            networks.load_state_dict(_read(settings.warm)["networks"])
+        if warm is not None:
+            networks.load_state_dict(warm["networks"])
         averaged = deepcopy(networks).requires_grad_(False).eval()
         optimiser = torch.optim.AdamW(
             networks.parameters(), lr=settings.rate, weight_decay=settings.decay, fused=True
         )
         run = cls(settings, networks, averaged, optimiser, random)
-        if path.is_file():
-            run._resume(path)
+        if state is not None:
+            run._resume(path, state)
         return run
 
-    def _resume(self, path: Path) -> None:
-        state = _read(path)
+    def _resume(self, path: Path, state: dict[str, Any]) -> None:
         own = plain(self.settings)
         changed = [k for k in own if k not in _FREE and own[k] != state["settings"].get(k)]
         if len(changed) > 0:
