@@ -10,8 +10,9 @@ from priors.anchor_basis import CycleBasis
 from priors.anchor_nets import AnchorNetworks
 from priors.anchor_weights import AnchorWeights, CodeSpread, save_weights
 from priors.training.anchor_corpus import CycleCorpus, CycleVariation
-from priors.training.anchor_run import AnchorTraining, plain
+from priors.training.anchor_run import AnchorTraining
 from priors.training.dataset import Splits
+from priors.training.run_settings import plain
 from recon.body import BodyModel
 
 _LOG = logging.getLogger("priors.training.anchor")

@@ -16,6 +16,7 @@ from priors.training.anchor_corpus import CycleCorpus, CycleVariation
 from priors.training.curves import write_losses
 from priors.training.dataset import SPLITS, Licence
 from priors.training.gradnorm import GradNorm
+from priors.training.run_settings import plain, same_run
 from recon.formats.files import replacing
 
 _LOG = logging.getLogger("priors.training.anchor")
@@ -130,13 +131,7 @@ class AnchorRun:
 
     def _resume(self, path: Path) -> None:
         state: dict[str, Any] = torch.load(path, weights_only=True, map_location="cpu")
-        own = plain(self.settings)
-        changed = [k for k in own if k in _FIXED and own[k] != state["settings"].get(k)]
-        if len(changed) > 0:
-            raise ValueError(
-                f"{path}: a run with other {', '.join(changed)}; take another folder, or the "
-                "settings of that run"
-            )
+        same_run(path, self.settings, state["settings"], _FIXED)
         basis = CycleBasis(**state["basis"])
         self.networks.basis = self.averaged.basis = basis
         self.networks.load_state_dict(state["networks"])
@@ -199,12 +194,3 @@ _PANELS = (
     ("kl_nats",),
 )
 """Losses drawn together."""
-
-
-def plain(settings: AnchorTraining) -> dict[str, Any]:
-    """Settings as JSON holds them."""
-    values = dataclasses.asdict(settings)
-    return {
-        k: str(v) if isinstance(v, Path) else v.value if isinstance(v, Alignment) else v
-        for k, v in values.items()
-    }

@@ -1,6 +1,5 @@
 """A training run of HuMoR on disk: settings, checkpoints, losses and the weights in the end."""
 
-import dataclasses
 import logging
 from copy import deepcopy
 from dataclasses import dataclass, field
@@ -18,6 +17,7 @@ from priors.training.curves import write_losses
 from priors.training.dataset import SPLITS, Licence, Splits
 from priors.training.humor_corpus import Corpus, Variation
 from priors.training.humor_scaling import ScaledNetworks
+from priors.training.run_settings import plain, same_run
 from recon.body import BodyModel
 from recon.formats.files import replacing
 
@@ -147,13 +147,7 @@ class Run:
 
     def _resume(self, path: Path) -> None:
         state: dict[str, Any] = torch.load(path, weights_only=True, map_location="cpu")
-        own = _plain(self.settings)
-        changed = [k for k in own if k in _FIXED and own[k] != state["settings"].get(k)]
-        if len(changed) > 0:
-            raise ValueError(
-                f"{path}: a run with other {', '.join(changed)}; take another folder, or the "
-                "settings of that run"
-            )
+        same_run(path, self.settings, state["settings"], _FIXED)
         self.networks.load_state_dict(state["networks"])
         self.averaged.load_state_dict(state["averaged"])
         self.optimiser.load_state_dict(state["optimiser"])
@@ -174,7 +168,7 @@ class Run:
     def save(self) -> None:
         """Write the checkpoint in one step."""
         state = {
-            "settings": _plain(self.settings),
+            "settings": plain(self.settings),
             "networks": self.networks.state_dict(),
             "averaged": self.averaged.state_dict(),
             "optimiser": self.optimiser.state_dict(),
@@ -200,11 +194,6 @@ _SCALED_BY = 20_000
 
 _FIXED = ("width", "data", "windows", "frames", "seed", "steps")
 """Settings that a run keeps."""
-
-
-def _plain(settings: HumorTraining) -> dict[str, Any]:
-    values = dataclasses.asdict(settings)
-    return {k: str(v) if isinstance(v, Path) else v for k, v in values.items()}
 
 
 def export_weights(
@@ -241,7 +230,7 @@ def export_weights(
     initial = Mixture.fit(features, distinct_features(), seed=settings.seed)
     whitening = error_whitening(networks, windows.states, rest_pelvis(states))
 
-    about = {k: v for k, v in _plain(settings).items() if k not in ("corpus", "out", "splits")}
+    about = {k: v for k, v in plain(settings).items() if k not in ("corpus", "out", "splits")}
     save_weights(path, networks, initial, whitening, about | {"step": found["step"]})
     _LOG.info("wrote the networks of step %d as %s", found["step"], path)
     return path

@@ -9,7 +9,8 @@ from priors.humos_weights import CodeDensity, HumosWeights, save_weights
 from priors.training.dataset import Splits
 from priors.training.humos_corpus import BodyCorpus, BodyVariation
 from priors.training.humos_losses import encoded
-from priors.training.humos_run import HumosRun, HumosTraining, plain
+from priors.training.humos_run import HumosRun, HumosTraining
+from priors.training.run_settings import plain
 from recon.body import BodyModel
 
 _LOG = logging.getLogger("priors.training.humos")

@@ -1,6 +1,5 @@
 """A training run of the HUMOS prior on disk: settings, checkpoint, losses."""
 
-import dataclasses
 from copy import deepcopy
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,6 +12,7 @@ from priors.humos_nets import ClipNetworks, Networks, WindowNetworks
 from priors.training.curves import write_losses
 from priors.training.dataset import SPLITS, Licence
 from priors.training.humos_corpus import BodyCorpus, BodyVariation
+from priors.training.run_settings import plain, same_run
 from recon.formats.files import replacing
 
 
@@ -148,13 +148,7 @@ class HumosRun:
         return run
 
     def _resume(self, path: Path, state: dict[str, Any]) -> None:
-        own = plain(self.settings)
-        changed = [k for k in own if k not in _FREE and own[k] != state["settings"].get(k)]
-        if len(changed) > 0:
-            raise ValueError(
-                f"{path}: a run with other {', '.join(changed)}; take another folder, or the "
-                "settings of that run"
-            )
+        same_run(path, self.settings, state["settings"], set(plain(self.settings)) - set(_FREE))
         self.networks.load_state_dict(state["networks"])
         self.averaged.load_state_dict(state["averaged"])
         self.optimiser.load_state_dict(state["optimiser"])
@@ -198,15 +192,6 @@ def untrained(settings: HumosTraining, basis: LappedBasis, shape: int) -> Networ
     """Networks of these sizes."""
     kind = WindowNetworks if settings.codes == "windows" else ClipNetworks
     return kind(basis, settings.latent, shape, settings.width, settings.layers, settings.dropout)
-
-
-def plain(settings: HumosTraining) -> dict[str, Any]:
-    """Settings as JSON holds them."""
-    values = dataclasses.asdict(settings)
-    return {
-        k: str(v) if isinstance(v, Path) else list(v) if isinstance(v, tuple) else v
-        for k, v in values.items()
-    }
 
 
 def _basis(settings: HumosTraining, corpus: BodyCorpus, random: torch.Generator) -> LappedBasis:
