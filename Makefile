@@ -1,11 +1,12 @@
 # make demo: reconstruct the bundled noisy clip.   make test: lint, types, tests.
+# make test-slow: the tests marked slow, run before a release.
 # make bench: every table of the README (needs RECON_DATA).
 PYTHON ?= python3
 BIN := .venv/bin
 PIP := $(BIN)/pip install --quiet --no-compile --constraint constraints.txt
 OUT ?= out
 
-.PHONY: demo test bench clean
+.PHONY: demo test test-slow bench clean
 
 demo: .venv/installed
 	$(BIN)/recon demo --out demo
@@ -15,7 +16,10 @@ test: .venv/developed
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
 	$(BIN)/lint-imports
-	$(BIN)/pytest -q -n 2 --dist loadfile
+	$(BIN)/pytest -q -n 2 --dist loadfile -m 'not slow'
+
+test-slow: .venv/developed
+	$(BIN)/pytest -q -n 2 --dist loadfile -m slow
 
 bench: .venv/developed
 	mkdir -p $(OUT)
