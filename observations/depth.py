@@ -10,11 +10,12 @@ from torch import Tensor
 from observations.depth_start import depth_start
 from observations.nearest import nearest
 from observations.surfels import Surfels
-from observations.timing import at_observation_times, moment_numbers, moments_between
+from observations.timing import at_observation_times, moment_numbers, moments_between, padded
 from recon.body import BodyModel
 from recon.camera import Camera
 from recon.motion import Motion
 from recon.protocols import REFERENCE_FPS, Estimate
+from recon.residuals import Residuals
 from recon.robust import (
     NORMAL_MAD,
     TUNING,
@@ -177,6 +178,15 @@ class PointCloud(TensorStruct):
         if self.present[..., seen, :].numel() == 0:
             return self.points[..., seen, :, :].sum(-1), self.present[..., seen, :]
         return self._between(middles, normals, seen, self._nearest(middles, normals, seen))
+
+    def residuals(self, estimate: Estimate) -> Residuals:
+        """Distance of every point from the surface at every moment, metres; one dimension."""
+        free = self.replace(pairs=None, scale=None)
+        clock = {"fps": self.fps, "start_time": self.start_time, "moments": self.points.shape[-3]}
+        _, seen = at_observation_times(estimate.body.joints, estimate.motion, **clock)
+        squared, present = free.squared_distances(estimate)
+        away = squared.clamp(min=0).sqrt()[..., None]
+        return padded(away, present, seen, self.points.shape[-3])
 
     def _between(
         self, middles: Tensor, normals: Tensor, seen: slice, index: Tensor

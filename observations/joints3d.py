@@ -8,10 +8,11 @@ from torch import Tensor
 
 from observations.offsets import displaced
 from observations.rigid import rigid_start
-from observations.timing import moments_between, point_misfit
+from observations.timing import moments_between, point_misfit, point_residuals
 from recon.body import BodyModel
 from recon.motion import Motion
 from recon.protocols import Estimate
+from recon.residuals import Residuals
 from recon.robust import squared
 from recon.struct import TensorStruct
 
@@ -48,6 +49,13 @@ class Joints3D(TensorStruct):
             estimate.scene.to_recording(self.predict(estimate)), estimate.motion,
             self.positions, self.visible,
             fps=self.fps, start_time=self.start_time, kernel=self.kernel,
+        )  # fmt: skip
+
+    def residuals(self, estimate: Estimate) -> Residuals:
+        """Observed minus predicted position of every joint at every moment, metres."""
+        return point_residuals(
+            estimate.scene.to_recording(self.predict(estimate)), estimate.motion,
+            self.positions, self.visible, fps=self.fps, start_time=self.start_time,
         )  # fmt: skip
 
     def window(self, start: float, stop: float) -> "Joints3D":

@@ -9,11 +9,12 @@ from torch import Tensor
 from observations.correspondences import BodyPoints
 from observations.image_start import image_start
 from observations.offsets import displaced
-from observations.timing import at_observation_times, moment_numbers, moments_between
+from observations.timing import at_observation_times, moment_numbers, moments_between, padded
 from recon.body import BodyModel
 from recon.camera import Camera, Projection
 from recon.motion import Motion
 from recon.protocols import REFERENCE_FPS, Estimate
+from recon.residuals import Residuals
 from recon.robust import geman_mcclure
 from recon.struct import TensorStruct
 
@@ -74,6 +75,14 @@ class Keypoints2D(TensorStruct):
             fps=self.fps, start_time=self.start_time, moments=self.pixels.shape[-3],
         )  # fmt: skip
         return self.camera.at(range(seen.start, seen.stop)).project(points), seen
+
+    def residuals(self, estimate: Estimate) -> Residuals:
+        """Observed minus predicted pixels of every keypoint at every moment."""
+        projected, seen = self.project(estimate)
+        return padded(
+            self.pixels[..., seen, :, :] - projected.pixels, self.confidence[..., seen, :],
+            seen, self.pixels.shape[-3], unit="pixels",
+        )  # fmt: skip
 
     def window(self, start: float, stop: float) -> "Keypoints2D":
         """What was seen from one time to another, both included, seconds; the clock goes on."""

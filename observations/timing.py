@@ -9,6 +9,7 @@ from torch import Tensor
 
 from recon.motion import Motion
 from recon.protocols import REFERENCE_FPS
+from recon.residuals import Residuals, Unit
 
 _SAME_MOMENT = 1e-4
 """Frames; clocks closer than this are the same clock."""
@@ -94,3 +95,36 @@ def point_misfit(
     distance = (points - positions[..., seen, :, :]).square().sum(-1)
     counted = kernel(distance).where(visible[..., seen, :], 0.0)
     return 0.5 * counted.sum((-2, -1)) * (REFERENCE_FPS / fps)
+
+
+def point_residuals(
+    predicted: Float[Tensor, "*batch time points 3"],
+    motion: Motion,
+    positions: Float[Tensor, "*batch moments points 3"],
+    visible: Bool[Tensor, "*batch moments points"],
+    *,
+    fps: float,
+    start_time: float,
+) -> Residuals:
+    """Observed minus predicted positions at every moment, metres."""
+    moments = positions.shape[-3]
+    points, seen = at_observation_times(
+        predicted, motion, fps=fps, start_time=start_time, moments=moments
+    )
+    return padded(positions[..., seen, :, :] - points, visible[..., seen, :], seen, moments)
+
+
+def padded(
+    values: Float[Tensor, "*batch seen points dims"],
+    weights: Tensor,
+    seen: slice,
+    moments: int,
+    unit: Unit = "metres",
+) -> Residuals:
+    """Residuals of some moments among all of the observation's; zero at the others."""
+    weights = weights.to(values)
+    every = values.new_zeros(*values.shape[:-3], moments, *values.shape[-2:])
+    counted = weights.new_zeros(*weights.shape[:-2], moments, weights.shape[-1])
+    every[..., seen, :, :] = values.where(weights[..., None] > 0, 0.0)
+    counted[..., seen, :] = weights
+    return Residuals(every, counted, unit)

@@ -6,10 +6,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from observations.depth import PointCloud
 from observations.first_guess import Seen
 from observations.keypoints2d import Keypoints2D
-from observations.timing import at_observation_times
 from recon.clip import ClipFit
 from recon.clip_files import Clip
 from recon.plausibility import body_warnings, distance_warnings, mirror_warnings
@@ -54,17 +52,4 @@ def agreement(clip: Clip, found: ClipFit) -> dict[str, Any]:
 
 def misfits(seen: Seen, estimate: Estimate) -> Float[Tensor, " samples"]:
     """Distance of everything that was seen from the estimate, in its own unit."""
-    if isinstance(seen, PointCloud):
-        squared, present = seen.squared_distances(estimate)
-        return squared[present].sqrt()
-    if isinstance(seen, Keypoints2D):
-        projected, moments = seen.project(estimate)
-        away = (projected.pixels - seen.pixels[..., moments, :, :]).norm(dim=-1)
-        return away[seen.confidence[..., moments, :] > 0]
-    points, moments = at_observation_times(
-        estimate.scene.to_recording(seen.predict(estimate)), estimate.motion,
-        fps=seen.fps, start_time=seen.start_time, moments=seen.positions.shape[-3],
-    )  # fmt: skip
-    return (points - seen.positions[..., moments, :, :]).norm(dim=-1)[
-        seen.visible[..., moments, :]
-    ]
+    return seen.residuals(estimate).present()

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from recon.body import BodyModel, PosedBody
 from recon.motion import Motion
+from recon.residuals import Residuals
 from recon.scene import Scene
 from recon.struct import S
 
@@ -72,6 +73,10 @@ class Observation(Protocol):
 
     def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
         """Misfit between the data and the estimate."""
+        ...
+
+    def residuals(self, estimate: Estimate) -> Residuals:
+        """Observed minus predicted, by moment and by point, in the sensor's own unit."""
         ...
 
     def start(self, body: BodyModel) -> Motion:

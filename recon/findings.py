@@ -1,0 +1,109 @@
+"""What was found to be wrong with a recording: records for reports, and the words for each cause.
+
+A finding is either repaired (the data was changed before it was fitted, and the report says how)
+or it is a warning (the result may be wrong, and the message says what to do).
+"""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Bool
+
+Code = Literal[
+    "sides exchanged",
+    "points exchanged",
+    "identity change",
+    "constant point",
+    "zeros",
+    "offset point",
+    "rate",
+    "frame order",
+    "repeated frames",
+    "floor",
+    "scale",
+    "mirrored",
+    "outliers",
+    "camera moves",
+    "view at odds",
+    "views out of step",
+    "wrong basin",
+    "unseen",
+    "treadmill",
+    "uneven ground",
+    "residual",
+    "body size",
+    "distance",
+    "gap",
+    "jump",
+    "joint centres",
+]
+"""The likeliest cause of a finding.
+
+* sides exchanged: left and right are exchanged, in all frames or in a stretch.
+* points exchanged: two points carry each other's name.
+* identity change: another person is seen from some frame on.
+* constant point: a point stays in one place or repeats its last value while the body moves.
+* zeros: points at exactly zero that are marked as seen.
+* offset point: one point is away from its place on the body throughout.
+* rate: the number of frames per second is wrong by a factor.
+* frame order: frames are not in the order of time.
+* repeated frames: frames occur more than once.
+* floor: the ground is not at the height that the recording says.
+* scale: everything is larger or smaller than a person by one factor.
+* mirrored: the recording is a mirror image.
+* outliers: many points are far from any body.
+* camera moves: a camera that is declared fixed moves.
+* view at odds: one camera contradicts the others, by its pose or by what it shows.
+* views out of step: one camera's clock is shifted against the others'.
+* wrong basin: a fit to depth has locked on to the wrong posture or heading.
+* unseen: frames or limbs that nothing was seen of; they are inferred.
+* treadmill: all standing feet are carried along at one velocity.
+* uneven ground: feet stand at several heights, or the person sits.
+* residual: the body stays away from the data for a reason that is not known.
+* body size: the fitted person is smaller, larger or odder than people are.
+* distance: a camera would be nearer or farther than people are filmed.
+* gap: a stretch of frames without data.
+* jump: the body moves faster between two frames than the data does.
+* joint centres: points that are called markers lie inside the body.
+"""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that was found, in words and in numbers."""
+
+    code: Code
+    message: str
+    """A sentence for the user: what was found and what was done or what to do."""
+    joints: tuple[str, ...] = ()
+    """Names of the points that are concerned, as the recording calls them; empty means all."""
+    frames: tuple[tuple[int, int], ...] = ()
+    """Stretches of frames, first and last, both included; empty means all."""
+    value: float | None = None
+    """The number that decided, in SI units or pixels."""
+
+    def report(self) -> dict[str, Any]:
+        """The record as it stands in a report's lists `diagnosis`, `repairs` and `warnings`."""
+        return asdict(self)
+
+
+def stretches(flags: Bool[np.ndarray, " frames"]) -> tuple[tuple[int, int], ...]:
+    """The runs of true values, first and last index of each."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], flags.astype(np.int8), [0]))))
+    return tuple((int(a), int(b) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True))
+
+
+def listed(names: Sequence[str], most: int = 4) -> str:
+    """Names in a sentence: all of a few, or the first ones and how many more there are."""
+    if len(names) <= most:
+        return ", ".join(names)
+    return f"{', '.join(names[:most])} and {len(names) - most} more"
+
+
+def spans(frames: Sequence[tuple[int, int]], most: int = 3) -> str:
+    """Stretches of frames in a sentence."""
+    words = [f"{a}" if a == b else f"{a}-{b}" for a, b in frames]
+    noun = "frame" if len(frames) == 1 and frames[0][0] == frames[0][1] else "frames"
+    return f"{noun} {listed(words, most)}"
