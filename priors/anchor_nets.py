@@ -35,7 +35,7 @@ class AnchorNetworks(nn.Module):
         super().__init__()
         self.basis, self.latent, self.shape, self.width = basis, latent, shape, width
         size = len(basis.deviation)
-        ratio = basis.scale[:latent] / basis.deviation[:latent]
+        ratio = basis.whitening[:latent]
         self.to_code = nn.Parameter(torch.eye(size)[:latent] * ratio[:, None])
         self.from_code = nn.Parameter(torch.eye(size)[:, :latent] / ratio)
         self.encoder = _residual(size, width, 2 * latent, dropout)

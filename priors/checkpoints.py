@@ -84,11 +84,20 @@ def save_checkpoint(
         kind: what the weights are of, for example "pose"; checked on loading.
         tensors: by layer.
         settings: whatever JSON can hold.
+
+    Raises:
+        ValueError: when a layer holds NaN or infinity; nothing is written then.
     """
     from safetensors.torch import save
 
     path = Path(path)
     rows = {name: t.detach().cpu().contiguous() for name, t in tensors.items()}
+    bad = [f"{name} ({t.dtype})" for name, t in rows.items() if not bool(t.isfinite().all())]
+    if len(bad) > 0:
+        raise ValueError(
+            f"{path}: weights not written, {', '.join(bad)} hold NaN or infinity; expected "
+            "finite numbers, in float16 of at most 65504: look into the training that gave them"
+        )
     about = json.dumps({"kind": kind, "settings": dict(settings)}, sort_keys=True)
     with replacing(path) as beside:
         beside.write_bytes(save(rows, metadata={_ABOUT: about}))

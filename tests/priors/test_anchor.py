@@ -4,8 +4,9 @@ import torch
 
 from priors.anchor import AnchorFrames
 from priors.anchor_basis import CycleBasis, cosines
-from priors.anchor_weights import load_weights, save_weights
-from priors.anchors import Anchors
+from priors.anchor_nets import AnchorNetworks
+from priors.anchor_weights import AnchorWeights, CodeSpread, load_weights, save_weights
+from priors.anchors import Alignment, Anchors
 from recon.body import BodyModel
 from recon.motion import pad
 from recon.protocols import Prior
@@ -36,6 +37,32 @@ def test_a_basis_needs_more_cycles_than_directions():
     rows = torch.stack([Anchors.of(walk).pack() for walk in walks(BODY, 3)])
     with pytest.raises(ValueError, match="need more cycles"):
         CycleBasis.fit(rows, 6)
+
+
+def _rank_two_basis(residue: float) -> CycleBasis:
+    """A basis of walks of which only two directions vary; rounding is left in the others."""
+    basis = CycleBasis.fit(torch.stack([Anchors.of(walk).pack() for walk in walks(BODY, 12)]), 6)
+    deviation = basis.deviation.clone()
+    deviation[2:] = residue * deviation[0]
+    return basis.replace(deviation=deviation)
+
+
+@pytest.mark.parametrize("residue", [0.0, 1e-9, 3e-7, 1.7e-6, 1e-5])
+def test_directions_without_variance_are_not_blown_up(residue, tmp_path):
+    """Networks divided by their deviation, which is rounding: 67,000, infinite in float16."""
+    networks = AnchorNetworks(_rank_two_basis(residue), LATENT, BODY.shape_size, 16).eval()
+    assert float(networks.to_code.detach().abs().max()) <= 200.001
+    spread = CodeSpread(torch.zeros(LATENT), torch.eye(LATENT), torch.zeros(2, LATENT))
+    path = tmp_path / "anchor.safetensors"
+    save_weights(path, AnchorWeights(networks, spread, Alignment.YAW), {})
+    assert torch.equal(load_weights(path).networks.to_code, networks.to_code.detach().half())
+
+
+def test_directions_with_variance_have_unit_variance():
+    basis = CycleBasis.fit(torch.stack([Anchors.of(walk).pack() for walk in walks(BODY, 40)]), 3)
+    rows = torch.stack([Anchors.of(walk).pack() for walk in walks(BODY, 40)])
+    codes = basis.analyse(rows) * basis.whitening
+    assert torch.allclose(codes.std(0), torch.ones(3), atol=1e-3)
 
 
 def test_it_is_a_prior():
