@@ -1,4 +1,4 @@
-"""Residuals of every kind of observation: zero at the truth, where they were seen, in their unit."""
+"""Residuals of every kind of observation: zero at the truth, where seen, in their unit."""
 
 import torch
 
