@@ -1,14 +1,14 @@
-"""Opening files that may be damaged, and replacing files in one step."""
+"""Opening files that may be damaged, and writing arrays in one step."""
 
-import contextlib
 import lzma
-import os
 import zipfile
 import zlib
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+
+from recon.replacing import clear_leftovers
+from recon.replacing import replacing as replacing
 
 TEXT_LIMIT = 1 << 30
 """Bytes a compressed recording may unpack to; more is taken for a bomb."""
@@ -91,22 +91,6 @@ def load_arrays(path: Path) -> dict[str, np.ndarray]:
 
 def save_arrays(path: Path, arrays: dict[str, np.ndarray]) -> None:
     """Write an .npz file; readers see the old file or the whole new one."""
+    clear_leftovers(path)
     with replacing(path) as beside, beside.open("wb") as file:
         np.savez_compressed(file, allow_pickle=False, **arrays)  # type: ignore[arg-type]
-
-
-@contextlib.contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """A path beside the target, moved onto it when the block ends well and removed when not.
-
-    Raises:
-        FileNotFoundError: when the folder does not exist.
-    """
-    if not path.parent.is_dir():
-        raise FileNotFoundError(f"{path.parent}: no such folder; create it first")
-    beside = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        yield beside
-        os.replace(beside, path)
-    finally:
-        beside.unlink(missing_ok=True)
