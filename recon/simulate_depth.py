@@ -76,9 +76,11 @@ def depth_points(
 ) -> PointsFile:
     """Points of one clip (no batch axis) that a depth sensor sees, in the world.
 
-    The corruption's box stands in the room while it is active and hides what is behind it; its
-    missing frames show nothing, its outliers are points up to half a metre off, and its missing
-    points thin the cloud. The noise is the sensor's.
+    The corruption's box stands in the room while it is active and hides what is behind it. Its
+    height hides everything lower, as a thing does that stands before the sensor and ends at that
+    height: surfaces below it and flying pixels that would lie below it give no point. Missing
+    frames show nothing, outliers are points up to half a metre off (so that some may lie below
+    the height), and missing points thin the cloud. The noise is the sensor's.
 
     Args:
         motion: the truth.
@@ -106,9 +108,13 @@ def depth_points(
         cloud = np.zeros((0, 3))
         if there[k]:
             box = corruption.hide_box if active[k] else None
-            depth, surface = depth_image(vertices[k], faces, view, box)
-            depth = measured(depth, view, sensor, random)
+            true, surface = depth_image(vertices[k], faces, view, box)
+            depth = measured(true, view, sensor, random)
             kept = np.isin(surface, surfaces) & (depth > 0)
+            if active[k] and corruption.hide_below is not None:
+                # the true depth as well: noise must not lift a hidden surface into sight
+                kept &= heights(true, view) >= corruption.hide_below
+                kept &= heights(depth, view) >= corruption.hide_below
             cloud = _sampled(depth, kept, view, corruption, points, random)
         clouds.append(cloud)
     if not any(map(len, clouds)):
@@ -168,6 +174,17 @@ def depth_image(
     surface = np.stack(layers).argmin(0)
     depth = np.take_along_axis(np.stack(layers), surface[None], 0)[0]
     return np.where(np.isfinite(depth), depth, 0.0), surface
+
+
+def heights(
+    depth: Float[np.ndarray, "height width"], camera: Camera
+) -> Float[np.ndarray, "height width"]:
+    """Height above z = 0 of what every pixel shows at its depth, metres."""
+    v, u = np.indices(depth.shape)
+    pixels = torch.from_numpy(np.stack([u, v], -1).reshape(-1, 2) + 0.5)
+    sensor = camera.to(dtype=torch.float64)
+    points = sensor.unproject(pixels, torch.from_numpy(depth.reshape(-1)).double())
+    return points[:, 2].numpy().reshape(depth.shape)
 
 
 def measured(

@@ -63,7 +63,7 @@ def simulate_file(
         ValueError: when one is damaged, the motion has fewer frames than asked for, or options
             contradict each other; nothing is written then.
     """
-    _check_apply(kind, film, surface)
+    _check_apply(kind, film, surface, corruption)
     truth = load_motion(motion).motion
     if frames is not None:
         if frames[1] > truth.frames:
@@ -99,13 +99,21 @@ def simulate_file(
     return paths
 
 
-def _check_apply(kind: SensorKind, film: FilmSettings, surface: SurfaceSettings) -> None:
-    """Refuse options of other sensors."""
+def _check_apply(
+    kind: SensorKind, film: FilmSettings, surface: SurfaceSettings, corruption: Corruption
+) -> None:
+    """Refuse options that would have no effect."""
     if kind not in ("keypoints2d", "depth") and film != FILM_DEFAULTS:
         raise ValueError(f"--camera, --views, --orbit and --layout do not apply to {kind}")
     clouds = replace(surface, skin_offset=SURFACE_DEFAULTS.skin_offset)
     if kind not in ("depth", "scans") and clouds != SURFACE_DEFAULTS:
         raise ValueError(f"--points and --clothed are of depth and scans, not of {kind}")
+    hides = corruption.hide_below is not None or corruption.hide_box is not None
+    if corruption.during is not None and not hides:
+        raise ValueError(
+            "--during says when things are hidden, but nothing is; add --hide-below or "
+            "--occluder, or leave --during out"
+        )
     if surface.points < 1:
         raise ValueError(f"--points is one or more, got {surface.points}")
     if kind != "landmarks" and surface.skin_offset != SURFACE_DEFAULTS.skin_offset:

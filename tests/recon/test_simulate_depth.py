@@ -76,6 +76,29 @@ def test_a_box_hides_what_is_behind_it_while_it_is_there(body, motion, camera):
     assert inside.sum() > 1000
 
 
+def test_what_is_below_the_height_gives_no_point_while_it_is_hidden(body, motion, camera):
+    """The height was ignored: the cloud showed legs that the file called hidden."""
+    low = Corruption(hide_below=0.9, during=(0.0, 1.5 / 30))
+    every = (Surface.BODY, Surface.GROUND)
+    for surfaces in ((Surface.BODY,), every):
+        file = depth_points(
+            motion, body, camera, low, 0, points=100_000, surfaces=surfaces
+        )  # with noise and flying pixels
+        hidden = file.frame < 2
+        assert hidden.sum() > 2000
+        assert file.points[hidden, 2].min() >= 0.9
+        assert file.points[~hidden, 2].min() < 0.5
+    assert file.truth_visible is not None
+    assert not file.truth_visible[:2, 7:9].any()  # ankles
+
+
+def test_hiding_leaves_what_is_above_the_height_as_it_was(body, motion, camera):
+    low = Corruption(hide_below=0.9)
+    seen = depth_points(motion, body, camera, low, 0, sensor=PERFECT, points=100_000)
+    whole = depth_points(motion, body, camera, Corruption(), 0, sensor=PERFECT, points=100_000)
+    assert np.array_equal(seen.points, whole.points[whole.points[:, 2] >= 0.9])
+
+
 def test_noise_grows_with_the_square_of_the_depth(camera):
     sensor = DepthSensor()
     for depth in (1.0, 4.0):

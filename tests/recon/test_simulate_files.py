@@ -259,6 +259,32 @@ def test_contradictions_are_refused_and_nothing_is_written(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("kind", ["joints3d", "keypoints2d", "depth", "scans"])
+def test_a_time_of_hiding_without_anything_hidden_is_refused(kind, clip, tmp_path):
+    """--during alone was ignored without a word."""
+    when = Corruption(during=(0.0, 1.0))
+    with pytest.raises(ValueError, match="--hide-below or --occluder"):
+        simulate_file(clip, tmp_path / "o.npz", kind, when, seed=0)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("kind", ["joints3d", "markers3d", "landmarks", "scans", "depth"])
+def test_every_kind_hides_what_is_below_a_height(kind, clip, tmp_path):
+    """Depth ignored --hide-below, and wrote a cloud of the whole body."""
+    path = tmp_path / "seen.npz"
+    simulate_file(clip, path, kind, Corruption(hide_below=0.9), seed=0)
+    seen = load_observation(path)
+    if isinstance(seen, PointsFile):
+        assert len(seen.points) > 0
+        assert seen.points[:, 2].min() >= 0.9
+    else:
+        assert isinstance(seen, PositionsFile)
+        assert not seen.visible.all()
+        assert seen.positions[seen.visible][:, 2].min() > 0.85  # landmarks have an offset
+    assert seen.truth_visible is not None
+    assert not seen.truth_visible[:, [7, 8]].any()  # ankles
+
+
 def test_a_missing_calibration_names_the_presets(clip, tmp_path):
     film = FilmSettings(camera="frnt")
     with pytest.raises(FileNotFoundError, match="front, side"):
