@@ -33,7 +33,7 @@ from torch import Tensor
 from benchmarks.anchor import Ask, Cycles, asked, parser, turned, weights_name
 from benchmarks.anchor_baselines import LinearCycles, slerp
 from benchmarks.anchor_structure import learned
-from benchmarks.results import show, write
+from benchmarks.results import corpus_source, show, write
 from priors.anchor import AnchorFrames
 from priors.anchors import ANCHORS, POSED, Anchors
 from priors.training.anchor_corpus import CycleBatch
@@ -97,7 +97,7 @@ def main() -> None:
                 show(f"{part}, {kind}, {name}", {k: v for k, v in row.items() if v is not None})
             parts[part][kind] = {"pairs": len(pairs.a.clips), "rows": rows}
     if ask.json is not None:
-        write(ask.json, "python -m benchmarks.anchor_interpolation CORPUS", 0,
+        write(ask.json, 0, corpus_source(ask.corpus),
               weights=weights_name(ask.weights), licence=ask.licence, parts=parts)  # fmt: skip
     if ask.picture is not None:
         draw(ask.picture, prior, methods, drawn)

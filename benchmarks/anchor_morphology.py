@@ -26,7 +26,7 @@ from torch import Tensor
 
 from benchmarks.anchor import Cycles, asked, parser, weights_name
 from benchmarks.anchor_structure import codes, learned
-from benchmarks.results import show, write
+from benchmarks.results import corpus_source, show, write
 from priors.anchor import AnchorFrames
 from priors.anchors import Anchors
 from recon.body import BodyModel
@@ -69,7 +69,7 @@ def main() -> None:
         show(name, row)
     print(f"{people} bodies among {len(training.clips)} training cycles; the code is of {clip}")
     if ask.json is not None:
-        write(ask.json, "python -m benchmarks.anchor_morphology CORPUS", None,
+        write(ask.json, None, corpus_source(ask.corpus),
               weights=weights_name(ask.weights), licence=ask.licence, code=clip, bodies=people,
               kept=rows, gradient=rates, own_body=own)  # fmt: skip
     if ask.picture is not None:

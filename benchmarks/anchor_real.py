@@ -29,7 +29,7 @@ from rich.table import Table
 
 from benchmarks.anchor import weights_name
 from benchmarks.real_cycles import RealCycle, judged, real_cycle, together
-from benchmarks.results import write
+from benchmarks.results import recordings_source, write
 from benchmarks.scans import observed_frames
 from observations.markers3d import Markers3D
 from recon.body import BodyModel
@@ -220,7 +220,7 @@ def main() -> None:
             }
             for cycle, row, found in zip(cycles, rows, errors, strict=True)
         }
-        write(options.json, "python -m benchmarks.anchor_real OBSERVATIONS", None,
+        write(options.json, None, recordings_source(options.observations, recordings),
               mean=overall(most), mean_of=len(most), seconds_of_processor=seconds,
               recordings=recordings)  # fmt: skip
     if options.picture is not None and drawn:

@@ -25,7 +25,7 @@ from torch import Tensor
 
 from benchmarks.anchor import Ask, Cycles, asked, parser, surface, weights_name
 from benchmarks.anchor_baselines import COMPONENTS, LinearCycles
-from benchmarks.results import show, write
+from benchmarks.results import corpus_source, show, write
 from priors.anchor import AnchorFrames
 from priors.anchors import Anchors
 from priors.training.anchor_corpus import CycleBatch
@@ -80,7 +80,7 @@ def main() -> None:
         }
         print(name, sets[name]["order"], sets[name]["subset"])
     if ask.json is not None:
-        write(ask.json, "python -m benchmarks.anchor_reconstruction CORPUS", 0,
+        write(ask.json, 0, corpus_source(ask.corpus),
               weights=weights_name(ask.weights), licence=ask.licence, sets=sets)  # fmt: skip
     if ask.picture is not None:
         draw(ask.picture, sets)

@@ -24,7 +24,7 @@ import torch
 from benchmarks.anchor import asked, parser
 from benchmarks.complete import COLUMNS, observe, together
 from benchmarks.cycles import chosen, found_cycles
-from benchmarks.results import show, write
+from benchmarks.results import corpus_source, show, write
 from benchmarks.scans import ScannedCycle, scanned_cycle
 from recon.body import BodyModel
 from recon.completion import Points, complete
@@ -80,7 +80,7 @@ def main() -> None:
         table[name] = row
         show(name, row)
         if ask.json is not None:
-            write(ask.json, "python -m benchmarks.anchor_speed CORPUS", 0,
+            write(ask.json, 0, corpus_source(ask.corpus),
                   weights=ask.weights, batch=arguments.batch, seconds=table)  # fmt: skip
 
 

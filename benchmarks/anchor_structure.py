@@ -20,7 +20,7 @@ from torch import Tensor
 
 from benchmarks.anchor import LABELS, Ask, Cycles, asked, parser, weights_name
 from benchmarks.anchor_baselines import LinearCycles
-from benchmarks.results import show, write
+from benchmarks.results import corpus_source, show, write
 from priors.anchor import AnchorFrames
 from priors.training.dataset import Part
 from recon.formats.files import replacing
@@ -48,7 +48,7 @@ def main() -> None:
         for name in found:
             show(f"{part}, {name}", rows[part][name])
     if ask.json is not None:
-        write(ask.json, "python -m benchmarks.anchor_structure CORPUS", 0,
+        write(ask.json, 0, corpus_source(ask.corpus),
               weights=weights_name(ask.weights), licence=ask.licence, parts=rows)  # fmt: skip
     if ask.picture is not None:
         draw(ask.picture, planes)

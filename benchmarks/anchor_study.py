@@ -18,7 +18,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from benchmarks.anchor import asked, parser
-from benchmarks.results import write
+from benchmarks.results import corpus_source, write
 from priors.anchor_weights import load_weights
 from priors.anchors import Anchors
 from priors.training.anchor import train_on
@@ -68,8 +68,7 @@ def main() -> None:
         rows.append(row)
         print(json.dumps(row), flush=True)
         if ask.json is not None:
-            command = "python -m benchmarks.anchor_study CORPUS"
-            write(ask.json, command, 0, licence=ask.licence, rows=rows)
+            write(ask.json, 0, corpus_source(ask.corpus), licence=ask.licence, rows=rows)
     if ask.picture is not None:
         _draw(rows, ask.picture)
 

@@ -27,7 +27,7 @@ from torch import Tensor
 
 from benchmarks.arguments import over_windows
 from benchmarks.humor import evenly
-from benchmarks.results import write
+from benchmarks.results import corpus_source, write
 from benchmarks.scores import Columns, Row, Rows, by_subject, tables
 from benchmarks.windows import Windows, load_windows
 from observations.clouds import cloud_of
@@ -112,8 +112,8 @@ def main() -> None:
         for shown in tables(f"{case}, {arguments.part}", COLUMNS, found[case]):
             console.print(shown)
         if arguments.json is not None:
-            about = {"part": arguments.part, "windows": windows.names, "listed": windows.listed}
-            write(arguments.json, "python -m benchmarks.cameras CORPUS", SEED, **about,
+            about = {"part": arguments.part, **windows.about}
+            write(arguments.json, SEED, corpus_source(arguments.corpus, windows.files), **about,
                   tables=found)  # fmt: skip
 
 

@@ -18,7 +18,7 @@ from rich.table import Table
 
 from benchmarks.arguments import over_windows
 from benchmarks.cycles import chosen, found_cycles
-from benchmarks.results import write
+from benchmarks.results import corpus_source, write
 from benchmarks.scans import (
     ScannedCycle,
     scanned_cycle,
@@ -214,10 +214,9 @@ def _main() -> None:
         }
         _show(f"{given.method}, {given.weights}, {given.part}", table)
         if given.json is not None:
-            command = "python -m benchmarks.complete CORPUS"
             write(
-                given.json, command, 0, method=given.method, weights=given.weights,
-                part=given.part, mean=table, cycles=every,
+                given.json, 0, corpus_source(given.corpus), method=given.method,
+                weights=given.weights, part=given.part, mean=table, cycles=every,
             )  # fmt: skip
 
 

@@ -15,7 +15,7 @@ from statistics import mean, median
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.results import write
+from benchmarks.results import corpus_source, write
 
 Row = dict[str, str]
 
@@ -42,8 +42,8 @@ def main() -> None:
     for reason, count in reasons.most_common():
         console.print(f"rejected {count}: {reason}", markup=False)
     if arguments.json is not None:
-        command = "python -m benchmarks.corpus CORPUS"
-        write(arguments.json, command, None, rows=summary, rejected=reasons)
+        source = corpus_source(arguments.corpus)
+        write(arguments.json, None, source, rows=summary, rejected=reasons)
 
 
 def summarise(rows: list[Row]) -> dict[str, float]:

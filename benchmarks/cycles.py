@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.results import show, write
+from benchmarks.results import corpus_source, show, write
 from priors.training.dataset import SPLITS, Part, Splits, clip_files, is_flat
 from recon.cycles import RATE, Cycle, find_cycles, hip_flexion
 from recon.formats.amass import load_motion
@@ -141,7 +141,7 @@ def _main() -> None:
     if given.picture is not None:
         _draw(found, given.picture)
     if given.json is not None:
-        write(given.json, "python -m benchmarks.cycles CORPUS", None, cycles=table)
+        write(given.json, None, corpus_source(given.corpus), cycles=table)
 
 
 if __name__ == "__main__":

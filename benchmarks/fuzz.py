@@ -56,8 +56,7 @@ def main() -> None:
     report(verdicts, faults)
     if arguments.json is not None:
         rows = {f"{name}: {verdict}": count for (name, verdict), count in verdicts.items()}
-        command = f"python -m benchmarks.fuzz --count {arguments.count}"
-        write(arguments.json, command, arguments.seed, rows=rows, faults=faults)
+        write(arguments.json, arguments.seed, rows=rows, faults=faults)
 
 
 def judge(name: str, folder: Path, random: Random) -> str:

@@ -21,7 +21,7 @@ from rich.table import Table
 from torch import Tensor
 
 from benchmarks.arguments import over_windows
-from benchmarks.results import write
+from benchmarks.results import corpus_source, write
 from benchmarks.scores import Columns, Row, Rows, by_subject, cell
 from benchmarks.windows import FPS, FRAMES, Windows, load_windows
 from priors.humor import Humor
@@ -110,8 +110,8 @@ def main() -> None:
             "windows": windows.names, "seconds": round(seconds, 1),
         }  # fmt: skip
         tables = {"prediction": prediction, "on their feet": feet, "contacts": contacts}
-        write(arguments.json, "python -m benchmarks.generation CORPUS", SEED, **about,
-              tables=tables)  # fmt: skip
+        source = corpus_source(arguments.corpus, windows.files)
+        write(arguments.json, SEED, source, **about, tables=tables)  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -30,8 +30,9 @@ from benchmarks.humor_recipes import (
     in_between_rows,
     upper_body_rows,
 )
-from benchmarks.results import write
+from benchmarks.results import corpus_source, write
 from benchmarks.scores import (
+    WINDOWS,
     Columns,
     Fitted,
     Rows,
@@ -81,7 +82,9 @@ def main() -> None:
     parser.add_argument("--weights", type=Path, default=None, help="HuMoR's; default: bundled")
     parser.add_argument("--nc", type=Path, default=None, help="weights of more data, a row more")
     parser.add_argument("--ablations", type=Path, default=None, help="folder of their weights")
-    parser.add_argument("--shooting", type=int, default=None, help="fit so many windows by it")
+    parser.add_argument(
+        "--shooting", type=int, default=None, help="fit so many windows by it; 0: none"
+    )
     parser.add_argument("--only", type=int, default=None, help="use so many windows in all")
     arguments = parser.parse_args()
 
@@ -99,15 +102,15 @@ def main() -> None:
             windows = windows.take(evenly(windows, arguments.only))
         key = f"{frames} frames"
         console.print(f"{key}: {len(windows.names)} of {windows.listed} listed windows")
-        about[key] = {"names": windows.names, "listed": windows.listed}
+        about[key] = windows.about
         found[key] = {}
         for name, rows in protocols(windows, tuning, body, networks, arguments.shooting):
             found[key][name] = rows
             for shown in tables(f"{name}, {key}, {arguments.part}", COLUMNS[name], rows):
                 console.print(shown)
             if arguments.json is not None:
-                command = "python -m benchmarks.humor CORPUS"
-                write(arguments.json, command, SEED, part=arguments.part, windows=about,
+                source = corpus_source(arguments.corpus, (*windows.files, *tuning.files))
+                write(arguments.json, SEED, source, part=arguments.part, windows=about,
                       tables=found)  # fmt: skip
 
 
@@ -168,8 +171,9 @@ def entries(
     found = [
         Entry("stages 1-2, published", PosePrior.load(weights=published)),
         Entry("stages 1-2, tuned", PosePrior.load(weights=tuned)),
-        Entry(f"HuMoR as published (shooting{few})", rolled, most),
     ]
+    if most != 0:
+        found.append(Entry(f"HuMoR by shooting{few}", rolled, most))
     found += [
         Entry(name, Collocation.for_noise(humor, noise))
         for name, humor in networks.trained.items()
@@ -221,7 +225,10 @@ def fitted_rows(
         if not entry.knows_contacts:
             fitted = fitted.without_contacts()
         some = windows.take(chosen)
-        rows[entry.name] = score(some, fitted, body, truth[chosen], observed.visible[chosen])
+        row = score(some, fitted, body, truth[chosen], observed.visible[chosen])
+        if len(chosen) < len(windows.names):
+            row[WINDOWS]["names"] = some.names  # type: ignore[assignment]
+        rows[entry.name] = row
     itself = Fitted(windows.truth, points=truth)
     return {**rows, "truth": score(windows, itself, body, truth, observed.visible)}
 

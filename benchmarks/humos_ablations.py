@@ -16,7 +16,7 @@ from pathlib import Path
 
 import torch
 
-from benchmarks.results import show, write
+from benchmarks.results import corpus_source, show, write
 from benchmarks.retarget import itself, measured
 from benchmarks.retarget_baselines import copied
 from benchmarks.retarget_clips import Job, load_jobs
@@ -67,8 +67,7 @@ def main() -> None:
         rows[name] = judged(Humos.load(str(path), body), jobs)
         show(name, rows[name])
         if ask.json is not None:
-            command = "python -m benchmarks.humos_ablations CORPUS"
-            write(ask.json, command, 0, clips=len(jobs), rows=rows)
+            write(ask.json, 0, corpus_source(ask.corpus), clips=len(jobs), rows=rows)
 
 
 def variants(full: HumosTraining) -> dict[str, HumosTraining]:

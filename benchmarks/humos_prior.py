@@ -10,7 +10,7 @@ those of `benchmarks.humor`.
 
 from benchmarks.arguments import over_windows
 from benchmarks.humor import COLUMNS, Entry, evenly, fitted_rows
-from benchmarks.results import write
+from benchmarks.results import corpus_source, write
 from benchmarks.scores import Rows, tables
 from benchmarks.stage12 import SEED
 from benchmarks.windows import load_windows, noisy_joints, occluded_points
@@ -56,8 +56,9 @@ def main() -> None:
         for shown in tables(f"{name}, {given.part}", COLUMNS[name], found[name]):
             print_wide(shown)
         if given.json is not None:
-            write(given.json, "python -m benchmarks.humos_prior CORPUS", SEED, part=given.part,
-                  weights=given.weights, windows=windows.names, tables=found)  # fmt: skip
+            source = corpus_source(given.corpus, windows.files)
+            write(given.json, SEED, source, part=given.part, weights=given.weights,
+                  windows=windows.about, tables=found)  # fmt: skip
 
 
 def print_wide(table: object) -> None:

@@ -28,7 +28,7 @@ from rich.table import Table
 from torch import Tensor
 
 from benchmarks.arguments import over_windows
-from benchmarks.results import write
+from benchmarks.results import corpus_source, write
 from benchmarks.windows import FPS, noisy_joints
 from priors.training.dataset import Splits, clip_files
 from recon.body import BodyModel
@@ -83,7 +83,7 @@ def main() -> None:
             console.print(shown(f"{prior}: {clip} ({lengths[clip]:.1f} s)", found))
     if arguments.json is not None:
         write(
-            arguments.json, "python -m benchmarks.long CORPUS", SEED,
+            arguments.json, SEED, corpus_source(arguments.corpus),
             part=arguments.part, seconds_of_clips={c: lengths[c] for c in clips}, rows=rows,
         )  # fmt: skip
 

@@ -24,7 +24,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from benchmarks.results import write
+from benchmarks.results import recordings_source, write
 from recon.body import BodyModel
 from recon.formats import read_recording
 from recon.ingest.coverage import MarkerSet, full_body_markers
@@ -159,7 +159,10 @@ def main() -> None:
         rows.append(row)
         print(f"{name:44s}" + "".join(f"{value:>10}" for value in list(row.values())[1:]))
         if options.json:
-            write(options.json, "python -m benchmarks.markers OBSERVATIONS", None, rows=rows)
+            source = recordings_source(
+                options.observations, (str(row["recording"]) for row in rows)
+            )
+            write(options.json, None, source, rows=rows)
     within = sum(float(row["left_out_mm"]) <= LIMIT_MM for row in rows)
     print(f"{within} of {len(rows)} recordings predict left-out markers within {LIMIT_MM:g} mm")
 

@@ -47,7 +47,7 @@ def main() -> None:
     rows = {**shares(body, motion), **distances(body, motion)}
     show(f"{FRAMES} frames", rows)
     if arguments.json is not None:
-        write(arguments.json, "python -m benchmarks.nearest", SEED, rows=rows)
+        write(arguments.json, SEED, rows=rows)
 
 
 def shares(body: BodyModel, motion: Motion) -> dict[str, float]:

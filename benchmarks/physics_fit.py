@@ -23,7 +23,7 @@ from torch import Tensor
 
 from benchmarks.arguments import over_windows
 from benchmarks.humor import Observed, evenly
-from benchmarks.results import write
+from benchmarks.results import corpus_source, write
 from benchmarks.scores import Columns, Fitted, Row, Rows, cell, fit_windows, score, tables
 from benchmarks.stage12 import SEED
 from benchmarks.windows import Windows, load_windows, noisy_joints, occluded_points
@@ -89,9 +89,8 @@ def main() -> None:
         console.print(tables(title, COLUMNS, rows)[0])
         console.print(table(f"{title} (all windows together; cm, cm/s, %)", physical))
         if arguments.json is not None:
-            command = "python -m benchmarks.physics_fit CORPUS"
-            only = "" if arguments.only is None else f" --only {arguments.only}"
-            write(arguments.json, command + only, SEED, part=arguments.part,
+            source = corpus_source(arguments.corpus, windows.files)
+            write(arguments.json, SEED, source, part=arguments.part,
                   weights=str(arguments.weights), windows=about, tables=found)  # fmt: skip
 
 

@@ -22,7 +22,7 @@ import torch
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.results import write
+from benchmarks.results import recordings_source, write
 from benchmarks.scores import Columns, Row, cell
 from observations.keypoints2d import Keypoints2D
 from recon import metrics
@@ -77,7 +77,8 @@ def main() -> None:
         table.add_row(name, *(cell(row.get(key), f) for key, (_, f) in COLUMNS.items()))
     console.print(table)
     if arguments.json is not None:
-        write(arguments.json, "python -m benchmarks.pose2sim OBSERVATIONS", SEED, tables=rows)
+        source = recordings_source(arguments.observations, ["pose2sim"])
+        write(arguments.json, SEED, source, tables=rows)
 
 
 def _one(

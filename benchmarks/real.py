@@ -14,7 +14,7 @@ from pathlib import Path
 
 import torch
 
-from benchmarks.results import write
+from benchmarks.results import recordings_source, write
 from observations.markers3d import Markers3D
 from observations.timing import at_observation_times
 from priors.humor import Humor
@@ -85,8 +85,8 @@ def main() -> None:
             ]
             write_png(arguments.pictures / "real_markers.png", shows)
     if arguments.json is not None:
-        command = "python -m benchmarks.real OBSERVATIONS"
-        write(arguments.json, command, None, hidden_markers_cm=rows)
+        source = recordings_source(arguments.observations, rows)
+        write(arguments.json, None, source, hidden_markers_cm=rows)
 
 
 def observation(path: Path, body: BodyModel) -> Markers3D:

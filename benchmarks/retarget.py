@@ -27,7 +27,7 @@ from rich.table import Table
 from torch import Tensor
 
 from benchmarks.arguments import over_windows
-from benchmarks.results import write
+from benchmarks.results import corpus_source, write
 from benchmarks.retarget_baselines import (
     copied,
     copied_to_ground,
@@ -243,8 +243,8 @@ def _main() -> None:
         show(f"{given.part}, {len(jobs)} clips, {standing} without flight", table, group)
     if given.json is not None:
         about = {"clips": len(jobs), "without_flight": standing, "licence": given.licence}
-        command = "python -m benchmarks.retarget CORPUS"
-        write(given.json, command, SEED, part=given.part, **about, methods=table)
+        source = corpus_source(given.corpus)
+        write(given.json, SEED, source, part=given.part, **about, methods=table)
     if given.picture is not None:
         pictured = {name: methods[name] for name in PICTURED if name in methods} | trained
         job = max(jobs, key=lambda job: float((job.target - job.motion.shape).norm()))

@@ -22,7 +22,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from benchmarks.anchor import asked, parser, weights_name
-from benchmarks.results import show, write
+from benchmarks.results import corpus_source, show, write
 from benchmarks.retarget_clips import Job, load_jobs
 from priors.humos import FPS, Humos
 from priors.training.humos_corpus import AS_RECORDED, BodyCorpus
@@ -62,8 +62,7 @@ def main() -> None:
         show(name, row)
     if ask.json is not None:
         about = {"weights": weights_name(ask.weights), "licence": ask.licence}
-        command = "python -m benchmarks.retarget_shapes CORPUS"
-        write(ask.json, command, 0, **about, clips=len(jobs), rows=rows)
+        write(ask.json, 0, corpus_source(ask.corpus), **about, clips=len(jobs), rows=rows)
     if ask.picture is not None:
         walk = next(job for job in jobs if job.name.startswith(("07", "16")))
         draw(ask.picture, prior, walk.motion)

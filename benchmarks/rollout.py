@@ -61,7 +61,6 @@ def main() -> None:
     if arguments.json is not None:
         write(
             arguments.json,
-            "python -m benchmarks.rollout",
             SEED,
             rows=[{**asdict(row), "ratio": row.ratio} for row in rows],
             frames=times,

@@ -1,6 +1,7 @@
 """What is measured of a method on the listed windows, clip by clip, and how it is shown.
 
-Values are means over a subject's windows, then over subjects.
+Values are means over a subject's windows, then over the subjects who are not apart. Beside them,
+rows hold the values of every window under `WINDOWS`, from which intervals are made.
 """
 
 import time
@@ -26,7 +27,16 @@ from recon.struct import concatenate
 
 Row = dict[str, float | None]
 Rows = dict[str, Row]
-"""By subject, and "mean" over subjects: values by metric."""
+"""By subject, and "mean" over the subjects who count: values by metric. Under `WINDOWS`, by metric
+the list of the values of every window."""
+
+WINDOWS = "windows"
+KEPT = (
+    "joints_all", "joints_legs", "root_joints_all", "vertices", "observed_all",
+    "observed_visible", "observed_hidden", "accel", "accel_error", "penetration_freq",
+    "slip_speed", "contact_accuracy", "root_visible", "root_hidden", "root_all",
+)  # fmt: skip
+"""Metrics whose values are kept window by window."""
 
 Columns = dict[str, tuple[str, float]]
 """By metric: its heading, and what turns metres into centimetres or shares into per cent."""
@@ -127,7 +137,10 @@ def score(
         clips.append({**row, **heights, "seconds": fitted.seconds})
     rows = by_subject(windows, clips)
     feet = feet_balanced(windows, said > 0.5)
-    return {name: {**row, "accel_ratio": _ratio(row), **feet[name]} for name, row in rows.items()}
+    return {
+        name: row if name == WINDOWS else {**row, "accel_ratio": _ratio(row), **feet[name]}
+        for name, row in rows.items()
+    }
 
 
 def stance_height(
@@ -145,7 +158,7 @@ def feet_balanced(windows: Windows, said: Bool[Tensor, "clips time 22"]) -> Rows
         own = windows.of(subject)
         value = metrics.contact_balanced_accuracy(said[own], windows.contacts[own], FEET)
         found[subject] = {"feet_balanced": value}
-    return {**found, "mean": mean_of(list(found.values()))}
+    return {**found, "mean": mean_of([found[subject] for subject in windows.counted])}
 
 
 def constant_contacts(windows: Windows) -> Rows:
@@ -157,7 +170,8 @@ def constant_contacts(windows: Windows) -> Rows:
         for a, b in zip(said, windows.contacts, strict=True)
     ]
     feet = feet_balanced(windows, said)
-    return {name: {**row, **feet[name]} for name, row in by_subject(windows, nine).items()}
+    rows = by_subject(windows, nine)
+    return {n: row if n == WINDOWS else {**row, **feet[n]} for n, row in rows.items()}
 
 
 def score_points(
@@ -177,13 +191,23 @@ def score_points(
             }
         )
     rows = by_subject(windows, clips)
-    return {name: {**row, "accel_ratio": _ratio(row)} for name, row in rows.items()}
+    return {
+        name: row if name == WINDOWS else {**row, "accel_ratio": _ratio(row)}
+        for name, row in rows.items()
+    }
 
 
 def by_subject(windows: Windows, clips: list[Row]) -> Rows:
     subjects = sorted(set(windows.subjects))
     rows = {s: mean_of([clips[i] for i in windows.of(s)]) for s in subjects}
-    return {**rows, "mean": mean_of(list(rows.values()))}
+    rows["mean"] = mean_of([rows[s] for s in windows.counted])
+    kept = {key: [rounded(row[key]) for row in clips] for key in KEPT if key in clips[0]}
+    return {**rows, WINDOWS: kept}  # type: ignore[dict-item]
+
+
+def rounded(value: float | None) -> float | None:
+    """To six digits, which intervals do not notice."""
+    return None if value is None else float(f"{value:.6g}")
 
 
 def mean_of(rows: list[Row]) -> Row:
@@ -196,8 +220,8 @@ def mean_of(rows: list[Row]) -> Row:
 
 
 def subject_mean(windows: Windows, values: Tensor) -> float:
-    """Mean over each subject's windows, then over subjects."""
-    means = [values[windows.of(s)].mean() for s in sorted(set(windows.subjects))]
+    """Mean over each subject's windows, then over the subjects who count."""
+    means = [values[windows.of(s)].mean() for s in windows.counted]
     return torch.stack(means).mean().item()
 
 
@@ -213,7 +237,7 @@ def tables(title: str, columns: Columns, rows: dict[str, Rows]) -> tuple[Table, 
     first, (heading, factor) = next(iter(columns.items()))
     single = Table(title=f"{title}: {heading}, by subject", title_justify="left")
     single.add_column("method")
-    subjects = list(next(iter(rows.values())))
+    subjects = [name for name in next(iter(rows.values())) if name != WINDOWS]
     for subject in subjects:
         single.add_column(subject, justify="right")
     for name, row in rows.items():

@@ -294,7 +294,7 @@ def main() -> None:
             "ratio_total": total / total_scipy,
             "overhead": [asdict(cost) for cost in costs],
         }
-        write(arguments.json, "python -m benchmarks.solver", None, **report)
+        write(arguments.json, None, **report)
 
 
 if __name__ == "__main__":

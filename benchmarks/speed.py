@@ -40,7 +40,7 @@ def main() -> None:
     rows = {**posing(body, motion), **fitting(body, motion)}
     show(f"{FRAMES} frames, {os.cpu_count()} cores", rows)
     if arguments.json is not None:
-        write(arguments.json, "python -m benchmarks.speed", SEED, rows=rows)
+        write(arguments.json, SEED, rows=rows)
 
 
 def posing(body: BodyModel, motion: Motion) -> dict[str, float]:

@@ -20,7 +20,7 @@ from rich.console import Console
 from torch import Tensor
 
 from benchmarks.arguments import over_windows
-from benchmarks.results import write
+from benchmarks.results import corpus_source, write
 from benchmarks.scores import (
     Columns,
     Rows,
@@ -78,9 +78,9 @@ def main() -> None:
     console.print(", ".join(f"{k} {v:.3g}" for k, v in speed.items()))
     if arguments.json is not None:
         tuned = {name: value for name, (_, value) in smoothers.items()}
-        about = {"part": arguments.part, "windows": windows.names, "smoothers": tuned}
-        command = "python -m benchmarks.stage12 CORPUS"
-        write(arguments.json, command, SEED, **about, tables=found, speed=speed)
+        about = {"part": arguments.part, "windows": windows.about, "smoothers": tuned}
+        source = corpus_source(arguments.corpus, (*windows.files, *tuning.files))
+        write(arguments.json, SEED, source, **about, tables=found, speed=speed)
 
 
 Smoother = Callable[[Tensor], Tensor]

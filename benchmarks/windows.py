@@ -22,7 +22,7 @@ from recon.surface import KEYPOINTS_43, landmark
 
 FPS = 30.0
 FRAMES = 60
-"""Of a listed window."""
+"""Of a listed window, where nothing else is said."""
 
 BONE_ERROR = 0.005
 """Metres: how well a skeleton recording tells the length of a bone."""
@@ -40,6 +40,31 @@ class Windows:
     """Clip and start, for the report."""
     listed: int
     """Number of windows of which these remain."""
+    apart: tuple[str, ...] = ()
+    """Subjects who count in no mean over subjects."""
+    files: tuple[Path, ...] = ()
+    """The motion files that were read."""
+
+    @property
+    def clips(self) -> tuple[str, ...]:
+        """The clip of every window."""
+        return tuple(name.rsplit("@", 1)[0] for name in self.names)
+
+    @property
+    def counted(self) -> list[str]:
+        """The subjects over whom means are taken: all who are not apart, or all there are."""
+        every = sorted(set(self.subjects))
+        return [subject for subject in every if subject not in self.apart] or every
+
+    @property
+    def about(self) -> dict[str, object]:
+        """What a result file keeps of them."""
+        return {
+            "names": self.names,
+            "subjects": self.subjects,
+            "apart": self.apart,
+            "listed": self.listed,
+        }
 
     def of(self, subject: str) -> list[int]:
         """The windows of one subject."""
@@ -70,19 +95,21 @@ def load_windows(
     seed: int = 0,
     frames: int = FRAMES,
 ) -> Windows:
-    """All windows that the splits list for a part, at 30 Hz.
+    """All windows of one length that the splits list for a part, at 30 Hz.
 
-    Windows of another length than listed lie about the middle of a listed one, shifted as far as
-    needed to lie inside the clip; clips shorter than that drop out, and so does a window that is
-    another one once it is shifted. A skeleton recording does not tell the girth of a body, so one
-    is drawn per subject.
+    Where the splits list no windows of that length, they lie about the middle of the listed ones
+    of 60 frames, shifted as far as needed to lie inside the clip; clips shorter than that drop
+    out, and so does a window that shares frames with one before it. A skeleton recording does not
+    tell the girth of a body, so one is drawn per subject.
 
     Raises:
         ValueError: when a listed clip is not in the corpus or too short for what is listed, or
             no window is that long.
     """
     files = clip_files(corpus)
-    rows = splits.windows[part]
+    lengths = splits.windows[part]
+    listed = frames if frames in lengths else FRAMES
+    rows = lengths[listed]
     if missing := sorted({clip for clip, _ in rows} - set(files)):
         raise ValueError(f"{corpus}: {part} clips are missing there: {', '.join(missing)}")
     recorded = {clip: load_motion(files[clip]) for clip, _ in rows}
@@ -92,14 +119,17 @@ def load_windows(
     for clip, seconds in rows:
         subject, first = splits.subject(clip), round(seconds * FPS)
         room = whole[clip].frames
-        if room < first + FRAMES:
-            raise ValueError(f"{files[clip]}: no {FRAMES} frames from {seconds} s on")
+        if room < first + listed:
+            raise ValueError(f"{files[clip]}: no {listed} frames from {seconds} s on")
         if subject not in shapes:
             generator = np.random.default_rng([seed, *subject.encode()])
             shapes[subject] = draw_girth(body, whole[clip].shape, generator)
         if room < frames:
             continue
-        first = min(max(first + (FRAMES - frames) // 2, 0), room - frames)
+        if listed != frames:
+            first = min(max(first + (listed - frames) // 2, 0), room - frames)
+            if any(clip == other and abs(first - start) < frames for other, start in found):
+                continue
         window = whole[clip].window(first, first + frames)
         contacts = contacts_at(recorded[clip], window.times, body)
         window = window.replace(start_time=0.0, shape=shapes[subject])
@@ -112,6 +142,8 @@ def load_windows(
         subjects=tuple(splits.subject(clip) for clip, _ in found),
         names=tuple(f"{clip}@{first / FPS:.2f}" for clip, first in found),
         listed=len(rows),
+        apart=splits.apart,
+        files=tuple(files[clip] for clip in recorded),
     )
 
 

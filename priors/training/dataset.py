@@ -22,7 +22,11 @@ _LOG = logging.getLogger(__name__)
 SPLITS = Path(__file__).parents[2] / "benchmarks" / "splits.toml"
 """The committed splits of a source checkout."""
 
-Part = Literal["train", "validation", "test"]
+Part = Literal["train", "validation", "test", "apart"]
+"""`apart`: clips of people who are tested in a row of their own, because somebody in the training
+part moves like them."""
+Listed = tuple[tuple[str, float], ...]
+"""Windows: clip, and first second from the clip's first frame."""
 Licence = Literal["open", "nc"]
 """Clips that weights in an open package may learn from, or those for non-commercial use too."""
 
@@ -35,6 +39,8 @@ class Splits:
     """Name patterns of the clips of each subject, the first that matches counts; a clip of no
     pattern belongs to the subject its name begins with (`07_01`: 07)."""
     test: tuple[str, ...]
+    apart: tuple[str, ...]
+    """Subjects who are tested, but left out of means over the test subjects."""
     validation: tuple[str, ...]
     every_tenth: tuple[str, ...]
     """Patterns of clips that give every tenth to validation where they are not test clips."""
@@ -42,8 +48,9 @@ class Splits:
     """Patterns of clips whose licence forbids commercial use."""
     excluded: tuple[str, ...]
     """Clips in no part."""
-    windows: dict[Part, tuple[tuple[str, float], ...]]
-    """Clip and first second, from the clip's first frame, of every listed window."""
+    windows: dict[str, dict[int, Listed]]
+    """Listed windows by part ("test" or "validation") and by their number of frames at 30 Hz.
+    Those of subjects apart are listed with the test windows."""
 
     @classmethod
     def load(cls, path: str | Path = SPLITS) -> "Splits":
@@ -61,16 +68,20 @@ class Splits:
             return cls(
                 subjects={name: tuple(rows) for name, rows in table["subjects"].items()},
                 test=tuple(table["test"]["subjects"]),
+                apart=tuple(table["test"].get("apart", ())),
                 validation=tuple(table["validation"]["subjects"]),
                 every_tenth=tuple(table["validation"]["every_tenth"]),
                 non_commercial=tuple(table["licence"]["non_commercial"]),
                 excluded=tuple(table["excluded"]["clips"]),
                 windows={
-                    part: tuple((str(clip), float(start)) for clip, start in rows)
-                    for part, rows in table.get("windows", {}).items()
+                    part: {
+                        int(frames): tuple((str(clip), float(start)) for clip, start in rows)
+                        for frames, rows in lengths.items()
+                    }
+                    for part, lengths in table.get("windows", {}).items()
                 },
             )
-        except (tomllib.TOMLDecodeError, KeyError, TypeError, ValueError) as error:
+        except (tomllib.TOMLDecodeError, KeyError, TypeError, ValueError, AttributeError) as error:
             raise ValueError(
                 f"{path}: expected splits as in benchmarks/splits.toml: {error!r}"
             ) from error
@@ -97,6 +108,8 @@ class Splits:
             subject = self.subject(clip)
             if subject in self.test:
                 held_out[clip] = "test"
+            elif subject in self.apart:
+                held_out[clip] = "apart"
             elif subject in self.validation:
                 held_out[clip] = "validation"
         counted = [c for c in kept if c not in held_out and _matches(c, self.every_tenth)]

@@ -21,7 +21,7 @@ test = {subjects = ["07"]}
 validation = {subjects = [], every_tenth = []}
 licence = {non_commercial = []}
 excluded = {clips = []}
-windows = {test = [["07_01", 0.5], ["07_01", 0.0]]}
+windows = {test = {60 = [["07_01", 0.5], ["07_01", 0.0]]}}
 """
 
 

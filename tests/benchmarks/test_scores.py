@@ -5,7 +5,7 @@ import torch
 
 from benchmarks.humor import Entry, evenly, fitted_rows
 from benchmarks.humor_recipes import UPPER_BODY, interpolated
-from benchmarks.scores import Fitted, constant_contacts, fit_windows, score, tables
+from benchmarks.scores import WINDOWS, Fitted, constant_contacts, fit_windows, score, tables
 from benchmarks.windows import Windows, noisy_joints
 from priors.pose import PosePrior
 from recon.body import BodyModel
@@ -36,8 +36,8 @@ def standing(count: int = 3, frames: int = 12) -> Windows:
 def test_the_truth_is_without_error_and_stands_on_the_ground() -> None:
     windows, body = standing(), BodyModel.load()
     rows = score(windows, Fitted(windows.truth, windows.contacts.float()), body)
-    assert set(rows) == {"a", "b", "mean"}
-    for row in rows.values():
+    assert set(rows) == {"a", "b", "mean", WINDOWS}
+    for row in (rows[name] for name in ("a", "b", "mean")):
         assert row["joints_all"] == pytest.approx(0.0, abs=1e-6)
         assert row["accel_ratio"] == pytest.approx(1.0)
         assert row["feet_balanced"] == 1.0
@@ -87,7 +87,8 @@ def test_methods_that_fit_few_windows_are_compared_on_those() -> None:
     entries = [Entry("all", method), Entry("one", method, most=1, knows_contacts=False)]
     rows = fitted_rows(windows, observed, truth, entries, body)
     assert list(rows) == ["all", "one", "truth"]
-    assert set(rows["one"]) == {"a", "mean"}
+    assert set(rows["one"]) == {"a", "mean", WINDOWS}
+    assert rows["one"][WINDOWS]["names"] == ("1",)
     error = rows["all"]["mean"]["joints_all"]
     assert error is not None
     assert 0.0 < error < 0.05

@@ -5,8 +5,10 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from benchmarks.scores import WINDOWS, by_subject
 from benchmarks.smoothers import butterworth, whittaker
 from benchmarks.windows import (
+    Windows,
     draw_girth,
     load_windows,
     noisy_joints,
@@ -18,6 +20,7 @@ from recon import rotations as so3
 from recon.body import BodyModel
 from recon.formats.amass import MotionFile, save_motion
 from recon.motion import Motion
+from recon.struct import stack
 
 
 def turning(frames: int, fps: float) -> Motion:
@@ -64,7 +67,7 @@ def splits_of(folder: Path, windows: str) -> Splits:
         validation = {{subjects = [], every_tenth = []}}
         licence = {{non_commercial = []}}
         excluded = {{clips = []}}
-        windows = {{test = [{windows}]}}
+        windows = {{test = {{60 = [{windows}]}}}}
         """
     )
     return Splits.load(folder / "splits.toml")
@@ -89,23 +92,38 @@ def test_windows_are_cut_where_the_splits_say(tmp_path: Path) -> None:
     assert (occluded.positions[~occluded.visible] == 0).all()
 
 
-def test_longer_windows_lie_about_the_middle_of_listed_ones_inside_the_clip(
+def test_windows_of_a_length_that_is_not_listed_lie_about_the_listed_ones_and_share_no_frame(
     tmp_path: Path,
 ) -> None:
-    save_motion(tmp_path / "07_01.npz", turning(480, 120.0))  # 120 frames at 30 Hz
+    """Ten pairs of the windows of version 0.1.0 overlapped, one by 97 %."""
+    save_motion(tmp_path / "07_01.npz", turning(800, 120.0))  # 200 frames at 30 Hz
     save_motion(tmp_path / "07_02.npz", turning(280, 120.0))  # 70 of them: too short
-    listed = ("01", 0.0), ("01", 0.1), ("01", 0.7), ("01", 2.0), ("02", 0.0)
+    listed = ("01", 0.0), ("01", 0.7), ("01", 3.5), ("01", 4.6), ("02", 0.0)
     splits = splits_of(tmp_path, ", ".join(f'["07_{name}", {at}]' for name, at in listed))
     body = BodyModel.load()
     windows = load_windows(tmp_path, splits, "test", body, frames=90)
-    # 0.0 and 0.1 are shifted to the same place; 0.7 s is frame 21, less 15; 2.0 s ends at 120
-    assert windows.names == ("07_01@0.00", "07_01@0.20", "07_01@1.00")
+    # 0.7 s would begin at frame 6, inside the first; 3.5 s is frame 105, less 15; then 110 at most
+    assert windows.names == ("07_01@0.00", "07_01@3.00")
     assert windows.listed == 5
     assert windows.truth.frames == 90
     short = load_windows(tmp_path, splits, "test", body)
     assert len(short.names) == 5
     torch.testing.assert_close(windows.truth.rotations[1, 15:75], short.truth.rotations[2])
     assert torch.equal(windows.truth.shape[0], short.truth.shape[0])
+
+
+def test_means_are_over_the_subjects_who_are_not_apart() -> None:
+    """Test subject 16 walks like a training subject, and was averaged with the others."""
+    still = stack([turning(4, 30.0)] * 3)
+    windows = Windows(
+        still, torch.zeros(3, 4, 22).bool(), ("07", "16", "49"), ("a@0", "b@0", "c@0"), 3, ("16",)
+    )
+    rows = by_subject(windows, [{"joints_all": value} for value in (1.0, 10.0, 3.0)])
+    assert rows["mean"]["joints_all"] == 2.0
+    assert rows["16"]["joints_all"] == 10.0
+    assert rows[WINDOWS] == {"joints_all": [1.0, 10.0, 3.0]}
+    alone = by_subject(windows.take([1]), [{"joints_all": 10.0}])
+    assert alone["mean"]["joints_all"] == 10.0
 
 
 def test_contacts_are_those_that_the_recording_was_labelled_with(tmp_path: Path) -> None:
