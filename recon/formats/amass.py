@@ -41,6 +41,8 @@ class MotionFile:
     """(nx, ny, nz, d): the points x of the ground have n·x = d, metres."""
     joint_std: Float[Tensor, "time 22"] | None = None
     """Standard deviation of every joint, metres."""
+    observed: Bool[Tensor, "time 22"] | None = None
+    """False where a joint was inferred rather than seen."""
     truth_visible: Bool[Tensor, "time 22"] | None = None
     """Of a simulated truth: joints the sensor could see."""
     T_world_camera: Float[Tensor, "poses 4 4"] | None = None
@@ -55,11 +57,14 @@ _EXTRA = {
     "contacts": ("time", 22),
     "ground": (4,),
     "joint_std": ("time", 22),
+    "observed": ("time", 22),
     "truth_visible": ("time", 22),
     "T_world_camera": ("poses", 4, 4),
     "in_camera": ("time", 6),
 }
 """Optional arrays and their shapes."""
+_FLAGS = ("observed", "truth_visible")
+"""Those of them that are true or false."""
 
 
 def load_motion(path: str | Path, dtype: torch.dtype = torch.float32) -> MotionFile:
@@ -103,8 +108,7 @@ def load_motion(path: str | Path, dtype: torch.dtype = torch.float32) -> MotionF
         for key, shape in _EXTRA.items()
         if key in arrays
     }
-    if "truth_visible" in extra:
-        extra["truth_visible"] = extra["truth_visible"] > 0.5
+    extra |= {key: extra[key] > 0.5 for key in _FLAGS if key in extra}
     return MotionFile(
         motion,
         body=_text(arrays, "body", "") or None,
