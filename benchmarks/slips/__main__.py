@@ -1,0 +1,85 @@
+"""Are slips repaired or warned of, is their cause named, and are good recordings left in peace?
+
+    python -m benchmarks.slips CORPUS --good 300 --observations OBSERVATIONS --json slips.json
+    python -m benchmarks.slips CORPUS --part validation --clips 3 --sensor joints3d
+    python -m benchmarks.slips CORPUS --part validation --slip mirrored --unrepaired
+    python -m benchmarks.slips CORPUS --part validation --clips 0 --good 20 --observations FOLDER
+
+45 slips (`benchmarks.slips.kinds`) at sizes that were fixed on validation people
+(`benchmarks.slips.sizes`), each on 20 test windows of two seconds: joints with 2 cm of noise, 43
+markers with 1 cm, keypoints with 3 pixels. A slip is `caught` when the fit is within 1.2 times the
+clean clip's error or a warning is given. It is `named` when one of the codes that were reported
+is right, and `named first` when the first of them is; clips that a slip does no harm to, and about
+which nothing is said, count in neither. `--good` fits recordings without a slip
+(`benchmarks.slips.good`); everything that is said about them is a false alarm.
+"""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from benchmarks.results import Sources, corpus_source, recordings_source, write
+from benchmarks.slips.good import GoodWindows, evenly, listed
+from benchmarks.slips.kinds import SLIPS
+from benchmarks.slips.recordings import SENSORS, windows_of
+from benchmarks.slips.sizes import chosen_sizes
+from benchmarks.slips.table import HEADING, Judged, judged, line, quiet, summary
+from recon.body import BodyModel
+from recon.settings import FitSettings
+
+CLIPS = 20
+
+
+def main() -> None:
+    arguments = parsed()
+    body, settings = BodyModel.load(), FitSettings(prior=arguments.prior)
+    every = windows_of(arguments.corpus, arguments.part, body)
+    sources: Sources = corpus_source(arguments.corpus, every.files)
+    tables: dict[str, Any] = {"part": arguments.part, "prior": arguments.prior}
+    if arguments.clips > 0:
+        windows = windows_of(arguments.corpus, arguments.part, body, arguments.clips)
+        slips = [s for s in SLIPS if s.sensor in arguments.sensor and arguments.slip in s.name]
+        tables |= {"windows": windows.names, "slips": {}}
+        done: list[Judged] = []
+        print(HEADING)
+        for found in judged(
+            windows, slips, chosen_sizes(), settings, body, unrepaired=arguments.unrepaired
+        ):
+            done.append(found)
+            tables["slips"][found.slip.key] = found.report()
+            print(line(found), flush=True)
+            if arguments.json is not None:
+                write(arguments.json, 0, sources, **tables)
+        print(summary(done))
+    if arguments.good > 0:
+        chosen = evenly(listed(arguments.part), arguments.good)
+        real = [window.source for window in chosen if not window.variant]
+        good = GoodWindows(every, arguments.observations, body)
+        tables["good"] = quiet(good, chosen, settings, body)
+        sources = {**sources, **recordings_source(arguments.observations, real)}
+        if arguments.json is not None:
+            write(arguments.json, 0, sources, **tables)
+
+
+def parsed() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument("corpus", type=Path)
+    parser.add_argument("--part", choices=("test", "validation"), default="test")
+    parser.add_argument("--clips", type=int, default=CLIPS, help="windows of each slip")
+    parser.add_argument("--good", type=int, default=0, help="fit so many good windows, too")
+    parser.add_argument("--sensor", choices=SENSORS, nargs="+", default=list(SENSORS))
+    parser.add_argument("--slip", default="", help="slips whose name contains this")
+    parser.add_argument("--prior", choices=("pose", "humor"), default="humor")
+    parser.add_argument("--unrepaired", action="store_true", help="fit as they are, too")
+    parser.add_argument("--observations", type=Path, help="folder of real recordings, for --good")
+    parser.add_argument("--json", type=Path, default=None)
+    arguments = parser.parse_args()
+    if arguments.good > 0 and arguments.observations is None:
+        parser.error("--good needs --observations, the folder of real recordings")
+    return arguments
+
+
+if __name__ == "__main__":
+    main()

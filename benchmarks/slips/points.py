@@ -1,0 +1,147 @@
+"""Mistakes that concern tracked points, in space or in images alike; each makes one of them."""
+
+from collections.abc import Sequence
+
+import torch
+from jaxtyping import Float, Int
+from torch import Generator, Tensor
+
+from observations.first_guess import Seen
+from observations.joints3d import Joints3D
+from observations.keypoints2d import Keypoints2D
+from observations.markers3d import Markers3D
+from recon.skeleton import JOINTS
+from recon.surface import KEYPOINTS_43
+
+Values = Float[Tensor, "clips time points dims"]
+_WILD = 0.5
+"""Metres: an outlier is at most so far off along every axis (as `simulate` makes them)."""
+
+
+def point_names(seen: Seen) -> tuple[str, ...]:
+    """Names of an observation's points, in their order."""
+    if isinstance(seen, Joints3D):
+        return tuple(JOINTS[k] for k in seen.joints)
+    if isinstance(seen, Keypoints2D):
+        return seen.points.names
+    return KEYPOINTS_43
+
+
+def values_of(seen: Seen) -> Values:
+    """Positions in metres, or pixels."""
+    if isinstance(seen, Keypoints2D):
+        return seen.pixels
+    assert isinstance(seen, Joints3D | Markers3D)
+    return seen.positions
+
+
+def weights_of(seen: Seen) -> Float[Tensor, "clips time points"]:
+    """Confidences of keypoints; one where a point in space is visible."""
+    if isinstance(seen, Keypoints2D):
+        return seen.confidence
+    assert isinstance(seen, Joints3D | Markers3D)
+    return seen.visible.float()
+
+
+def edited(seen: Seen, values: Values, weights: Tensor | None = None) -> Seen:
+    """The observation with other values; weights stay unless given, what is unseen is zero."""
+    weights = weights_of(seen) if weights is None else weights
+    values = torch.where(weights[..., None] > 0, values, 0.0)
+    if isinstance(seen, Keypoints2D):
+        return seen.replace(pixels=values, confidence=weights)
+    return seen.replace(positions=values, visible=weights > 0)
+
+
+def pairs_of_sides(names: Sequence[str]) -> list[tuple[int, int]]:
+    """Numbers of every left point and its right one."""
+    return [
+        (k, names.index("right" + name.removeprefix("left")))
+        for k, name in enumerate(names)
+        if name.startswith("left_")
+    ]
+
+
+def exchanged(seen: Seen, pairs: Sequence[tuple[int, int]], frames: slice) -> Seen:
+    """The two points of every pair carry each other's name in some frames."""
+    values, weights = values_of(seen).clone(), weights_of(seen).clone()
+    for a, b in pairs:
+        values[:, frames, [a, b]] = values[:, frames, [b, a]]
+        weights[:, frames, [a, b]] = weights[:, frames, [b, a]]
+    return edited(seen, values, weights)
+
+
+def held(seen: Seen, point: int, frames: slice) -> Seen:
+    """A point repeats its value of the first of some frames."""
+    values, weights = values_of(seen).clone(), weights_of(seen).clone()
+    values[:, frames, point] = values[:, frames.start, point][:, None]
+    weights[:, frames, point] = weights[:, frames.start, point][:, None]
+    return edited(seen, values, weights)
+
+
+def zeroed(seen: Seen, share: float, seed: int) -> Seen:
+    """A share of the visible points is written as zeros that count as seen."""
+    weights = weights_of(seen)
+    generator = Generator().manual_seed(seed)
+    lost = torch.rand(weights.shape, generator=generator) < share
+    return edited(seen, torch.where(lost[..., None], 0.0, values_of(seen)))
+
+
+def displaced(seen: Seen, point: int, offset: Sequence[float]) -> Seen:
+    """A point lies away from its place throughout, by metres or pixels along every axis."""
+    values = values_of(seen).clone()
+    values[:, :, point] += values.new_tensor(offset)
+    return edited(seen, values)
+
+
+def moved(seen: Seen, offset: Sequence[float]) -> Seen:
+    """All points in space lie away from where they are, metres."""
+    return edited(seen, values_of(seen) + values_of(seen).new_tensor(offset))
+
+
+def scaled(seen: Seen, factors: Sequence[float]) -> Seen:
+    """All points in space are multiplied, axis by axis."""
+    return edited(seen, values_of(seen) * values_of(seen).new_tensor(factors))
+
+
+def reordered(seen: Seen, order: Int[Tensor, " time"]) -> Seen:
+    """Frame k shows what frame order[k] showed."""
+    return edited(seen, values_of(seen)[:, order], weights_of(seen)[:, order])
+
+
+def shuffled(frames: int, block: int, seed: int) -> Int[Tensor, " time"]:
+    """An order of frames that is random within blocks of so many."""
+    generator = Generator().manual_seed(seed)
+    starts = range(0, frames, block)
+    sizes = [min(block, frames - start) for start in starts]
+    parts = [
+        start + torch.randperm(size, generator=generator)
+        for start, size in zip(starts, sizes, strict=True)
+    ]
+    return torch.cat(parts)
+
+
+def repeating(frames: int, share: float, seed: int) -> Int[Tensor, " time"]:
+    """An order in which a share of the frames is lost and filled by the last one before it."""
+    generator = Generator().manual_seed(seed)
+    kept = torch.rand(frames, generator=generator) >= share
+    kept[0] = True
+    return torch.where(kept, torch.arange(frames), 0).cummax(0).values
+
+
+def wild(seen: Seen, share: float, seed: int) -> Seen:
+    """A share of the points is somewhere else: half a metre around, or anywhere in the image."""
+    values, generator = values_of(seen), Generator().manual_seed(seed)
+    hit = torch.rand(values.shape[:-1], generator=generator) < share
+    anywhere = torch.rand(values.shape, generator=generator)
+    if isinstance(seen, Keypoints2D):
+        elsewhere = anywhere * values.new_tensor(seen.camera.image_size)
+    else:
+        elsewhere = values + 2 * _WILD * (anywhere - 0.5)
+    return edited(seen, torch.where(hit[..., None], elsewhere, values))
+
+
+def joined(before: Seen, after: Seen, frame: int) -> Seen:
+    """One observation until a frame, another from that frame on."""
+    values = torch.cat((values_of(before)[:, :frame], values_of(after)[:, frame:]), 1)
+    weights = torch.cat((weights_of(before)[:, :frame], weights_of(after)[:, frame:]), 1)
+    return edited(before, values, weights)

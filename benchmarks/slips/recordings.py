@@ -1,0 +1,146 @@
+"""Clean recordings of true motions: what each kind of sensor sees while nobody makes a mistake."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from benchmarks.windows import FRAMES, Windows, load_windows
+from observations.first_guess import Seen
+from observations.images import keypoints_of
+from observations.keypoints2d import Keypoints2D
+from priors.training.dataset import Part, Splits, clip_files
+from recon.body import BodyModel
+from recon.camera import Camera, full_hd_camera
+from recon.motion import Motion
+from recon.simulate import Corruption, joints3d, markers3d
+from recon.simulate_images import dome, keypoints2d
+from recon.struct import stack
+
+Sensor = Literal["joints3d", "markers3d", "camera", "cameras"]
+"""22 joints; 43 points of the skin; one camera of unknown pose; three calibrated cameras."""
+SENSORS: tuple[Sensor, ...] = ("joints3d", "markers3d", "camera", "cameras")
+CLEAN: dict[Sensor, Corruption] = {
+    "joints3d": Corruption(noise=0.02),
+    "markers3d": Corruption(noise=0.01),
+    "camera": Corruption(noise=3.0),
+    "cameras": Corruption(noise=3.0),
+}
+"""Noise of good recordings: metres, and pixels of images of 1920 x 1080."""
+_CAMERAS: dict[Sensor, int] = {"joints3d": 0, "markers3d": 0, "camera": 1, "cameras": 3}
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One clip as its sensors see it, and what a mistake may be made of."""
+
+    name: str
+    sensor: Sensor
+    truth: Motion
+    """World, one clip without batch axis."""
+    stranger: Motion
+    """Somebody else's clip of the same length, wherever it was recorded."""
+    body: BodyModel
+    cameras: tuple[Camera, ...]
+    """As they truly stand; none for points in space."""
+    corruption: Corruption
+    seed: int
+    clean: tuple[Seen, ...]
+    """With a leading axis of one clip."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """How findings call the observations."""
+        if len(self.clean) == 1:
+            return (self.sensor,)
+        return tuple(f"view{k + 1}" for k in range(len(self.clean)))
+
+    def of(self, motion: Motion, seed: int) -> tuple[Seen, ...]:
+        """The same sensors before another motion."""
+        return observed(self.sensor, motion, self.body, self.cameras, self.corruption, seed)
+
+    @property
+    def T_world_recording(self) -> Float[Tensor, "4 4"]:
+        """Maps the frame of the observations to the true world."""
+        if self.sensor != "camera":
+            return torch.eye(4)
+        view = self.clean[0]
+        assert isinstance(view, Keypoints2D)
+        return self.cameras[0].T_world_camera @ view.camera.T_camera_world[0, 0]
+
+
+def observed(
+    sensor: Sensor,
+    motion: Motion,
+    body: BodyModel,
+    cameras: tuple[Camera, ...],
+    corruption: Corruption,
+    seed: int,
+) -> tuple[Seen, ...]:
+    """What a kind of sensor sees of one clip, with a leading axis of clips."""
+    if sensor == "joints3d":
+        return (stack([joints3d(motion, body, corruption, seed)]),)
+    if sensor == "markers3d":
+        return (stack([markers3d(motion, body, corruption, seed)]),)
+    files = [
+        keypoints2d(motion, body, camera, corruption, 100 * seed + k)
+        for k, camera in enumerate(cameras)
+    ]
+    if sensor == "camera":
+        files = [replace(f, camera=replace(f.camera, T_camera_world=None)) for f in files]
+    return tuple(keypoints_of(file, body) for file in files)
+
+
+def cameras_of(sensor: Sensor, truth: Motion, body: BodyModel, seed: int) -> tuple[Camera, ...]:
+    """One or three cameras around a clip, the first in a direction of the clip's own."""
+    count = _CAMERAS[sensor]
+    return dome(truth, body, full_hd_camera(), count, first=2.4 * seed) if count else ()
+
+
+def recording_of(
+    windows: Windows,
+    number: int,
+    sensor: Sensor,
+    body: BodyModel,
+    corruption: Corruption | None = None,
+) -> Recording:
+    """One window before a kind of sensor; noise as in `CLEAN` unless said."""
+    truth, corruption = windows.truth[number], corruption or CLEAN[sensor]
+    cameras = cameras_of(sensor, truth, body, number)
+    return Recording(
+        name=windows.names[number],
+        sensor=sensor,
+        truth=truth,
+        stranger=windows.truth[_somebody_else(windows, number)],
+        body=body,
+        cameras=cameras,
+        corruption=corruption,
+        seed=number,
+        clean=observed(sensor, truth, body, cameras, corruption, number),
+    )
+
+
+def _somebody_else(windows: Windows, number: int) -> int:
+    """The next window of another person."""
+    count = len(windows.names)
+    others = [(number + k) % count for k in range(1, count)]
+    return next(o for o in others if windows.subjects[o] != windows.subjects[number])
+
+
+def windows_of(corpus: Path, part: Part, body: BodyModel, clips: int | None = None) -> Windows:
+    """The listed windows of a part, evenly so many of them.
+
+    A corpus that was converted in part gives those of its clips that are listed.
+    """
+    splits, files = Splits.load(), clip_files(corpus)
+    listed = tuple(row for row in splits.windows[part][FRAMES] if row[0] in files)
+    there = replace(splits, windows={part: {FRAMES: listed}})
+    windows = load_windows(corpus, there, part, body)
+    count = len(windows.names)
+    if clips is None or clips >= count:
+        return windows
+    return windows.take(np.linspace(0, count - 1, clips).round().astype(int).tolist())

@@ -1,0 +1,146 @@
+"""Fits of slipped and of good recordings, judged, and how they are shown."""
+
+import time
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from recon.examination import fit_examined
+
+from benchmarks.slips.errors import error
+from benchmarks.slips.good import GoodWindow, GoodWindows, alarms
+from benchmarks.slips.kinds import Slip
+from benchmarks.slips.recordings import SENSORS, Recording, recording_of
+from benchmarks.slips.verdict import Verdict, verdict_of
+from benchmarks.windows import Windows
+from recon.body import BodyModel
+from recon.clip import ClipFit, fit_clip
+from recon.settings import FitSettings
+
+
+@dataclass(frozen=True)
+class Judged:
+    """One slip on all clips."""
+
+    slip: Slip
+    size: float
+    verdicts: tuple[Verdict, ...]
+    seconds: float
+    """Of one processor, for one clip."""
+
+    def report(self) -> dict[str, Any]:
+        """As it stands in a result file."""
+        clips = [asdict(verdict) for verdict in self.verdicts]
+        return {"size": self.size, "unit": self.slip.unit, "clips": clips}
+
+
+def judged(
+    windows: Windows,
+    slips: Sequence[Slip],
+    sizes: dict[str, float],
+    settings: FitSettings,
+    body: BodyModel,
+    *,
+    unrepaired: bool,
+) -> Iterator[Judged]:
+    """Every slip on all windows, as it is done."""
+    for sensor in SENSORS:
+        own = [slip for slip in slips if slip.sensor == sensor]
+        if len(own) == 0:
+            continue
+        count = range(len(windows.names))
+        recordings = [recording_of(windows, k, sensor, body) for k in count]
+        clean = [fit_clip(r.clean, settings, body) for r in recordings]
+        for slip in own:
+            began, size = time.process_time(), sizes[slip.key]
+            rows = tuple(
+                slipped(slip, size, recording, fit, settings, unrepaired)
+                for recording, fit in zip(recordings, clean, strict=True)
+            )
+            yield Judged(slip, size, rows, (time.process_time() - began) / len(rows))
+
+
+def slipped(
+    slip: Slip,
+    size: float,
+    recording: Recording,
+    clean: ClipFit,
+    settings: FitSettings,
+    unrepaired: bool,
+) -> Verdict:
+    """One slip on one clip."""
+    seen = slip.spoil(recording, size)
+    found = fit_examined(seen, recording.names, settings, recording.body)
+
+    def wrong(fit: ClipFit) -> float:
+        return error(fit, recording, slip.measure, slip.joints)
+
+    as_it_is = wrong(fit_clip(seen, settings, recording.body)) if unrepaired else None
+    return verdict_of(
+        slip, recording.name, wrong(clean), as_it_is, wrong(found.fit), found.repairs,
+        found.warnings,
+    )  # fmt: skip
+
+
+HEADING = (
+    f"{'slip':46s} {'size':>6s} {'clean':>6s} {'as is':>6s} {'found':>6s} {'good':>5s} "
+    f"{'told':>5s} {'named':>6s} {'first':>6s}  codes; CPU s a clip"
+)
+
+
+def line(found: Judged) -> str:
+    """One slip over its clips: mean errors in centimetres or factors, numbers of clips, codes."""
+    slip, rows = found.slip, found.verdicts
+    factor = 1.0 if slip.measure == "speed" else 100.0
+
+    def average(values: list[float]) -> str:
+        return f"{factor * sum(values) / len(values):6.1f}" if values else f"{'-':>6s}"
+
+    with_cause = [r for r in rows if r.judged]
+    said = Counter(f"{code} (repaired)" for r in rows for code in set(r.repairs))
+    said += Counter(code for r in rows for code in set(r.warnings))
+    return (
+        f"{slip.key:46s} {found.size:6g} {average([r.clean for r in rows])} "
+        f"{average([r.unrepaired for r in rows if r.unrepaired is not None])} "
+        f"{average([r.error for r in rows])} "
+        f"{sum(r.as_good for r in rows):2d}/{len(rows):2d} {sum(r.caught for r in rows):2d}/"
+        f"{len(rows):2d} {sum(r.named for r in with_cause):3d}/{len(with_cause):2d} "
+        f"{sum(r.first for r in with_cause):3d}/{len(with_cause):2d}  "
+        + ", ".join(f"{count} {code}" for code, count in said.most_common())
+        + f"; {found.seconds:.1f}"
+    )
+
+
+def summary(table: Sequence[Judged]) -> str:
+    """Shares over all slips and clips."""
+    rows = [verdict for found in table for verdict in found.verdicts]
+    with_cause = [r for r in rows if r.judged]
+    caught, named = sum(r.caught for r in rows), sum(r.named for r in with_cause)
+    first = sum(r.first for r in with_cause)
+    return (
+        f"{caught} of {len(rows)} caught ({_share(caught, len(rows))}); of {len(with_cause)} the "
+        f"cause is named in {named} ({_share(named, len(with_cause))}), first in {first} "
+        f"({_share(first, len(with_cause))})"
+    )
+
+
+def quiet(
+    good: GoodWindows, windows: Sequence[GoodWindow], settings: FitSettings, body: BodyModel
+) -> dict[str, Any]:
+    """Fit good windows; print those about which anything is said that is not so."""
+    rows: list[dict[str, Any]] = []
+    for window in windows:
+        seen, names = good.load(window)
+        found = fit_examined(seen, names, settings, body)
+        said = alarms(window, (*found.repairs, *found.warnings))
+        rows.append({"window": window.name, "alarms": [finding.report() for finding in said]})
+        for finding in said:
+            print(f"{window.name}: {finding.code}: {finding.message}", flush=True)
+    false = sum(len(row["alarms"]) > 0 for row in rows)
+    print(f"{false} false alarms about {len(rows)} good windows ({_share(false, len(rows))})")
+    return {"false": false, "windows": rows}
+
+
+def _share(part: int, whole: int) -> str:
+    return f"{100 * part / max(whole, 1):.1f} %"
