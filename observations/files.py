@@ -43,7 +43,7 @@ def load(
         ValueError: when the file is damaged, nothing is visible in it, a name is unknown, or
             unit or axis are wrong; the message says what to do.
     """
-    file = load_observation(path)
+    file = load_observation(path, unit=unit)
     if not isinstance(file, PositionsFile):
         raise ValueError(f"{path}: expected 3D joints or markers (joints3d, markers3d)")
     return positions_of(file, path, body, unit=unit, up=up, robust=robust)

@@ -68,7 +68,7 @@ def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> 
                 "or 2D detections (.json, .csv) in it"
             )
         if path.suffix.lower() == ".npz":
-            files.append((str(path), load_observation(path)))
+            files.append((str(path), load_observation(path, unit=settings.unit)))
         elif kinds := _inside(path) & (_CLOUDS | _IMAGES):
             files.append((str(path), _read_folder(path, kinds, settings)))
         elif path.is_dir() or path.suffix.lower() in _DETECTIONS:

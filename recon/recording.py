@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from recon import units
+from recon import limits, units
 from recon.units import Axis
 
 LEAD_IN_SPEED = 10.0
@@ -75,10 +75,9 @@ class SkeletonRecording:
     @property
     def body_root(self) -> int:
         """The joint where the body begins: the first that branches, below any helper."""
-        for joint in range(len(self.parents)):
-            if self.parents.count(joint) > 1:
-                return joint
-        return 0
+        children = np.bincount([parent for parent in self.parents if parent >= 0])
+        branching = np.flatnonzero(children > 1)
+        return int(branching[0]) if len(branching) > 0 else 0
 
     @property
     def stature(self) -> float:
@@ -151,6 +150,7 @@ def settle_skeleton(
     units.check_override(unit)
     if raw.frames == 0:
         raise ValueError(f"{raw.name}: expected at least one frame, got none")
+    limits.FRAME_RATE.check(raw.fps, raw.name)
     _check_finite(raw.name, raw.positions, raw.orientations, raw.rest_offsets)
     if unit is not None:
         reason = f"unit {unit}: given"
@@ -166,6 +166,8 @@ def settle_skeleton(
         (up, f"up axis {up}: given") if up else units.decide_up(rise, usual_up, raw.name)
     )
     turn, metres = units.to_z_up(up), units.METRES[unit]
+    limits.POSITION.check(raw.rest_offsets * metres, raw.name, "offsets of the joints")
+    limits.POSITION.check(raw.positions * metres, raw.name, "[frame, joint, axis]")
     return dataclasses.replace(
         raw,
         rest_offsets=raw.rest_offsets * metres,
@@ -193,6 +195,7 @@ def settle_markers(
     units.check_override(unit)
     if not raw.visible.any():
         raise ValueError(f"{raw.name}: expected markers, but none is visible in any frame")
+    limits.FRAME_RATE.check(raw.fps, raw.name)
     positions = np.where(raw.visible[..., None], raw.positions, 0.0)
     _check_finite(raw.name, positions)
     rise = units.head_above_feet(raw.marker_names, positions, raw.visible)
@@ -208,10 +211,12 @@ def settle_markers(
     up, up_reason = (
         (up, f"up axis {up}: given") if up else units.decide_up(rise, usual_up, raw.name)
     )
+    turned = positions @ (units.to_z_up(up).T * units.METRES[unit])
+    limits.POSITION.check(turned, raw.name, "[frame, marker, axis]")
     return dataclasses.replace(
         raw,
         marker_names=_unique(raw.marker_names),
-        positions=positions @ (units.to_z_up(up).T * units.METRES[unit]),
+        positions=turned,
         decisions=(*raw.decisions, reason, up_reason),
     )
 
@@ -244,19 +249,24 @@ def head_to_foot(
     words = [name.lower().split(":")[-1] for name in names]
     heads = [j for j, word in enumerate(words) if "head" in word]
     feet = [j for j, word in enumerate(words) if any(w in word for w in ("foot", "toe", "ankle"))]
-    every = list(range(len(names)))
-    lengths = np.linalg.norm(offsets, axis=-1)
+    every = range(len(names))
     depth = np.zeros(len(names))
-    above: list[list[int]] = []
-    for joint, parent in enumerate(parents):
-        depth[joint] = 0.0 if parent < 0 else depth[parent] + lengths[joint]
-        above.append([joint] if parent < 0 else [*above[parent], joint])
-
-    def path(a: int, b: int) -> float:
-        shared = sum(1 for x, y in zip(above[a], above[b], strict=False) if x == y)
-        return float(depth[a] + depth[b] - 2 * depth[above[a][shared - 1]])
-
-    return max(path(a, b) for a in heads or every for b in feet or every)
+    for joint, (parent, length) in enumerate(
+        zip(parents, np.linalg.norm(offsets, axis=-1), strict=True)
+    ):
+        depth[joint] = 0.0 if parent < 0 else depth[parent] + length
+    # deepest head and foot below every joint, so far; they meet where two branches join
+    deepest = np.full((2, len(names)), -math.inf)
+    for kind, ends in enumerate((heads or every, feet or every)):
+        deepest[kind, list(ends)] = depth[list(ends)]
+    longest = 0.0
+    for joint in reversed(every):
+        parent = parents[joint]
+        if parent >= 0:
+            head, foot = deepest[:, joint] + deepest[::-1, parent]
+            longest = max(longest, float(max(head, foot) - 2 * depth[parent]))
+            deepest[:, parent] = np.maximum(deepest[:, parent], deepest[:, joint])
+    return longest
 
 
 def _extent(positions: np.ndarray, visible: np.ndarray) -> np.ndarray:

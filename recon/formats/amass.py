@@ -12,8 +12,10 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from recon import limits
 from recon import rotations as so3
 from recon.formats.files import load_arrays, save_arrays
+from recon.limits import Limit, check_pose
 from recon.motion import Motion
 from recon.units import snapped_rate
 
@@ -65,6 +67,17 @@ _EXTRA = {
 """Optional arrays and their shapes."""
 _FLAGS = ("observed", "truth_visible")
 """Those of them that are true or false."""
+_RANGES: dict[str, Limit] = {
+    "trans": limits.POSITION,
+    "joints": limits.POSITION,
+    "contacts": limits.PROBABILITY,
+    "joint_std": limits.DEVIATION,
+    "truth_visible": limits.PROBABILITY,
+    "observed": limits.PROBABILITY,
+}
+"""Of arrays that hold one quantity."""
+_UNIT_NORMAL = 0.01
+"""How far the length of the ground's normal may be from one."""
 
 
 def load_motion(path: str | Path, dtype: torch.dtype = torch.float32) -> MotionFile:
@@ -73,12 +86,17 @@ def load_motion(path: str | Path, dtype: torch.dtype = torch.float32) -> MotionF
     Raises:
         FileNotFoundError: when there is no such file.
         ValueError: when it is damaged, lacks a key (the message names those expected and found),
-            holds NaN or infinity, or has arrays of the wrong shape.
+            holds NaN or infinity, has arrays of the wrong shape or type, or numbers outside the
+            ranges of `recon.limits`.
     """
     path = Path(path)
     arrays = load_arrays(path)
     _check_keys(path, arrays)
     numeric = {k: v for k, v in arrays.items() if v.dtype.kind in "fiub"}
+    known = ("trans", "poses", "root_orient", "pose_body", "betas", "format_version", "start_time")
+    for key in (*known, *_RATES, *_EXTRA):
+        if key in arrays and key not in numeric:
+            raise ValueError(f"{path}: expected numbers in {key}, got {arrays[key].dtype}")
     translation = _array(path, numeric, "trans", ("time", 3))
     poses = _poses(path, numeric)
     if len(poses) != len(translation) or len(poses) == 0:
@@ -86,21 +104,20 @@ def load_motion(path: str | Path, dtype: torch.dtype = torch.float32) -> MotionF
             f"{path}: expected as many frames in trans as in poses, and at least one; got "
             f"{len(translation)} and {len(poses)}"
         )
+    limits.FRAMES.check(len(poses), path, "poses")
     version = int(_scalar(path, numeric, "format_version", float(FORMAT_VERSION)))
-    if version > FORMAT_VERSION:
+    if version > FORMAT_VERSION or version < 0:
         raise ValueError(f"{path}: written by a newer version (format {version}); update recon")
     if (up := _text(arrays, "up_axis", "z")) != "z":
         raise ValueError(f"{path}: expected a motion with z up, as in AMASS; it says {up} is up")
     rate = next(key for key in _RATES if key in arrays)
-    fps = snapped_rate(_scalar(path, numeric, rate, 0.0))
-    if not fps > 0:
-        raise ValueError(f"{path}: expected a positive frame rate in {rate}, got {fps}")
+    fps = snapped_rate(_scalar(path, numeric, rate, 0.0, limits.FRAME_RATE))
     motion = Motion.create(
         translation=torch.from_numpy(translation).to(dtype),
         rotations=so3.exp(torch.from_numpy(poses).double()).to(dtype),
         shape=torch.from_numpy(_betas(path, numeric)).to(dtype),
         fps=fps,
-        start_time=_scalar(path, numeric, "start_time", 0.0),
+        start_time=_scalar(path, numeric, "start_time", 0.0, limits.TIME),
     )
     gender = _text(arrays, "gender", "neutral").lower()
     extra = {
@@ -108,6 +125,7 @@ def load_motion(path: str | Path, dtype: torch.dtype = torch.float32) -> MotionF
         for key, shape in _EXTRA.items()
         if key in arrays
     }
+    _check_places(path, extra)
     extra |= {key: extra[key] > 0.5 for key in _FLAGS if key in extra}
     return MotionFile(
         motion,
@@ -191,7 +209,31 @@ def _poses(path: Path, arrays: dict[str, np.ndarray]) -> np.ndarray:
             f"{poses.shape}"
         )
     _check_finite(path, "poses", poses)
+    limits.ROTATION.check(poses[:, :66], path, "poses")
     return poses[:, :66].astype(np.float64).reshape(-1, 22, 3)
+
+
+def _check_places(path: Path, extra: dict[str, Tensor]) -> None:
+    """Refuse a ground or a camera that nobody can have.
+
+    Raises:
+        ValueError: naming file, quantity and what came.
+    """
+    if "ground" in extra:
+        ground = extra["ground"].double().numpy()
+        length = float(np.linalg.norm(ground[:3]))
+        if not abs(length - 1) < _UNIT_NORMAL:
+            raise ValueError(
+                f"{path}: expected ground (nx, ny, nz, d) with a normal of length 1, got "
+                f"{length:g}"
+            )
+        limits.POSITION.check(ground[3], path, "ground[3]")
+    if "T_world_camera" in extra:
+        check_pose(extra["T_world_camera"].double().numpy(), path, "T_world_camera")
+    if "in_camera" in extra:
+        place = extra["in_camera"].double().numpy()
+        limits.POSITION.check(place[:, :3], path, "in_camera[:, :3]")
+        limits.ROTATION.check(place[:, 3:], path, "in_camera[:, 3:]")
 
 
 def _betas(path: Path, arrays: dict[str, np.ndarray]) -> np.ndarray:
@@ -201,7 +243,8 @@ def _betas(path: Path, arrays: dict[str, np.ndarray]) -> np.ndarray:
         betas = betas[0]
     if betas.ndim != 1:
         raise ValueError(f"{path}: expected betas (S,), one shape for the clip; got {betas.shape}")
-    _check_finite(path, "betas", betas)
+    limits.SHAPES.check(len(betas), path, "betas")
+    limits.SHAPE.check(betas, path, "betas")
     return betas
 
 
@@ -226,6 +269,8 @@ def _array(
         wanted = ", ".join(str(time) if s == "time" and time else str(s) for s in shape)
         raise ValueError(f"{path}: expected {key} of shape ({wanted}), got {value.shape}")
     _check_finite(path, key, value)
+    if key in _RANGES:
+        _RANGES[key].check(value, path, key)
     return value.astype(np.float64)
 
 
@@ -234,10 +279,18 @@ def _check_finite(path: Path, key: str, value: np.ndarray) -> None:
         raise ValueError(f"{path}: {key} holds NaN or infinity; missing frames must be cut out")
 
 
-def _scalar(path: Path, arrays: dict[str, np.ndarray], key: str, default: float) -> float:
+def _scalar(
+    path: Path,
+    arrays: dict[str, np.ndarray],
+    key: str,
+    default: float,
+    limit: Limit | None = None,
+) -> float:
     value = arrays.get(key, np.array(default))
     if value.size != 1 or not np.isfinite(value).all():
         raise ValueError(f"{path}: expected one number in {key}, got {value.shape}")
+    if limit is not None:
+        limit.check(value.reshape(()), path, key)
     return float(value.reshape(()))
 
 

@@ -7,7 +7,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from recon.formats.bvh import parse_bvh
-from recon.formats.files import TEXT_LIMIT, decode, existing
+from recon.formats.files import decode, existing
+from recon.limits import TEXT
 from recon.recording import SkeletonRecording
 from recon.units import Axis
 
@@ -27,8 +28,7 @@ def iterate_texts(path: Path) -> Iterator[tuple[str, str]]:
             for member in archive:
                 if not member.isfile() or not member.name.lower().endswith(".bvh"):
                     continue
-                if member.size > TEXT_LIMIT:
-                    raise ValueError(f"{path}::{member.name}: larger than {TEXT_LIMIT >> 20} MiB")
+                TEXT.check(member.size, f"{path}::{member.name}")
                 file = archive.extractfile(member)
                 assert file is not None  # regular files always open
                 yield member.name, decode(file.read())

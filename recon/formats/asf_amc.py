@@ -5,6 +5,8 @@ Each bone becomes one joint at the bone's near end, named after the bone, and a 
 `axis` (fixed axes, in the stated order) and M its motion; the rest pose has every R = I.
 """
 
+import io
+from array import array
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,6 +14,7 @@ import numpy as np
 
 from recon.formats.bvh import about_axis
 from recon.formats.files import decode, read_bytes
+from recon.limits import ANGLE, JOINTS, POSITION, SAMPLES, TABLE
 from recon.recording import SkeletonRecording, settle_skeleton
 from recon.units import Axis
 
@@ -66,7 +69,7 @@ def read_amc(
     """
     data = read_bytes(path)
     skeleton = _find_skeleton(path) if skeleton is None else skeleton
-    tree = _parse_asf(decode(read_bytes(skeleton)), skeleton.name)
+    tree = _parse_asf(decode(read_bytes(skeleton, TABLE)), skeleton.name)
     motion, degrees = _parse_amc(decode(data), path.name)
     raw = _pose(tree, motion, degrees, path.name)
     names, parents, offsets, positions, orientations = raw
@@ -112,6 +115,7 @@ def _axis_matrix(angles: list[float], order: str, degrees: bool, name: str) -> n
     """Rotation by fixed axes, the first of `order` first."""
     if sorted(order.upper()) != ["X", "Y", "Z"]:
         raise ValueError(f"{name}: expected an axis order such as XYZ, got {order!r}")
+    ANGLE.check(angles if degrees else np.rad2deg(angles), name, "axis")
     radians = np.deg2rad(angles) if degrees else np.array(angles)
     matrix = np.eye(3)
     for letter, angle in zip(order.upper(), radians, strict=True):
@@ -184,6 +188,7 @@ def _parse_bone(block: dict[str, list[str]], degrees: bool, name: str) -> _Bone:
         raise ValueError(f"{name}: expected every bone to have a {missing[0]}")
     place = f"{name}: bone {block['name'][0]}"
     direction = np.array(_floats(block["direction"], 3, place))
+    POSITION.check(direction, place, "direction")
     length = _floats(block["length"], 1, place)[0]
     order = "".join(block["axis"][3:]) or "XYZ"
     axis = _axis_matrix(_floats(block["axis"][:3], 3, place), order, degrees, place)
@@ -197,8 +202,8 @@ def _parse_bone(block: dict[str, list[str]], degrees: bool, name: str) -> _Bone:
 def _parse_amc(text: str, name: str) -> tuple[dict[str, np.ndarray], bool]:
     """Numbers of every bone, frames x channels, and whether angles are in degrees."""
     degrees, frames = True, 0
-    rows: dict[str, list[list[float]]] = {}
-    for line in text.splitlines():
+    rows: dict[str, tuple[array[float], array[int]]] = {}
+    for line in io.StringIO(text):
         words = line.split()
         if not words or words[0].startswith("#"):
             continue
@@ -208,21 +213,27 @@ def _parse_amc(text: str, name: str) -> tuple[dict[str, np.ndarray], bool]:
             frames += 1
         else:
             try:
-                rows.setdefault(words[0], []).append([float(word) for word in words[1:]])
+                values, lengths = rows.setdefault(words[0], (array("d"), array("i")))
+                values.extend([float(word) for word in words[1:]])
+                lengths.append(len(words) - 1)
             except ValueError as error:
                 raise ValueError(
                     f"{name}: expected a bone and its numbers, got {line[:60]!r}"
                 ) from error
+        if len(rows) > JOINTS.high:
+            JOINTS.check(len(rows), name)
     if frames == 0 or "root" not in rows:
         raise ValueError(f"{name}: expected an AMC motion, frames with a line for the root")
+    SAMPLES.check(frames * len(rows), name)
     arrays: dict[str, np.ndarray] = {}
-    for bone, values in rows.items():
-        if len(values) != frames or len({len(row) for row in values}) != 1:
+    for bone, (values, lengths) in rows.items():
+        width = len(values) // frames
+        if len(lengths) != frames or set(lengths) != {width}:
             raise ValueError(
-                f"{name}: expected numbers for {bone!r} in all {frames} frames, got "
-                f"{len(values)}; the file is cut short"
+                f"{name}: expected equally many numbers for {bone!r} in all {frames} frames, got "
+                f"{len(values)} in {len(lengths)}; the file is cut short"
             )
-        arrays[bone] = np.array(values)
+        arrays[bone] = np.frombuffer(values).reshape(frames, width)
         if not np.isfinite(arrays[bone]).all():
             raise ValueError(f"{name}: the numbers of {bone!r} hold NaN or infinity")
     return arrays, degrees
@@ -232,12 +243,16 @@ def _pose(
     tree: _Skeleton, motion: dict[str, np.ndarray], degrees: bool, name: str
 ) -> tuple[tuple[str, ...], tuple[int, ...], np.ndarray, np.ndarray, np.ndarray]:
     frames = len(motion["root"])
+    JOINTS.check(2 * len(tree.bones), name, "bones and their ends, of which there are ")
+    SAMPLES.check(frames * 2 * len(tree.bones), name)
     if unknown := set(motion) - set(tree.bones):
         raise ValueError(f"{name}: moves {sorted(unknown)[0]!r}, which the skeleton lacks")
     order = ["root", *tree.parents]
-    tips = [bone for bone in tree.parents if bone not in tree.parents.values()]
+    number = {bone: k for k, bone in enumerate(order)}
+    inner = set(tree.parents.values())
+    tips = [bone for bone in tree.parents if bone not in inner]
     names = (*order, *(f"{bone}_end" for bone in tips))
-    parents = (-1, *(order.index(tree.parents[b]) for b in order[1:]), *map(order.index, tips))
+    parents = (-1, *(number[tree.parents[b]] for b in order[1:]), *(number[b] for b in tips))
     # a joint sits at the far end of its parent's bone
     near = [tree.origin * 0 if p < 0 else tree.bones[order[p]].direction for p in parents]
     offsets = np.array(near)
@@ -269,6 +284,7 @@ def _bone_motion(
     turn, shift = np.broadcast_to(np.eye(3), (len(values), 3, 3)), np.zeros((len(values), 3))
     for column, channel in zip(values.T, bone.channels, strict=True):
         if channel.startswith("r"):
+            ANGLE.check(column if degrees else np.rad2deg(column), name, f"{bone.name} {channel}")
             angle = np.deg2rad(column) if degrees else column
             turn = about_axis("xyz".index(channel[1]), angle) @ turn
         elif channel.startswith("t"):

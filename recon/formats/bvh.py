@@ -14,6 +14,8 @@ from jaxtyping import Float
 
 from recon.formats.cgspeed import restore_lost_bones
 from recon.formats.files import decode, read_bytes
+from recon.formats.numbers_in import numbers_in
+from recon.limits import ANGLE, FRAME_RATE, FRAMES, JOINTS, SAMPLES
 from recon.recording import SkeletonRecording, settle_skeleton
 from recon.units import Axis, snapped_rate
 
@@ -48,8 +50,9 @@ def parse_bvh(
     if not keyword:
         raise ValueError(f"{name}: expected a BVH file, but there is no line MOTION")
     tree = _parse_hierarchy(head, name)
-    values, fps = _parse_motion(body, sum(len(c) for c in tree.channels), name)
+    values, fps = _parse_motion(body, tree, name)
     orientations, positions, offsets = _pose(tree, values)
+    del values
     raw = SkeletonRecording(
         name=name,
         joint_names=tuple(tree.names),
@@ -65,6 +68,7 @@ def parse_bvh(
 
 def _parse_hierarchy(head: str, name: str) -> _Hierarchy:
     tree = _Hierarchy([], [], [], [])
+    taken: set[str] = set()
     open_joints: list[int] = []
     current = -1
     lines = head.replace("{", "\n{\n").replace("}", "\n}\n").splitlines()
@@ -77,12 +81,14 @@ def _parse_hierarchy(head: str, name: str) -> _Hierarchy:
             if (keyword == "ROOT") != (len(tree.names) == 0) or not (
                 open_joints or not tree.names
             ):
-                raise ValueError(f"{name}: expected one tree of joints, got {line!r} outside it")
+                raise ValueError(f"{name}: expected one tree of joints, got {line[:50]!r} outside")
             parent = open_joints[-1] if open_joints else -1
             current = len(tree.names)
             title = f"{tree.names[parent]}_end" if keyword == "END" else rest.strip()
-            if not title or title in tree.names:
-                raise ValueError(f"{name}: expected a new joint name, got {line!r}")
+            if not title or title in taken:
+                raise ValueError(f"{name}: expected a new joint name, got {line[:60]!r}")
+            taken.add(title)
+            JOINTS.check(len(taken), name)
             tree.names.append(title)
             tree.parents.append(parent)
             tree.offsets.append([])
@@ -129,66 +135,65 @@ def _parse_channels(words: list[str], name: str) -> list[tuple[int, bool]]:
     return channels
 
 
-def _parse_motion(body: str, width: int, name: str) -> tuple[np.ndarray, float]:
+def _parse_motion(body: str, tree: _Hierarchy, name: str) -> tuple[np.ndarray, float]:
     timing = _TIMING.match(body)
     if timing is None:
         raise ValueError(f"{name}: expected 'Frames: N' and 'Frame Time: seconds' after MOTION")
     try:
         frames, step = int(timing[1]), float(timing[2])
     except ValueError as error:
-        raise ValueError(f"{name}: expected numbers, got {timing[0].strip()!r}") from error
-    if frames < 1 or not 1e-5 < step < 100:
-        raise ValueError(f"{name}: expected frames and a frame time, got {frames} and {step} s")
+        raise ValueError(f"{name}: expected numbers, got {timing[0].strip()[:80]!r}") from error
+    width = sum(len(channels) for channels in tree.channels)
+    FRAMES.check(frames, name, "Frames")
+    SAMPLES.check(frames * len(tree.names), name, "Frames")
+    FRAME_RATE.check(1 / step if step > 0 else 0.0, name, "Frame Time")
     try:
-        values = np.array(list(map(float, body[timing.end() :].split())))
+        values = numbers_in(body, frames * width, timing.end())
     except ValueError as error:
-        raise ValueError(f"{name}: the motion holds something that is no number") from error
-    if width == 0 or values.size != frames * width:
         raise ValueError(
-            f"{name}: expected {frames} frames of {width} channels, got {values.size} numbers; "
-            "the file is cut short or its header is wrong"
-        )
-    if not np.isfinite(values).all():
-        raise ValueError(f"{name}: the motion holds NaN or infinity")
-    return values.reshape(frames, width), snapped_rate(1 / step)
+            f"{name}: expected {frames} frames of {width} channels, but {str(error)[:100]}; the "
+            "file is cut short, damaged, or its header is wrong"
+        ) from error
+    if width == 0 or not np.isfinite(values).all():
+        raise ValueError(f"{name}: the motion has no channels, or holds NaN or infinity")
+    values = values.reshape(frames, width)
+    turns = [turn for channels in tree.channels for _, turn in channels]
+    ANGLE.check(values, name, "[frame, channel]", seen=np.broadcast_to(turns, values.shape))
+    return values, snapped_rate(1 / step)
 
 
 def _pose(tree: _Hierarchy, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """World orientations and positions, and offsets, in the units of the file."""
     frames, joints = len(values), len(tree.names)
     offsets = np.array(tree.offsets)
-    shifts = np.broadcast_to(offsets, (frames, joints, 3)).copy()
-    slots: dict[tuple[int, int], list[tuple[int, int]]] = {}
+    orientations, positions = np.empty((frames, joints, 3, 3)), np.empty((frames, joints, 3))
     column = 0
-    for joint, channels in enumerate(tree.channels):
-        first, slot = column, 0
-        for axis, turn in channels:
-            if turn:
-                slots.setdefault((slot, axis), []).append((joint, column))
-                slot += 1
-            column += 1
-        moved = [(axis, first + k) for k, (axis, turn) in enumerate(channels) if not turn]
-        columns = [c for _, c in moved]
-        if moved and (tree.parents[joint] < 0 or values[:, columns].any()):
-            shifts[:, joint, [axis for axis, _ in moved]] = values[:, columns]
-    local = np.broadcast_to(np.eye(3), (frames, joints, 3, 3))
-    for slot in range(3):
-        factor = np.broadcast_to(np.eye(3), (frames, joints, 3, 3)).copy()
-        for axis in range(3):
-            if chosen := slots.get((slot, axis)):
-                which, source = (list(part) for part in zip(*chosen, strict=True))
-                factor[:, which] = about_axis(axis, np.deg2rad(values[:, source]))
-        local = local @ factor
-    orientations, positions = np.empty_like(local), np.empty_like(shifts)
-    for joint, parent in enumerate(tree.parents):
+    for joint, (parent, channels) in enumerate(zip(tree.parents, tree.channels, strict=True)):
+        columns = values[:, column : column + len(channels)]
+        column += len(channels)
+        shift, local = _motion_of(channels, columns, offsets[joint], root=parent < 0)
         if parent < 0:
-            orientations[:, joint], positions[:, joint] = local[:, joint], shifts[:, joint]
+            orientations[:, joint], positions[:, joint] = local, shift
         else:
             above = orientations[:, parent]
-            orientations[:, joint] = above @ local[:, joint]
-            turned = (above @ shifts[:, joint, :, None])[..., 0]
-            positions[:, joint] = positions[:, parent] + turned
+            orientations[:, joint] = above @ local
+            positions[:, joint] = positions[:, parent] + (above @ shift[..., None])[..., 0]
     return orientations, positions, offsets
+
+
+def _motion_of(
+    channels: list[tuple[int, bool]], columns: np.ndarray, offset: np.ndarray, *, root: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """Place (frames, 3) of a joint in its parent, and its rotation (frames, 3, 3)."""
+    shift = np.tile(offset, (len(columns), 1))
+    moved = [(axis, k) for k, (axis, turn) in enumerate(channels) if not turn]
+    if moved and (root or columns[:, [k for _, k in moved]].any()):
+        shift[:, [axis for axis, _ in moved]] = columns[:, [k for _, k in moved]]
+    local = np.broadcast_to(np.eye(3), (len(columns), 3, 3))
+    for k, (axis, turn) in enumerate(channels):
+        if turn:
+            local = local @ about_axis(axis, np.deg2rad(columns[:, k]))
+    return shift, local
 
 
 def about_axis(axis: int, angle: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape 3 3"]:

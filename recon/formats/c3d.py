@@ -10,7 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from recon.formats.files import read_bytes
+from recon.formats.files import read_binary
+from recon.limits import FRAME_RATE, JOINTS, SAMPLES
 from recon.recording import MarkerRecording, settle_markers
 from recon.units import Axis, parse_unit, snapped_rate
 
@@ -48,7 +49,7 @@ def read_c3d(path: Path, *, unit: str | None = None, up: Axis | None = None) -> 
         FileNotFoundError: when there is no such file.
         ValueError: when it is damaged or cut short, or its unit or up axis cannot be told.
     """
-    data = read_bytes(path)
+    data = read_binary(path)
     try:
         processor, header = _read_header(data, path)
         point, trial = _read_parameters(data, processor, path)
@@ -63,8 +64,9 @@ def read_c3d(path: Path, *, unit: str | None = None, up: Axis | None = None) -> 
     stated = point.get("RATE")
     if isinstance(stated, np.ndarray) and stated.size == 1 and stated.flat[0] > 0:
         rate = float(stated.flat[0])
-    if not 0 < rate < 1e5 or not chosen:
-        raise ValueError(f"{path}: expected markers and their rate, got {len(chosen)}, {rate} Hz")
+    FRAME_RATE.check(rate, path, "POINT:RATE")
+    if not chosen:
+        raise ValueError(f"{path}: expected markers, but all points are angles, forces and such")
     values, residuals = values[:, chosen], residuals[:, chosen]
     visible = np.isfinite(values).all(-1) & (residuals >= 0) & (values != 0).any(-1)
     fps = snapped_rate(rate)
@@ -172,13 +174,16 @@ def _read_points(
             f"{path}: the C3D header promises {frames} frames of {header.points} points, "
             f"{start + size} bytes in all; the file has {len(data)} and is cut short or damaged"
         )
-    block = data[start : start + size]
-    if real:
-        table = _floats(block, processor)
-    else:
-        table = np.frombuffer(block, ">i2" if processor == _MIPS else "<i2").astype(np.float64)
-    table = table.reshape(frames, width)[:, : 4 * header.points].reshape(frames, -1, 4)
-    return table[..., :3] * (1.0 if real else header.scale), table[..., 3]
+    JOINTS.check(header.points, path, "header")
+    SAMPLES.check(frames * header.points, path, "header")
+    kind = "f4" if real else "i2"
+    order = ">" if processor == _MIPS else "<"
+    table = np.frombuffer(data, order + kind, frames * width, start).reshape(frames, width)
+    # analog samples stand behind the points of every frame
+    table = np.ascontiguousarray(table[:, : 4 * header.points])
+    values = _floats(table.tobytes(), processor) if real else table.astype(np.float64)
+    values = values.reshape(frames, -1, 4)
+    return values[..., :3] * (1.0 if real else header.scale), values[..., 3]
 
 
 def _frame_count(header: _Header, trial: dict[str, _Parameter]) -> int:

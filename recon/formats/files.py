@@ -1,19 +1,14 @@
 """Opening files that may be damaged, and writing arrays in one step."""
 
 import lzma
-import zipfile
-import zlib
 from pathlib import Path
 
 import numpy as np
 
+from recon.formats.npz_headers import DAMAGE, check_sizes
+from recon.limits import BINARY, TEXT, Limit
 from recon.replacing import clear_leftovers
 from recon.replacing import replacing as replacing
-
-TEXT_LIMIT = 1 << 30
-"""Bytes a compressed recording may unpack to; more is taken for a bomb."""
-ARRAY_LIMIT = 1 << 33
-"""Bytes the arrays of one file may unpack to."""
 
 
 def existing(path: Path) -> Path:
@@ -32,26 +27,30 @@ def existing(path: Path) -> Path:
     return path
 
 
-def read_bytes(path: Path) -> bytes:
-    """Contents of a file, unpacked when its name ends in .xz.
+def read_bytes(path: Path, limit: Limit = TEXT) -> bytes:
+    """Contents of a file, unpacked when its name ends in .xz; `read_binary` for larger ones.
 
     Raises:
         FileNotFoundError: when there is no such file.
-        ValueError: when it is empty, damaged or unreasonably large.
+        ValueError: when it is empty, damaged or too large for memory.
     """
     existing(path)
     if path.suffix.lower() != ".xz":
-        if path.stat().st_size > TEXT_LIMIT:
-            raise ValueError(f"{path}: larger than {TEXT_LIMIT >> 20} MiB; cut the recording")
+        limit.check(path.stat().st_size, path)
         return path.read_bytes()
+    most = min(limit, TEXT, key=lambda one: one.high)
     try:
         with lzma.open(path) as file:
-            data = file.read(TEXT_LIMIT + 1)
+            data = file.read(int(most.high) + 1)
     except (lzma.LZMAError, EOFError) as error:
         raise ValueError(f"{path}: expected xz-compressed data, but {error}") from error
-    if len(data) > TEXT_LIMIT:
-        raise ValueError(f"{path}: unpacks to more than {TEXT_LIMIT >> 20} MiB; cut the recording")
+    most.check(len(data), path)
     return data
+
+
+def read_binary(path: Path) -> bytes:
+    """Contents of a file whose numbers take no more memory than the file."""
+    return read_bytes(path, BINARY)
 
 
 def decode(data: bytes) -> str:
@@ -71,19 +70,13 @@ def load_arrays(path: Path) -> dict[str, np.ndarray]:
     """
     existing(path)
     try:
-        with zipfile.ZipFile(path) as archive:
-            if sum(info.file_size for info in archive.infolist()) > ARRAY_LIMIT:
-                raise ValueError(f"{path}: unpacks to more than {ARRAY_LIMIT >> 30} GiB")
+        check_sizes(path)
         with np.load(path, allow_pickle=False) as file:
             arrays = {key: file[key] for key in file.files}
         if foreign := [key for key, value in arrays.items() if not isinstance(value, np.ndarray)]:
             raise ValueError(f"no arrays: {', '.join(foreign)}")
         return arrays
-    except (
-        zipfile.BadZipFile, zlib.error, lzma.LZMAError, EOFError, KeyError, OSError, ValueError,
-        NotImplementedError, RuntimeError, MemoryError, TypeError, SyntaxError, OverflowError,
-    ) as error:  # fmt: skip
-        # zipfile and numpy raise all of these on damaged or hostile archives
+    except DAMAGE as error:
         raise ValueError(
             f"{path}: expected an .npz file of plain arrays, but it cannot be read ({error})"
         ) from error

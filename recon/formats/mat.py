@@ -1,6 +1,7 @@
 """MATLAB files of the MoCap Toolbox: structs with `data`, `markerName` and `freq`."""
 
 import io
+import os
 import subprocess
 import sys
 import zipfile
@@ -9,12 +10,15 @@ from pathlib import Path
 import numpy as np
 
 from recon.formats.files import existing
+from recon.limits import BINARY, FRAME_RATE, JOINTS, SAMPLES
 from recon.recording import MarkerRecording, settle_markers
 from recon.units import Axis, snapped_rate
 
 _READER = Path(__file__).with_name("mat_process.py")
+_ONE = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+"""Threads of algebra, of which reading needs none, take memory by their number."""
 _PATIENCE = 120.0
-"""Seconds that reading may take."""
+"""Seconds that reading may take; `mat_process` ends sooner when it computes all the time."""
 
 
 def read_mat(
@@ -38,11 +42,14 @@ def read_mat(
     name = f"{path.name}::{variable}"
     labels = tuple(arrays[f"{variable}/markerName"].tolist())
     data, rate = arrays[f"{variable}/data"], float(arrays[f"{variable}/freq"].reshape(()))
-    if data.ndim != 2 or data.shape[1] != 3 * len(labels) or not 0 < rate < 1e5:
+    FRAME_RATE.check(rate, name, "freq")
+    JOINTS.check(len(labels), name, "markerName")
+    if data.ndim != 2 or data.shape[1] != 3 * len(labels) or len(data) == 0:
         raise ValueError(
-            f"{name}: expected data of 3 columns for each of {len(labels)} markers and a "
-            f"positive freq, got {data.shape} at {rate} Hz"
+            f"{name}: expected data of 3 columns for each of {len(labels)} markers, got "
+            f"{data.shape}"
         )
+    SAMPLES.check(len(data) * len(labels), name, "data")
     values = data.reshape(len(data), len(labels), 3)
     visible = np.isfinite(values).all(-1) & (values != 0).any(-1)
     raw = MarkerRecording(
@@ -57,9 +64,12 @@ def read_mat(
 
 
 def _arrays(path: Path) -> dict[str, np.ndarray]:
+    BINARY.check(path.stat().st_size, path)
     command = [sys.executable, "-P", str(_READER), str(path)]
     try:
-        done = subprocess.run(command, capture_output=True, timeout=_PATIENCE, check=True)
+        done = subprocess.run(
+            command, capture_output=True, timeout=_PATIENCE, check=True, env=os.environ | _ONE
+        )
         with np.load(io.BytesIO(done.stdout), allow_pickle=False) as file:
             return dict(file)
     except (subprocess.SubprocessError, zipfile.BadZipFile, ValueError, EOFError) as error:

@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+MEMORY, SECONDS = 3 << 29, 15
+"""Bytes and seconds of computing that a file may take, where the system can limit them."""
 FIELDS = ("data", "markerName", "freq")
 
 
@@ -31,7 +33,18 @@ def collect(path: str) -> dict[str, np.ndarray]:
     return found
 
 
+def limit() -> None:
+    """End this process, not the machine, on a file that unpacks to more than fits."""
+    try:
+        import resource
+    except ImportError:  # not on Windows
+        return
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+    resource.setrlimit(resource.RLIMIT_CPU, (SECONDS, SECONDS))
+
+
 if __name__ == "__main__":
+    limit()
     buffer = io.BytesIO()
     arrays: dict[str, Any] = collect(sys.argv[1])
     np.savez(buffer, allow_pickle=False, **arrays)

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from recon.formats.files import decode, read_bytes
+from recon.limits import FRAME_RATE, TIME
 
 _EVEN = 0.2
 """Frames that the times of a recording may differ from an even clock."""
@@ -19,6 +20,9 @@ _NEAR, _FINEST = 0.0025, 200.0
 frames per second it has: every time is near one of these."""
 _LONGEST = 60.0
 """Seconds of a recording whose scans may be at any times."""
+_EMPTY, _SHORT = 8, 20_000
+"""Frames of a clock may be so many times those that show something, or so many in all: every one
+of them takes memory."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +46,7 @@ def timed(path: Path, files: list[Path]) -> Timed:
         ValueError: when a time is missing, twice the same, or times of unnamed files do not rise.
     """
     times, named = read_times(path, files)
+    TIME.check(times, path, "time")
     decisions: list[str] = []
     order = np.argsort(times, kind="stable")
     if named and not np.array_equal(order, np.arange(len(files))):
@@ -96,7 +101,14 @@ def frames_of(times: Float[np.ndarray, " files"], path: Path) -> tuple[np.ndarra
             "name and time for each"
         )
     span, step = float(times[-1] - times[0]), float(np.median(steps))
+    FRAME_RATE.check(1 / max(step, 1e-300), path, "half of the times")
     count = max(round(span / step), 1)
+    if span > _LONGEST and not crowded(count, len(times)):
+        row = int(steps.argmax())
+        raise ValueError(
+            f"{path}: {len(times)} times of {count} frames show anything, and nothing was seen "
+            f"for {steps[row]:.6g} s after {times[row]:.6g} s; cut the recording there"
+        )
     off = _off(times, count)
     sharp = off * span / count <= _SHARP or span > _LONGEST
     if off <= _EVEN and sharp and _apart(times, count):
@@ -116,6 +128,11 @@ def frames_of(times: Float[np.ndarray, " files"], path: Path) -> tuple[np.ndarra
         if _off(times, count) * span / count <= _NEAR and _apart(times, count):
             return _places(times, count), count / span, float(times[0])
     return _places(times, finest), finest / span, float(times[0])
+
+
+def crowded(frames: int, seen: int) -> bool:
+    """Whether a clock of so many frames, of which so many show something, fits into memory."""
+    return frames <= max(_EMPTY * seen, _SHORT)
 
 
 def uneven(

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from recon.formats.files import decode, read_bytes, replacing
+from recon.limits import FRAME_RATE, JOINTS, SAMPLES, TIME
 from recon.recording import MarkerRecording, settle_markers
 from recon.units import METRES, Axis, parse_unit, snapped_rate, to_z_up
 
@@ -45,7 +46,10 @@ def read_trc(path: Path, *, unit: str | None = None, up: Axis | None = None) -> 
 
 def _parse_table(lines: list[str], markers: int, name: str) -> tuple[np.ndarray, np.ndarray]:
     width = 2 + 3 * markers
-    rows: list[list[float]] = []
+    JOINTS.check(markers, name, "line 4")
+    SAMPLES.check(max(len(lines), 1) * markers, name)
+    table = np.full((len(lines), width), np.nan)
+    rows = 0
     for line in lines:
         if not line.strip():
             continue
@@ -56,15 +60,17 @@ def _parse_table(lines: list[str], markers: int, name: str) -> tuple[np.ndarray,
             raise ValueError(f"{name}: expected numbers, got {line[:60]!r}") from error
         if len(row) > width and not all(np.isnan(row[width:])):
             raise ValueError(f"{name}: a row has {len(row)} cells, {markers} markers fill {width}")
-        rows.append(row[:width] + [np.nan] * (width - len(row)))
-    table = np.array(rows).reshape(len(rows), width)
+        table[rows, : len(row)] = row[:width]
+        rows += 1
+    table = table[:rows]
     if len(table) == 0 or np.isinf(table).any() or np.isnan(table[:, :2]).any():
         raise ValueError(f"{name}: expected rows of frame number, time and finite coordinates")
+    TIME.check(table[:, 1], name, "column Time, row ")
     return table[:, 1], table[:, 2:].reshape(len(table), markers, 3)
 
 
 def _check_count(stated: str | None, frames: int, name: str) -> None:
-    if stated is not None and stated.isdigit() and int(stated) > frames:
+    if stated is not None and stated[:9].isdigit() and int(stated[:9]) > frames:
         raise ValueError(f"{name}: expected {stated} frames, got {frames}; the file is cut short")
 
 
@@ -75,13 +81,13 @@ def _rate(stated: str, times: np.ndarray, name: str) -> tuple[float, str]:
     except ValueError:
         header = 0.0
     step = (times[-1] - times[0]) / (len(times) - 1) if len(times) > 1 else 0.0
-    measured = 1 / step if step > 0 else 0.0
-    if header > 0 and (measured == 0 or abs(measured - header) <= 0.01 * header):
+    measured = 1 / step if step > 1 / FRAME_RATE.high else 0.0
+    if FRAME_RATE.holds(header) and (measured == 0 or abs(measured - header) <= 0.01 * header):
         return snapped_rate(header), f"{header:g} frames per second: stated by the file"
-    if not 0 < measured < 1e5:
+    if not FRAME_RATE.holds(measured):
         raise ValueError(f"{name}: neither DataRate nor the time column gives a frame rate")
     return snapped_rate(measured), (
-        f"{measured:.4g} frames per second: by the time column, though DataRate is {stated!r}"
+        f"{measured:.4g} frames per second: by the time column, though DataRate is {stated[:20]!r}"
     )
 
 

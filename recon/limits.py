@@ -1,0 +1,294 @@
+"""The plausible range of every quantity that a file may hold, with the reason for it.
+
+One record per quantity, and one function that compares numbers with it. Readers refuse what lies
+outside: such a number is damage, another unit or another quantity, and a fit would follow it.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Limit:
+    """The range of one quantity."""
+
+    quantity: str
+    low: float
+    high: float
+    unit: str
+    reason: str
+    """Why nothing beyond the range is recorded; ends every refusal."""
+
+    def holds(self, values: Any) -> bool:
+        """Whether all numbers lie in the range; NaN does not."""
+        numbers = np.asarray(values)
+        return bool(((numbers >= self.low) & (numbers <= self.high)).all())
+
+    def check(self, values: Any, source: object, key: str = "", *, seen: Any = None) -> None:
+        """Refuse numbers outside the range.
+
+        Args:
+            values: one number or an array of any shape.
+            source: the file, for the message.
+            key: the place in the file: name of the array, line, joint.
+            seen: mask of the values that count (or of their leading axes); None for all of them.
+
+        Raises:
+            ValueError: naming file, quantity, the first number outside, and where it stands.
+        """
+        numbers = np.asarray(values)
+        with np.errstate(invalid="ignore"):
+            bad = ~((numbers >= self.low) & (numbers <= self.high))
+        if seen is not None:
+            mask = np.asarray(seen, dtype=np.bool_)
+            bad &= mask.reshape(*mask.shape, *[1] * (bad.ndim - mask.ndim))
+        if not bad.any():
+            return
+        index = tuple(int(axis) for axis in np.unravel_index(int(bad.argmax()), bad.shape))
+        place = f" at {key}{list(index) if index else ''}" if key or index else ""
+        unit = f" {self.unit}" if self.unit else ""
+        value = numbers[index]
+        shown = f"{value:.6g}" if isinstance(value, int | float | np.number) else str(value)[:40]
+        raise ValueError(
+            f"{source}: expected a {self.quantity} of {self.low:.6g} to {self.high:.6g}{unit}, "
+            f"got {shown}{place}; {self.reason}"
+        )
+
+
+POSITION = Limit(
+    "position", -1e4, 1e4, "m",
+    "beyond 10 km single precision rounds to more than a millimetre: check the unit, or subtract "
+    "an origin near the person from survey coordinates",
+)  # fmt: skip
+FRAME_RATE = Limit(
+    "frame rate", 1e-3, 1e4, "Hz",
+    "time lapse takes a picture every few minutes, the fastest motion capture 10,000 a second",
+)  # fmt: skip
+CLOCK_RATE = Limit(
+    "rate of the clock that numbers frames", 1e-3, 1e9, "Hz",
+    "clocks of cameras count nanoseconds at the finest",
+)  # fmt: skip
+TIME = Limit(
+    "time", -1e10, 1e10, "s",
+    "seconds since 1970 are about 1.8e9: a larger number is in milliseconds or finer",
+)  # fmt: skip
+FRAME_NUMBER = Limit(
+    "frame number", 0.0, 4e18, "",
+    "cameras that number frames by a clock count nanoseconds since 1970, 1.8e18, at most",
+)  # fmt: skip
+PERSON = Limit(
+    "number of a person", -1.0, 1e12, "",
+    "trackers count the people they see; -1 says that a person has no number",
+)  # fmt: skip
+FRAMES = Limit(
+    "number of frames", 1.0, 1e7, "",
+    "a day at 100 Hz has 8.6 million: cut longer recordings",
+)  # fmt: skip
+JOINTS = Limit(
+    "number of joints or markers", 1.0, 5000.0, "",
+    "a skeleton with face and fingers has fewer than 1,000, a room of markers fewer than 5,000",
+)  # fmt: skip
+SAMPLES = Limit(
+    "number of frames times joints", 1.0, 8e6, "",
+    "more does not fit into 2 GB while it is read: cut the recording",
+)  # fmt: skip
+CLOUD = Limit(
+    "number of points in a cloud", 0.0, 2e7, "",
+    "more does not fit into 2 GB while it is read, and 4,096 of a frame are used: thin it out",
+)  # fmt: skip
+PADDED = Limit(
+    "number of frames times the points of the fullest", 0.0, 3e7, "",
+    "more does not fit into 2 GB while it is fitted: cut the recording",
+)  # fmt: skip
+ROTATION = Limit(
+    "rotation vector", -100.0, 100.0, "rad",
+    "a turn needs pi at most; files that count on through whole turns get to a few of them",
+)  # fmt: skip
+ANGLE = Limit(
+    "joint angle", -36_000.0, 36_000.0, "degrees",
+    "files that count on through whole turns get to a few of them, never to a hundred",
+)  # fmt: skip
+ORTHOGONALITY = Limit(
+    "deviation of R times its transpose from the identity", 0.0, 1e-2, "",
+    "a rotation neither scales nor mirrors; rounding to three digits stays below this",
+)  # fmt: skip
+SHAPE = Limit(
+    "shape coefficient", -50.0, 50.0, "standard deviations",
+    "people are within 5; fits of wrong data get to about 20",
+)  # fmt: skip
+SHAPES = Limit(
+    "number of shape coefficients", 0.0, 400.0, "",
+    "SMPL-X, the largest model, has 300 and 100 of the expression",
+)  # fmt: skip
+PROBABILITY = Limit(
+    "probability", -1e-3, 1.001, "",
+    "a probability is from 0 to 1, but for rounding",
+)  # fmt: skip
+CONFIDENCE = Limit(
+    "confidence", 0.0, 1.01, "",
+    "0 is not seen and 1 is certain, but for rounding: clip or scale the detector's scores",
+)  # fmt: skip
+SCORE = Limit(
+    "score of a detector", -1e4, 1e4, "",
+    "scores that are not normalised get to about 10 and are clipped to 1",
+)  # fmt: skip
+DEVIATION = Limit(
+    "standard deviation", 0.0, 100.0, "m",
+    "what is known no better than that is not known",
+)  # fmt: skip
+IMAGE_SIZE = Limit(
+    "image size", 8.0, 65_535.0, "pixels",
+    "the smallest depth sensors have 8 pixels a side, image files 65,535 at most",
+)  # fmt: skip
+PIXEL = Limit(
+    "pixel coordinate", -2e5, 2e5, "pixels",
+    "detectors guess what lies outside the image, but not by three of the largest images",
+)  # fmt: skip
+FOCAL_LENGTH = Limit(
+    "focal length", 4.0, 1e6, "pixels",
+    "a lens of 1,200 mm before an 8K sensor has 260,000; check that it is in pixels, not in mm",
+)  # fmt: skip
+FIELD = Limit(
+    "focal length over the image's longer side", 0.1, 200.0, "",
+    "0.1 sees 157 degrees, which no lens without fisheye does; the longest telephoto lenses have "
+    "about 70: matrix and image size are of different images",
+)  # fmt: skip
+PIXEL_ASPECT = Limit(
+    "ratio of the two focal lengths", 0.25, 4.0, "",
+    "pixels are square or, with anamorphic lenses and old video, up to twice as wide as high",
+)  # fmt: skip
+PRINCIPAL_POINT = Limit(
+    "principal point over the image's longer side", -50.0, 50.0, "",
+    "it is near the middle of the image; of an image cut out of a larger one it may lie outside",
+)  # fmt: skip
+SKEW = Limit(
+    "skew over the focal length", -0.1, 0.1, "",
+    "axes of sensors are at right angles to within a thousandth",
+)  # fmt: skip
+DISTORTION = Limit(
+    "distortion coefficient", -1e7, 1e7, "",
+    "long lenses have large ones, as they count powers of small angles, but not such",
+)  # fmt: skip
+LENS = Limit(
+    "stretch of the image by the lens, halfway to its nearer edge", 0.5, 2.0, "",
+    "no lens without fisheye bends its image so: the distortion is of another lens or damaged",
+)  # fmt: skip
+DEPTH_SCALE = Limit(
+    "depth scale", 1e-6, 0.1, "m per unit",
+    "16 bits must reach beyond 7 cm and tell apart what is 10 cm away from each other",
+)  # fmt: skip
+PAYLOAD = Limit(
+    "size of the unpacked arrays", 0.0, float(1 << 29), "bytes",
+    "more does not fit into 2 GB while it is read: cut the recording",
+)  # fmt: skip
+TEXT = Limit(
+    "size of the unpacked text", 0.0, float(1 << 28), "bytes",
+    "more does not fit into 2 GB while it is read: cut the recording",
+)  # fmt: skip
+TABLE = Limit(
+    "size of a skeleton's or a calibration's file", 0.0, float(1 << 24), "bytes",
+    "they describe some joints or cameras; poses of a camera that moves for long belong in .npz",
+)  # fmt: skip
+JSON = Limit(
+    "size of the JSON or CSV files of one camera", 0.0, float(1 << 26), "bytes",
+    "lists of numbers take thirty times more memory than their text: cut the recording",
+)  # fmt: skip
+MASKS = Limit(
+    "size of the unpacked masks", 0.0, float(1 << 32), "bytes",
+    "more does not fit into 2 GB as one bit per pixel: give a folder of .png files",
+)  # fmt: skip
+PEOPLE = Limit(
+    "number of people in a frame", 0.0, 100.0, "",
+    "each is compared with each; crop the images of a crowd to the person",
+)  # fmt: skip
+KEYPOINTS = Limit(
+    "number of keypoints of a person", 0.0, 1000.0, "",
+    "models of body, face and hands have up to 550",
+)  # fmt: skip
+BINARY = Limit(
+    "size of the file", 0.0, float(1 << 30), "bytes",
+    "more does not fit into 2 GB while it is read: cut the recording",
+)  # fmt: skip
+IMAGE = Limit(
+    "number of pixels", 1.0, 1.5e8, "",
+    "more than a 16K image has: no mask and no depth image is that large",
+)  # fmt: skip
+MODEL_NUMBERS = Limit(
+    "number of numbers in an array of a body model", 0.0, 3e7, "",
+    "SMPL-X, the largest model, has 15 million: this is no body model",
+)  # fmt: skip
+MODEL_LENGTH = Limit(
+    "length in a body model", -5.0, 5.0, "m",
+    "a body at rest measures two metres, and a shape coefficient moves it by centimetres",
+)  # fmt: skip
+MODEL_WEIGHT = Limit(
+    "weight in a body model", -2.0, 3.0, "",
+    "skinning weights are from 0 to 1, weights of joints a little beyond",
+)  # fmt: skip
+NETWORK_WEIGHT = Limit(
+    "weight of a network", -6.6e4, 6.6e4, "",
+    "half precision, in which weights are stored, ends at 65,504",
+)  # fmt: skip
+
+LIMITS: tuple[Limit, ...] = tuple(v for v in list(globals().values()) if isinstance(v, Limit))
+"""Every range above."""
+
+
+def check_camera(matrix: Any, size: Any, distortion: Any, source: object, key: str = "") -> None:
+    """Refuse the intrinsics of a camera that nobody can have.
+
+    Args:
+        matrix: (3, 3), pixels.
+        size: width and height, pixels.
+        distortion: k1 k2 p1 p2 [k3 [k4 k5 k6]] or None.
+        source: the file, for the message.
+        key: the camera's name, for the message.
+
+    Raises:
+        ValueError: naming file, quantity and what came.
+    """
+    K, longer = np.asarray(matrix, np.float64), float(max(size))
+    IMAGE_SIZE.check(size, source, f"{key} image_size".strip())
+    place = f"{key} camera_matrix".strip()
+    if np.abs(K[[1, 2, 2], [0, 0, 1]]).max() > 1e-6 or abs(K[2, 2] - 1) > 1e-6:
+        raise ValueError(
+            f"{source}: expected a camera matrix [[fx, s, cx], [0, fy, cy], [0, 0, 1]] at "
+            f"{place}, got {K.tolist()}"
+        )
+    focal = np.diag(K)[:2]
+    FOCAL_LENGTH.check(focal, source, place)
+    FIELD.check(focal / longer, source, place)
+    PIXEL_ASPECT.check(focal[0] / focal[1], source, place)
+    PRINCIPAL_POINT.check(K[:2, 2] / longer, source, place)
+    SKEW.check(K[0, 1] / focal[0], source, place)
+    if distortion is not None:
+        place = f"{key} distortion".strip()
+        DISTORTION.check(distortion, source, place)
+        k = np.pad(np.asarray(distortion, np.float64), (0, 8))[:8]
+        r2 = (min(size) / 4 / float(focal.max())) ** 2
+        over = 1 + k[0] * r2 + k[1] * r2**2 + k[4] * r2**3
+        LENS.check(over / (1 + k[5] * r2 + k[6] * r2**2 + k[7] * r2**3), source, place)
+
+
+def check_pose(pose: Any, source: object, key: str) -> None:
+    """Refuse transforms (..., 4, 4) that are not rigid or lead farther than people are recorded.
+
+    Raises:
+        ValueError: naming file, quantity and what came.
+    """
+    T = np.asarray(pose, np.float64)
+    rotation = T[..., :3, :3]
+    # numbers near the end of double precision may overflow here, which the limit then refuses
+    with np.errstate(over="ignore", invalid="ignore"):
+        off = np.abs(rotation @ np.swapaxes(rotation, -1, -2) - np.eye(3)).max((-1, -2))
+        ORTHOGONALITY.check(off, source, key)
+        mirrored = np.linalg.det(rotation) < 0
+        bottom = np.abs(T[..., 3, :] - (0.0, 0.0, 0.0, 1.0)).max()
+    if mirrored.any() or not bottom < 1e-6:
+        raise ValueError(
+            f"{source}: expected rigid transforms in {key} with a last row 0 0 0 1, got one that "
+            "mirrors or does not end so"
+        )
+    POSITION.check(T[..., :3, 3], source, key)

@@ -1,0 +1,230 @@
+"""Ranges of quantities: what lies outside is refused with file, quantity and value."""
+
+import io
+import re
+import zipfile
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from recon import limits
+from recon.formats.amass import load_motion, save_motion
+from recon.formats.npz_headers import check_sizes
+from recon.formats.observation import CameraArrays, PointsFile, load_observation, save_observation
+from recon.limits import LIMITS, Limit, check_camera, check_pose
+from recon.units import to_z_up
+from tests.recon.test_formats_npz import KEYPOINTS, POINTS, POSITIONS, amass, make_file
+
+CAMERA = np.array([[1000.0, 0.0, 320.0], [0.0, 1000.0, 240.0], [0.0, 0.0, 1.0]])
+
+
+@pytest.mark.parametrize("limit", LIMITS, ids=lambda limit: limit.quantity)
+def test_every_range_has_its_ends_and_a_reason(limit: Limit) -> None:
+    assert limit.low < limit.high
+    assert len(limit.reason.split()) > 6
+    limit.check([limit.low, limit.high], "file")
+    for value in (np.nan, np.inf, -np.inf, limit.high + abs(limit.high), limit.low - 1):
+        assert not limit.holds([0.5, value])
+        with pytest.raises(ValueError, match=re.escape(f"clip.npz: expected a {limit.quantity}")):
+            limit.check([(limit.low + limit.high) / 2, value], "clip.npz", "key")
+
+
+def test_quantities_are_named_once() -> None:
+    assert len({limit.quantity for limit in LIMITS}) == len(LIMITS)
+
+
+def test_a_refusal_names_file_quantity_value_and_place() -> None:
+    values = np.zeros((4, 3))
+    values[2, 1] = 7e5
+    with pytest.raises(ValueError, match=r"a\.npz.*position.*10000 m.*got 700000.*trans\[2, 1\]"):
+        limits.POSITION.check(values, Path("a.npz"), "trans")
+    seen = np.ones(4, dtype=bool)
+    seen[2] = False
+    limits.POSITION.check(values, "a.npz", seen=seen)
+    with pytest.raises(ValueError, match=r"a\.json.*got 1e\+30 at idx"):
+        limits.PERSON.check(10**30, "a.json", "idx")
+
+
+@pytest.mark.parametrize(
+    ("place", "value", "quantity"),
+    [
+        ((0, 0), 1e-7, "focal length"),
+        ((1, 1), 1e9, "focal length"),
+        ((0, 0), 30.0, "longer side"),
+        ((1, 1), 90.0, "two focal lengths"),
+        ((0, 2), 1e6, "principal point"),
+        ((0, 1), 500.0, "skew"),
+        ((2, 0), 0.1, "camera matrix"),
+        ((2, 2), 2.0, "camera matrix"),
+        ((0, 0), np.nan, "focal length"),
+    ],
+)
+def test_a_camera_that_nobody_has(place: tuple[int, int], value: float, quantity: str) -> None:
+    matrix = CAMERA.copy()
+    check_camera(matrix, (640, 480), [-0.3, 0.1, 0.0, 0.0, -0.02], "calib.toml")
+    matrix[place] = value
+    with pytest.raises(ValueError, match=rf"calib\.toml.*{quantity}"):
+        check_camera(matrix, (640, 480), None, "calib.toml")
+    with pytest.raises(ValueError, match="image size"):
+        check_camera(CAMERA, (640, 1e92), None, "calib.toml")
+    with pytest.raises(ValueError, match="distortion"):
+        check_camera(CAMERA, (640, 480), [1e300, 0, 0, 0], "calib.toml")
+    with pytest.raises(ValueError, match="stretch"):
+        check_camera(CAMERA, (640, 480), [-300.0, 0, 0, 0], "calib.toml")
+
+
+@pytest.mark.parametrize("change", ["scaled", "mirrored", "far", "row", "nan", "huge"])
+def test_a_pose_that_is_none(change: str) -> None:
+    pose = np.tile(np.eye(4), (3, 1, 1))
+    check_pose(pose, "c.npz", "pose")
+    spots = {"scaled": (0, 0, 1.1), "mirrored": (0, 0, -1.0), "far": (0, 3, 2e4)}
+    spots |= {"row": (3, 0, 0.5), "nan": (1, 1, np.nan), "huge": (1, 1, 1e308)}
+    row, column, value = spots[change]
+    pose[1, row, column] = value
+    with pytest.raises(ValueError, match=r"c\.npz.*pose"):
+        check_pose(pose, "c.npz", "pose")
+
+
+@pytest.mark.parametrize(
+    ("record", "change", "quantity"),
+    [
+        (POSITIONS, {"positions": np.full((3, 2, 3), 1e306)}, "position"),
+        (POSITIONS, {"fps": 1e-300}, "frame rate"),
+        (POSITIONS, {"fps": 1e300}, "frame rate"),
+        (POSITIONS, {"start_time": 1.7e12}, "time"),
+        (KEYPOINTS, {"pixels": np.full((3, 2, 2), 1e308)}, "pixel"),
+        (KEYPOINTS, {"confidence": np.full((3, 2), 40.0)}, "confidence"),
+        (KEYPOINTS, {"confidence": np.full((3, 2), -1.0)}, "confidence"),
+        (KEYPOINTS, {"image_size": np.array([640.0, 1e92])}, "image size"),
+        (KEYPOINTS, {"camera_matrix": 1e-7 * np.eye(3)}, "camera matrix"),
+        (KEYPOINTS, {"distortion": np.zeros(3)}, "distortion"),
+        (KEYPOINTS, {"T_camera_world": 2.0 * np.eye(4)}, "identity"),
+        (POINTS, {"points": np.full((5, 3), -2e4)}, "position"),
+        (POINTS, {"frame": np.array([0, 0, 1, 1, -2])}, "frame number"),
+        (POINTS, {"fps": 1e12}, "clock"),
+    ],
+)
+def test_observations_hold_nothing_implausible(
+    tmp_path: Path, record: Any, change: dict[str, Any], quantity: str
+) -> None:
+    """Positions of 1e306 m, an image 1e92 pixels high and the like were read without a word."""
+    save_observation(tmp_path / "o.npz", record)
+    load_observation(tmp_path / "o.npz")
+    with np.load(tmp_path / "o.npz") as file:
+        arrays: dict[str, Any] = dict(file) | change
+    np.savez(tmp_path / "o.npz", **arrays)
+    with pytest.raises(ValueError, match=rf"o\.npz.*{quantity}"):
+        load_observation(tmp_path / "o.npz")
+
+
+def test_millimetres_have_their_own_range(tmp_path: Path) -> None:
+    """A room of 30 m has positions beyond 10,000 where the caller says that they are in mm."""
+    save_observation(tmp_path / "o.npz", POSITIONS)
+    with np.load(tmp_path / "o.npz") as file:
+        arrays: dict[str, Any] = dict(file) | {"positions": np.full((3, 2, 3), 30_000.0)}
+    np.savez(tmp_path / "o.npz", **arrays)
+    with pytest.raises(ValueError, match="check the unit"):
+        load_observation(tmp_path / "o.npz")
+    load_observation(tmp_path / "o.npz", unit="mm")
+
+
+@pytest.mark.parametrize(
+    ("change", "quantity"),
+    [
+        ({"betas": np.full(16, 4000.0)}, "shape coefficient"),
+        ({"betas": np.full(16, 1 + 2j)}, "numbers in betas"),
+        ({"betas": np.array(["tall"])}, "numbers in betas"),
+        ({"mocap_framerate": np.array("30")}, "numbers in mocap_framerate"),
+        ({"trans": np.full((3, 3), 1e30)}, "position"),
+        ({"poses": np.full((3, 66), 1e9)}, "rotation"),
+        ({"mocap_framerate": 1e300}, "frame rate"),
+        ({"mocap_framerate": 1e-300}, "frame rate"),
+        ({"ground": np.array([0.0, 0.0, 5.0, 0.0])}, "length 1"),
+        ({"ground": np.array([0.0, 0.0, 1.0, 1e9])}, "position"),
+        ({"contacts": np.full((3, 22), 3.0)}, "probability"),
+        ({"joint_std": np.full((3, 22), -1.0)}, "standard deviation"),
+        ({"T_world_camera": np.zeros((1, 4, 4))}, "identity"),
+        ({"in_camera": np.full((3, 6), 1e5)}, "position"),
+    ],
+)
+def test_motions_hold_nothing_implausible(
+    tmp_path: Path, change: dict[str, Any], quantity: str
+) -> None:
+    """Complex and textual betas ended in a KeyError; the rest was read without a word."""
+    np.savez(tmp_path / "m.npz", **(amass() | change))
+    with pytest.raises(ValueError, match=rf"m\.npz.*{quantity}"):
+        load_motion(tmp_path / "m.npz")
+
+
+def test_a_stray_frame_number_takes_no_memory(tmp_path: Path) -> None:
+    """A file of 43 KB with one frame number 1,000,000 took 5.6 GB: a place for every frame."""
+    frame = np.array([0, 1, 2, 3, 4, 1_000_000])
+    save_observation(tmp_path / "o.npz", PointsFile(np.ones((6, 3)), frame, 30.0))
+    with pytest.raises(ValueError, match=r"nothing was seen for 33333\.2 s after 0\.133"):
+        load_observation(tmp_path / "o.npz")
+
+
+@pytest.mark.parametrize(
+    ("fps", "step", "jitter"), [(1e6, 33_333, 0), (1e9, 33_333_333, 200_000), (1e3, 1000, 0)]
+)
+def test_frames_numbered_by_a_clock(tmp_path: Path, fps: float, step: int, jitter: int) -> None:
+    """Clocks begin anywhere and tick faster than frames; times stay, frames are few."""
+    shift = np.random.default_rng(0).integers(-jitter, jitter + 1, 90)
+    ticks = 1_700_000_000 * int(fps) + np.arange(90) * step + shift
+    record = PointsFile(np.ones((180, 3)), np.repeat(ticks, 2), fps)
+    save_observation(tmp_path / "o.npz", record)
+    read = load_observation(tmp_path / "o.npz")
+    assert isinstance(read, PointsFile)
+    assert read.frame.max() == 89
+    assert read.fps == pytest.approx(fps / step, rel=1e-3)
+    times = read.start_time + read.frame / read.fps
+    assert np.abs(times - record.frame / fps).max() < 1e-3
+    assert "clock" in read.decisions[0]
+
+
+def test_headers_that_promise_too_much(tmp_path: Path) -> None:
+    """An archive of a few kilobytes may unpack to gigabytes, or claim to; neither is tried."""
+    save_motion(tmp_path / "m.npz", make_file())
+    with np.load(tmp_path / "m.npz") as file:
+        arrays: dict[str, Any] = dict(file)
+    bomb: dict[str, Any] = arrays | {"bomb": np.zeros(1 << 20, np.uint8)}
+    np.savez_compressed(tmp_path / "m.npz", **bomb)
+    assert (tmp_path / "m.npz").stat().st_size < 100_000
+    check_sizes(tmp_path / "m.npz")
+    assert limits.PAYLOAD.high < 1 << 30
+    with pytest.raises(ValueError, match=r"m\.npz.*size of the unpacked arrays.*bomb"):
+        check_sizes(tmp_path / "m.npz", replace(limits.PAYLOAD, high=1e6))
+    header = {"descr": "<f8", "fortran_order": False, "shape": (10**9, 66)}
+    member = io.BytesIO()
+    np.lib.format.write_array_header_1_0(member, header)  # type: ignore[arg-type]
+    np.savez(tmp_path / "m.npz", **{k: v for k, v in arrays.items() if k != "poses"})
+    with zipfile.ZipFile(tmp_path / "m.npz", "a") as archive:
+        archive.writestr("poses.npy", member.getvalue() + bytes(800))
+    with pytest.raises(ValueError, match=r"m\.npz.*poses promises float64 \(1000000000, 66\)"):
+        load_motion(tmp_path / "m.npz")
+
+
+def test_points_with_y_up_keep_their_place_before_the_camera(tmp_path: Path) -> None:
+    """A transposed turn of the camera's pose was not noticed by any test."""
+    pose = np.eye(4)
+    pose[:3, :3] = to_z_up("x") @ np.diag([1.0, -1.0, -1.0])
+    pose[:3, 3] = 0.1, 0.2, 3.0
+    points = np.array([[0.3, 1.0, -0.2], [0.0, 0.5, 0.1]])
+    camera = CameraArrays(CAMERA, (640, 480), None, pose[None])
+    save_observation(tmp_path / "o.npz", PointsFile(points, np.array([0, 1]), 30.0, camera))
+    with np.load(tmp_path / "o.npz") as file:
+        arrays: dict[str, Any] = dict(file) | {"up_axis": "y"}
+    np.savez(tmp_path / "o.npz", **arrays)
+    read = load_observation(tmp_path / "o.npz")
+    assert isinstance(read, PointsFile)
+    assert read.camera is not None
+    turned = read.camera.T_camera_world
+    assert turned is not None
+    assert np.allclose(read.points, points @ to_z_up("y").T)
+    assert np.allclose(
+        read.points @ turned[0, :3, :3].T + turned[0, :3, 3],
+        points @ pose[:3, :3].T + pose[:3, 3],
+    )
