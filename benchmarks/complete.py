@@ -4,11 +4,15 @@ python -m benchmarks.complete CORPUS --weights nc --json benchmarks/results/comp
 
 Columns are those of Marsot et al., table 1: p points a frame, or f of 100 frames with all points;
 each with the 16 landmarks (+lm) and without. Test cycles, each of a body and in clothes of its
-own (benchmarks/scans.py). The row of the truth is the bare body in its true motion.
+own (benchmarks/scans.py). The row of the truth is the bare body in its true motion. `frames` fits
+every frame for itself, `pose` is the pose prior with its smoothness, `humor` the default of
+`recon fit`.
 """
 
+import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from time import process_time
 
 import numpy as np
@@ -17,7 +21,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.arguments import over_windows
-from benchmarks.cycles import chosen, found_cycles
+from benchmarks.cycles import FoundCycle, chosen, found_cycles
 from benchmarks.results import corpus_source, write
 from benchmarks.scans import (
     ScannedCycle,
@@ -31,7 +35,7 @@ from observations.files import positions_of
 from observations.surfels import Surfels
 from priors.anchor_fit import AnchorFit, PublishedAnchorFit
 from priors.pose import PosePrior, PoseWeights
-from priors.training.dataset import Splits
+from priors.training.dataset import Part, Splits
 from recon.body import BodyModel
 from recon.chamfer import chamfer_of_clip
 from recon.clip import fit_clip
@@ -112,15 +116,37 @@ def frame_by_frame(body: BodyModel) -> Fitter:
     return run
 
 
-def with_humor(weights: str, body: BodyModel) -> Fitter:
-    """HuMoR on the same observations, all frames of the batch."""
+def fitted(settings: FitSettings, body: BodyModel) -> Fitter:
+    """What `recon fit` does with the same observations, all frames of the batch."""
 
     def run(observations: list[Points]) -> list[Motion]:
-        settings = FitSettings(prior="humor", weights=weights)
         result = fit_clip(observations, settings, body).result
         return [result.clip(k).detach() for k in range(len(result.motion.shape))]
 
     return run
+
+
+def called(cycle: FoundCycle) -> str:
+    """The name of a cycle in result files: its clip and when it begins."""
+    return f"{cycle.clip}@{cycle.cycle.start:.2f}"
+
+
+def listed(result: Path, corpus: Path, splits: Splits, part: Part) -> list[FoundCycle]:
+    """The cycles of a part that a result file lists, for comparison with it.
+
+    Raises:
+        ValueError: when one of them is not found in the corpus.
+    """
+    tables = json.loads(result.read_text(encoding="utf-8"))["cycles"]
+    names = {name for row in tables.values() for name in row}
+    clips = {name.rsplit("@", 1)[0] for name in names}
+    wanted = {clip for clip, own in splits.parts(sorted(clips)).items() if own == part}
+    found = {
+        called(c): c for c in found_cycles(corpus, splits, part, wanted) if called(c) in names
+    }
+    if missing := {n for n in names if n.rsplit("@", 1)[0] in wanted} - set(found):
+        raise ValueError(f"{corpus}: these cycles of {result.name} are not there: {missing}")
+    return [found[name] for name in sorted(found)]
 
 
 def judged(motion: Motion, scanned: ScannedCycle, body: BodyModel) -> dict[str, float]:
@@ -177,23 +203,28 @@ def _main() -> None:
     parser = over_windows(__doc__)
     parser.add_argument("--weights", default="nc", help="of the anchor prior: open, nc or a file")
     parser.add_argument(
-        "--method", choices=("complete", "published", "frames", "humor"), default="complete"
+        "--method",
+        choices=("complete", "published", "frames", "pose", "humor"),
+        default="complete",
     )
+    parser.add_argument("--like", type=Path, help="complete the cycles that a result file lists")
     parser.add_argument("--each", type=int, default=4, help="cycles of every subject")
     parser.add_argument("--columns", nargs="*", choices=COLUMNS, default=list(COLUMNS))
     given = parser.parse_args()
     torch.set_num_threads(1)
     body = BodyModel.load()
     splits = Splits.load(given.splits)
-    cycles = chosen(list(found_cycles(given.corpus, splits, given.part)), given.each)
-    scanned = [
-        scanned_cycle(f"{c.clip}@{c.cycle.start:.2f}", c.subject, c.motion, body) for c in cycles
-    ]
+    if given.like is None:
+        cycles = chosen(list(found_cycles(given.corpus, splits, given.part)), given.each)
+    else:
+        cycles = listed(given.like, given.corpus, splits, given.part)
+    scanned = [scanned_cycle(called(c), c.subject, c.motion, body) for c in cycles]
     fitter = {
         "complete": lambda: completed(given.weights, body),
         "published": lambda: completed(given.weights, body, PublishedAnchorFit),
         "frames": lambda: frame_by_frame(body),
-        "humor": lambda: with_humor(given.weights, body),
+        "pose": lambda: fitted(FitSettings(prior="pose"), body),
+        "humor": lambda: fitted(FitSettings(prior="humor", weights=given.weights), body),
     }[given.method]()
     table: dict[str, dict[str, float]] = {}
     every: dict[str, dict[str, dict[str, float]]] = {}

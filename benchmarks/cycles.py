@@ -5,7 +5,7 @@ python -m benchmarks.cycles CORPUS --json benchmarks/results/cycles.json --pictu
 
 import argparse
 from collections import Counter, defaultdict
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -38,10 +38,17 @@ class FoundCycle:
     """Of the cycle alone, at 50 Hz."""
 
 
-def found_cycles(corpus: Path, splits: Splits, part: Part | None) -> Iterator[FoundCycle]:
-    """All cycles of one part, or of the whole corpus, on flat ground, clip by clip."""
+def found_cycles(
+    corpus: Path, splits: Splits, part: Part | None, clips: Collection[str] | None = None
+) -> Iterator[FoundCycle]:
+    """All cycles of one part, or of the whole corpus, on flat ground, clip by clip.
+
+    `clips` are the only ones that are looked at; None is all.
+    """
     files = clip_files(corpus)
     for name, own in splits.parts(list(files)).items():
+        if clips is not None and name not in clips:
+            continue
         if (part is not None and own != part) or not is_flat(files[name]):
             continue
         motion = load_motion(files[name]).motion
