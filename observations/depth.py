@@ -7,10 +7,12 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from observations.checks import checked_clock, checked_positions, checked_view
 from observations.depth_start import depth_start
 from observations.nearest import nearest
 from observations.surfels import Surfels
 from observations.timing import at_observation_times, moment_numbers, moments_between, padded
+from recon.arrays import Numbers
 from recon.body import BodyModel
 from recon.camera import Camera
 from recon.motion import Motion
@@ -110,7 +112,7 @@ def bounded(
     return geman_mcclure(squared, sigma)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class PointCloud(TensorStruct):
     """Half the squared distance of every observed point from the body's surface; metres².
 
@@ -141,6 +143,47 @@ class PointCloud(TensorStruct):
     scale: Float[Tensor, "*batch"] | None = None
     """Of `tukey`, while that is not in question, metres."""
 
+    def __init__(
+        self,
+        points: Numbers,
+        present: Numbers,
+        surfels: Surfels,
+        fps: float,
+        start_time: float = 0.0,
+        camera: Camera | None = None,
+        distance: Callable[[Tensor, Tensor, Tensor], Tensor] = to_discs,
+        kernel: Callable[[Tensor, Tensor], Tensor] = tukey,
+        ground_known: bool = True,
+        ground_seen: bool = False,
+        pairs: Int[Tensor, "*batch moments points"] | None = None,
+        scale: Float[Tensor, "*batch"] | None = None,
+    ) -> None:
+        """Arrays of numpy become tensors in single precision; what is not present becomes zero.
+
+        A camera without leading axes stands still.
+
+        Raises:
+            ValueError: naming the array, what was expected and what came.
+        """
+        points, present = checked_positions("PointCloud", "points", points, "present", present)
+        fps, start_time = checked_clock("PointCloud", fps, start_time)
+        view = None if camera is None else checked_view("PointCloud", camera, points)
+        self._settle(
+            points=points, present=present, surfels=surfels, fps=fps, start_time=start_time,
+            camera=view, distance=distance, kernel=kernel, ground_known=ground_known,
+            ground_seen=ground_seen, pairs=pairs, scale=scale,
+        )  # fmt: skip
+
+    @property
+    def clips(self) -> tuple[int, ...]:
+        """Leading axes."""
+        return tuple(self.points.shape[:-3])
+
+    @property
+    def moments(self) -> int:
+        """How many moments a clip has."""
+        return self.points.shape[-3]
+
     def matched(self, estimate: Estimate) -> "PointCloud":
         """With pairs and scale held as they are now: a smooth energy."""
         with torch.no_grad():
@@ -149,10 +192,10 @@ class PointCloud(TensorStruct):
             if self.present[..., seen, :].numel() > 0:
                 pairs[..., seen, :] = self._nearest(middles, normals, seen)
             if self.kernel is not tukey:
-                return self.replace(pairs=pairs, scale=None)
+                return self.derived(pairs=pairs, scale=None)
             squared, present = self._between(middles, normals, seen, pairs[..., seen, :])
             scale = tukey_scale(squared.flatten(-2), present.flatten(-2))
-            return self.replace(pairs=pairs, scale=scale)
+            return self.derived(pairs=pairs, scale=scale)
 
     def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
         """½ Σ kernel(distance²) over the points present, taken at 30 Hz.
@@ -181,7 +224,7 @@ class PointCloud(TensorStruct):
 
     def residuals(self, estimate: Estimate) -> Residuals:
         """Distance of every point from the surface at every moment, metres; one dimension."""
-        free = self.replace(pairs=None, scale=None)
+        free = self.derived(pairs=None, scale=None)
         clock = {"fps": self.fps, "start_time": self.start_time, "moments": self.points.shape[-3]}
         _, seen = at_observation_times(estimate.body.joints, estimate.motion, **clock)
         squared, present = free.squared_distances(estimate)
@@ -252,7 +295,7 @@ class PointCloud(TensorStruct):
         clock = {"fps": self.fps, "start_time": self.start_time, "start": start, "stop": stop}
         points, present, first = moments_between(self.points, self.present, **clock)
         camera = None if self.camera is None else self.camera.at(moment_numbers(**clock))
-        return self.replace(points=points, present=present, camera=camera, start_time=first)
+        return self.derived(points=points, present=present, camera=camera, start_time=first)
 
     def coarse(self, body: BodyModel, step: int = 2) -> "PointCloud":
         """Every `step`-th moment, few points, a rough surface: enough to tell headings apart.
@@ -266,7 +309,7 @@ class PointCloud(TensorStruct):
         every = slice(None, None, step)
         moments = range(0, self.points.shape[-3], step)
         camera = None if self.camera is None else self.camera.at(moments)
-        return self.replace(
+        return self.derived(
             points=self.points[..., every, :, :][..., number, :],
             present=self.present[..., every, :][..., number],
             surfels=Surfels.of(body, _FEW_SURFELS),

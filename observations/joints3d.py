@@ -6,18 +6,21 @@ from dataclasses import dataclass
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from observations.checks import checked_clock, checked_places, checked_positions
 from observations.offsets import displaced
 from observations.rigid import rigid_start
 from observations.timing import moments_between, point_misfit, point_residuals
+from recon.arrays import Numbers
 from recon.body import BodyModel
 from recon.motion import Motion
 from recon.protocols import Estimate
 from recon.residuals import Residuals
 from recon.robust import squared
+from recon.skeleton import JOINTS
 from recon.struct import TensorStruct
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class Joints3D(TensorStruct):
     """Half the squared distance of every visible joint from the body's; metres²."""
 
@@ -34,6 +37,44 @@ class Joints3D(TensorStruct):
     """Whether the ground is at z = 0."""
     offset_rows: tuple[int, int] | None = None
     """Rows of `Scene.offsets` that belong to these points: where they sit away from the joints."""
+
+    def __init__(
+        self,
+        positions: Numbers,
+        visible: Numbers,
+        joints: Numbers,
+        fps: float,
+        start_time: float = 0.0,
+        kernel: Callable[[Tensor], Tensor] = squared,
+        ground_known: bool = True,
+        offset_rows: tuple[int, int] | None = None,
+    ) -> None:
+        """Arrays of numpy become tensors in single precision; what is not visible becomes zero.
+
+        Raises:
+            ValueError: naming the array, what was expected and what came.
+        """
+        positions, visible = checked_positions(
+            "Joints3D", "positions", positions, "visible", visible
+        )
+        places = checked_places("Joints3D", "joints", joints, positions.shape[-2])
+        if places and max(places) >= len(JOINTS):
+            raise ValueError(f"Joints3D.joints: expected numbers from 0 to 21, got {places}")
+        fps, start_time = checked_clock("Joints3D", fps, start_time)
+        self._settle(
+            positions=positions, visible=visible, joints=places, fps=fps, start_time=start_time,
+            kernel=kernel, ground_known=ground_known, offset_rows=offset_rows,
+        )  # fmt: skip
+
+    @property
+    def clips(self) -> tuple[int, ...]:
+        """Leading axes."""
+        return tuple(self.positions.shape[:-3])
+
+    @property
+    def moments(self) -> int:
+        """How many moments a clip has."""
+        return self.positions.shape[-3]
 
     def predict(self, estimate: Estimate) -> Float[Tensor, "*batch time points 3"]:
         """Where the estimate has the points, world, in its own frames."""
@@ -64,7 +105,7 @@ class Joints3D(TensorStruct):
             self.positions, self.visible,
             fps=self.fps, start_time=self.start_time, start=start, stop=stop,
         )  # fmt: skip
-        return self.replace(positions=positions, visible=visible, start_time=first)
+        return self.derived(positions=positions, visible=visible, start_time=first)
 
     def start(self, body: BodyModel) -> Motion:
         """The rest pose laid on the torso, frame by frame."""

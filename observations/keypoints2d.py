@@ -6,10 +6,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from observations.checks import checked_clock, checked_pixels, checked_places, checked_view
 from observations.correspondences import BodyPoints
 from observations.image_start import image_start
 from observations.offsets import displaced
 from observations.timing import at_observation_times, moment_numbers, moments_between, padded
+from recon.arrays import Numbers, positive
 from recon.body import BodyModel
 from recon.camera import Camera, Projection
 from recon.motion import Motion
@@ -24,7 +26,7 @@ OFFSET_UNIT = 0.05
 """Metres; an offset is seen in all frames and views at once, so that its variable is stiff."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class Keypoints2D(TensorStruct):
     """Half the squared distance of every keypoint from the body's in the image; pixels²."""
 
@@ -48,6 +50,45 @@ class Keypoints2D(TensorStruct):
     offset_rows: tuple[int, int] | None = None
     """Rows of `Scene.offsets` that belong to these points, in units of `OFFSET_UNIT`: where they
     sit on this person."""
+
+    def __init__(
+        self,
+        pixels: Numbers,
+        confidence: Numbers,
+        points: BodyPoints,
+        camera: Camera,
+        fps: float,
+        start_time: float = 0.0,
+        sigma: float = SIGMA,
+        ground_known: bool = True,
+        offset_rows: tuple[int, int] | None = None,
+    ) -> None:
+        """Arrays of numpy become tensors in single precision; what is not seen becomes zero.
+
+        A camera without leading axes stands still.
+
+        Raises:
+            ValueError: naming the array, what was expected and what came.
+        """
+        pixels, confidence = checked_pixels("Keypoints2D", pixels, confidence)
+        checked_places("Keypoints2D", "points", points.bones, pixels.shape[-2])
+        fps, start_time = checked_clock("Keypoints2D", fps, start_time)
+        self._settle(
+            pixels=pixels, confidence=confidence, points=points,
+            camera=checked_view("Keypoints2D", camera, pixels), fps=fps, start_time=start_time,
+            sigma=positive(sigma, "Keypoints2D.sigma"), ground_known=ground_known,
+            offset_rows=offset_rows,
+        )  # fmt: skip
+
+    @property
+    def clips(self) -> tuple[int, ...]:
+        """Leading axes."""
+        return tuple(self.pixels.shape[:-3])
+
+    @property
+    def moments(self) -> int:
+        """How many moments a clip has."""
+        return self.pixels.shape[-3]
 
     def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
         """½ Σ c² (ρ(Δu) + ρ(Δv)) with ρ(e) = σ² e² / (σ² + e²), taken at 30 Hz.
@@ -91,7 +132,7 @@ class Keypoints2D(TensorStruct):
         confidence, _, _ = moments_between(
             self.confidence[..., None], self.confidence > 0, **clock
         )
-        return self.replace(
+        return self.derived(
             pixels=pixels,
             confidence=confidence[..., 0],
             camera=self.camera.at(moment_numbers(**clock)),

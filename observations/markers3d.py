@@ -7,9 +7,11 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from observations.checks import checked_clock, checked_places, checked_positions
 from observations.offsets import displaced
 from observations.rigid import rigid_start
 from observations.timing import moments_between, point_misfit, point_residuals
+from recon.arrays import Numbers
 from recon.body import BodyModel
 from recon.motion import Motion
 from recon.protocols import Estimate
@@ -18,7 +20,7 @@ from recon.robust import squared
 from recon.struct import TensorStruct
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class Markers3D(TensorStruct):
     """Half the squared distance of every visible marker from its point of the skin; metres²."""
 
@@ -35,6 +37,42 @@ class Markers3D(TensorStruct):
     """Whether the ground is at z = 0."""
     offset_rows: tuple[int, int] | None = None
     """Rows of `Scene.offsets` that belong to these markers: how they stand off the skin."""
+
+    def __init__(
+        self,
+        positions: Numbers,
+        visible: Numbers,
+        vertices: Numbers,
+        fps: float,
+        start_time: float = 0.0,
+        kernel: Callable[[Tensor], Tensor] = squared,
+        ground_known: bool = True,
+        offset_rows: tuple[int, int] | None = None,
+    ) -> None:
+        """Arrays of numpy become tensors in single precision; what is not visible becomes zero.
+
+        Raises:
+            ValueError: naming the array, what was expected and what came.
+        """
+        positions, visible = checked_positions(
+            "Markers3D", "positions", positions, "visible", visible
+        )
+        places = checked_places("Markers3D", "vertices", vertices, positions.shape[-2])
+        fps, start_time = checked_clock("Markers3D", fps, start_time)
+        self._settle(
+            positions=positions, visible=visible, vertices=places, fps=fps, start_time=start_time,
+            kernel=kernel, ground_known=ground_known, offset_rows=offset_rows,
+        )  # fmt: skip
+
+    @property
+    def clips(self) -> tuple[int, ...]:
+        """Leading axes."""
+        return tuple(self.positions.shape[:-3])
+
+    @property
+    def moments(self) -> int:
+        """How many moments a clip has."""
+        return self.positions.shape[-3]
 
     def predict(self, estimate: Estimate) -> Float[Tensor, "*batch time points 3"]:
         """Where the estimate has the markers, world, in its own frames."""
@@ -69,7 +107,7 @@ class Markers3D(TensorStruct):
             self.positions, self.visible,
             fps=self.fps, start_time=self.start_time, start=start, stop=stop,
         )  # fmt: skip
-        return self.replace(positions=positions, visible=visible, start_time=first)
+        return self.derived(positions=positions, visible=visible, start_time=first)
 
     def start(self, body: BodyModel) -> Motion:
         """The rest pose laid on the torso, frame by frame."""

@@ -1,11 +1,15 @@
 """Pinhole cameras with OpenCV's lens distortion: world points to pixels and back."""
 
 from dataclasses import dataclass
+from typing import cast
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from recon.arrays import Numbers, float_tensor, index_tuple, require_shape
+from recon.limits import check_camera, check_pose
 from recon.struct import TensorStruct
 
 NEAREST = 0.01
@@ -49,36 +53,63 @@ class Camera(TensorStruct):
     T_camera_world: Float[Tensor, "*#frames 4 4"]
     """Maps world points to the camera frame, metres."""
 
-    @classmethod
-    def create(
-        cls,
-        camera_matrix: Float[Tensor, "*#frames 3 3"],
-        image_size: tuple[int, int],
-        distortion: Float[Tensor, "*#frames coefficients"] | None = None,
-        T_camera_world: Float[Tensor, "*#frames 4 4"] | None = None,
-    ) -> "Camera":
-        """A checked camera; without a pose its frame is the world.
-
-        Raises:
-            ValueError: for focal lengths or image sizes that are not positive, or a number of
-                distortion coefficients OpenCV does not have.
-        """
-        focal = camera_matrix[..., [0, 1], [0, 1]]
+    def __post_init__(self) -> None:
+        focal = self.camera_matrix[..., [0, 1], [0, 1]]
         if not bool((focal > 0).all()):
             raise ValueError(
                 f"focal lengths must be positive pixels, got {focal.tolist()}; "
                 "expected a camera matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]"
             )
-        if min(image_size) <= 0:
-            raise ValueError(f"image size must be positive (width, height), got {image_size}")
-        if distortion is not None and distortion.shape[-1] not in COEFFICIENT_COUNTS:
+        if len(self.image_size) != 2 or min(self.image_size) <= 0:
+            raise ValueError(f"image size must be positive (width, height), got {self.image_size}")
+        lens = self.distortion
+        if lens is not None and lens.shape[-1] not in COEFFICIENT_COUNTS:
             raise ValueError(
                 f"expected {' or '.join(map(str, COEFFICIENT_COUNTS))} distortion coefficients "
-                f"(k1 k2 p1 p2 [k3 [k4 k5 k6]]), got {distortion.shape[-1]}"
+                f"(k1 k2 p1 p2 [k3 [k4 k5 k6]]), got {lens.shape[-1]}"
             )
-        if T_camera_world is None:
-            T_camera_world = torch.eye(4, dtype=camera_matrix.dtype, device=camera_matrix.device)
-        return cls(camera_matrix, image_size, distortion, T_camera_world)
+        self._check_ranges()
+
+    def _check_ranges(self) -> None:
+        """Refuse intrinsics that no camera has, and poses that are no rigid transforms."""
+        check_pose(self.T_camera_world.detach().cpu(), "Camera", "T_camera_world")
+        lenses = [None] if self.distortion is None else self._different(self.distortion)
+        for matrix in self._different(self.camera_matrix.flatten(-2)):
+            for lens in lenses:
+                check_camera(matrix.reshape(3, 3), self.image_size, lens, "Camera")
+
+    @staticmethod
+    def _different(rows: Tensor) -> list[Tensor]:
+        """The rows that differ from each other: cameras seldom change their lens."""
+        return list(rows.detach().cpu().double().reshape(-1, rows.shape[-1]).unique(dim=0))
+
+    @classmethod
+    def create(
+        cls,
+        camera_matrix: Numbers,
+        image_size: tuple[int, int],
+        distortion: Numbers | None = None,
+        T_camera_world: Numbers | None = None,
+    ) -> "Camera":
+        """A camera; without a pose its frame is the world.
+
+        Arrays of numpy become tensors in single precision.
+
+        Raises:
+            ValueError: naming the array, what was expected and what came.
+        """
+        matrix = float_tensor(camera_matrix, "Camera.camera_matrix")
+        require_shape(matrix, "Camera.camera_matrix", (3, 3))
+        size = index_tuple(image_size, "Camera.image_size")
+        lens = None if distortion is None else float_tensor(distortion, "Camera.distortion")
+        if lens is not None:
+            require_shape(lens, "Camera.distortion", ("coefficients",))
+        pose = float_tensor(
+            np.eye(4) if T_camera_world is None else T_camera_world, "Camera.T_camera_world"
+        )
+        require_shape(pose, "Camera.T_camera_world", (4, 4))
+        lens = None if lens is None else lens.to(matrix)
+        return cls(matrix, cast(tuple[int, int], size), lens, pose.to(matrix))
 
     @property
     def T_world_camera(self) -> Float[Tensor, "*#frames 4 4"]:
@@ -96,7 +127,7 @@ class Camera(TensorStruct):
         if poses.shape[-3] == 1:
             return self
         held = torch.tensor(moments, device=poses.device).clamp(0, poses.shape[-3] - 1)
-        return self.replace(T_camera_world=poses[..., held, :, :])
+        return self.derived(T_camera_world=poses[..., held, :, :])
 
     def to_camera(
         self, points: Float[Tensor, "*batch points 3"]

@@ -231,7 +231,7 @@ class _Job:
     def first_seconds(self) -> "_Job":
         """The same clip cut off after a window's length."""
         begin = self.guess.motion.start_time
-        frames = round(WINDOW * self.guess.motion.fps)
+        frames = round(WINDOW * self.guess.motion.fps) + 1  # the window has both its ends
         seen = tuple(o.window(begin, begin + WINDOW) for o in self.observations)
         guess = FirstGuess(self.guess.motion.window(0, frames), self.guess.distance_known)
         return replace(self, observations=seen, guess=guess)

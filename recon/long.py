@@ -12,7 +12,7 @@ from recon.body import BodyModel
 from recon.long_recording import AT_ONCE, LongRecording, TimedObservation
 from recon.motion import Motion
 from recon.protocols import Decoded, Estimate
-from recon.reconstruction import Method, Reconstruction, fit
+from recon.reconstruction import Method, Reconstruction, admitted, reconstruct
 from recon.scene import Scene
 from recon.solver import Progress, Solution
 from recon.stages import Stage, StageReport, Watch
@@ -81,8 +81,9 @@ def fit_long(
         ValueError: when there is no observation or not exactly one clip, one of them cannot be
             cut, or the overlap is none or more than 40 % of a window.
     """
-    body = BodyModel.load() if body is None else body
-    recording = LongRecording.cut(observations, body, window, overlap, start)
+    ready, body, start, scene, weights = admitted(observations, body, start, scene, weights)
+    timed = cast(Sequence[TimedObservation], ready)  # `cut` refuses others
+    recording = LongRecording.cut(timed, body, window, overlap, start)
     if scene is None:
         scene = Scene.create(1, like=recording.guess.translation)
     job = _Job(recording, body, scene, weights, watch)
@@ -185,7 +186,7 @@ class _Job:
         reports: list[tuple[StageReport, ...]] = []
         for batch in self.recording.batches(rows):
             parts = zip(*(self.recording.seen(row) for row in batch), strict=True)
-            result = fit(
+            result = reconstruct(
                 [cast(Any, concatenate)(list(part)) for part in parts],
                 method(batch),
                 self.body,

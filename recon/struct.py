@@ -28,7 +28,7 @@ class TensorStruct:
 
         record = cast(Any, self)
         changed = {f.name: change(getattr(record, f.name)) for f in dataclasses.fields(record)}
-        return dataclasses.replace(record, **changed)
+        return record.derived(**changed)
 
     def to(
         self: _S,
@@ -52,8 +52,24 @@ class TensorStruct:
         return cast(Any, self).map(lambda tensor: tensor[index])
 
     def replace(self: _S, **fields: Any) -> _S:
-        """The same record with some fields exchanged."""
+        """The same record with some fields exchanged; checked as a new one is."""
         return dataclasses.replace(cast(Any, self), **fields)
+
+    def derived(self: _S, **fields: Any) -> _S:
+        """The same record with some fields exchanged by values that follow from its own.
+
+        It is not checked again, as `replace` does: records are derived in every evaluation.
+        """
+        record = object.__new__(type(self))
+        for field in dataclasses.fields(cast(Any, self)):
+            value = fields[field.name] if field.name in fields else getattr(self, field.name)
+            object.__setattr__(record, field.name, value)
+        return record
+
+    def _settle(self, **fields: Any) -> None:
+        """Set fields to what a check made of them; for constructors alone."""
+        for name, value in fields.items():
+            object.__setattr__(self, name, value)
 
     def tensors(self) -> dict[str, Tensor]:
         """Every tensor by its dotted path, in the order of declaration."""

@@ -64,11 +64,10 @@ class View:
         """The camera as it was in one frame, in double precision."""
         camera = self.camera.detach().to(device="cpu", dtype=torch.float64)
         matrix, lens, pose = camera.camera_matrix, camera.distortion, camera.T_camera_world
-        return Camera(
-            matrix[frame] if matrix.ndim == 3 else matrix,
-            camera.image_size,
-            lens[frame] if lens is not None and lens.ndim == 2 else lens,
-            pose[frame] if pose.ndim == 3 else pose,
+        return camera.derived(
+            camera_matrix=matrix[frame] if matrix.ndim == 3 else matrix,
+            distortion=lens[frame] if lens is not None and lens.ndim == 2 else lens,
+            T_camera_world=pose[frame] if pose.ndim == 3 else pose,
         )
 
     @property

@@ -65,7 +65,7 @@ def test_projection_is_differentiable(lens: list[float] | None) -> None:
     assert torch.autograd.gradcheck(lambda p: seen.project(p).pixels, (points,))
     pose = seen.T_camera_world.requires_grad_()
     assert torch.autograd.gradcheck(
-        lambda T: seen.replace(T_camera_world=T).project(points.detach()).pixels, (pose,)
+        lambda T: seen.derived(T_camera_world=T).project(points.detach()).pixels, (pose,)
     )
 
 

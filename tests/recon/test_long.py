@@ -15,7 +15,7 @@ from recon.free import FreeMotion
 from recon.long import fit_long
 from recon.long_recording import LongRecording, Overlap
 from recon.motion import Motion
-from recon.reconstruction import fit
+from recon.reconstruction import fit, reconstruct
 from recon.settings import FitSettings
 from recon.skeleton import JOINTS
 from recon.solver import LBFGS
@@ -115,9 +115,9 @@ def test_windows_are_fitted_in_bounded_batches(toy_body, monkeypatch):
 
     def counting(observations, *others, **options):
         together.append(len(observations[0].positions))
-        return fit(observations, *others, **options)
+        return reconstruct(observations, *others, **options)
 
-    monkeypatch.setattr(long, "fit", counting)
+    monkeypatch.setattr(long, "reconstruct", counting)
     at_once = fit_long([observation], method, toy_body, **ask)
     assert together == [6, 3, 3]
     together.clear()

@@ -101,7 +101,7 @@ def test_a_clip_with_nan_fails_alone_and_stays_finite(toy_body):
     observation = observed(toy_body, motion, noise=0.01)
     wild = observation.positions.clone()
     wild[1] = 1e200  # its square overflows
-    spoilt = observation.replace(positions=wild)
+    spoilt = observation.derived(positions=wild)
     stage = Stage(
         "pose", FreeMotion(), (Term("data", spoilt, 1.0),),
         frozenset({"translation", "root", "pose"}), LBFGS(20),

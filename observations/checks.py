@@ -1,0 +1,173 @@
+"""What is checked when an observation is built, so that the fit need not ask again.
+
+Arrays become tensors, what is not visible becomes zero, and what cannot be an observation is
+refused by name. Nothing here runs while a fit minimises: records that the library derives from
+checked ones (`TensorStruct.map`, indexing, `derived`) are not checked again.
+"""
+
+from typing import Any
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from recon.arrays import (
+    bool_tensor,
+    finite,
+    first_where,
+    float_tensor,
+    index_tuple,
+    positive,
+    require_shape,
+)
+from recon.camera import Camera
+from recon.limits import CONFIDENCE, FRAME_RATE, PIXEL, POSITION, TIME
+
+FARTHEST = 5.0
+"""Metres that the points of one moment lie from their middle, the median over points and moments.
+A person's lie half a metre from it; in centimetres they would lie 50 from it."""
+_MOMENTS, _POINTS = 64, 256
+"""How many of them are enough to tell a unit."""
+
+
+def checked_positions(
+    kind: str, name: str, positions: Any, mask_name: str, mask: Any
+) -> tuple[Float[Tensor, "*batch moments points 3"], Bool[Tensor, "*batch moments points"]]:
+    """Positions in metres, zero where they are not visible, and where they are.
+
+    Args:
+        kind: the observation's class, for messages.
+        name: of the positions.
+        positions: (..., moments, points, 3).
+        mask_name: of the mask.
+        mask: (..., moments, points), true where a point was seen.
+
+    Raises:
+        ValueError: for other shapes, NaN or infinity where visible, and what are no metres.
+    """
+    positions = float_tensor(positions, f"{kind}.{name}")
+    require_shape(positions, f"{kind}.{name}", ("moments", "points", 3))
+    visible = bool_tensor(mask, f"{kind}.{mask_name}").to(positions.device)
+    _same_points(kind, name, positions, mask_name, visible)
+    positions = _seen_and_finite(kind, name, positions, mask_name, visible)
+    POSITION.check(positions.detach().cpu(), kind, name)
+    _refuse_other_units(kind, name, positions.detach(), visible)
+    return positions, visible
+
+
+def checked_pixels(
+    kind: str, pixels: Any, confidence: Any
+) -> tuple[Float[Tensor, "*batch moments points 2"], Float[Tensor, "*batch moments points"]]:
+    """Pixels, zero where the confidence is, and confidences from 0 to 1.
+
+    Raises:
+        ValueError: for other shapes, NaN or infinity where the confidence is not zero, and
+            numbers that are no pixels or no confidences.
+    """
+    pixels = float_tensor(pixels, f"{kind}.pixels")
+    require_shape(pixels, f"{kind}.pixels", ("moments", "points", 2))
+    confidence = float_tensor(confidence, f"{kind}.confidence").to(pixels)
+    _same_points(kind, "pixels", pixels, "confidence", confidence)
+    CONFIDENCE.check(confidence.detach().cpu(), kind, "confidence")
+    pixels = _seen_and_finite(kind, "pixels", pixels, "confidence", confidence > 0)
+    PIXEL.check(pixels.detach().cpu(), kind, "pixels")
+    return pixels, confidence
+
+
+def checked_clock(kind: str, fps: Any, start_time: Any) -> tuple[float, float]:
+    """Moments per second and the time of the first, seconds.
+
+    Raises:
+        ValueError: when they are no numbers or out of range.
+    """
+    fps, start_time = positive(fps, f"{kind}.fps"), finite(start_time, f"{kind}.start_time")
+    FRAME_RATE.check(fps, kind, "fps")
+    TIME.check(start_time, kind, "start_time")
+    return fps, start_time
+
+
+def checked_places(kind: str, name: str, places: Any, points: int) -> tuple[int, ...]:
+    """Which place of the body each point is.
+
+    Raises:
+        ValueError: when these are no whole numbers, or not as many as there are points.
+    """
+    places = index_tuple(places, f"{kind}.{name}")
+    if len(places) != points:
+        raise ValueError(
+            f"{kind}.{name}: expected one for each of the {points} points, got {len(places)}"
+        )
+    return places
+
+
+def checked_view(kind: str, camera: Camera, values: Tensor) -> Camera:
+    """The camera with the leading axes of what it saw; without them it is one that stands still.
+
+    Raises:
+        ValueError: when it has a distorting lens, or belongs to another number of clips.
+    """
+    if camera.distortion is not None:
+        raise ValueError(
+            f"{kind}.camera: expected a camera without distortion, got coefficients; correct the "
+            "pixels first (cv2.undistortPoints with P=camera_matrix) and leave them out"
+        )
+    leading = values.ndim - 2
+    lengthened = camera.map(
+        lambda t: t.reshape((1,) * max(leading - t.ndim + 2, 0) + tuple(t.shape))
+    )
+    for name, tensor in lengthened.tensors().items():
+        clips = tensor.shape[: leading - 1]
+        fits = tensor.ndim == leading + 2 and all(
+            have in (1, want) for have, want in zip(clips, values.shape, strict=False)
+        )
+        if not fits:
+            raise ValueError(
+                f"{kind}.camera.{name}: expected leading axes (clips, 1) or (clips, moments) of "
+                f"{tuple(values.shape[:-2])}, got the shape {tuple(tensor.shape)}"
+            )
+    return lengthened
+
+
+def _same_points(kind: str, name: str, values: Tensor, mask_name: str, mask: Tensor) -> None:
+    """Refuse a mask of other axes, and nothing at all."""
+    if mask.shape != values.shape[:-1]:
+        raise ValueError(
+            f"{kind}.{mask_name}: expected the shape {tuple(values.shape[:-1])}, that of {name} "
+            f"without its last axis; got {tuple(mask.shape)}"
+        )
+    if values.numel() == 0:
+        raise ValueError(
+            f"{kind}.{name}: expected at least one clip, moment and point, got the shape "
+            f"{tuple(values.shape)}"
+        )
+
+
+def _seen_and_finite(
+    kind: str, name: str, values: Tensor, mask_name: str, visible: Tensor
+) -> Tensor:
+    """Values, zero where not visible; NaN and infinity elsewhere are refused."""
+    bad = visible & ~values.isfinite().all(-1)
+    if bool(bad.any()):
+        raise ValueError(
+            f"{kind}.{name}: expected finite numbers where {mask_name} says that a point was "
+            f"seen, got NaN or infinity in {int(bad.sum())} places, the first at "
+            f"{name}{first_where(bad)}; mark missing points in {mask_name}"
+        )
+    return values if bool(visible.all()) else values.where(visible[..., None], 0.0)
+
+
+def _refuse_other_units(kind: str, name: str, positions: Tensor, visible: Tensor) -> None:
+    """Refuse clips whose points lie farther apart than a person's do in metres."""
+    moments = slice(None, None, max(1, positions.shape[-3] // _MOMENTS))
+    points = slice(None, None, max(1, positions.shape[-2] // _POINTS))
+    some, seen = positions[..., moments, points, :], visible[..., moments, points]
+    some = some.where(seen[..., None], torch.nan)
+    middle = some.nanmedian(-2, keepdim=True).values
+    away = (some - middle).norm(dim=-1).flatten(-2).nanmedian(-1).values
+    if bool((away > FARTHEST).any()):
+        far = float(away[away > FARTHEST].max())
+        raise ValueError(
+            f"{kind}.{name}: expected metres, but the points of one moment lie {far:.3g} from "
+            f"their middle, where a person's lie about half a metre from it; divide millimetres "
+            "by 1000, centimetres by 100"
+        )

@@ -1,0 +1,126 @@
+"""Arrays that users give, as the tensors that the library computes with."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+Numbers = Tensor | np.ndarray | Sequence[Any]
+"""What users give as an array: a tensor, an array of numpy, nested lists."""
+
+
+def float_tensor(values: Any, name: str) -> Tensor:
+    """Numbers as a floating point tensor.
+
+    Arrays and lists become single precision. Tensors keep their device and, where it is single or
+    double, their precision.
+
+    Raises:
+        ValueError: when these are no real numbers.
+    """
+    if isinstance(values, Tensor):
+        if values.dtype in (torch.float32, torch.float64):
+            return values
+        if values.is_complex():
+            raise ValueError(f"{name}: expected real numbers, got {values.dtype}")
+        return values.float()
+    array = _array(values, name)
+    if array.dtype.kind not in "fiub":
+        raise ValueError(f"{name}: expected an array of numbers, got {_described(values, array)}")
+    with np.errstate(over="ignore"):  # what float32 cannot hold becomes infinite, and is refused
+        return torch.from_numpy(np.array(array, np.float32, order="C"))
+
+
+def bool_tensor(values: Any, name: str) -> Tensor:
+    """A mask as a tensor of true and false; numbers must be 0 and 1.
+
+    Raises:
+        ValueError: when these are neither.
+    """
+    if isinstance(values, Tensor) and values.dtype == torch.bool:
+        return values
+    if not isinstance(values, Tensor):
+        array = _array(values, name)
+        if array.dtype.kind not in "fiub":
+            raise ValueError(f"{name}: expected true and false, got {_described(values, array)}")
+        values = torch.from_numpy(np.array(array, order="C"))
+    if not bool(((values == 0) | (values == 1)).all()):
+        raise ValueError(
+            f"{name}: expected true and false or 1 and 0, got other numbers; compare "
+            "confidences with a threshold"
+        )
+    return values.bool()
+
+
+def index_tuple(values: Any, name: str) -> tuple[int, ...]:
+    """Whole numbers, zero or greater, as a tuple.
+
+    Raises:
+        ValueError: when these are something else.
+    """
+    array = values.detach().cpu().numpy() if isinstance(values, Tensor) else _array(values, name)
+    if array.ndim != 1 or (array.size > 0 and (array.dtype.kind not in "iu" or array.min() < 0)):
+        raise ValueError(
+            f"{name}: expected a row of whole numbers from 0 on, got {_described(values, array)}"
+        )
+    return tuple(int(number) for number in array)
+
+
+def positive(value: Any, name: str) -> float:
+    """A finite number above zero.
+
+    Raises:
+        ValueError: when it is something else.
+    """
+    number = finite(value, name)
+    if not number > 0:
+        raise ValueError(f"{name}: expected a number above 0, got {number:g}")
+    return number
+
+
+def finite(value: Any, name: str) -> float:
+    """One finite number.
+
+    Raises:
+        ValueError: when it is something else.
+    """
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name}: expected one number, got {value!r:.60}") from None
+    if not np.isfinite(number):
+        raise ValueError(f"{name}: expected a finite number, got {number:g}")
+    return number
+
+
+def require_shape(tensor: Tensor, name: str, shape: Sequence[str | int]) -> None:
+    """Refuse a tensor whose last axes are not these; words stand for any length.
+
+    Raises:
+        ValueError: with the shape that was expected and the one that came.
+    """
+    last = tensor.shape[max(tensor.ndim - len(shape), 0) :]
+    fits = len(last) == len(shape) and all(
+        isinstance(want, str) or got == want for got, want in zip(last, shape, strict=True)
+    )
+    if not fits:
+        wanted = ", ".join(map(str, shape))
+        raise ValueError(f"{name}: expected the shape (..., {wanted}), got {tuple(tensor.shape)}")
+
+
+def first_where(mask: Tensor) -> list[int]:
+    """Index of the first true element of a mask that has one."""
+    return mask.nonzero()[0].tolist()
+
+
+def _array(values: Any, name: str) -> np.ndarray:
+    try:
+        return np.asarray(values)
+    except ValueError:
+        raise ValueError(f"{name}: expected an array, got rows of different lengths") from None
+
+
+def _described(values: Any, array: np.ndarray) -> str:
+    return f"{type(values).__name__} of shape {array.shape} and type {array.dtype}"
