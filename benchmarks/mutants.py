@@ -113,7 +113,9 @@ def _tested(path: str, source: str | None, tests: tuple[str, ...], limit: float)
     os.chdir(_ROOT)
     if source is not None:
         _exchange(_ROOT / path, source)
-    return int(pytest.main(["-x", "-q", "-p", "no:cacheprovider", "-m", "not slow", *tests]))
+    # libraries that are plugins of pytest, too, were imported before it could rewrite them
+    quiet = ["-W", "ignore::pytest.PytestAssertRewriteWarning", "-p", "no:cacheprovider"]
+    return int(pytest.main(["-x", "-q", *quiet, "-m", "not slow", *tests]))
 
 
 def _exchange(path: Path, source: str) -> None:
