@@ -16,7 +16,7 @@ from priors.training.anchor_corpus import CycleCorpus, CycleVariation
 from priors.training.curves import write_losses
 from priors.training.dataset import SPLITS, Licence
 from priors.training.gradnorm import GradNorm
-from priors.training.run_settings import plain, same_run
+from priors.training.run_settings import identity, plain, same_run
 from recon.formats.files import replacing
 
 _LOG = logging.getLogger("priors.training.anchor")
@@ -87,6 +87,8 @@ class AnchorRun:
     averaged: AnchorNetworks
     optimiser: torch.optim.Optimizer
     random: torch.Generator
+    identity: dict[str, Any]
+    """What the run learns and from which contents; a checkpoint of another is refused."""
     weights: GradNorm
     step: int = 0
     surface_scale: float = 1.0
@@ -114,7 +116,8 @@ class AnchorRun:
         optimiser = torch.optim.AdamW(
             networks.parameters(), lr=settings.rate, weight_decay=settings.decay, fused=True
         )
-        run = cls(settings, networks, averaged, optimiser, random, GradNorm(PARAMETERS))
+        own = identity(settings)
+        run = cls(settings, networks, averaged, optimiser, random, own, GradNorm(PARAMETERS))
         path = settings.out / "checkpoint.pt"
         if path.is_file():
             run._resume(path)
@@ -131,7 +134,7 @@ class AnchorRun:
 
     def _resume(self, path: Path) -> None:
         state: dict[str, Any] = torch.load(path, weights_only=True, map_location="cpu")
-        same_run(path, self.settings, state["settings"], _FIXED)
+        same_run(path, self.identity, state.get("identity"))
         basis = CycleBasis(**state["basis"])
         self.networks.basis = self.averaged.basis = basis
         self.networks.load_state_dict(state["networks"])
@@ -164,6 +167,7 @@ class AnchorRun:
         """Write the checkpoint in one step."""
         state = {
             "settings": plain(self.settings),
+            "identity": self.identity,
             "basis": self.networks.basis.tensors(),
             "networks": self.networks.state_dict(),
             "averaged": self.averaged.state_dict(),
@@ -183,11 +187,6 @@ PARAMETERS = ("pose", "translation", "time")
 """Losses of the first phase that GradNorm weighs."""
 SURFACE = ("surface", "time")
 """And of the second."""
-_FIXED = (
-    "data", "latent", "alignment", "kl", "basis", "width", "steps", "surface_steps", "cycles",
-    "surface_cycles", "seed",
-)  # fmt: skip
-"""Settings that a run keeps."""
 _PANELS = (
     ("train_total",),
     ("vertex_cm", "sampled_vertex_cm"),

@@ -17,7 +17,7 @@ from priors.training.curves import write_losses
 from priors.training.dataset import SPLITS, Licence, Splits
 from priors.training.humor_corpus import Corpus, Variation
 from priors.training.humor_scaling import ScaledNetworks
-from priors.training.run_settings import plain, same_run
+from priors.training.run_settings import identity, plain, same_run
 from recon.body import BodyModel
 from recon.formats.files import replacing
 
@@ -109,6 +109,8 @@ class Run:
     averaged: ScaledNetworks
     optimiser: torch.optim.Optimizer
     random: torch.Generator
+    identity: dict[str, Any]
+    """What the run learns and from which contents; a checkpoint of another is refused."""
     step: int = 0
     rows: list[dict[str, float]] = field(default_factory=list)
     sums: dict[str, float] = field(default_factory=dict)
@@ -139,7 +141,7 @@ class Run:
             betas=(0.9, 0.99),
             fused=True,
         )
-        run = cls(settings, networks, averaged, optimiser, random)
+        run = cls(settings, networks, averaged, optimiser, random, identity(settings))
         path = settings.out / "checkpoint.pt"
         if path.is_file():
             run._resume(path)
@@ -147,7 +149,7 @@ class Run:
 
     def _resume(self, path: Path) -> None:
         state: dict[str, Any] = torch.load(path, weights_only=True, map_location="cpu")
-        same_run(path, self.settings, state["settings"], _FIXED)
+        same_run(path, self.identity, state.get("identity"))
         self.networks.load_state_dict(state["networks"])
         self.averaged.load_state_dict(state["averaged"])
         self.optimiser.load_state_dict(state["optimiser"])
@@ -169,6 +171,7 @@ class Run:
         """Write the checkpoint in one step."""
         state = {
             "settings": plain(self.settings),
+            "identity": self.identity,
             "networks": self.networks.state_dict(),
             "averaged": self.averaged.state_dict(),
             "optimiser": self.optimiser.state_dict(),
@@ -191,9 +194,6 @@ _PANELS = (
 
 _SCALED_BY = 20_000
 """Windows from which the scales of inputs and outputs are taken."""
-
-_FIXED = ("width", "data", "windows", "frames", "seed", "steps")
-"""Settings that a run keeps."""
 
 
 def export_weights(

@@ -12,7 +12,7 @@ from priors.humos_nets import ClipNetworks, Networks, WindowNetworks
 from priors.training.curves import write_losses
 from priors.training.dataset import SPLITS, Licence
 from priors.training.humos_corpus import BodyCorpus, BodyVariation
-from priors.training.run_settings import plain, same_run
+from priors.training.run_settings import identity, plain, same_run
 from recon.formats.files import replacing
 
 
@@ -115,6 +115,8 @@ class HumosRun:
     averaged: Networks
     optimiser: torch.optim.Optimizer
     random: torch.Generator
+    identity: dict[str, Any]
+    """What the run learns and from which contents; a checkpoint of another is refused."""
     step: int = 0
     rows: list[dict[str, float]] = field(default_factory=list)
 
@@ -142,13 +144,13 @@ class HumosRun:
         optimiser = torch.optim.AdamW(
             networks.parameters(), lr=settings.rate, weight_decay=settings.decay, fused=True
         )
-        run = cls(settings, networks, averaged, optimiser, random)
+        run = cls(settings, networks, averaged, optimiser, random, identity(settings))
         if state is not None:
             run._resume(path, state)
         return run
 
     def _resume(self, path: Path, state: dict[str, Any]) -> None:
-        same_run(path, self.settings, state["settings"], set(plain(self.settings)) - set(_FREE))
+        same_run(path, self.identity, state.get("identity"))
         self.networks.load_state_dict(state["networks"])
         self.averaged.load_state_dict(state["averaged"])
         self.optimiser.load_state_dict(state["optimiser"])
@@ -175,6 +177,7 @@ class HumosRun:
         """Write the checkpoint in one step."""
         state = {
             "settings": plain(self.settings),
+            "identity": self.identity,
             "basis": self.networks.basis.tensors(),
             "networks": self.networks.state_dict(),
             "averaged": self.averaged.state_dict(),
@@ -206,8 +209,6 @@ def _read(path: Path) -> dict[str, Any]:
     return torch.load(path, weights_only=True, map_location="cpu")
 
 
-_FREE = ("corpus", "out", "splits", "threads", "save_every")
-"""Settings that may change while a run goes on."""
 _PANELS = (
     ("train_total",),
     ("joint_cm", "cycle_joint_cm", "clearance_cm"),

@@ -1,0 +1,103 @@
+"""A run is continued only as what it is: its settings, and the contents it learns from."""
+
+import dataclasses
+from dataclasses import replace
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from priors.training.anchor_run import AnchorTraining
+from priors.training.humor_run import HumorTraining
+from priors.training.humos_run import HumosTraining
+from priors.training.run_settings import FREE, identity, same_run
+
+KINDS = (AnchorTraining, HumorTraining, HumosTraining)
+CHECKPOINT = Path("run/checkpoint.pt")
+
+
+def settings_of(kind: type, folder: Path) -> Any:
+    (folder / "corpus").mkdir(exist_ok=True)
+    for name in ("a.npz", "b.npz", "a.json"):
+        (folder / "corpus" / name).write_text(name)
+    for name in ("splits.toml", "weights"):
+        (folder / name).write_text(name)
+    settings = kind(folder / "corpus", folder / "run", splits=folder / "splits.toml")
+    if kind is AnchorTraining:
+        return settings
+    return replace(settings, **{"start" if kind is HumorTraining else "warm": folder / "weights"})
+
+
+def another(value: Any, field: dataclasses.Field[Any]) -> Any:
+    """A value of the same kind."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        first = dataclasses.fields(value)[0]
+        return replace(value, **{first.name: another(getattr(value, first.name), first)})
+    match value:
+        case Enum():
+            return next(one for one in type(value) if one is not value)
+        case str():
+            choices = getattr(field.type, "__args__", ())
+            return next((one for one in choices if one != value), value + "?")
+        case tuple():
+            return (*value, 2.0)
+        case _:
+            return type(value)(value / 2) if isinstance(value, float) else value + 1
+
+
+@pytest.mark.parametrize(
+    ("kind", "field"),
+    [
+        pytest.param(kind, field, id=f"{kind.__name__}-{field.name}")
+        for kind in KINDS
+        for field in dataclasses.fields(kind)
+        if field.name not in ("corpus", "out", "splits", "start", "warm")
+    ],
+)
+def test_every_setting_is_held_but_those_that_only_take_time(kind, field, tmp_path):
+    """A run was continued with another learning rate, decay or variation without a word."""
+    settings = settings_of(kind, tmp_path)
+    if kind is HumosTraining and field.name == "latent":
+        settings = replace(settings, latent=7)
+    changed = replace(settings, **{field.name: another(getattr(settings, field.name), field)})
+    found = identity(settings)
+    if field.name in FREE:
+        same_run(CHECKPOINT, identity(changed), found)
+        return
+    with pytest.raises(ValueError, match=rf"a run with other {field.name} \(.*; take another"):
+        same_run(CHECKPOINT, identity(changed), found)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    ("file", "name"),
+    [("corpus/a.npz", "corpus"), ("corpus/a.json", "corpus"), ("splits.toml", "splits"),
+     ("weights", "start|warm")],
+)  # fmt: skip
+def test_contents_are_held_wherever_they_lie(kind, file, name, tmp_path):
+    """A corpus that was converted anew, or another one of that name, was learned on from."""
+    (tmp_path / "here").mkdir()
+    settings = settings_of(kind, tmp_path / "here")
+    found = identity(settings)
+    (tmp_path / "here").rename(tmp_path / "there")
+    moved = settings_of(kind, tmp_path / "there")
+    same_run(CHECKPOINT, identity(moved), found)
+    if kind is AnchorTraining and file == "weights":
+        return
+    (tmp_path / "there" / file).write_text("another")
+    with pytest.raises(ValueError, match=rf"other ({name}) \(its contents differ\)"):
+        same_run(CHECKPOINT, identity(moved), found)
+
+
+def test_clips_that_come_or_go_are_another_corpus(tmp_path):
+    settings = settings_of(HumorTraining, tmp_path)
+    found = identity(settings)
+    (tmp_path / "corpus" / "c.npz").write_text("c")
+    with pytest.raises(ValueError, match="other corpus"):
+        same_run(CHECKPOINT, identity(settings), found)
+
+
+def test_checkpoints_that_do_not_say_what_they_learned_from_are_refused(tmp_path):
+    with pytest.raises(ValueError, match="older version"):
+        same_run(CHECKPOINT, identity(settings_of(HumorTraining, tmp_path)), None)
