@@ -6,16 +6,14 @@ Loading is strict. A missing, spare or misshapen tensor is an error that names f
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
 from torch import Tensor, nn
 
 from recon.formats.files import replacing
+from recon.weight_files import weights_path
 
-_NONCOMMERCIAL = Path(__file__).parents[1] / "weights-nc"
-"""In a source checkout; not in the package, since its licence (CC BY-NC 4.0) is another."""
 _ABOUT = "recon"
 """The one key of the metadata: safetensors writes several in no fixed order."""
 
@@ -110,16 +108,13 @@ def named_checkpoint(name: str | Path, kind: str) -> Checkpoint:
         FileNotFoundError: when there is no such file.
         ValueError: when it is damaged or holds the weights of something else.
     """
-    file = f"{kind}.safetensors"
-    if name == "open":
-        with resources.as_file(resources.files("priors") / "weights" / file) as path:
-            return load_checkpoint(path, kind)
-    if name == "nc" and not (_NONCOMMERCIAL / file).is_file():
+    path = weights_path(name, kind)
+    if name == "nc" and not path.is_file():
         raise FileNotFoundError(
-            f"{_NONCOMMERCIAL / file}: the nc weights are not part of the package; take "
-            f"weights-nc/{file} from the source repository and give its path"
+            f"{path}: the nc weights are not part of the package; take "
+            f"weights-nc/{path.name} from the source repository and give its path"
         )
-    return load_checkpoint(_NONCOMMERCIAL / file if name == "nc" else name, kind)
+    return load_checkpoint(path, kind)
 
 
 def load_checkpoint(path: str | Path, kind: str) -> Checkpoint:

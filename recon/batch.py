@@ -1,18 +1,23 @@
-"""Many clips: processes here, a cluster through shards; a manifest that can be resumed."""
+"""Many clips: processes here, a cluster through shards; a log by which a run is resumed."""
 
 import hashlib
 import json
-import os
 import time
-from collections.abc import Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
-from dataclasses import asdict, dataclass
-from multiprocessing import get_context
+import unicodedata
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
 
+from recon.checksums import file_checksum
 from recon.settings import FitSettings
+from recon.workers import Failure, run_jobs
+from recon.worklog import Record, open_log
+
+VERSION = 2
+"""Of the method: raised when the same clip and settings give another motion, so that results of
+older versions are made anew."""
+
+_EXPECTED = '{"id": "clip", "observations": ["clip.npz"]}'
 
 
 @dataclass(frozen=True)
@@ -34,26 +39,51 @@ def read_manifest(path: Path) -> tuple[Clip, ...]:
     """
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such manifest")
-    clips: list[Clip] = []
-    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
+    try:
+        # not splitlines: it would part texts at signs that JSON allows inside them
+        lines = path.read_text(encoding="utf-8-sig").split("\n")
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{path}: expected text in UTF-8, but {error}") from error
+    clips: dict[str, tuple[int, Clip]] = {}
+    for number, line in enumerate(lines, 1):
         if not line.strip():
             continue
-        try:
-            row = json.loads(line)
-            name, files = str(row["id"]), [row["observations"]]
-        except (json.JSONDecodeError, KeyError, TypeError) as error:
+        clip = _clip(line, path, number)
+        # ids that differ by case alone are one file on many systems
+        same = unicodedata.normalize("NFC", clip.name).casefold()
+        if same in clips:
+            before, other = clips[same]
             raise ValueError(
-                f'{path}, line {number}: expected {{"id": "clip", "observations": ["clip.npz"]}}, '
-                f"got {line[:80]!r} ({error})"
-            ) from error
-        files = files[0] if isinstance(files[0], list) else files
-        if name != Path(name).name or name in ("", ".", ".."):
-            raise ValueError(f"{path}, line {number}: an id names a file, so not {name!r}")
-        clips.append(Clip(name, tuple(path.parent / str(file) for file in files)))
-    names = [clip.name for clip in clips]
-    if twice := sorted({name for name in names if names.count(name) > 1}):
-        raise ValueError(f"{path}: ids occur twice: {', '.join(twice)}")
-    return tuple(clips)
+                f"{path}: ids occur twice: {other.name!r} in line {before} and {clip.name!r} in "
+                f"line {number} would be one file"
+            )
+        clips[same] = number, clip
+    return tuple(clip for _, clip in clips.values())
+
+
+def _clip(line: str, path: Path, number: int) -> Clip:
+    """The clip of one line."""
+    where = f"{path}, line {number}"
+    try:
+        row = json.loads(line)
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"{where}: expected {_EXPECTED}, got {line[:80]!r} ({error})") from error
+    if not isinstance(row, dict) or not {"id", "observations"} <= row.keys():
+        raise ValueError(f"{where}: expected {_EXPECTED}, got {line[:80]!r}")
+    name, files = row["id"], row["observations"]
+    if isinstance(name, int) and not isinstance(name, bool):
+        name = str(name)
+    files = files if isinstance(files, list) else [files]
+    if not isinstance(name, str) or not all(isinstance(file, str) for file in files):
+        raise ValueError(f"{where}: expected texts, as in {_EXPECTED}, got {line[:80]!r}")
+    if name != Path(name).name or name in ("", ".", "..") or "\0" in name:
+        raise ValueError(f"{where}: an id names a file, so not {name[:80]!r}")
+    if foreign := [field.name for field in fields(FitSettings) if field.name in row]:
+        raise ValueError(
+            f"{where}: {', '.join(foreign)} cannot differ between clips of a batch; give such "
+            "settings as options, and clips with others in a batch of their own"
+        )
+    return Clip(name, tuple(path.parent / file for file in files))
 
 
 def shard(clips: Sequence[Clip], index: int, count: int) -> tuple[Clip, ...]:
@@ -67,99 +97,118 @@ def shard(clips: Sequence[Clip], index: int, count: int) -> tuple[Clip, ...]:
     )
 
 
-def fit_all(
-    clips: Sequence[Clip], out: Path, settings: FitSettings, processes: int, log: Path
-) -> Iterator[dict[str, Any]]:
-    """Fit every clip that is not done yet; yields and logs one record per clip.
+@dataclass(frozen=True)
+class Job:
+    """All that a process needs to fit one clip."""
 
-    A clip is done when the log has it as ok with the same settings and inputs. A clip that fails
-    is recorded with its reason; a process that dies is recorded as crashed, the others go on.
+    clip: Clip
+    target: Path
+    """Motion file to write."""
+    settings: FitSettings
+    settings_checksum: str
+    """Of the settings and the files they name (`recon.clip_inputs.settings_checksum`)."""
+    known: Record
+    """The last record of the clip, or nothing."""
+
+
+def fit_all(
+    clips: Sequence[Clip],
+    out: Path,
+    settings: FitSettings,
+    processes: int,
+    log: Path,
+    work: Callable[[Job], Record] | None = None,
+) -> Iterator[Record]:
+    """Fit every clip that is not done yet; yields one record per clip, logged as it ends.
+
+    A clip is done when the log has it as ok, with a key of the same contents of everything that
+    the result depends on, and the result is as it was written. All others are tried, also those
+    that failed before. Whatever goes wrong with one clip is in its record alone.
+
+    Args:
+        clips: with different names.
+        out: folder for the results.
+        settings: of all clips.
+        processes: clips at a time.
+        log: file of the records (`recon.worklog`).
+        work: what is done for one clip; default: `fit_one`.
+
+    Raises:
+        ValueError: when a result would be written over an observation or a file of the settings,
+            or another run is writing to the log.
     """
+    from recon.clip_inputs import settings_checksum
+
+    _check_targets(clips, out, settings)
     out.mkdir(parents=True, exist_ok=True)
-    done = _done(log)
-    waiting: list[Clip] = []
-    for clip in clips:
-        if done.get(clip.name) == _key(clip, settings) and _target(out, clip).exists():
-            yield {"id": clip.name, "status": "skipped"}
-        else:
-            waiting.append(clip)
-    with log.open("a", encoding="utf-8") as lines:
-        for record in _run(waiting, out, settings, processes):
-            lines.write(json.dumps(record) + "\n")
-            lines.flush()
+    common = settings_checksum(settings, VERSION)
+    with open_log(log) as lines:
+        jobs = (
+            (Job(clip, target(out, clip), settings, common, lines.records.get(clip.name, {})),)
+            for clip in clips
+        )
+        for (job,), result in run_jobs(work or fit_one, jobs, processes):
+            record = _failed(job, result) if isinstance(result, Failure) else result
+            if record["status"] != "skipped":
+                lines.append(record)
             yield record
 
 
-def _run(
-    clips: Sequence[Clip], out: Path, settings: FitSettings, processes: int
-) -> Iterator[dict[str, Any]]:
-    """A pool of processes; clips lost in a crash run again, each in a pool of its own."""
-    lost: list[Clip] = []
-    with _pool(processes) as pool:
-        jobs: dict[Future[dict[str, Any]], Clip] = {
-            pool.submit(_fit_one, clip, out, settings): clip for clip in clips
-        }
-        for job in as_completed(jobs):
-            try:
-                yield job.result()
-            except BrokenProcessPool:
-                lost.append(jobs[job])
-    for clip in lost:
-        with _pool(1) as pool:
-            try:
-                yield pool.submit(_fit_one, clip, out, settings).result()
-            except BrokenProcessPool:
-                yield {"id": clip.name, "status": "crashed", "error": "its process died"}
+def fit_one(job: Job) -> Record:
+    """Fit a clip unless that was done; the record says what was done, to what, with what result.
 
+    Raises:
+        ValueError, OSError: for bad input.
+    """
+    from recon.clip_inputs import clip_checksum
 
-def _pool(processes: int) -> ProcessPoolExecutor:
-    return ProcessPoolExecutor(processes, mp_context=get_context("spawn"), initializer=_one_thread)
-
-
-def _one_thread() -> None:
-    """A clip per core is the fastest use of a machine; more threads each would fight."""
-    os.environ["OMP_NUM_THREADS"] = "1"
-    import torch
-
-    torch.set_num_threads(1)
-
-
-def _fit_one(clip: Clip, out: Path, settings: FitSettings) -> dict[str, Any]:
+    # before anything is read: what changes from now on is found out by the next run
+    key = clip_checksum(job.clip.observations, job.settings_checksum)
+    record: Record = {"id": job.clip.name, "output": str(job.target)}
+    if is_done(job, key):
+        return record | {"status": "skipped"}
     from recon.fit_files import fit_files
 
     began = time.perf_counter()
-    record: dict[str, Any] = {"id": clip.name, "output": str(_target(out, clip))}
-    try:
-        report = fit_files(clip.observations, _target(out, clip), settings)
-    except (ValueError, OSError) as error:
-        return record | {"status": "bad input", "error": str(error)}
-    status = "failed" if report["failed"] else "ok"
-    seconds = round(time.perf_counter() - began, 3)
-    return record | {"status": status, "seconds": seconds, "key": _key(clip, settings)}
+    report = fit_files(job.clip.observations, job.target, job.settings)
+    return record | {
+        "status": "failed" if report["failed"] else "ok",
+        "seconds": round(time.perf_counter() - began, 3),
+        "key": key,
+        "checksum": file_checksum(job.target),
+    }
 
 
-def _target(out: Path, clip: Clip) -> Path:
+def is_done(job: Job, key: str) -> bool:
+    """Whether the log knows the same work as done, and its result is there as it was written."""
+    known = job.known
+    same = known.get("status") == "ok" and known.get("key") == key
+    return same and job.target.is_file() and known.get("checksum") == file_checksum(job.target)
+
+
+def target(out: Path, clip: Clip) -> Path:
+    """Where the motion of a clip is written."""
     return out / f"{clip.name}.npz"
 
 
-def _key(clip: Clip, settings: FitSettings) -> str:
-    """What the result depends on: settings and the inputs' contents."""
-    digest = hashlib.sha256(json.dumps(asdict(settings), default=str).encode())
-    for path in clip.observations:
-        digest.update(path.read_bytes() if path.is_file() else b"missing")
-    return digest.hexdigest()[:16]
+def _failed(job: Job, failure: Failure) -> Record:
+    record: Record = {
+        "id": job.clip.name, "output": str(job.target), "status": failure.kind,
+        "error": failure.reason,
+    }  # fmt: skip
+    return record | ({"traceback": failure.traceback} if failure.traceback else {})
 
 
-def _done(log: Path) -> dict[str, str]:
-    """Id to key of the clips that a former run finished; a line cut short is not finished."""
-    done: dict[str, str] = {}
-    if not log.is_file():
-        return done
-    for line in log.read_text(encoding="utf-8").splitlines():
-        try:
-            row = json.loads(line)
-        except json.JSONDecodeError:
-            continue
-        if row.get("status") == "ok":
-            done[row["id"]] = row["key"]
-    return done
+def _check_targets(clips: Sequence[Clip], out: Path, settings: FitSettings) -> None:
+    """Refuse to write a result of any clip over what any clip is made from."""
+    named = (settings.camera, settings.masks, settings.body, Path(settings.weights))
+    inputs = {file.resolve() for clip in clips for file in clip.observations}
+    inputs |= {path.resolve() for path in named if path is not None}
+    for clip in clips:
+        result = target(out, clip)
+        for path in (result, result.with_name(result.name + ".json")):
+            if path.resolve() in inputs or path.resolve().parent in inputs:
+                raise ValueError(
+                    f"{path}: the result of clip {clip.name!r} would be written over or among "
+                    "inputs of the batch; give another folder for the results"
+                )

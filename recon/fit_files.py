@@ -1,9 +1,8 @@
 """Observation files in, a motion file and a report out: what `fit` and `batch` do to one clip."""
 
-import hashlib
 import json
 import platform
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
@@ -18,6 +17,7 @@ from recon.agreement import agreement
 from recon.body import BodyModel
 from recon.clip import fit_clip
 from recon.clip_files import load_clip, window
+from recon.clip_inputs import input_checksums
 from recon.completion import complete
 from recon.contacts import contact_labels, rest_heights
 from recon.domain import cycle_report
@@ -47,6 +47,8 @@ def fit_files(
     """
     torch.manual_seed(settings.seed)
     body = BodyModel.load(settings.body)
+    # before anything is read: what changes from now on must not pass for what was fitted
+    inputs = input_checksums(paths, settings)
     clip = load_clip(paths, settings, body)
     if settings.between is not None:
         clip = window(clip, *settings.between)
@@ -69,7 +71,7 @@ def fit_files(
     T_world_camera = None
     if clip.T_recording_camera is not None:
         T_world_camera = (T @ torch.from_numpy(clip.T_recording_camera)).float()
-    report = describe(found.result, paths, settings) | {
+    report = describe(found.result, inputs, settings) | {
         "noise": [asdict(noise) for noise in found.noises],
         "ground_known": found.ground_known,
         "read": clip.notes,
@@ -126,9 +128,15 @@ def in_camera(
 
 
 def describe(
-    result: Reconstruction, paths: Sequence[Path], settings: FitSettings
+    result: Reconstruction, inputs: Mapping[str, str], settings: FitSettings
 ) -> dict[str, Any]:
-    """What happened, stage by stage, and to what: the contents of OUT.json."""
+    """What happened, stage by stage, and to what: the contents of OUT.json.
+
+    Args:
+        result: of the fit.
+        inputs: SHA-256 of everything that was read, by path (`recon.clip_inputs`).
+        settings: of the fit.
+    """
     windows = result.windows if isinstance(result, LongReconstruction) else ()
     failed = result.failed_windows if isinstance(result, LongReconstruction) else ()
     return {
@@ -139,21 +147,13 @@ def describe(
             for row, (start, stop) in enumerate(windows)
         ],
         "settings": asdict(settings),
-        "inputs": {str(path): _checksum(path) for path in paths},
+        "inputs": dict(inputs),
         "versions": {
             "recon": version("motion-recon"),
             "torch": torch.__version__,
             "python": platform.python_version(),
         },
     }
-
-
-def _checksum(path: Path) -> str:
-    """SHA-256 of a file, or of all files in a folder, in the order of their names."""
-    found = hashlib.sha256()
-    for file in [path] if path.is_file() else sorted(p for p in path.rglob("*") if p.is_file()):
-        found.update(file.read_bytes())
-    return found.hexdigest()
 
 
 def _stage(report: StageReport) -> dict[str, Any]:

@@ -10,6 +10,8 @@ import pytest
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("recon", "priors", "observations")
 SOURCES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
+SURVIVES = ROOT / "recon" / "workers.py"
+"""The one file that catches everything: whatever goes wrong with one of many jobs is its own."""
 TREE = [
     *SOURCES,
     *(p for f in ("tests", "benchmarks", "scripts") for p in (ROOT / f).rglob("*.py")),
@@ -28,7 +30,8 @@ def test_library_code_keeps_its_manners(path):
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
             assert node.func.id not in ("print", "exit", "quit"), f"{path}:{node.lineno}"
         if isinstance(node, ast.ExceptHandler) and isinstance(node.type, ast.Name):
-            assert node.type.id not in ("Exception", "BaseException"), f"{path}:{node.lineno}"
+            known = ("BaseException",) if path == SURVIVES else ("Exception", "BaseException")
+            assert node.type.id not in known, f"{path}:{node.lineno}"
         if isinstance(node, ast.ImportFrom):
             assert node.module != "__future__", f"{path}: shapes are checked, so no lazy ones"
     assert ast.get_docstring(tree), f"{path} does not say what it is"

@@ -18,7 +18,9 @@ def batch(
     """Fit every clip of a manifest; run it again to go on where it stopped.
 
     The manifest has one JSON object per line: {"id": "clip", "observations": ["clip.npz"]}.
-    Results are OUT/ID.npz; OUT/log.jsonl says what became of each clip.
+    Results are OUT/ID.npz; OUT/log.jsonl says what became of each clip. A clip is fitted again
+    when the contents of its files, of the calibration, body, masks or weights, or the settings
+    are others than before. Exit code 1 says that some clip has no result; see the log for why.
 
     Args:
         manifest: JSON lines; paths are relative to it.
@@ -49,4 +51,5 @@ def batch(
             bar.advance(task)
     console.answer({"clips": len(clips), **counts, "log": str(log)})
     if any(status not in ("ok", "skipped") for status in counts):
-        raise Failed(f"not every clip was fitted; see {log}")
+        bad = sum(n for status, n in counts.items() if status not in ("ok", "skipped"))
+        raise Failed(f"{bad} of {len(clips)} clips were not fitted; {log} says why")

@@ -1,0 +1,186 @@
+"""Jobs in processes of their own: whatever becomes of one, the others go on.
+
+A job that raises anything, runs out of memory or takes its process down ends as a `Failure` with
+its reason. Unlike in `concurrent.futures`, a process that dies costs its own job alone.
+"""
+
+import contextlib
+import os
+import signal
+import sys
+import threading
+import traceback
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from multiprocessing import get_context
+from multiprocessing.connection import Connection, wait
+from typing import Any, Literal
+
+Kind = Literal["bad input", "out of memory", "crashed", "error"]
+"""Why a job failed: its input, or the place for its output, was refused (`_REFUSALS`); there was
+no memory; its process died; anything else, which no good program should raise."""
+
+_REFUSALS = (
+    ValueError, FileNotFoundError, FileExistsError, IsADirectoryError, NotADirectoryError,
+    PermissionError,
+)  # fmt: skip
+
+_PATIENCE = 5.0
+"""Seconds that a process has to clean up when it is told to end."""
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Why a job gave no result."""
+
+    kind: Kind
+    reason: str
+    traceback: str = ""
+    """Of what nobody expected; empty where the reason says all."""
+
+
+def run_jobs(
+    function: Callable[..., Any], jobs: Iterable[tuple[Any, ...]], processes: int
+) -> Iterator[tuple[tuple[Any, ...], Any]]:
+    """Call `function(*job)` for every job in some processes; yields jobs and results as they end.
+
+    The result is what the function returned, or a `Failure`. Jobs are drawn when a process is
+    free for them. When the caller stops iterating, or is killed, the processes end as well.
+
+    Args:
+        function: importable, as its process has to find it; so are jobs and results.
+        jobs: arguments of each call.
+        processes: that work at once, each with one thread.
+
+    Raises:
+        ValueError: when there is to be no process.
+    """
+    if processes < 1:
+        raise ValueError(f"expected at least one process, got {processes}")
+    drawn = iter(jobs)
+    idle: list[_Worker] = []
+    busy: dict[Connection, tuple[_Worker, tuple[Any, ...]]] = {}
+    try:
+        while True:
+            while len(busy) < processes and (job := next(drawn, None)) is not None:
+                worker = idle.pop() if idle else _Worker(function)
+                worker.begin(job)
+                busy[worker.connection] = worker, job
+            if not busy:
+                return
+            ready = wait(list(busy))
+            for connection in [one for one in busy if one in ready]:
+                worker, job = busy[connection]
+                result, alive = worker.result()
+                del busy[connection]
+                if alive:
+                    idle.append(worker)
+                yield job, result
+    finally:
+        for worker in (*idle, *(worker for worker, _ in busy.values())):
+            worker.stop()
+
+
+class _Worker:
+    """A process that does one job after the other."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        # spawned: forked processes inherit locks that threads of torch hold
+        context = get_context("spawn")
+        self.connection, theirs = context.Pipe()
+        self._process = context.Process(target=_serve, args=(function, theirs), daemon=True)
+        self._process.start()
+        theirs.close()
+
+    def begin(self, job: tuple[Any, ...]) -> None:
+        """Hand a job over; that the process died before is told by `result`."""
+        with contextlib.suppress(BrokenPipeError, ConnectionResetError):
+            self.connection.send(job)
+
+    def result(self) -> tuple[Any, bool]:
+        """The result of the job, and whether the process can do another."""
+        try:
+            result = self.connection.recv()
+        except (EOFError, ConnectionResetError):
+            self.connection.close()
+            self._process.join()
+            return Failure("crashed", _death(self._process.exitcode or 0)), False
+        if isinstance(result, Failure) and result.kind == "out of memory":
+            # what a process holds after that is not known
+            self.stop()
+            return result, False
+        return result, True
+
+    def stop(self) -> None:
+        """End the process, whatever it does; it removes what it has half written."""
+        self._process.terminate()
+        self._process.join(_PATIENCE)
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join()
+        self.connection.close()
+
+
+def _death(code: int) -> str:
+    if code >= 0:
+        return f"its process ended with exit code {code}"
+    name = signal.Signals(-code).name
+    memory = ", as a machine does that is short of memory" if name == "SIGKILL" else ""
+    return f"its process was ended by {name}{memory}"
+
+
+def _serve(function: Callable[..., Any], connection: Connection) -> None:
+    """What a process does: jobs from the connection until it closes."""
+    # Ctrl-C is for the one who waits; it tells its processes to stop
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    _one_thread()
+    with contextlib.suppress(EOFError, BrokenPipeError, ConnectionResetError):
+        while True:
+            connection.send(_attempt(function, connection.recv()))
+
+
+def _attempt(function: Callable[..., Any], job: tuple[Any, ...]) -> Any:
+    """The result, or why there is none: whatever it is, it ends this job and no other."""
+    try:
+        return function(*job)
+    except MemoryError as error:
+        return Failure("out of memory", _described(error))
+    except Exception as error:
+        if _is_refusal(error):
+            return Failure("bad input", str(error))
+        return Failure("error", _described(error), traceback.format_exc())
+
+
+def _is_refusal(error: Exception) -> bool:
+    """Whether it was raised to refuse an input: by recon, not by a library below it.
+
+    Libraries raise subclasses of ValueError, such as UnicodeDecodeError and LinAlgError.
+    """
+    own = type(error).__module__.partition(".")[0] in ("recon", "priors", "observations")
+    return type(error) in _REFUSALS or (own and isinstance(error, ValueError))
+
+
+def _described(error: Exception) -> str:
+    text = str(error)
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__
+
+
+def _end_with_parent() -> None:
+    """A process whose parent was killed must not go on writing results that nobody logs."""
+    from multiprocessing import parent_process
+
+    parent = parent_process()
+    assert parent is not None  # there is one in a spawned process
+    parent.join()
+    os._exit(1)
+
+
+def _one_thread() -> None:
+    """A job per core is the fastest use of a machine; more threads each would fight."""
+    os.environ["OMP_NUM_THREADS"] = "1"
+    if "torch" in sys.modules:
+        import torch
+
+        torch.set_num_threads(1)
