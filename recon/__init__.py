@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from recon.long import LongReconstruction as LongReconstruction
     from recon.long import fit_long as fit_long
     from recon.motion import Motion as Motion
+    from recon.motion_files import load_motion_of as load_motion_of
     from recon.reconstruction import Reconstruction as Reconstruction
     from recon.reconstruction import fit as fit
     from recon.stages import Stage as Stage
@@ -30,6 +31,7 @@ _HOMES = {
     "LongReconstruction": "recon.long",
     "fit_long": "recon.long",
     "Motion": "recon.motion",
+    "load_motion_of": "recon.motion_files",
     "Reconstruction": "recon.reconstruction",
     "fit": "recon.reconstruction",
     "Stage": "recon.stages",

@@ -10,10 +10,11 @@ from torch import Tensor
 from observations.files import positions_of
 from recon.body import BodyModel
 from recon.evaluation import ObservedPoints, evaluate, ground_errors, nearest_labels
-from recon.formats.amass import MotionFile, load_motion
+from recon.formats.amass import MotionFile
 from recon.formats.files import replacing
 from recon.formats.observation import ObservationFile, PositionsFile, load_observation
 from recon.motion import Motion
+from recon.motion_files import load_motion_of
 from recon.protocols import Estimate
 
 _ON_ITS_GROUND = ("penetration", "sole_penetration", "contact", "slip_speed")
@@ -21,7 +22,11 @@ _ON_ITS_GROUND = ("penetration", "sole_penetration", "contact", "slip_speed")
 
 
 def evaluate_files(
-    result: Path, truth: Path, observation: Path | None, out: Path | None
+    result: Path,
+    truth: Path,
+    observation: Path | None,
+    out: Path | None,
+    body: Path | None = None,
 ) -> dict[str, float | None]:
     """All metrics of `result`, written to `out` if given.
 
@@ -36,34 +41,28 @@ def evaluate_files(
         ValueError: when a file is damaged, the bodies differ, or the truth does not cover the
             result's times.
     """
-    ours, theirs = load_motion(result, torch.float64), load_motion(truth, torch.float64)
-    body = BodyModel.load().to(dtype=torch.float64)
-    for path, file in ((result, ours), (truth, theirs)):
-        if file.checksum not in (None, body.checksum):
-            raise ValueError(
-                f"{path}: made with the body {file.body} ({file.checksum}), but this version's "
-                f"is {body.name} ({body.checksum}); shapes of different bodies do not compare"
-            )
+    model = BodyModel.load(body).to(dtype=torch.float64)
+    ours, theirs = load_motion_of(result, model), load_motion_of(truth, model)
     seen = None if observation is None else load_observation(observation)
     labels = _there(theirs, "contacts", ours.motion)
     metrics = evaluate(
         ours.motion,
         theirs.motion,
-        body,
+        model,
         contacts=ours.contacts,
         truth_contacts=labels,
         truth_visible=_visible(seen, theirs, ours.motion),
-        observed=_observed(ours, theirs, seen, observation, body),
+        observed=_observed(ours, theirs, seen, observation, model),
     )
     metrics |= {"ground_normal": None, "ground_height": None}
     if (poses := _camera_poses(ours, seen, result)) is not None:
         found, true = poses
-        pelvis = body.rest_joints(ours.motion.shape)[0]
+        pelvis = model.rest_joints(ours.motion.shape)[0]
         carried = ours.motion.carried(true @ torch.linalg.inv(found), pelvis)
         there = evaluate(
             carried,
             theirs.motion,
-            body,
+            model,
             truth_contacts=labels,
             truth_visible=_visible(seen, theirs, ours.motion),
         )

@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 
 from recon.body import BodyModel
-from recon.formats.amass import load_motion
 from recon.formats.bvh_write import skeleton_of, write_bvh
 from recon.formats.gltf import write_glb
 from recon.formats.ply import write_ply_sequence
 from recon.formats.trc import write_trc
+from recon.motion_files import load_motion_of
 from recon.recording import MarkerRecording
 
 
@@ -20,17 +20,19 @@ def export_file(
     bvh: Path | None = None,
     trc: Path | None = None,
     ply: Path | None = None,
+    body: Path | None = None,
 ) -> None:
-    """Write a motion in any of these formats; `ply` is a folder.
+    """Write a motion in any of these formats; `ply` is a folder, `body` the motion's own.
 
     Raises:
         FileNotFoundError: when there is no such motion, or no folder to write into.
-        ValueError: when the motion is damaged.
+        ValueError: when the motion is damaged or of another body.
     """
-    body, motion = BodyModel.load(), load_motion(source).motion
+    model = BodyModel.load(body)
+    motion = load_motion_of(source, model).motion
     if glb is not None:
-        write_glb(glb, motion, body)
-    skeleton = skeleton_of(motion, body, source.stem)
+        write_glb(glb, motion, model)
+    skeleton = skeleton_of(motion, model, source.stem)
     if bvh is not None:
         write_bvh(bvh, skeleton)
     if trc is not None:
@@ -44,5 +46,5 @@ def export_file(
         )
         write_trc(trc, joints)
     if ply is not None:
-        vertices = body.pose(motion).vertices.numpy()
-        write_ply_sequence(ply, vertices, body.faces.numpy())
+        vertices = model.pose(motion).vertices.numpy()
+        write_ply_sequence(ply, vertices, model.faces.numpy())

@@ -9,7 +9,6 @@ import torch
 
 from recon.body import BodyModel
 from recon.camera import Camera, depth_camera, full_hd_camera
-from recon.formats.amass import load_motion
 from recon.formats.calibration import load_cameras
 from recon.formats.observation import (
     CameraArrays,
@@ -21,6 +20,7 @@ from recon.formats.observation import (
 )
 from recon.formats.scans import write_scans
 from recon.motion import Motion
+from recon.motion_files import load_motion_of
 from recon.settings import (
     FILM_DEFAULTS,
     SURFACE_DEFAULTS,
@@ -38,6 +38,9 @@ from recon.surface_detail import clothed
 
 _PRESETS = {"front": 0.0, "side": math.tau / 4}
 """Angle of a preset's first camera from where the body faces, radians."""
+
+_BUNDLED_ONLY = "sensors are simulated of motions of the bundled body only, such as fits of it"
+"""What to do about a motion of another body."""
 
 
 def simulate_file(
@@ -64,13 +67,13 @@ def simulate_file(
             contradict each other; nothing is written then.
     """
     _check_apply(kind, film, surface, corruption)
-    truth = load_motion(motion).motion
+    body = BodyModel.load()
+    truth = load_motion_of(motion, body, _BUNDLED_ONLY).motion
     if frames is not None:
         if frames[1] > truth.frames:
             raise ValueError(f"{motion}: has {truth.frames} frames, asked for {frames}")
         truth = truth.window(*frames)
     truth = truth if fps is None else truth.resample(fps)
-    body = BodyModel.load()
     if kind in ("keypoints2d", "depth"):
         files = _filmed(
             truth, body, kind, corruption, seed, film, surface, unknown_ground=unknown_ground

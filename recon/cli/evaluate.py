@@ -10,6 +10,7 @@ def evaluate(
     result: Positional[Path],
     truth: Positional[Path],
     obs: Path | None = None,
+    body: Path | None = None,
     json: Annotated[Path | None, arg(help="File for the metrics.")] = None,
 ) -> None:
     """Every metric of a reconstruction, in SI units.
@@ -20,12 +21,13 @@ def evaluate(
         result: motion file.
         truth: motion file that lasts at least as long.
         obs: the observation that was fitted, for errors of its own points.
+        body: the SMPL-family file of both motions' body; default: the bundled body.
         json: file to write the metrics to.
     """
     from recon.cli import console
     from recon.evaluate_files import evaluate_files
 
-    metrics = evaluate_files(result, truth, obs, json)
+    metrics = evaluate_files(result, truth, obs, json, body)
     console.table(f"{result} against {truth}", {k: {"value": v} for k, v in metrics.items()})
     if json is None:
         console.answer(metrics)

@@ -12,6 +12,7 @@ def export(
     trc: Path | None = None,
     ply: Path | None = None,
     html: Path | None = None,
+    body: Path | None = None,
 ) -> None:
     """Write a motion for Blender, game engines, biomechanics tools or mesh viewers.
 
@@ -22,13 +23,14 @@ def export(
         trc: the 22 joints as markers, millimetres.
         ply: folder for one mesh per frame.
         html: self-contained page, as `recon view` writes.
+        body: the SMPL-family file of the motion's body; default: the bundled body.
     """
     from recon.export import export_file
 
     if all(target is None for target in (glb, bvh, trc, ply, html)):
         raise ValueError("nothing to write: give --glb, --bvh, --trc, --html FILE or --ply FOLDER")
-    export_file(motion, glb=glb, bvh=bvh, trc=trc, ply=ply)
+    export_file(motion, glb=glb, bvh=bvh, trc=trc, ply=ply, body=body)
     if html is not None:
         from recon.view.files import view_files
 
-        view_files(motion, html=html)
+        view_files(motion, html=html, body=body)

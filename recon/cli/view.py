@@ -13,6 +13,7 @@ def view(
     obs: tuple[Path, ...] = (),
     compare: Path | None = None,
     beside: Path | None = None,
+    body: Path | None = None,
 ) -> None:
     """Draw a motion as a page to play, a picture or a film.
 
@@ -29,9 +30,12 @@ def view(
         compare: a second motion, for example the truth, in the same place at the same times.
         beside: a motion to play side by side with this one, for example the same motion on
             another body; both play from their first frames on.
+        body: the SMPL-family file of the motions' body; default: the bundled body.
     """
     from recon.view.files import view_files
 
     if html is None and png is None and mp4 is None:
         raise ValueError("nothing to draw: give --html FILE, --png FILE or --mp4 FILE")
-    view_files(motion, obs=obs, compare=compare, side=beside, html=html, png=png, mp4=mp4)
+    view_files(
+        motion, obs=obs, compare=compare, side=beside, html=html, png=png, mp4=mp4, body=body
+    )

@@ -52,6 +52,7 @@ class MotionFile:
     in_camera: Float[Tensor, "time 6"] | None = None
     """SMPL translation (metres) and root rotation vector (radians) in that camera's frame."""
     format_version: int = FORMAT_VERSION
+    """0 of a file that another program wrote, such as those of AMASS."""
 
 
 _EXTRA = {
@@ -105,7 +106,7 @@ def load_motion(path: str | Path, dtype: torch.dtype = torch.float32) -> MotionF
             f"{len(translation)} and {len(poses)}"
         )
     limits.FRAMES.check(len(poses), path, "poses")
-    version = int(_scalar(path, numeric, "format_version", float(FORMAT_VERSION)))
+    version = int(_scalar(path, numeric, "format_version", 0.0))
     if version > FORMAT_VERSION or version < 0:
         raise ValueError(f"{path}: written by a newer version (format {version}); update recon")
     if (up := _text(arrays, "up_axis", "z")) != "z":

@@ -5,10 +5,11 @@ from dataclasses import replace
 from pathlib import Path
 
 from recon.body import BodyModel
-from recon.formats.amass import MotionFile, load_motion
+from recon.formats.amass import MotionFile
 from recon.ground import Ground
 from recon.identities import height, weight
 from recon.motion import Motion
+from recon.motion_files import load_motion_of
 from recon.view.beside import beside, common
 from recon.view.colours import CORAL, GREY
 from recon.view.observed import observed
@@ -24,6 +25,7 @@ def view_files(
     html: Path | None = None,
     png: Path | None = None,
     mp4: Path | None = None,
+    body: Path | None = None,
 ) -> None:
     """Draw a motion, with what it was fitted to and another motion if given.
 
@@ -33,24 +35,25 @@ def view_files(
 
     Raises:
         FileNotFoundError: when a file does not exist.
-        ValueError: when one is damaged, or the motions do not overlap in time.
+        ValueError: when one is damaged or of another body, or the motions do not overlap in
+            time.
     """
-    body = BodyModel.load()
-    file = load_motion(motion)
+    model = BodyModel.load(body)
+    file = load_motion_of(motion, model)
     figures: list[Figure] = []
     if side is None:
-        figures.append(Figure(body, file.motion, motion.stem, contacts=file.contacts))
+        figures.append(Figure(model, file.motion, motion.stem, contacts=file.contacts))
     else:
-        other = load_motion(side)
+        other = load_motion_of(side, model)
         file, second = common(file, other)
-        figures.append(_measured(Figure(body, file.motion, motion.stem)))
-        aside = Figure(body, second, _another(side, motion), CORAL)
+        figures.append(_measured(Figure(model, file.motion, motion.stem)))
+        aside = Figure(model, second, _another(side, motion), CORAL)
         figures.append(beside(figures[0], _measured(aside)))
     if compare is not None:
-        other = _meanwhile(load_motion(compare), file.motion, compare)
+        other = _meanwhile(load_motion_of(compare, model), file.motion, compare)
         name = _another(compare, motion)
-        figures.append(Figure(body, other, name, colour=GREY, opacity=0.45))
-    seen = observed(obs, file, body)
+        figures.append(Figure(model, other, name, colour=GREY, opacity=0.45))
+    seen = observed(obs, file, model)
     ground = None if file.ground is None else Ground.create(file.ground[:3], file.ground[3])
     show = Show(motion.stem, tuple(figures), seen.points, seen.cloud, seen.cameras, ground)
     if html is not None:
