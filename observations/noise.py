@@ -22,14 +22,26 @@ def estimate_noise(
     """Standard deviation of every coordinate, in its unit, within limits.
 
     Bodies move smoothly and white noise does not: third differences in time hold little but
-    noise, and their median does not see outliers. Points that are never visible four frames in a
-    row say nothing; without any the upper limit is assumed.
+    noise, and their median does not see outliers. Where no point is visible four frames in a row,
+    the frames that show something are taken one after the other; where that does not help either,
+    the upper limit is assumed.
     """
-    run = visible
-    for _ in range(3):
-        run = run[..., 1:, :] & run[..., :-1, :]
-    bends = positions.diff(n=3, dim=-3)[run].abs()
+    bends = _third_differences(positions, visible)
+    if bends.numel() == 0:
+        shown = visible.flatten(0, -3).any(-1).any(0) if visible.ndim > 2 else visible.any(-1)
+        bends = _third_differences(positions[..., shown, :, :], visible[..., shown, :])
     if bends.numel() == 0:
         return limits[1]
     noise = float(bends.median()) / _NORMAL_MEDIAN / _THIRD_DIFFERENCE
     return min(max(noise, limits[0]), limits[1])
+
+
+def _third_differences(
+    positions: Float[Tensor, "*batch time points dims"],
+    visible: Bool[Tensor, "*batch time points"],
+) -> Float[Tensor, "runs dims"]:
+    """Sizes of the third differences of all points that are visible four frames in a row."""
+    run = visible
+    for _ in range(3):
+        run = run[..., 1:, :] & run[..., :-1, :]
+    return positions.diff(n=3, dim=-3)[run].abs()

@@ -1,55 +1,51 @@
 """How well a fitted clip agrees with what was seen, and what that says about the input."""
 
-from typing import Any
-
-import torch
-from jaxtyping import Float
-from torch import Tensor
+from collections.abc import Sequence
 
 from observations.first_guess import Seen
 from observations.keypoints2d import Keypoints2D
-from recon.clip import ClipFit
-from recon.clip_files import Clip
-from recon.plausibility import body_warnings, distance_warnings, mirror_warnings
+from recon.diagnosis.summaries import ResidualSummary
+from recon.findings import Finding
+from recon.plausibility import distance_warnings
 from recon.protocols import Estimate
 
 _SUSPECT = 5.0
-"""Times the noise that was told from the data, from which on a median misfit is suspicious."""
-_SUSPECT_PIXELS = 15.0
-_SUSPECT_METRES = 0.06
+"""Times the noise that was told from the data, from which on a median residual is suspicious."""
+_LEAST = {"pixels": 15.0, "metres": 0.06}
+"""Median residuals below these are not suspicious, whatever the noise."""
 
 
-def agreement(clip: Clip, found: ClipFit) -> dict[str, Any]:
-    """Per observation the median misfit, and warnings in words.
-
-    Pixels for keypoints, metres for points. A misfit far above the noise means that model and
-    data contradict each other: mirrored images, swapped views, a wrong focal length or unit.
-    """
-    estimate = found.result.estimate
-    here = Estimate(estimate.decoded, estimate.body, estimate.scene.detach())
-    rows, warnings = [], []
-    for name, seen, noise in zip(clip.names, found.observations, found.noises, strict=True):
-        with torch.no_grad():
-            away = misfits(seen, here)
-        median = float(away.median()) if len(away) > 0 else None
-        unit = "pixels" if isinstance(seen, Keypoints2D) else "metres"
-        rows.append({"name": name, "unit": unit, "median": median, "noise": noise.own})
-        least = _SUSPECT_PIXELS if unit == "pixels" else _SUSPECT_METRES
-        if median is None:
-            warnings.append(f"{name}: nothing seen at the times of the motion")
-        elif median > max(_SUSPECT * noise.own, least):
-            warnings.append(
-                f"{name}: the fitted body misses half of the data by more than {median:.3g} "
-                f"{unit}, and the data's own noise is {noise.own:.2g}; check calibration, units, "
-                "that left and right are not mirrored, and that all files show the same person"
-            )
+def agreement_warnings(
+    summaries: Sequence[ResidualSummary], observations: Sequence[Seen], estimate: Estimate
+) -> list[Finding]:
+    """Sensors whose residuals are far above their noise: model and data contradict each other."""
+    warnings: list[Finding] = []
+    for summary, seen in zip(summaries, observations, strict=True):
+        warnings += _of(summary)
         if isinstance(seen, Keypoints2D):
-            warnings += distance_warnings(name, seen, here)
-    views = [seen for seen in clip.observations if isinstance(seen, Keypoints2D)]
-    warnings += body_warnings(found) + mirror_warnings(views)
-    return {"misfits": rows, "warnings": warnings}
+            warnings += distance_warnings(summary.name, seen, estimate)
+    return warnings
 
 
-def misfits(seen: Seen, estimate: Estimate) -> Float[Tensor, " samples"]:
-    """Distance of everything that was seen from the estimate, in its own unit."""
-    return seen.residuals(estimate).present()
+def _of(summary: ResidualSummary) -> list[Finding]:
+    name, median, noise = summary.name, summary.median, summary.noise
+    if median is None:
+        return [Finding("unseen", f"{name}: nothing was seen at the times of the motion")]
+    if median <= max(_SUSPECT * noise, _LEAST[summary.unit]):
+        return []
+    worst = sorted(
+        ((value, point) for point, value in summary.by_point.items() if value is not None),
+        reverse=True,
+    )[:3]
+    points = tuple(point for _, point in worst)
+    where = f", most at {', '.join(points)}" if points else ""
+    return [
+        Finding(
+            "residual",
+            f"{name}: half of the data is more than {median:.3g} {summary.unit} away from the "
+            f"fitted body{where}, and the data's own noise is {noise:.2g}; what was recorded is "
+            "not what the file says: check which person, which points and which camera it shows",
+            points,
+            value=median,
+        )
+    ]

@@ -5,7 +5,7 @@ stand have codes like those who walk. Hips do: one cycle of gait takes them once
 swing, and back.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +15,8 @@ from priors.anchor import AnchorFrames
 from recon.clip import ClipFit
 from recon.clip_files import seen_times
 from recon.cycles import find_cycles
+from recon.diagnosis.summaries import ResidualSummary
+from recon.findings import Finding
 from recon.motion import Motion
 
 SWING = 0.3
@@ -34,10 +36,10 @@ class CycleReport:
     """What is told of a completed cycle."""
 
     numbers: dict[str, Any]
-    warnings: list[str]
+    warnings: tuple[Finding, ...]
 
 
-def cycle_report(found: ClipFit, misfits: Sequence[Mapping[str, Any]]) -> CycleReport:
+def cycle_report(found: ClipFit, residuals: Sequence[ResidualSummary]) -> CycleReport:
     """Numbers of the first clip's cycle, and a warning where it is none.
 
     `code_distance` is half the squared Mahalanobis distance of the code from those of recorded
@@ -46,7 +48,7 @@ def cycle_report(found: ClipFit, misfits: Sequence[Mapping[str, Any]]) -> CycleR
 
     Args:
         found: by `recon.completion.complete`.
-        misfits: of its observations, as `recon.agreement` has them.
+        residuals: of its observations.
     """
     motion = found.result.clip(0).detach().to(device="cpu")
     prior = found.result.reports[-1].stage.prior
@@ -59,23 +61,33 @@ def cycle_report(found: ClipFit, misfits: Sequence[Mapping[str, Any]]) -> CycleR
         "moments_seen": len(moments),
         "code_distance": float(latent) / prior.weights.networks.latent,
         "swing_difference": difference,
-        "misfit_mm": [None if row["median"] is None else 1000 * row["median"] for row in misfits],
+        "residual_mm": [None if one.median is None else 1000 * one.median for one in residuals],
         "details": any(report.stage.name == "details" for report in found.result.reports),
     }
-    warnings: list[str] = []
+    warnings: list[Finding] = []
     if difference is None or difference > SWING:
         warnings.append(
-            "this is no cycle of gait, which is all that the prior knows: the hips do not go "
-            "through one swing and back. Cut one cycle out (--between), or fit with --prior humor"
+            Finding(
+                "residual",
+                "this is no cycle of gait, which is all that the prior knows: the hips do not go "
+                "through one swing and back. Cut one cycle out (--between), or fit with --prior "
+                "humor",
+                value=difference,
+            )
         )
     if len(moments) < _FEW_MOMENTS:
         warnings.append(
-            f"something is seen at {len(moments)} moments only; what happens between them is a "
-            "guess of the prior"
+            Finding(
+                "gap",
+                f"something is seen at {len(moments)} moments only; what happens between them is "
+                "a guess of the prior",
+                value=float(len(moments)),
+            )
         )
     if not all(one.ground_known for one in found.observations):
-        warnings.append("nobody knows where the ground is; it was taken to be at z = 0")
-    return CycleReport(numbers, warnings)
+        message = "nobody knows where the ground is; it was taken to be at z = 0"
+        warnings.append(Finding("floor", message))
+    return CycleReport(numbers, tuple(warnings))
 
 
 def swing_difference(motion: Motion) -> float | None:

@@ -9,18 +9,16 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from recon import rotations as so3
-from recon.agreement import agreement
 from recon.body import BodyModel
-from recon.clip import fit_clip
 from recon.clip_files import load_clip, window
 from recon.clip_inputs import input_checksums
-from recon.completion import complete
 from recon.contacts import contact_labels, rest_heights
 from recon.domain import cycle_report
+from recon.examination import fit_examined
 from recon.formats.amass import MotionFile, save_motion
 from recon.formats.files import replacing
 from recon.long import LongReconstruction
@@ -29,6 +27,7 @@ from recon.reconstruction import Reconstruction
 from recon.settings import FitSettings
 from recon.solver import Termination
 from recon.stages import StageReport, Watch
+from recon.treadmill import in_room, path_of_belt
 
 UP = (0.0, 0.0, 1.0)
 
@@ -54,9 +53,8 @@ def fit_files(
         clip = window(clip, *settings.between)
     seen = [observation.to(device=settings.device) for observation in clip.observations]
     completes = settings.prior == "anchor"
-    found = (complete if completes else fit_clip)(
-        seen, settings, body.to(device=settings.device), watch
-    )
+    examined = fit_examined(seen, clip.names, settings, body.to(device=settings.device), watch)
+    found = examined.fit
     motion = found.result.clip(0).detach().to(device="cpu")
     # the clock of few scans is too slow to show a motion
     rate = max(seen[0].fps, motion.fps) if completes else seen[0].fps
@@ -75,13 +73,27 @@ def fit_files(
         "noise": [asdict(noise) for noise in found.noises],
         "ground_known": found.ground_known,
         "read": clip.notes,
-        **agreement(clip, found),
+        "residuals": [summary.report() for summary in examined.residuals],
     }
+    warnings = examined.warnings
     if completes:
-        cycle = cycle_report(found, report["misfits"])
+        cycle = cycle_report(found, examined.residuals)
         report |= {"cycle": cycle.numbers}
-        report["warnings"] += cycle.warnings
-    write_result(out, motion, body, report, ground, T_world_camera)
+        warnings = (*warnings, *cycle.warnings)
+    report |= {
+        name: [finding.report() for finding in findings]
+        for name, findings in (
+            ("diagnosis", examined.diagnosis),
+            ("repairs", examined.repairs),
+            ("warnings", warnings),
+        )
+    }
+    belt = None
+    if examined.belt is not None:
+        belt = path_of_belt(motion, examined.belt)
+        motion = in_room(motion, examined.belt)
+    observed = torch.from_numpy(examined.observed_at(motion))
+    write_result(out, motion, body, report, ground, T_world_camera, observed, belt)
     return report
 
 
@@ -92,14 +104,19 @@ def write_result(
     report: dict[str, Any],
     ground: float = 0.0,
     T_world_camera: Float[Tensor, "4 4"] | None = None,
+    observed: Bool[Tensor, "time 22"] | None = None,
+    belt: Float[Tensor, "time 3"] | None = None,
 ) -> None:
     """The motion file with joints, contacts and ground (its height), and its report beside it.
 
     Where a camera's pose was found, the file has it and the root in the camera's frame besides.
+    On a treadmill, contacts are told against the belt, by how far it has come.
     """
     out.parent.mkdir(parents=True, exist_ok=True)
     joints = body.pose(motion).joints
     above = joints - joints.new_tensor([0.0, 0.0, ground])
+    if belt is not None:
+        above = above - belt[:, None]
     labels = contact_labels(above, rest_heights(body, motion.shape), motion.fps)
     save_motion(
         out,
@@ -110,6 +127,7 @@ def write_result(
             joints=joints,
             contacts=labels.to(joints),
             ground=torch.tensor([0.0, 0.0, 1.0, ground]),
+            observed=observed,
             T_world_camera=None if T_world_camera is None else T_world_camera[None],
             in_camera=None if T_world_camera is None else in_camera(motion, T_world_camera, body),
         ),

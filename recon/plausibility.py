@@ -10,6 +10,7 @@ from observations.first_guess import one_clock
 from observations.keypoints2d import Keypoints2D
 from observations.triangulation import triangulate
 from recon.clip import ClipFit
+from recon.findings import Finding
 from recon.identities import ODDEST, SHORTEST, TALLEST, height
 from recon.protocols import Estimate
 from recon.upright import sole_heights
@@ -24,47 +25,64 @@ _LEAST_PIXELS = 1.0
 """Errors below this tell nothing."""
 
 
-def distance_warnings(name: str, seen: Keypoints2D, estimate: Estimate) -> list[str]:
+def distance_warnings(name: str, seen: Keypoints2D, estimate: Estimate) -> list[Finding]:
     """A wrong focal length moves a body to where nobody films, or off a ground that is known."""
     pelvis = estimate.scene.to_recording(estimate.body.joints[..., :1, :])
     distance = float(seen.camera.to_camera(pelvis.mean(-3, keepdim=True))[..., 2].median())
     if _NEAR < distance < _FAR:
         return []
     return [
-        f"{name}: the person would be {distance:.1f} m from the camera; check the focal length "
-        "and that the calibration is in metres"
+        Finding(
+            "distance",
+            f"{name}: the person would be {distance:.1f} m from the camera; check the focal "
+            "length and that the calibration is in metres",
+            value=distance,
+        )
     ]
 
 
-def body_warnings(found: ClipFit) -> list[str]:
+def body_warnings(found: ClipFit) -> list[Finding]:
     """Wrong focal lengths, units and poses of cameras make nobody's body, or one that floats.
 
     Where no camera and no ground tells sizes, the prior does, and nothing can be said.
     """
     posed = found.result.estimate.body
     tall = float(height(posed.model, posed.shape.detach()).mean())
-    warnings: list[str] = []
+    warnings: list[Finding] = []
     if not SHORTEST < tall < TALLEST:
         warnings.append(
-            f"the person would be {tall:.2f} m tall; check focal lengths, units and the poses "
-            "of the cameras (for a child this is as well as an adult body can do)"
+            Finding(
+                "body size",
+                f"the person would be {tall:.2f} m tall; check focal lengths, units and the "
+                "poses of the cameras (for a child this is as well as an adult body can do)",
+                value=tall,
+            )
         )
     elif (odd := float(posed.shape.abs().max())) > ODDEST:
         warnings.append(
-            f"the person's shape is {odd:.1f} standard deviations from the average; check the "
-            "calibration, and that left and right are not mirrored"
+            Finding(
+                "body size",
+                f"the person's shape is {odd:.1f} standard deviations from the average; check "
+                "the calibration, and that left and right are not mirrored",
+                value=odd,
+            )
         )
     if found.ground_known:
         soles = float(sole_heights(found.result.motion, posed.model).median())
         if abs(soles) > _OFF_GROUND:
             warnings.append(
-                f"the soles stand at {soles:.2f} m, but the ground is at 0; check focal lengths, "
-                "image sizes and the heights of the cameras, unless the person stands on something"
+                Finding(
+                    "floor",
+                    f"the soles stand at {soles:.2f} m, but the ground is at 0; check focal "
+                    "lengths, image sizes and the heights of the cameras, unless the person "
+                    "stands on something",
+                    value=soles,
+                )
             )
     return warnings
 
 
-def mirror_warnings(views: Sequence[Keypoints2D]) -> list[str]:
+def mirror_warnings(views: Sequence[Keypoints2D]) -> list[Finding]:
     """Images that fit together better when mirrored, as front cameras of phones write them.
 
     One view alone cannot tell: it shows what the mirrored person would have done.
@@ -76,9 +94,13 @@ def mirror_warnings(views: Sequence[Keypoints2D]) -> list[str]:
     if given < _LEAST_PIXELS or mirrored > _CLEARLY * given:
         return []
     return [
-        f"the images seem to be mirrored: their rays miss each other by {given:.1f} pixels, and "
-        f"by {mirrored:.1f} when left and right of all images are exchanged; mirror the videos "
-        "back before keypoints are detected"
+        Finding(
+            "mirrored",
+            f"the images seem to be mirrored: their rays miss each other by {given:.1f} pixels, "
+            f"and by {mirrored:.1f} when left and right of all images are exchanged; mirror the "
+            "videos back before keypoints are detected",
+            value=mirrored / given,
+        )
     ]
 
 

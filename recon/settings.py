@@ -52,6 +52,10 @@ class FitSettings:
     robust: float | None = None
     """Distance in metres beyond which a point counts ever less; default: least squares.
     Keypoints in images and points of scans are always robust."""
+    repair: bool = True
+    """Put right, before the fit, what is surely wrong with the data: zeros for missing points,
+    names exchanged in a stretch, outliers, a floor at another height. The report says what was
+    done."""
     physics: float = 0.0
     """How much physics of a body on flat ground counts, its feet above all: 1 as much as it should
     where there is nothing else to stand, sit or lean on; 0 leaves it out."""

@@ -6,8 +6,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from recon.examination import fit_examined
-
 from benchmarks.slips.errors import error
 from benchmarks.slips.good import GoodWindow, GoodWindows, alarms
 from benchmarks.slips.kinds import Slip
@@ -16,6 +14,7 @@ from benchmarks.slips.verdict import Verdict, verdict_of
 from benchmarks.windows import Windows
 from recon.body import BodyModel
 from recon.clip import ClipFit, fit_clip
+from recon.examination import fit_examined
 from recon.settings import FitSettings
 
 

@@ -29,6 +29,16 @@ def warn(message: str) -> None:
                  soft_wrap=True)  # fmt: skip
 
 
+def findings(report: Mapping[str, Any]) -> None:
+    """What a report found: remarks, repairs that were made, and warnings, in this order."""
+    for finding in report.get("diagnosis", []):
+        note(finding["message"])
+    for finding in report.get("repairs", []):
+        say(f"repaired: {finding['message']}")
+    for finding in report.get("warnings", []):
+        warn(finding["message"])
+
+
 def answer(value: Mapping[str, Any]) -> None:
     """The result of a verb for a program: one JSON object on stdout."""
     sys.stdout.write(json.dumps(value, indent=1, default=str) + "\n")

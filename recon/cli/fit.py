@@ -56,13 +56,13 @@ def fit_and_say(
             f"total {sum(stage['energies'].values()):.4g}: {stage['termination']}"
         )
     if cycle := report.get("cycle"):
+        residuals = ", ".join(f"{mm:.0f}" for mm in cycle["residual_mm"] if mm is not None)
         console.say(
             f"one cycle of {cycle['seconds']:.2f} s, seen at {cycle['moments_seen']} moments, "
             f"code distance {cycle['code_distance']:.2f}, "
-            f"misfit {', '.join(f'{mm:.0f}' for mm in cycle['misfit_mm'] if mm is not None)} mm"
+            f"residual {residuals} mm"
         )
-    for line in report["warnings"]:
-        console.warn(line)
+    console.findings(report)
     console.say(str(out))
     if json:
         console.answer(report)

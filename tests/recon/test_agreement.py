@@ -1,9 +1,8 @@
-"""Misfits and what they say: medians in their own units, and warnings where input is doubtful."""
+"""Residuals and what they say: in their own units, and warnings where input is doubtful."""
 
 import torch
 
 from observations.keypoints2d import Keypoints2D
-from recon.agreement import misfits
 from recon.clip import ClipFit
 from recon.motion import Motion
 from recon.plausibility import body_warnings, distance_warnings, mirror_warnings, views_error
@@ -16,6 +15,10 @@ from tests.laws import estimate_of
 
 def batch(motion: Motion) -> Motion:
     return motion.map(lambda t: t[None])
+
+
+def lengths(seen, estimate) -> torch.Tensor:
+    return seen.residuals(estimate).present()
 
 
 def estimate(motion: Motion) -> Estimate:
@@ -43,23 +46,23 @@ def as_fit(motion: Motion, ground_known: bool = True) -> ClipFit:
     )
 
 
-def test_misfits_are_in_the_units_of_the_data():
+def test_residuals_are_in_the_units_of_the_data():
     (seen,) = views(1)
-    away = misfits(seen, estimate(walk()))
+    away = lengths(seen, estimate(walk()))
     assert len(away) == 24 * 25
     # the length of two errors of 3 pixels has a median of 1.18 times that
     assert abs(float(away.median()) / (1.177 * NOISE) - 1) < 0.1
-    assert len(misfits(seen.replace(confidence=seen.confidence * 0), estimate(walk()))) == 0
+    assert len(lengths(seen.replace(confidence=seen.confidence * 0), estimate(walk()))) == 0
     joints = joints3d(walk(), bundled(), Corruption(noise=0.02), 0).map(lambda t: t[None])
-    away = misfits(joints, estimate(walk()))
+    away = lengths(joints, estimate(walk()))
     assert abs(float(away.median()) / (1.538 * 0.02) - 1) < 0.1  # metres
 
 
 def test_only_the_moments_that_both_have_are_compared():
     (seen,) = views(1)
-    assert len(misfits(seen, estimate(walk().window(4, 14)))) == 10 * 25
+    assert len(lengths(seen, estimate(walk().window(4, 14)))) == 10 * 25
     elsewhen = walk().replace(start_time=50.0)
-    assert len(misfits(seen, estimate(elsewhen))) == 0
+    assert len(lengths(seen, estimate(elsewhen))) == 0
 
 
 def test_people_are_not_filmed_from_a_hundred_metres():
@@ -68,7 +71,7 @@ def test_people_are_not_filmed_from_a_hundred_metres():
     eye = seen.camera.T_world_camera[0, 0, :3, 3]
     far = walk().replace(translation=eye + 30 * (walk().translation - eye))
     (warning,) = distance_warnings("a", seen, estimate(far))
-    assert "m from the camera; check the focal length" in warning
+    assert "m from the camera; check the focal length" in warning.message
 
 
 def test_bodies_that_nobody_has_and_soles_in_the_air_are_said():
@@ -76,12 +79,12 @@ def test_bodies_that_nobody_has_and_soles_in_the_air_are_said():
     up = walk().translation.new_tensor([0.0, 0.0, 0.4])
     floating = walk().replace(translation=walk().translation + up)
     (warning,) = body_warnings(as_fit(floating))
-    assert "soles stand at 0.40 m" in warning
+    assert "soles stand at 0.40 m" in warning.message
     assert body_warnings(as_fit(floating, ground_known=False)) == []
     shape = torch.zeros_like(walk().shape)
     shape[5] = 4.5
     odd = body_warnings(as_fit(walk().replace(shape=shape), ground_known=False))
-    assert "4.5 standard deviations" in odd[0]
+    assert "4.5 standard deviations" in odd[0].message
 
 
 def test_mirrored_images_are_told_by_two_views_and_more():
@@ -89,7 +92,7 @@ def test_mirrored_images_are_told_by_two_views_and_more():
         good = views(count)
         assert mirror_warnings(good) == []
         (warning,) = mirror_warnings([mirrored(seen) for seen in good])
-        assert "mirror the videos back" in warning
+        assert "mirror the videos back" in warning.message
     assert mirror_warnings([mirrored(views(1)[0])]) == []  # cannot be told
     assert mirror_warnings(views(3, noise=0.0)) == []
 

@@ -112,7 +112,9 @@ def fitted(recording: Recording, folder: Path, **settings) -> tuple[Motion, str]
     )
     report = fit_files(paths, folder / "out.npz", given)
     assert not report["failed"]
-    return load_motion(folder / "out.npz").motion, " ".join(report["warnings"])
+    return load_motion(folder / "out.npz").motion, " ".join(
+        finding["message"] for finding in report["warnings"]
+    )
 
 
 @pytest.mark.parametrize("views", [1, 3])

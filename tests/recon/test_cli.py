@@ -83,7 +83,8 @@ def test_what_was_assumed_and_what_is_wrong_is_said(clip, tmp_path, capsys, monk
     """A stand-in for the fit: only what is shown of its report matters here."""
     report = {
         "read": ["view a: camera b"],
-        "warnings": ["a: check the focal length"],
+        "repairs": [{"message": "a: zeros were left out"}],
+        "warnings": [{"message": "a: check the focal length"}],
         "failed": False,
         "stages": [
             {"name": "pose", "iterations": 3, "seconds": 0.1, "termination": "converged",
@@ -95,6 +96,7 @@ def test_what_was_assumed_and_what_is_wrong_is_said(clip, tmp_path, capsys, monk
     shown = capsys.readouterr()
     assert json.loads(shown.out) == report
     assert "view a: camera b" in shown.err
+    assert "repaired: a: zeros were left out" in shown.err
     assert "warning: a: check the focal length" in shown.err
     assert "total 1.5: converged" in shown.err
 

@@ -61,8 +61,8 @@ def test_a_camera_of_known_pose_leaves_the_world_as_it_is(tmp_path):
     result = load_motion(tmp_path / "out.npz")
     away = bundled().pose(result.motion).joints - bundled().pose(walk(16)).joints
     assert away.norm(dim=-1).mean() < 0.09
-    assert report["misfits"][0]["unit"] == "pixels"
-    assert report["misfits"][0]["median"] < 2 * NOISE
+    assert report["residuals"][0]["unit"] == "pixels"
+    assert report["residuals"][0]["median"] < 2 * NOISE
 
 
 def test_two_cameras_of_unknown_pose_are_refused(tmp_path):

@@ -1,0 +1,180 @@
+"""Points in space before a fit: what is wrong with them, and the repairs that are sure."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from recon.body import BodyModel
+from recon.diagnosis.belt import belt_velocity
+from recon.diagnosis.cleaning import plausible
+from recon.diagnosis.exact import repaired_exact
+from recon.diagnosis.named_points import NamedPoints, Points
+from recon.diagnosis.outlying import Predicted, exchanged_points, misplaced_points, outliers
+from recon.diagnosis.placement import floor_finding, floor_height, scale_findings
+from recon.diagnosis.quick import QuickFit, quick_fits
+from recon.diagnosis.sides import find_exchanges
+from recon.diagnosis.tracks import frame_order, identity_changes, temporal_noise
+from recon.findings import Finding, listed, spans, stretches
+from recon.robust import geman_mcclure, squared
+
+_FEWEST = 12
+"""Visible positions without which nothing is checked."""
+_WRONG_SIDES = 0.75
+"""Share of the cost of the names as given, below which exchanged sides are the right ones."""
+_CLEARLY_BETTER = 0.9
+"""Share of the cost below which two points that exchange their names are the right ones."""
+_KERNEL = 4.0
+"""Scale of the robust kernel in standard deviations of a coordinate, where there are outliers."""
+_LEAST_KERNEL = 0.05
+"""Metres; smaller scales would take the model's own error for outliers."""
+
+
+@dataclass(frozen=True)
+class Screened:
+    """One clip's points as they should be fitted, and what was found."""
+
+    points: Points
+    repairs: tuple[Finding, ...] = ()
+    warnings: tuple[Finding, ...] = ()
+    belt: Float[Tensor, " 2"] | None = None
+    """Velocity of the treadmill under the feet, m/s, where there is one."""
+
+    def after(self, points: Points, *repairs: Finding) -> "Screened":
+        """The next state, with repairs that were made."""
+        return replace(self, points=points, repairs=(*self.repairs, *repairs))
+
+    def warned(self, *warnings: Finding) -> "Screened":
+        """The same points with more warnings."""
+        return replace(self, warnings=(*self.warnings, *warnings))
+
+
+def screen_points(points: Points, body: BodyModel) -> Screened:
+    """Check one clip's joints or markers, and repair what can be repaired surely.
+
+    In this order: what repeats bit for bit, the order of frames, sides that change names within
+    the clip, jumps of the whole body, its size, sides exchanged throughout, and, against a quick
+    robust fit, two points exchanged, points away from their place, outliers and the ground.
+    """
+    exact, found = repaired_exact(NamedPoints.of(points, body))
+    state = Screened(points).after(exact.into(points), *found)
+    if exact.visible.sum() < _FEWEST:
+        return state
+    if disorder := frame_order(exact):  # nothing else can be told from such frames
+        return state.warned(*disorder)
+    named = plausible(exact)
+    exchanges = find_exchanges(named)
+    steady = named.permuted(named.counterparts, exchanges)
+    state = state.warned(*identity_changes(steady), *scale_findings(steady))
+    state, fitted = _sides(state, exchanges, body)
+    state, fitted = _exchanged(state, fitted, body)
+    return _against_a_body(state, fitted, body)
+
+
+def _sides(
+    state: Screened, exchanged: Bool[np.ndarray, " moments"], body: BodyModel
+) -> tuple[Screened, QuickFit]:
+    """Left and right by continuity within the clip, and by which body fits throughout."""
+    named = NamedPoints.of(state.points, body)
+    order = named.counterparts
+    steady = named.permuted(order, exchanged)
+    given = _cleaned(steady, state.points)
+    if all(k == other for k, other in enumerate(order)):
+        return state, quick_fits([given], body)[0]
+    everywhere = np.ones_like(exchanged)
+    opposite = steady.permuted(order, everywhere)
+    fits = quick_fits([given, _cleaned(opposite, state.points)], body)
+    best = min(fits, key=lambda one: one.cost * (1 if one.points is given else 1 / _WRONG_SIDES))
+    wrong = exchanged if best.points is given else ~exchanged
+    if not wrong.any():
+        return state, best
+    chosen = steady if best.points is given else opposite
+    said = _stretch_finding(wrong) if not wrong.all() else _throughout(fits)
+    state = state.after(chosen.into(state.points), said)
+    return (state.warned(said) if wrong.all() else state), best
+
+
+def _cleaned(named: NamedPoints, points: Points) -> Points:
+    return plausible(named).into(points)
+
+
+def _stretch_finding(wrong: np.ndarray) -> Finding:
+    return Finding(
+        "sides exchanged",
+        "left and right change places from one frame to the next and back "
+        f"({spans(stretches(wrong))}); there the names were exchanged",
+        (),
+        stretches(wrong),
+        float(wrong.mean()),
+    )
+
+
+def _throughout(fits: Sequence[QuickFit]) -> Finding:
+    return Finding(
+        "sides exchanged",
+        "knees, elbows and feet bend the wrong way unless left and right are exchanged: the names "
+        "were exchanged throughout. If the recording is mirrored instead, mirror it back before "
+        "fitting: this result is then the mirror image of the motion",
+        value=min(one.cost for one in fits) / max(one.cost for one in fits),
+    )
+
+
+def _exchanged(state: Screened, fitted: QuickFit, body: BodyModel) -> tuple[Screened, QuickFit]:
+    """Two points that carry each other's name throughout."""
+    named = NamedPoints.of(state.points, body)
+    for a, b in exchanged_points(Predicted.of(named, fitted.points, fitted.estimate)):
+        order = list(range(len(named.names)))
+        order[a], order[b] = b, a
+        moments = np.ones(len(named.visible), dtype=bool)
+        other = named.permuted(tuple(order), moments)
+        (better,) = quick_fits([_cleaned(other, state.points)], body)
+        if better.cost > _CLEARLY_BETTER * fitted.cost:
+            continue
+        names = (named.names[a], named.names[b])
+        said = Finding(
+            "points exchanged",
+            f"{listed(names)} lie in each other's place; their names were exchanged",
+            names,
+            value=better.cost / fitted.cost,
+        )
+        state, fitted, named = state.after(other.into(state.points), said), better, other
+    return state, fitted
+
+
+def _against_a_body(state: Screened, fitted: QuickFit, body: BodyModel) -> Screened:
+    """What a quick robust fit says about single points, the ground and the noise."""
+    named = NamedPoints.of(state.points, body)
+    noise = temporal_noise(NamedPoints.of(fitted.points, body))
+    predicted = Predicted.of(named, fitted.points, fitted.estimate)
+    kept, misplaced = misplaced_points(predicted)
+    kept, wild = outliers(replace(predicted, points=kept), noise)
+    state = state.after(kept.into(state.points), *misplaced)
+    if wild is not None:
+        state = state.after(_robust(state.points, noise), wild)
+    if state.points.ground_known:
+        height = floor_height(kept, fitted.estimate.motion, body, noise)
+        if height != 0:
+            moved = state.points.replace(ground_known=False)
+            state = state.after(moved, floor_finding(height))
+    motion = fitted.estimate.motion[0]
+    belt = belt_velocity(motion, body)
+    if belt is None:
+        return state
+    said = Finding(
+        "treadmill",
+        f"standing feet are all carried along at {float(belt.norm()):.2f} m/s, as on a treadmill: "
+        "the motion was fitted in the frame of the belt and carried back to the room",
+        value=float(belt.norm()),
+    )
+    return replace(state.after(state.points, said), belt=belt)
+
+
+def _robust(points: Points, noise: float) -> Points:
+    """The points with a robust kernel, unless they have one."""
+    if points.kernel is not squared:
+        return points
+    scale = max(_LEAST_KERNEL, _KERNEL * noise)
+    return points.replace(kernel=partial(geman_mcclure, sigma=scale))

@@ -1,0 +1,147 @@
+"""What the order of frames tells: noise in time against noise along bones, jumps of the body."""
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+
+from observations.noise import estimate_noise
+from recon.diagnosis.named_points import NamedPoints
+from recon.findings import Finding, spans, stretches
+from recon.robust import NORMAL_MAD
+from recon.skeleton import PARENTS
+
+_DIFFERENCE = 2.2
+"""Typical distance of two measurements of one place, in standard deviations of a coordinate."""
+_DISORDER = 2.0
+"""Times by which points must move more between two frames than their noise along bones makes
+them; bones keep their lengths in any order."""
+_LEAST_DISORDER = 0.05
+"""Metres between two frames below which order hardly matters."""
+_LAGS = (3, 6, 10)
+"""Frames after which a body that moves is farther away than after one frame."""
+_GROWTH = 1.5
+"""Factor by which it must be farther then; a body in motion reaches more than two."""
+_JUMP = 0.12
+"""Metres beyond its neighbours' steps by which the middle of all points may step between two
+moments of one recording."""
+_JUMP_SPEED = 4.0
+"""Metres per second that a jump must amount to: a change of speed by this much within a frame is
+more than ten times gravity."""
+
+
+def temporal_noise(points: NamedPoints) -> float:
+    """Standard deviation of one coordinate, metres, told by third differences in time.
+
+    Zero where nothing tells it.
+    """
+    positions, visible = torch.from_numpy(points.positions), torch.from_numpy(points.visible)
+    noise = estimate_noise(positions, visible, (0.0, torch.inf))
+    return noise if noise < torch.inf else 0.0
+
+
+def bone_noise(points: NamedPoints) -> float | None:
+    """Standard deviation of one coordinate, metres, told by the lengths of bones.
+
+    Points on one bone, and joints at its two ends, keep their distance whatever the order of the
+    frames. None where there are no such pairs.
+    """
+    spreads: list[float] = []
+    for a, b in _rigid_pairs(points):
+        both = points.visible[:, a] & points.visible[:, b]
+        if both.sum() < 8:
+            continue
+        length = np.linalg.norm(points.positions[both, a] - points.positions[both, b], axis=-1)
+        spreads.append(float(np.median(np.abs(length - np.median(length)))))
+    return float(np.median(spreads)) / NORMAL_MAD / 2**0.5 if spreads else None
+
+
+def frame_order(points: NamedPoints) -> list[Finding]:
+    """Whether frames are out of order: the body leaps about, but its bones keep their lengths."""
+    along, near = bone_noise(points), _travelled(points, 1)
+    far = [way for lag in _LAGS if (way := _travelled(points, lag)) is not None]
+    if along is None or near is None or not far or near < _LEAST_DISORDER:
+        return []
+    if near < _DISORDER * _DIFFERENCE * along or float(np.median(far)) > _GROWTH * near:
+        return []
+    return [
+        Finding(
+            "frame order",
+            f"from frame to frame points move by {100 * near:.0f} cm, which is no less than they "
+            f"move in {_LAGS[-1]} frames, but bones keep their lengths to {100 * along:.1f} cm: "
+            "the frames do not seem to be in the order of time; sort them by their time stamps",
+            value=near / max(float(np.median(far)), 1e-6),
+        )
+    ]
+
+
+def identity_changes(points: NamedPoints) -> list[Finding]:
+    """Frames at which the whole body jumps, as where a tracker goes on with somebody else."""
+    jumps = _jumps(points)
+    if not jumps.any():
+        return []
+    step = _middle_step(points)[0]
+    most = float(step[jumps].max())
+    return [
+        Finding(
+            "identity change",
+            f"all points jump together by up to {most:.2f} m in one frame "
+            f"({spans(stretches(jumps))}): probably another person was tracked from there on; cut "
+            "the recording there (--between) or correct the identities",
+            (),
+            stretches(jumps),
+            most,
+        )
+    ]
+
+
+def _jumps(points: NamedPoints) -> Bool[np.ndarray, " moments"]:
+    """Moments to which the middle of the points steps unlike it does before and after."""
+    step, elapsed = _middle_step(points)
+    known = np.isfinite(step)
+    usual = np.zeros(len(step))
+    for t in np.flatnonzero(known):
+        beside = [k for k in range(t - 3, t + 4) if k != t and 0 <= k < len(step) and known[k]]
+        speeds = step[beside] / elapsed[beside]
+        usual[t] = float(np.median(speeds)) * elapsed[t] if beside else 0.0
+    noise = min(temporal_noise(points), 0.1)
+    beyond = np.where(known, step - usual, 0.0)
+    return (beyond > _JUMP + 3 * noise) & (beyond > _JUMP_SPEED * elapsed)
+
+
+def _middle_step(
+    points: NamedPoints,
+) -> tuple[Float[np.ndarray, " moments"], Float[np.ndarray, " moments"]]:
+    """Length of the median displacement since the last moment with the same points, and seconds.
+
+    NaN where fewer than three points are common to both moments.
+    """
+    moments = len(points.visible)
+    step, elapsed = np.full(moments, np.nan), np.full(moments, 1 / points.fps)
+    last = -1
+    for t in range(moments):
+        if not points.visible[t].any():
+            continue
+        common = points.visible[t] & points.visible[last] if last >= 0 else np.zeros(1, bool)
+        if common.sum() >= 3:
+            moved = points.positions[t, common] - points.positions[last, common]
+            step[t] = np.linalg.norm(np.median(moved, axis=0))
+            elapsed[t] = (t - last) / points.fps
+        last = t
+    return step, elapsed
+
+
+def _travelled(points: NamedPoints, lag: int) -> float | None:
+    """Median distance of points from where they were so many frames ago, metres."""
+    both = points.visible[lag:] & points.visible[:-lag]
+    away = np.linalg.norm(points.positions[lag:] - points.positions[:-lag], axis=-1)[both]
+    return float(np.median(away)) if away.size else None
+
+
+def _rigid_pairs(points: NamedPoints) -> list[tuple[int, int]]:
+    """Numbers of points whose distance no pose changes: on one bone, or the joints at its ends."""
+    bones = points.bones
+    count = range(len(bones))
+    pairs = [(a, b) for a in count for b in count if a < b and bones[a] == bones[b]]
+    if not points.are_joints:
+        return pairs
+    return [(a, b) for a in count for b in count if PARENTS[bones[b]] == bones[a]]

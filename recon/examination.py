@@ -1,0 +1,151 @@
+"""A fit of one clip whose data are checked before it, and whose result is checked after it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from observations.first_guess import Seen
+from observations.joints3d import Joints3D
+from observations.keypoints2d import Keypoints2D
+from observations.markers3d import Markers3D
+from recon.agreement import agreement_warnings
+from recon.body import BodyModel
+from recon.clip import ClipFit, fit_clip
+from recon.completion import complete
+from recon.diagnosis.pace import rate_finding
+from recon.diagnosis.screening import screen_points
+from recon.diagnosis.seen_joints import observed_joints, unseen_findings
+from recon.diagnosis.summaries import ResidualSummary, summarise
+from recon.findings import Finding
+from recon.motion import Motion
+from recon.plausibility import body_warnings, mirror_warnings
+from recon.protocols import Estimate
+from recon.settings import FitSettings
+from recon.stages import Watch
+from recon.treadmill import with_belt
+
+
+@dataclass(frozen=True)
+class Examined:
+    """A fit, and what is known about the data and the result."""
+
+    fit: ClipFit
+    residuals: tuple[ResidualSummary, ...]
+    """Of every sensor, in the order of the observations."""
+    diagnosis: tuple[Finding, ...]
+    """What is worth knowing but is no fault: limbs and frames that were inferred."""
+    repairs: tuple[Finding, ...]
+    """What was wrong with the data and was put right before the fit."""
+    warnings: tuple[Finding, ...]
+    """What should be read before the result is used."""
+    observed: Bool[np.ndarray, "time 22"]
+    """False where a joint of the fitted motion was inferred rather than seen."""
+    belt: Float[Tensor, " 2"] | None = None
+    """Velocity of the treadmill in the recording, m/s; the fit is in the frame that moves with
+    it. None where feet stand in the room."""
+
+    def observed_at(self, motion: Motion) -> Bool[np.ndarray, "time 22"]:
+        """`observed` at the frames of the fitted motion resampled to another rate."""
+        fitted = self.fit.result.motion
+        times = motion.start_time + np.arange(motion.frames) / motion.fps
+        frames = np.rint((times - fitted.start_time) * fitted.fps).astype(int)
+        return self.observed[np.clip(frames, 0, len(self.observed) - 1)]
+
+
+def fit_examined(
+    observations: Sequence[Seen],
+    names: Sequence[str],
+    settings: FitSettings,
+    body: BodyModel,
+    watch: Watch | None = None,
+) -> Examined:
+    """Fit one clip's observations, checked before and after.
+
+    Args:
+        observations: sensors of one clip that share a frame; a batch axis of length one.
+        names: of the sensors, for messages.
+        settings: how to fit; `repair` says whether faults are put right.
+        body: whose motion it is.
+        watch: told about every iteration.
+
+    Raises:
+        ValueError: as `recon.clip.fit_clip` and `recon.completion.complete` do.
+    """
+    screened = screen(observations, names, settings, body)
+    completes = settings.prior == "anchor"
+    found = (complete if completes else fit_clip)(screened.observations, settings, body, watch)
+    return examine(found, names, screened)
+
+
+@dataclass(frozen=True)
+class ScreenedClip:
+    """A clip's observations as they should be fitted, and what was found."""
+
+    observations: tuple[Seen, ...]
+    repairs: tuple[Finding, ...] = ()
+    warnings: tuple[Finding, ...] = ()
+    belt: Float[Tensor, " 2"] | None = None
+    """Velocity of the treadmill that the observations were freed from, m/s."""
+
+
+def screen(
+    observations: Sequence[Seen], names: Sequence[str], settings: FitSettings, body: BodyModel
+) -> ScreenedClip:
+    """Check all sensors of a clip before the fit; without `settings.repair` nothing is done."""
+    if not settings.repair:
+        return ScreenedClip(tuple(observations))
+    kept: list[Seen] = []
+    repairs: list[Finding] = []
+    warnings: list[Finding] = []
+    belts: list[Float[Tensor, " 2"]] = []
+    for name, one in zip(names, observations, strict=True):
+        if not isinstance(one, Joints3D | Markers3D):
+            kept.append(one)
+            continue
+        found = screen_points(one, body)
+        kept.append(found.points)
+        repairs += [_of(name, finding) for finding in found.repairs]
+        warnings += [_of(name, finding) for finding in found.warnings]
+        belts += [] if found.belt is None else [found.belt]
+    clip = ScreenedClip(tuple(kept), tuple(repairs), tuple(warnings))
+    points = [one for one in kept if isinstance(one, Joints3D | Markers3D)]
+    if not belts or len(points) < len(kept) or settings.prior == "anchor":
+        return clip
+    carried = tuple(with_belt(one, belts[0]) for one in points)
+    return replace(clip, observations=carried, belt=belts[0])
+
+
+def examine(found: ClipFit, names: Sequence[str], screened: ScreenedClip) -> Examined:
+    """What residuals and the fitted body say about a fit that is done."""
+    estimate = found.result.estimate
+    body = estimate.body.model.to(device="cpu")
+    here = Estimate(estimate.decoded, estimate.body, estimate.scene.detach())
+    sensors = list(zip(names, found.observations, found.noises, strict=True))
+    summaries = tuple(summarise(name, seen, noise, here)[0] for name, seen, noise in sensors)
+    views = [seen for seen in found.observations if isinstance(seen, Keypoints2D)]
+    observed = observed_joints(found.observations, here)
+    motion = found.result.clip(0).detach().to(device="cpu")
+    rate = rate_finding(motion, body, torch.from_numpy(observed[: motion.frames]))
+    after = [
+        *agreement_warnings(summaries, found.observations, here),
+        *body_warnings(found),
+        *mirror_warnings(views),
+        *([] if rate is None else [rate]),
+    ]
+    return Examined(
+        fit=found,
+        residuals=summaries,
+        diagnosis=tuple(unseen_findings(observed)),
+        repairs=screened.repairs,
+        warnings=(*screened.warnings, *after),
+        observed=observed,
+        belt=screened.belt,
+    )
+
+
+def _of(name: str, finding: Finding) -> Finding:
+    return replace(finding, message=f"{name}: {finding.message}")
