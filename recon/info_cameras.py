@@ -3,18 +3,17 @@
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from recon.detections.camera_names import expand, view_name
 from recon.detections.people import follow
 from recon.formats.calibration import load_cameras
-from recon.formats.files import existing
 from recon.formats.json_files import read_json
 from recon.formats.keypoints import read_keypoints
 from recon.formats.observation import CameraArrays
 from recon.formats.pcd import read_pcd
 from recon.formats.ply import read_ply
+from recon.formats.png_files import read_png
 from recon.formats.scan_times import timed
 from recon.formats.scans import naturally, scan_paths, unit_of_clouds
 
@@ -160,10 +159,7 @@ def _scans(path: Path) -> dict[str, Any]:
 def _images(path: Path) -> dict[str, Any]:
     """Depth images, or pictures of other depth that may be masks, by the first of them."""
     paths = naturally(one for one in path.iterdir() if one.suffix.lower() == ".png")
-    data = np.frombuffer(existing(paths[0]).read_bytes(), np.uint8)
-    image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
-    if image is None:
-        raise ValueError(f"{paths[0]}: damaged image")
+    image = read_png(paths[0])
     size = {"frames": len(paths), "fps": None, "image_size": [image.shape[1], image.shape[0]]}
     if image.dtype != np.uint16:
         return {"format": "images of 8 bits: masks at best", **size}

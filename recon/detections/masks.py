@@ -11,9 +11,10 @@ import cv2
 import numpy as np
 from jaxtyping import Bool
 
-from recon.formats.files import existing, load_arrays
 from recon.formats.json_files import frame_numbers
 from recon.formats.observation import KeypointsFile
+from recon.formats.packed_masks import PackedMask, read_packed_masks
+from recon.formats.png_files import read_png
 
 MARGIN = 8
 """Pixels by which a silhouette is widened: joints lie inside, ears and toes at the rim."""
@@ -24,8 +25,8 @@ class Silhouettes:
     """Masks of one view, by frame number."""
 
     name: str
-    images: Mapping[int, Path | Bool[np.ndarray, "height width"]]
-    """Image files, read when needed, or arrays."""
+    images: Mapping[int, Path | PackedMask]
+    """Image files, read when needed, or arrays of one bit per pixel."""
 
     def visible(self, frame: int) -> Bool[np.ndarray, "height width"] | None:
         """Where the person is seen; None for a frame without a mask.
@@ -34,16 +35,11 @@ class Silhouettes:
             ValueError: when the image is damaged.
         """
         found = self.images.get(frame)
-        if not isinstance(found, Path):
-            return found
-        existing(found)
-        data = np.frombuffer(found.read_bytes(), dtype=np.uint8)
-        try:
-            image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
-        except cv2.error:
-            image = None
-        if image is None:
-            raise ValueError(f"{found}: expected a PNG image, but it is damaged")
+        if isinstance(found, PackedMask):
+            return found.unpacked()
+        if found is None:
+            return None
+        image = read_png(found)
         if image.ndim == 3:
             image = image[..., :3].max(-1)
         return image != 0
@@ -64,12 +60,7 @@ def load_silhouettes(path: str | Path) -> Silhouettes:
             raise ValueError(f"{path}: expected one .png mask per frame, found none")
         numbers = frame_numbers([one.stem for one in files], str(path))
         return Silhouettes(str(path), dict(zip(numbers, files, strict=True)))
-    arrays = load_arrays(path)
-    mask = arrays.get("mask")
-    if mask is None or mask.ndim != 3 or mask.dtype.kind not in "bui" or len(mask) == 0:
-        found = ", ".join(f"{key} {value.dtype} {value.shape}" for key, value in arrays.items())
-        raise ValueError(f"{path}: expected mask of shape (frames, height, width), found {found}")
-    return Silhouettes(str(path), {k: image != 0 for k, image in enumerate(mask)})
+    return Silhouettes(str(path), dict(enumerate(read_packed_masks(path))))
 
 
 def masked(file: KeypointsFile, masks: Silhouettes, *, first_frame: int = 0) -> KeypointsFile:

@@ -14,6 +14,8 @@ from recon.formats.calibration import Calibration, CameraUnit, load_cameras
 from recon.formats.detections import Detections
 from recon.formats.keypoints import read_keypoints
 from recon.formats.observation import CameraArrays, KeypointsFile
+from recon.formats.scan_times import crowded
+from recon.limits import FRAME_RATE
 from recon.units import Axis
 
 _OUTSIDE = 0.5
@@ -71,7 +73,7 @@ def load_views(
     folders, notes = expand([Path(path) for path in paths])
     if calibration is None:
         raise ValueError("2D keypoints need a calibrated camera; give its file with --camera")
-    if fps is None or not (np.isfinite(fps) and fps > 0):
+    if fps is None or not FRAME_RATE.holds(fps):
         raise ValueError(
             f"files of 2D keypoints do not state the frame rate, and it was given as {fps}; give "
             "frames per second with --frame-rate"
@@ -170,8 +172,12 @@ def _frame_range(found: Sequence[Detections]) -> tuple[int, int]:
     described = "; ".join(
         f"{one.name} from {a} to {b}" for one, (a, b) in zip(found, spans, strict=True)
     )
-    if last - first + 1 > _SPARSE * most:
-        raise ValueError(f"expected frame numbers that count frames, got {described}")
+    span = last - first + 1
+    if span > _SPARSE * most or not crowded(span, most):
+        raise ValueError(
+            f"expected frame numbers that count frames, got {described}, of which {most} have a "
+            "file; cut the recording at its gap, or number its frames one by one"
+        )
     common = min(b for _, b in spans) - max(a for a, _ in spans) + 1
     shortest = min(b - a + 1 for a, b in spans)
     shifted = len(set(spans)) > 1 and len({b - a for a, b in spans}) == 1

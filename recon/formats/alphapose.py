@@ -36,7 +36,7 @@ def alphapose_rows(people: list[dict[str, Any]], name: str) -> tuple[list[int], 
     for person in people:
         image = str(person["image_id"])
         points = flat_points(person.get("keypoints") or [], f"{name}, image {image}")
-        rows.append((by_image[image], points, as_identity(person.get("idx"))))
+        rows.append((by_image[image], points, as_identity(person.get("idx"), name)))
     scores = np.concatenate([points[:, 2] for _, points, _ in rows])
     if np.nanmax(scores, initial=0.0) > 1:
         scale = np.array([1.0, 1.0, _COCO_RANGE])

@@ -19,6 +19,7 @@ from recon.formats.calibration_toml import read_toml
 from recon.formats.files import existing, load_arrays
 from recon.formats.json_files import read_json
 from recon.formats.observation import CameraArrays
+from recon.limits import TABLE, check_pose
 from recon.units import METRES, Axis, to_z_up
 
 CameraUnit = Literal["m", "mm"]
@@ -77,6 +78,9 @@ def load_cameras(
     cameras = {name: settle_camera(part, image_size, path) for name, part in parts.items()}
     chosen, reason = _settle_unit(cameras, unit, path)
     turned = {name: _placed(camera, METRES[chosen], up or "z") for name, camera in cameras.items()}
+    for name, camera in turned.items():
+        if camera.T_camera_world is not None:
+            check_pose(camera.T_camera_world, path, f"pose of camera {name}")
     world = f"camera world {up or 'z'} up: " + ("given" if up else "believed")
     return Calibration(MappingProxyType(turned), chosen, (*decisions, reason, world))
 
@@ -109,6 +113,7 @@ def _read(path: Path, *, level: bool) -> tuple[dict[str, Parts], tuple[str, ...]
 
 
 def _read_prox(path: Path, *, level: bool) -> tuple[dict[str, Parts], tuple[str, ...]]:
+    TABLE.check(existing(path).stat().st_size, path)
     value = read_json(path)
     if not isinstance(value, dict) or "camera_mtx" not in value:
         raise ValueError(

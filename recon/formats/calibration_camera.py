@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 
 from recon.formats.observation import CameraArrays
+from recon.limits import IMAGE_SIZE, check_camera, check_pose
 
 _COEFFICIENTS = (4, 5, 8)
 """OpenCV's k1 k2 p1 p2 [k3 [k4 k5 k6]]."""
-_ORTHOGONAL = 1e-2
 
 
 @dataclass(frozen=True)
@@ -39,15 +39,18 @@ def settle_camera(parts: Parts, image_size: tuple[int, int] | None, path: Path) 
     """
     where = f"{path}, camera {parts.name}"
     matrix = _numbers(parts.matrix, "camera matrix", where)
-    if matrix.shape != (3, 3) or not (np.diag(matrix) > 0).all() or abs(matrix[2, 2] - 1) > 1e-6:
+    if matrix.shape != (3, 3):
         raise ValueError(
             f"{where}: expected a camera matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], got "
-            f"{matrix.tolist()}"
+            f"an array of shape {matrix.shape}"
         )
+    size = _size(parts.size, image_size, where)
+    distortion = _distortion(parts.distortion, where)
+    check_camera(matrix, size, distortion, where)
     return CameraArrays(
         camera_matrix=matrix,
-        image_size=_size(parts.size, image_size, where),
-        distortion=_distortion(parts.distortion, where),
+        image_size=size,
+        distortion=distortion,
         T_camera_world=_pose(parts, where),
     )
 
@@ -55,8 +58,9 @@ def settle_camera(parts: Parts, image_size: tuple[int, int] | None, path: Path) 
 def _numbers(value: Any, what: str, where: str) -> np.ndarray:
     try:
         numbers = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{where}: expected numbers in the {what}, got {value!r}") from error
+    except (TypeError, ValueError, OverflowError) as error:
+        shown = repr(value)[:80]
+        raise ValueError(f"{where}: expected numbers in the {what}, got {shown}") from error
     if not np.isfinite(numbers).all():
         raise ValueError(f"{where}: the {what} holds NaN or infinity")
     return numbers
@@ -69,8 +73,9 @@ def _size(stated: Any, given: tuple[int, int] | None, where: str) -> tuple[int, 
             "WIDTH HEIGHT"
         )
     size = _numbers(given if stated is None else stated, "image size", where)
-    if size.shape != (2,) or (size < 1).any():
+    if size.shape != (2,):
         raise ValueError(f"{where}: expected a width and a height in pixels, got {size.tolist()}")
+    IMAGE_SIZE.check(size, where, "image size")
     return int(size[0]), int(size[1])
 
 
@@ -113,11 +118,9 @@ def _pose(parts: Parts, where: str) -> np.ndarray | None:
                 f"{turn.shape} and {translation.shape}"
             )
         rotation = turn[None]
-    gram = rotation @ np.swapaxes(rotation, -1, -2)
-    if np.abs(gram - np.eye(3)).max() > _ORTHOGONAL or (np.linalg.det(rotation) < 0).any():
-        raise ValueError(
-            f"{where}: expected a rotation from world to camera, got one that mirrors or scales"
-        )
     out = np.tile(np.eye(4), (len(rotation), 1, 1))
-    out[:, :3, :3], out[:, :3, 3] = rotation, translation
+    out[:, :3, :3] = rotation
+    # a translation may still be in millimetres: its range is checked when its unit is known
+    check_pose(out, where, "rotation from world to camera")
+    out[:, :3, 3] = translation
     return out

@@ -8,6 +8,7 @@ import numpy as np
 
 from recon.formats.calibration_camera import Parts
 from recon.formats.files import decode, read_bytes
+from recon.limits import TABLE
 
 _MATRIX = ("camera_matrix", "Camera_Matrix", "cameraMatrix", "K", "M")
 _DISTORTION = (
@@ -26,7 +27,7 @@ _MATRIX_TEXT = re.compile(
 )
 _MATRIX_NAME = re.compile(r"^([^\s:]+):\s*!!", re.MULTILINE)
 _LIST_TEXT = re.compile(r"^([^\s:]+):[ \t]*((?:\r?\n[ \t]*-[ \t][^\n]*)+)", re.MULTILINE)
-_SCALAR_TEXT = re.compile(r"^([^\s:%]+):[ \t]+(\S[^\n]*?)[ \t\r]*$", re.MULTILINE)
+_SCALAR_TEXT = re.compile(r"^([^\s:%]+):[ \t]+(\S[^\n]*)$", re.MULTILINE)
 
 
 def read_opencv_yaml(path: Path) -> dict[str, Parts]:
@@ -93,7 +94,7 @@ def _read(path: Path) -> dict[str, Any]:
 
     OpenCV's own reader is not used: damaged files make it end the whole process.
     """
-    text = decode(read_bytes(path))
+    text = decode(read_bytes(path, TABLE))
     values: dict[str, Any] = {}
     for name, rows, columns, data in _MATRIX_TEXT.findall(text):
         numbers = [_scalar(cell) for cell in data.replace("\n", " ").split(",")]
@@ -106,7 +107,8 @@ def _read(path: Path) -> dict[str, Any]:
         raise ValueError(f"{path}: the matrix {', '.join(sorted(damaged))} is damaged")
     for name, items in _LIST_TEXT.findall(text):
         values[name] = [_unquoted(item) for item in re.split(r"\n\s*-\s*", items)[1:]]
-    for name, value in _SCALAR_TEXT.findall(text):
+    for name, stated in _SCALAR_TEXT.findall(text):
+        value = stated.rstrip()
         if value.startswith("["):
             items = value.strip("[] ").split(",")
             values.setdefault(name, [_unquoted(item) for item in items if item.strip()])

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from recon.formats.calibration_camera import Parts
 from recon.formats.files import decode, read_bytes
+from recon.limits import TABLE
 
 
 def read_toml(path: Path) -> dict[str, Parts]:
@@ -15,8 +16,9 @@ def read_toml(path: Path) -> dict[str, Parts]:
         ValueError: when it is damaged, two cameras have one name, or a lens is a fisheye.
     """
     try:
-        tables = tomllib.loads(decode(read_bytes(path)))
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        tables = tomllib.loads(decode(read_bytes(path, TABLE)))
+    except (ValueError, RecursionError) as error:
+        # besides damage, numbers of more digits than Python converts
         raise ValueError(f"{path}: expected TOML, but it is damaged ({error})") from error
     cameras: dict[str, Parts] = {}
     for key, table in tables.items():

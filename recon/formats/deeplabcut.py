@@ -9,8 +9,11 @@ import numpy as np
 from recon.formats.detections import Detections, Row, gather
 from recon.formats.files import decode, read_bytes
 from recon.layouts import LAYOUTS, keypoint_names
+from recon.limits import JSON, KEYPOINTS, PEOPLE, SAMPLES
 
 _HEADERS = ("scorer", "individuals", "bodyparts", "coords")
+_NAME = 200
+"""Characters at the end of an image's name among which its number is."""
 _FEWEST = 4
 """Body parts that must be known by name."""
 _WORDS = {
@@ -31,11 +34,17 @@ def read_deeplabcut(path: Path, *, layout: str | None = None) -> Detections:
         ValueError: when it is damaged or too few body parts are known by name.
     """
     name = path.name
-    table = list(csv.reader(decode(read_bytes(path)).splitlines()))
+    try:
+        table = list(csv.reader(decode(read_bytes(path, JSON)).splitlines()))
+    except csv.Error as error:
+        raise ValueError(f"{name}: expected a table of commas, but {error}") from error
     header = {row[0].strip().lower(): row[1:] for row in table[: len(_HEADERS)] if row}
     head = [key for key in _HEADERS if key in header]
     if not {"bodyparts", "coords"} <= header.keys():
         raise ValueError(f"{name}: expected DeepLabCut's header rows scorer, bodyparts, coords")
+    PEOPLE.check(len(set(header.get("individuals", []))), name, "individuals")
+    KEYPOINTS.check(len(set(header["bodyparts"])), name, "bodyparts")
+    SAMPLES.check(max(len(table) * len(header["coords"]), 1), name)
     values, numbers = _values(table[len(head) :], len(header["coords"]), name)
     parts = [part.strip() for part in header["bodyparts"]]
     individuals = [one.strip() for one in header.get("individuals", ["one"] * len(parts))]
@@ -99,7 +108,7 @@ def _values(rows: list[list[str]], width: int, name: str) -> tuple[np.ndarray, l
         except ValueError as error:
             raise ValueError(f"{name}: expected numbers in row {line}, got {row[:4]}") from error
         values[line, : len(cells)] = cells
-        last = re.search(r"(\d+)\D*$", Path(row[0]).stem)
+        last = re.search(r"(\d+)\D*$", Path(row[0]).stem[-_NAME:])
         numbers.append(int(last[1]) if last else line)
     if len(set(numbers)) < len(numbers) or numbers != sorted(numbers):
         raise ValueError(f"{name}: expected increasing frame numbers in the first column")

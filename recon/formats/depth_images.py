@@ -7,9 +7,10 @@ import torch
 from jaxtyping import Bool, Float
 
 from recon.camera import Camera
-from recon.formats.files import existing
 from recon.formats.observation import CameraArrays, PointsFile
+from recon.formats.png_files import read_png
 from recon.formats.scans import POINTS, naturally, thinned
+from recon.limits import DEPTH_SCALE, FRAME_RATE
 
 _RANGE = (0.2, 12.0)
 """Metres at which depth sensors see people."""
@@ -50,8 +51,8 @@ def read_depth_images(
     folder = Path(folder)
     paths = _images(folder)
     shapes = None if masks is None else _matched(paths, Path(masks))
-    if not (fps > 0 and depth_scale > 0):
-        raise ValueError(f"expected positive fps and depth_scale, got {fps}, {depth_scale}")
+    FRAME_RATE.check(fps, folder, "frame rate")
+    DEPTH_SCALE.check(depth_scale, folder, "depth_scale")
     generator = np.random.default_rng(seed)
     poses, lens = camera.T_camera_world, _lens(camera)
     if poses is not None and len(poses) not in (1, len(paths)):
@@ -141,35 +142,17 @@ def _matched(paths: list[Path], masks: Path) -> list[Path]:
     return found
 
 
-def _read(path: Path) -> np.ndarray:
-    # imported here: it is slow to load
-    import cv2
-
-    image = cv2.imdecode(
-        np.frombuffer(existing(path).read_bytes(), np.uint8), cv2.IMREAD_UNCHANGED
-    )
-    if image is None:
-        raise ValueError(f"{path}: damaged image")
-    return np.asarray(image)
-
-
 def _depth(path: Path, camera: CameraArrays) -> Float[np.ndarray, "height width"]:
-    image = _read(path)
+    image = read_png(path, camera.image_size)
     if image.dtype != np.uint16 or image.ndim != 2:
         raise ValueError(
             f"{path}: expected a 16-bit grey image of depths, got {image.dtype} {image.shape}"
-        )
-    width, height = camera.image_size
-    if image.shape != (height, width):
-        raise ValueError(
-            f"{path}: the camera has images of {width} x {height}, this one is "
-            f"{image.shape[1]} x {image.shape[0]}; give the intrinsics of the depth sensor"
         )
     return image.astype(np.float64)
 
 
 def _mask(path: Path, size: tuple[int, ...]) -> Bool[np.ndarray, "height width"]:
-    image = _read(path)
+    image = read_png(path)
     if image.ndim == 3:
         image = image[..., :3].max(-1)
     if image.shape != size:

@@ -1,5 +1,6 @@
 """What a 2D detector found in the images of one camera: any number of people per frame."""
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -7,6 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from recon.formats.keypoint_layout import settle_layout
+from recon.limits import FRAME_NUMBER, KEYPOINTS, PEOPLE, PERSON, PIXEL, SCORE
 
 Row = tuple[int, np.ndarray, int]
 """Frame number, (keypoints, 3) of x, y, confidence, and the person's number or -1."""
@@ -63,7 +65,11 @@ def gather(
             f"{name}: expected one number of keypoints for all people, got "
             f"{' and '.join(map(str, lengths))}"
         )
-    points = cleaned(np.stack([row[1] for row in rows]))
+    _check_sizes(name, frame_numbers, rows)
+    points = np.stack([row[1] for row in rows])
+    SCORE.check(points[..., 2], name, "[person, keypoint]", seen=np.isfinite(points[..., 2]))
+    points = cleaned(points)
+    PIXEL.check(points[..., :2], name, "[person, keypoint, axis]")
     chosen, points, decision = settle_layout(points, layout, name)
     return Detections(
         name=name,
@@ -75,6 +81,19 @@ def gather(
         identity=np.array([row[2] for row in rows], dtype=np.int64),
         decisions=(*decisions, decision),
     )
+
+
+def _check_sizes(name: str, frame_numbers: Sequence[int], rows: Sequence[Row]) -> None:
+    """Refuse numbers that no detector gives, before arrays are made of them.
+
+    Raises:
+        ValueError: naming file, quantity and what came.
+    """
+    FRAME_NUMBER.check(max(frame_numbers), name, "frame number")
+    KEYPOINTS.check(len(rows[0][1]), name)
+    PERSON.check(max(row[2] for row in rows), name, "number of the person")
+    frame, people = Counter(row[0] for row in rows).most_common(1)[0]
+    PEOPLE.check(people, name, f"frame {frame}")
 
 
 def cleaned(points: Float[np.ndarray, "rows points 3"]) -> Float[np.ndarray, "rows points 3"]:

@@ -24,7 +24,7 @@ def easymocap_rows(frames: Frames, name: str) -> list[Row]:
         (
             number,
             flat_points(person.get("keypoints") or [], place),
-            as_identity(person.get("personID", person.get("id"))),
+            as_identity(person.get("personID", person.get("id")), place),
         )
         for number, person, place in everybody
     ]

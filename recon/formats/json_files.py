@@ -2,6 +2,7 @@
 
 import json
 import re
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -9,11 +10,14 @@ from typing import Any
 import numpy as np
 
 from recon.formats.files import decode, read_bytes
+from recon.limits import FRAME_NUMBER, JSON, PERSON
 
 Frames = list[tuple[int, Any]]
 """Frame numbers, increasing, and what was written about each frame."""
 
 _NUMBER_KEYS = ("frame_id", "frame", "frame_number", "frame_index", "frame_idx")
+_NAME = 200
+"""Characters at the end of a name among which its number is."""
 _LAST_NUMBER = re.compile(r"(\d+)\D*$")
 
 
@@ -25,8 +29,13 @@ def read_json(path: Path) -> Any:
         ValueError: when it is empty or damaged.
     """
     try:
-        return json.loads(decode(read_bytes(path)))
-    except (json.JSONDecodeError, RecursionError) as error:
+        return json.loads(decode(read_bytes(path, JSON)))
+    except (RecursionError, json.JSONDecodeError) as error:
+        raise ValueError(f"{path}: expected JSON, but it is damaged ({error})") from error
+    except ValueError as error:
+        if str(path) in str(error):
+            raise
+        # a number of more digits than Python converts
         raise ValueError(f"{path}: expected JSON, but it is damaged ({error})") from error
 
 
@@ -39,6 +48,7 @@ def read_frame_folder(folder: Path) -> Frames:
     paths = sorted(path for path in folder.iterdir() if path.suffix.lower() == ".json")
     if len(paths) == 0:
         raise ValueError(f"{folder}: expected one .json file per frame, found none")
+    JSON.check(sum(path.stat().st_size for path in paths), folder)
     numbers = frame_numbers([path.stem for path in paths], str(folder))
     return [(numbers[k], read_json(paths[k])) for k in np.argsort(numbers, kind="stable").tolist()]
 
@@ -51,12 +61,13 @@ def frame_numbers(stems: Sequence[str], name: str) -> list[int]:
     """
     ending = _common_ending(stems)
     cut = 0 if len(stems) == 1 else len(ending.lstrip("0123456789"))
-    found = [_LAST_NUMBER.search(stem[: len(stem) - cut]) for stem in stems]
+    found = [_LAST_NUMBER.search(stem[: len(stem) - cut][-_NAME:]) for stem in stems]
     if without := [stem for stem, number in zip(stems, found, strict=True) if number is None]:
         raise ValueError(f"{name}: expected a frame number in every file name, not {without[0]!r}")
     numbers = [int(number[1]) for number in found if number is not None]
+    FRAME_NUMBER.check(max(numbers), name)
     if len(set(numbers)) < len(numbers):
-        twice = next(number for number in numbers if numbers.count(number) > 1)
+        twice = Counter(numbers).most_common(1)[0][0]
         same = [stem for stem, number in zip(stems, numbers, strict=True) if number == twice][:2]
         raise ValueError(
             f"{name}: expected one file per frame, but {' and '.join(same)} are both frame "
@@ -84,6 +95,7 @@ def listed_frames(entries: Sequence[Any], name: str) -> Frames:
     if all(number is None for number in stated):
         return list(enumerate(entries))
     numbers = [number for number in stated if number is not None]
+    FRAME_NUMBER.check(max(numbers), name)
     if len(numbers) < len(entries) or len(set(numbers)) < len(numbers):
         raise ValueError(f"{name}: expected one entry per frame, each with its own frame number")
     return sorted(zip(numbers, entries, strict=True), key=lambda pair: pair[0])
@@ -147,12 +159,17 @@ def flat_points(value: Any, name: str) -> np.ndarray:
     return numbers.reshape(-1, 3)
 
 
-def as_identity(value: Any) -> int:
-    """A person's number as some program wrote it (7, [7], 7.0, "7"); -1 when there is none."""
+def as_identity(value: Any, name: str) -> int:
+    """A person's number as some program wrote it (7, [7], 7.0, "7"); -1 when there is none.
+
+    Raises:
+        ValueError: when it is larger than any number of a person.
+    """
     if isinstance(value, list):
         value = value[0] if len(value) == 1 else None
     try:
         number = int(value)
     except (TypeError, ValueError, OverflowError):
         return -1
-    return number if number >= 0 else -1
+    PERSON.check(max(number, -1), name, "number of the person")
+    return max(number, -1)

@@ -44,7 +44,7 @@ def mmpose_rows(frames: Frames, name: str) -> list[Row]:
                     f"{where}: expected keypoints (..., K, 2) with scores (..., K), got "
                     f"{pixels.shape} and {scores.shape}"
                 )
-            identity = as_identity(person.get("track_id", person.get("instance_id")))
+            identity = as_identity(person.get("track_id", person.get("instance_id")), where)
             points = np.concatenate((pixels, scores[..., None]), -1)
             single = points.reshape(-1, *points.shape[-2:])
             rows += [(number, one, identity if len(single) == 1 else -1) for one in single]

@@ -27,7 +27,7 @@ def openpose_rows(frames: Frames, name: str) -> list[Row]:
         (
             number,
             flat_points(person.get("pose_keypoints_2d") or [], place),
-            as_identity(person.get("person_id")),
+            as_identity(person.get("person_id"), place),
         )
         for number, person, place in everybody
     ]

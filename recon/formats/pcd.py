@@ -5,7 +5,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from recon.formats.files import read_bytes
+from recon.formats.files import read_binary
+from recon.formats.numbers_in import numbers_in
+from recon.limits import CLOUD, KEYPOINTS
 
 _KINDS = {"F": "f", "I": "i", "U": "u"}
 
@@ -17,7 +19,7 @@ def read_pcd(path: Path) -> Float[np.ndarray, "points 3"]:
         FileNotFoundError: when there is no such file.
         ValueError: when it is damaged or has no fields x, y and z.
     """
-    data = read_bytes(path)
+    data = read_binary(path)
     header, body = _header(path, data)
     try:
         names = header["FIELDS"]
@@ -27,6 +29,8 @@ def read_pcd(path: Path) -> Float[np.ndarray, "points 3"]:
             f"<{_KINDS[kind]}{size}" for kind, size in zip(header["TYPE"], sizes, strict=True)
         ]
         count = int(header["POINTS"][0])
+        CLOUD.check(count, path, "POINTS")
+        KEYPOINTS.check(sum(counts), path, "COUNT, fields of a point: ")
         columns = [names.index(axis) for axis in "xyz"]
         if count < 0 or min(counts) < 1 or any(counts[column] != 1 for column in columns):
             raise ValueError("impossible numbers of points or values")
@@ -40,7 +44,10 @@ def read_pcd(path: Path) -> Float[np.ndarray, "points 3"]:
             rows = np.frombuffer(body, layout, count)
             points = np.stack([rows[f"f{column}"][:, 0] for column in columns], 1)
         elif keyword == "binary_compressed":
-            points = _columns(_decompressed(body), formats, sizes, counts, columns, count)
+            expected = count * sum(s * n for s, n in zip(sizes, counts, strict=True))
+            points = _columns(
+                _decompressed(body, expected), formats, sizes, counts, columns, count
+            )
         else:
             raise ValueError(f"data kind {keyword!r}")
     except (KeyError, IndexError, ValueError, TypeError, OverflowError) as error:
@@ -69,9 +76,7 @@ def _header(path: Path, data: bytes) -> tuple[dict[str, list[str]], bytes]:
 def _text(
     body: bytes, names: list[str], counts: list[int], columns: list[int], count: int
 ) -> np.ndarray:
-    values = np.array(body.split(), dtype=np.float64).reshape(-1, sum(counts))
-    if len(values) != count:
-        raise ValueError(f"{count} points are announced, {len(values)} are there")
+    values = numbers_in(body, count * sum(counts)).reshape(count, sum(counts))
     first = np.cumsum([0, *counts[:-1]])
     assert len(names) == len(counts)
     return values[:, first[columns]]
@@ -88,9 +93,11 @@ def _columns(
     )
 
 
-def _decompressed(body: bytes) -> bytes:
+def _decompressed(body: bytes, expected: int) -> bytes:
     """LZF: runs of literal bytes and references to what was written before."""
     packed, size = (int.from_bytes(body[k : k + 4], "little") for k in (0, 4))
+    if size < expected:
+        raise ValueError(f"{expected} bytes of points are announced, {size} were compressed")
     source, out, place = body[8 : 8 + packed], bytearray(), 0
     if len(source) != packed:
         raise ValueError("the compressed data is cut off")
@@ -109,8 +116,9 @@ def _decompressed(body: bytes) -> bytes:
         place += 1
         if back < 0 or len(out) > size:
             raise ValueError("the compressed data is damaged")
-        for k in range(back, back + length + 2):
-            out.append(out[k])
+        # a reference may reach into what it writes itself: a pattern, repeated
+        pattern = out[back : back + length + 2]
+        out += (pattern * ((length + 2) // len(pattern) + 1))[: length + 2]
     if len(out) != size:
         raise ValueError(f"{size} bytes were compressed, {len(out)} came back")
     return bytes(out)

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from recon.formats.files import existing, replacing
+from recon.formats.ply_header import check_counts
 
 _VERTEX = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4")])
 _FACE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
@@ -56,9 +57,7 @@ def read_ply(
         FileNotFoundError: when there is no such file.
         ValueError: when it is damaged or holds no finite vertices.
     """
-    with existing(path).open("rb") as file:
-        if file.read(3) != b"ply":
-            raise ValueError(f"{path}: expected a PLY file, but it does not begin with 'ply'")
+    check_counts(existing(path))
     # imported here: it is slow to load
     import trimesh
 
@@ -68,7 +67,7 @@ def read_ply(
         faces = np.asarray(getattr(mesh, "faces", np.zeros((0, 3))), dtype=np.int64)
     except (
         ValueError, KeyError, IndexError, TypeError, AttributeError, EOFError, MemoryError,
-        OverflowError, RuntimeError, struct.error,
+        OverflowError, RuntimeError, struct.error, AssertionError, NotImplementedError,
     ) as error:  # fmt: skip
         # trimesh raises all of these on damaged files
         raise ValueError(f"{path}: damaged PLY file ({error})") from error

@@ -13,10 +13,13 @@ from recon.formats.observation import PointsFile
 from recon.formats.pcd import read_pcd
 from recon.formats.ply import read_ply, write_ply
 from recon.formats.scan_times import timed
+from recon.limits import CLOUD, FRAME_RATE, POSITION
 from recon.units import METRES, Axis, check_override, to_z_up
 
 POINTS = 4096
 """Points kept of a frame."""
+_SEARCHED = 500_000
+"""Points of a frame among which outliers are searched: of denser clouds some, drawn at random."""
 _BODY = (0.4, 8.0)
 """Metres that a cloud with a person, and some of the room, extends over."""
 
@@ -68,14 +71,16 @@ def read_scans(
         )
     else:
         frames, start = np.arange(len(paths)), 0.0
-    if not fps > 0:
-        raise ValueError(f"{folder}: expected a positive fps, got {fps}")
+    FRAME_RATE.check(fps, folder, "frame rate")
     clouds = [_read(path) for path in paths]
+    CLOUD.check(sum(map(len, clouds)), folder, "all files together: ")
     if not any(map(len, clouds)):
         raise ValueError(f"{folder}: no file holds any point")
     if unit is None and (unit := unit_of_clouds(clouds, str(folder))) != "m":
         decisions.append(f"by the size of the clouds, their unit is {unit}")
     metres = METRES[unit]
+    for path, cloud in zip(paths, clouds, strict=True):
+        POSITION.check(cloud * metres, path, "[point, axis]")
     generator = np.random.default_rng(seed)
     kept = [thinned(cloud * metres, points, outliers, generator) for cloud in clouds]
     return PointsFile(
@@ -141,7 +146,8 @@ def naturally(paths: Iterable[Path]) -> list[Path]:
     """Sorted by name, numbers in it by their value."""
 
     def key(path: Path) -> list[tuple[int, int | str]]:
-        parts = re.split(r"(\d+)", path.name)
+        # longer runs of digits than Python converts are no numbers of frames
+        parts = re.split(r"(\d{1,4000})", path.name)
         return [(0, int(part)) if part.isdigit() else (1, part) for part in parts]
 
     return sorted(paths, key=key)
@@ -177,6 +183,8 @@ def thinned(
     generator: np.random.Generator,
 ) -> Float[np.ndarray, "kept 3"]:
     """Without outliers, and at most `count` points of it drawn at random, in their order."""
+    if len(cloud) > _SEARCHED:
+        cloud = cloud[np.sort(generator.permutation(len(cloud))[:_SEARCHED])]
     if outliers is not None:
         cloud = cloud[~is_outlier(cloud, outliers)]
     if len(cloud) <= count:

@@ -4,8 +4,6 @@ The files are licensed by the Max Planck Society and are never shipped or downlo
 inside a file is ever executed (`smpl_pickle`).
 """
 
-import zipfile
-import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,10 +11,18 @@ from pathlib import Path
 import numpy as np
 
 from recon.formats.files import existing
+from recon.formats.npz_headers import DAMAGE, check_sizes
 from recon.formats.smpl_pickle import read_pickle
+from recon.limits import BINARY, MODEL_LENGTH, MODEL_NUMBERS, MODEL_WEIGHT, Limit
 from recon.skeleton import JOINTS, PARENTS
 
 _NEEDED = ("v_template", "shapedirs", "J_regressor", "weights", "kintree_table", "f")
+_RANGES: dict[str, Limit] = {
+    "v_template": MODEL_LENGTH, "shapedirs": MODEL_LENGTH, "posedirs": MODEL_LENGTH,
+    "J_regressor": MODEL_WEIGHT, "weights": MODEL_WEIGHT,
+}  # fmt: skip
+_SUM = 0.05
+"""How far the weights of a vertex, or of a joint, may be from one together."""
 _SMPLX_JOINTS = 55
 _SMPLX_SHAPES = 300
 """SMPL-X stores 300 shape directions before those of the expression; version 1.0 stores 10."""
@@ -92,6 +98,10 @@ def _checked(fields: Mapping[str, np.ndarray], path: Path) -> SmplArrays:
     for name, shape in expected.items():
         if numbers[name].shape != shape:
             raise ValueError(f"{path}: {name} should be {shape}, is {numbers[name].shape}")
+    for name in ("weights", "J_regressor"):
+        off = float(np.abs(numbers[name].sum(1) - 1).max())
+        if not off < _SUM:
+            raise ValueError(f"{path}: rows of {name} should sum to 1, one is {off:.3g} away")
     faces = numbers["f"].astype(np.int64)
     if len(faces) == 0 or faces.min() < 0 or faces.max() >= vertices:
         raise ValueError(f"{path}: faces name vertices outside 0..{vertices - 1}")
@@ -109,9 +119,12 @@ def _checked(fields: Mapping[str, np.ndarray], path: Path) -> SmplArrays:
 def _numbers(array: np.ndarray, name: str, path: Path) -> np.ndarray:
     if array.dtype.kind not in "fiu":
         raise ValueError(f"{path}: {name} should hold numbers, holds {array.dtype}")
+    MODEL_NUMBERS.check(array.size, path, name)
     array = np.ascontiguousarray(array, np.float64)
     if not np.isfinite(array).all():
         raise ValueError(f"{path}: {name} holds nan or infinite numbers")
+    if name in _RANGES:
+        _RANGES[name].check(array, path, name)
     return array
 
 
@@ -154,14 +167,11 @@ def _correctives(
 def _read_npz(path: Path) -> dict[str, np.ndarray]:
     """The needed arrays; SMPL-X's object arrays beside them stay closed."""
     try:
+        check_sizes(path, BINARY, (*_NEEDED, "posedirs"))
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             names = [name for name in (*_NEEDED, "posedirs") if name in file.files]
             return {name: np.asarray(file[name]) for name in names}
-    except (
-        zipfile.BadZipFile, zlib.error, EOFError, KeyError, OSError, TypeError, ValueError,
-        NotImplementedError, RuntimeError, MemoryError, SyntaxError, OverflowError,
-    ) as error:  # fmt: skip
-        # zipfile and numpy raise all of these on damaged or hostile archives
+    except DAMAGE as error:
         raise ValueError(
             f"{path}: expected an .npz body model of plain arrays, but {error}"
         ) from error

@@ -5,7 +5,6 @@ chumpy's wrappers become inert records that are turned into arrays here. Any oth
 file is refused.
 """
 
-import io
 import pickle
 from collections import OrderedDict
 from collections.abc import Mapping
@@ -13,6 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from recon.limits import BINARY, MODEL_NUMBERS
 
 
 def read_pickle(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
@@ -23,7 +24,9 @@ def read_pickle(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
     """
     try:
         # Python 2 wrote most of these files: its strings are bytes, kept one to one by latin-1
-        content = _Unpickler(io.BytesIO(path.read_bytes()), encoding="latin1").load()
+        BINARY.check(path.stat().st_size, path)
+        with path.open("rb") as file:
+            content = _Unpickler(file, encoding="latin1").load()
     except _RefusedError as error:
         raise ValueError(
             f"{path}: refusing to load {error.name}, which no body model contains; "
@@ -31,10 +34,11 @@ def read_pickle(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
         ) from None
     except (
         pickle.UnpicklingError, EOFError, AttributeError, IndexError, KeyError, TypeError,
-        ValueError, MemoryError, OverflowError, RuntimeError, ImportError,
+        ValueError, MemoryError, OverflowError, RuntimeError, ImportError, AssertionError,
+        SystemError,
     ) as error:  # fmt: skip
         # the pickle documentation names these for damaged files
-        raise ValueError(f"{path}: expected a pickled body model, but {error!r}") from error
+        raise ValueError(f"{path}: expected a pickled body model, but {error!r:.200}") from error
     if not isinstance(content, dict):
         raise ValueError(f"{path}: expected a dictionary of arrays, got {type(content).__name__}")
     return {name: _array(content[name], name, path) for name in names if name in content}
@@ -43,9 +47,10 @@ def read_pickle(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
 def _array(value: object, name: str, path: Path) -> np.ndarray:
     try:
         array = _plain(value)
-    except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
-        raise ValueError(f"{path}: cannot read {name}: {error!r}") from error
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        raise ValueError(f"{path}: cannot read {name}: {error!r:.200}") from error
     if isinstance(array, np.ndarray):
+        MODEL_NUMBERS.check(array.size, path, name)
         return array
     raise ValueError(f"{path}: {name} should be an array, is {type(value).__name__}")
 
@@ -89,6 +94,9 @@ class _CompressedRows(_Inert):
 
 def _dense(state: Mapping[str, Any], lines: int, length: int) -> np.ndarray:
     """Compressed lines as a full matrix; entries named twice add up."""
+    MODEL_NUMBERS.check(lines * length, "a sparse matrix", "its shape")
+    if min(lines, length) < 0:
+        raise ValueError(f"a sparse matrix of shape {lines} x {length}")
     dense = np.zeros((lines, length))
     starts = np.asarray(state["indptr"], np.int64)
     line = np.repeat(np.arange(lines), np.diff(starts))
@@ -109,6 +117,22 @@ def _latin_bytes(text: str, encoding: str = "latin1") -> bytes:
     return text.encode("latin-1")
 
 
+def _empty(kind: type, shape: tuple[int, ...], code: object) -> np.ndarray:
+    """What numpy begins an array with, which is of size zero; a larger one only takes memory."""
+    if kind is not np.ndarray or tuple(shape) != (0,):
+        raise TypeError(f"unexpected array of shape {shape}, {code!r:.20}")
+    return np.ndarray.__new__(np.ndarray, (0,), "b")
+
+
+def _some_bytes(value: object = b"", *encoding: str) -> bytes:
+    """Bytes of bytes or text; of a number they would only take memory."""
+    if isinstance(value, str):
+        return _latin_bytes(value, *encoding)
+    if not isinstance(value, bytes | bytearray | list | tuple):
+        raise TypeError(f"unexpected bytes of {type(value).__name__}")
+    return bytes(value)
+
+
 def _bare(kind: type, base: type, state: object) -> object:
     """copyreg._reconstructor for records without a built-in base."""
     if not issubclass(kind, _Inert) or base is not object:
@@ -119,7 +143,6 @@ def _bare(kind: type, base: type, state: object) -> object:
 
 def _numpy_names() -> dict[tuple[str, str], object]:
     """What numpy's own pickles refer to, under the module names of numpy 1 and 2."""
-    reconstruct = np.ndarray((0,)).__reduce__()[0]
     frombuffer = np.zeros(1).__reduce_ex__(5)[0]
     scalar = np.float64(0).__reduce__()[0]
     names: dict[tuple[str, str], object] = {
@@ -127,7 +150,7 @@ def _numpy_names() -> dict[tuple[str, str], object]:
         ("numpy", "dtype"): np.dtype,
     }
     for core in ("numpy.core", "numpy._core"):
-        names[f"{core}.multiarray", "_reconstruct"] = reconstruct
+        names[f"{core}.multiarray", "_reconstruct"] = _empty
         names[f"{core}.multiarray", "scalar"] = scalar
         names[f"{core}.numeric", "_frombuffer"] = frombuffer
     return names
@@ -135,9 +158,12 @@ def _numpy_names() -> dict[tuple[str, str], object]:
 
 def _builtin_names() -> dict[tuple[str, str], object]:
     """Plain containers and numbers, under the names of Python 2 and 3."""
-    kinds = (object, set, frozenset, dict, list, tuple, slice, int, float, bool, bytes, bytearray)
+    kinds = (object, set, frozenset, dict, list, tuple, slice, int, float, bool)
     modules = ("builtins", "__builtin__")
-    return {(module, kind.__name__): kind for module in modules for kind in kinds}
+    names: dict[tuple[str, str], object] = {
+        (module, kind.__name__): kind for module in modules for kind in kinds
+    }
+    return names | {(m, kind): _some_bytes for m in modules for kind in ("bytes", "bytearray")}
 
 
 _ALLOWED: dict[tuple[str, str], object] = {
