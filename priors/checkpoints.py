@@ -3,15 +3,18 @@
 Loading is strict. A missing, spare or misshapen tensor is an error that names file and layer.
 """
 
+import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import torch
 from torch import Tensor, nn
 
 from recon.formats.files import replacing
+from recon.limits import BINARY, NETWORK_WEIGHT
 from recon.weight_files import weights_path
 
 _ABOUT = "recon"
@@ -96,9 +99,22 @@ def save_checkpoint(
             f"{path}: weights not written, {', '.join(bad)} hold NaN or infinity; expected "
             "finite numbers, in float16 of at most 65504: look into the training that gave them"
         )
-    about = json.dumps({"kind": kind, "settings": dict(settings)}, sort_keys=True)
+    # as JSON gives it back, so that the checksum of what is read is that of what was written
+    plain = json.loads(json.dumps({"kind": kind, "settings": dict(settings)}))
+    about = json.dumps(plain | {"sha256": checksum(rows, plain)}, sort_keys=True)
     with replacing(path) as beside:
         beside.write_bytes(save(rows, metadata={_ABOUT: about}))
+
+
+def checksum(tensors: Mapping[str, Tensor], about: Mapping[str, Any]) -> str:
+    """SHA-256 over kind, settings, and names, types, shapes and bytes of all tensors."""
+    told = {key: about.get(key) for key in ("kind", "settings")}
+    digest = hashlib.sha256(json.dumps(told, sort_keys=True).encode())
+    for name in sorted(tensors):
+        tensor = tensors[name].detach().cpu().contiguous()
+        digest.update(f"{name} {tensor.dtype} {tuple(tensor.shape)};".encode())
+        digest.update(tensor.reshape(-1).view(torch.uint8).numpy().data)
+    return digest.hexdigest()
 
 
 def named_checkpoint(name: str | Path, kind: str) -> Checkpoint:
@@ -120,26 +136,31 @@ def named_checkpoint(name: str | Path, kind: str) -> Checkpoint:
 def load_checkpoint(path: str | Path, kind: str) -> Checkpoint:
     """Read a weights file of this kind.
 
+    A file without a checksum, as version 0.1.0 wrote them, is read when its numbers are those of
+    a network.
+
     Raises:
         FileNotFoundError: when there is no such file.
-        ValueError: when it is damaged or holds the weights of something else.
+        ValueError: when it is damaged, its checksum differs, or it holds the weights of something
+            else.
     """
     from safetensors import SafetensorError, safe_open
 
     path = Path(path)
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such weights file; expected {kind} weights there")
+    BINARY.check(path.stat().st_size, path)
     try:
         with safe_open(path, framework="pt") as file:
             notes = file.metadata() or {}
             tensors: dict[str, Tensor] = {
                 name: file.get_tensor(name) for name in list(file.keys())
             }
-    except SafetensorError as error:
+    except (SafetensorError, RuntimeError, ValueError, OSError, AttributeError) as error:
         raise ValueError(f"{path}: expected a safetensors file, got {error}") from error
     try:
         about = json.loads(notes.get(_ABOUT, "{}"))
-    except json.JSONDecodeError as error:
+    except (ValueError, RecursionError) as error:
         raise ValueError(f"{path}: its metadata is not JSON: {error}") from error
     found = about.get("kind") if isinstance(about, dict) else None
     if found != kind:
@@ -147,4 +168,13 @@ def load_checkpoint(path: str | Path, kind: str) -> Checkpoint:
     settings = about.get("settings")
     if not isinstance(settings, dict):
         raise ValueError(f"{path}: expected settings by name, got {type(settings).__name__}")
+    stated = about.get("sha256")
+    if stated is not None and stated != checksum(tensors, about):
+        raise ValueError(
+            f"{path}: the checksum of the weights is not the one in the file: it was damaged or "
+            "changed since it was written; fetch or train it again"
+        )
+    for name, tensor in tensors.items():
+        if tensor.is_floating_point():
+            NETWORK_WEIGHT.check(tensor.float().numpy(), path, name)
     return Checkpoint(path, tensors, settings)

@@ -111,6 +111,7 @@ def _pytorch(path: Path) -> Checkpoint:
     except _DAMAGED as error:
         raise ValueError(f"{path}: expected a PyTorch checkpoint, got {error}") from error
     for name in ("average", "model"):
-        if isinstance(found, dict) and isinstance(found.get(name), dict):
-            return Checkpoint(path, found[name], {})
+        own = found.get(name) if isinstance(found, dict) else None
+        if isinstance(own, dict) and all(isinstance(t, Tensor) for t in own.values()):
+            return Checkpoint(path, own, {})
     raise ValueError(f"{path}: expected a checkpoint with the networks' weights under 'model'")

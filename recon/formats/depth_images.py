@@ -52,7 +52,7 @@ def read_depth_images(
     paths = _images(folder)
     shapes = None if masks is None else _matched(paths, Path(masks))
     FRAME_RATE.check(fps, folder, "frame rate")
-    DEPTH_SCALE.check(depth_scale, folder, "depth_scale")
+    DEPTH_SCALE.check(depth_scale, folder, "--depth-scale")
     generator = np.random.default_rng(seed)
     poses, lens = camera.T_camera_world, _lens(camera)
     if poses is not None and len(poses) not in (1, len(paths)):

@@ -3,7 +3,6 @@
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO
 
 import numpy as np
 from jaxtyping import Bool, UInt8
@@ -46,8 +45,7 @@ def read_packed_masks(path: Path) -> list[PackedMask]:
             names = archive.namelist()
             if f"{_KEY}.npy" not in names:
                 raise ValueError(f"it holds {', '.join(names)[:200]}")
-            with archive.open(f"{_KEY}.npy") as member:
-                return _frames(member, path)
+            return _frames(archive, path)
     except DAMAGE as error:
         raise ValueError(
             f"{path}: expected an .npz file with mask of shape (frames, height, width), true or "
@@ -55,18 +53,19 @@ def read_packed_masks(path: Path) -> list[PackedMask]:
         ) from error
 
 
-def _frames(member: IO[bytes], path: Path) -> list[PackedMask]:
-    version = np.lib.format.read_magic(member)
-    read = np.lib.format.read_array_header_1_0
-    if version == (2, 0):
-        read = np.lib.format.read_array_header_2_0
-    shape, fortran, dtype = read(member)
-    if len(shape) != 3 or dtype.kind not in "bui" or fortran or shape[0] == 0:
-        raise ValueError(f"mask is {dtype} {shape}" + " in column order" * fortran)
-    height, width = shape[1:]
-    IMAGE.check(height * width, path, _KEY)
+def _frames(archive: zipfile.ZipFile, path: Path) -> list[PackedMask]:
     masks: list[PackedMask] = []
-    for _ in range(shape[0]):
-        image = np.frombuffer(member.read(height * width * dtype.itemsize), dtype)
-        masks.append(PackedMask(np.packbits(image != 0), (height, width)))
+    with archive.open(f"{_KEY}.npy") as member:
+        version = np.lib.format.read_magic(member)
+        read = np.lib.format.read_array_header_1_0
+        if version == (2, 0):
+            read = np.lib.format.read_array_header_2_0
+        shape, fortran, dtype = read(member)
+        if len(shape) != 3 or dtype.kind not in "bui" or fortran or shape[0] == 0:
+            raise ValueError(f"mask is {dtype} {shape}" + " in column order" * fortran)
+        height, width = shape[1:]
+        IMAGE.check(height * width, path, _KEY)
+        for _ in range(shape[0]):
+            image = np.frombuffer(member.read(height * width * dtype.itemsize), dtype)
+            masks.append(PackedMask(np.packbits(image != 0), (height, width)))
     return masks

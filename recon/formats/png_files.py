@@ -29,7 +29,7 @@ def read_png(path: Path, size: tuple[int, int] | None = None) -> np.ndarray:
     BINARY.check(existing(path).stat().st_size, path)
     data = path.read_bytes()
     if len(data) < _HEAD.size or not data.startswith(_SIGNATURE):
-        raise ValueError(f"{path}: expected a PNG image, but it does not begin as one")
+        raise ValueError(f"{path}: expected a PNG image, but it is damaged or something else")
     _, name, width, height = _HEAD.unpack_from(data)
     if name != b"IHDR" or width == 0 or height == 0:
         raise ValueError(f"{path}: expected a PNG image, but its header is damaged")

@@ -111,7 +111,7 @@ def test_prox_has_no_level_world_and_no_image_size(tmp_path):
     ("old", "new", "message"),
     [
         ("fisheye = false", "fisheye = true", "fisheye"),
-        ("matrix = [[900.0", "matrix = [[-900.0", "camera matrix"),
+        ("matrix = [[900.0", "matrix = [[-900.0", "focal length"),
         ("matrix = [[900.0", "matrix = [[nan", "NaN"),
         ("translation = [", "translation = [1.0, ", "translation of 3"),
         ("distortions = [", "distortions = [1.0, 1.0, ", "distortion coefficients"),
@@ -141,7 +141,8 @@ def test_a_damaged_matrix_is_not_taken_for_an_absent_one(tmp_path):
     """OpenCV's reader ended the process on such files; ours must not drop the distortion."""
     path = tmp_path / "cam.yml"
     lens = np.array([[0.1, 0, 0, 0, 0]])
-    values = {"image_width": 9, "image_height": 9, "camera_matrix": np.eye(3), "D": lens}
+    values = {"image_width": 9, "image_height": 9, "D": lens}
+    values["camera_matrix"] = np.diag([9.0, 9.0, 1.0])
     write_yaml(path, values)
     assert load_cameras(path).cameras["cam"].distortion is not None
     whole = path.read_text()

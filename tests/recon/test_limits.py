@@ -1,7 +1,9 @@
 """Ranges of quantities: what lies outside is refused with file, quantity and value."""
 
 import io
+import pickle
 import re
+import struct
 import zipfile
 from dataclasses import replace
 from pathlib import Path
@@ -9,11 +11,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy.sparse
 
 from recon import limits
+from recon.detections.masks import load_silhouettes
 from recon.formats.amass import load_motion, save_motion
+from recon.formats.keypoints import read_keypoints
 from recon.formats.npz_headers import check_sizes
 from recon.formats.observation import CameraArrays, PointsFile, load_observation, save_observation
+from recon.formats.ply import read_ply
+from recon.formats.png_files import read_png
+from recon.formats.scan_times import timed
+from recon.formats.smpl import load_smpl
 from recon.limits import LIMITS, Limit, check_camera, check_pose
 from recon.units import to_z_up
 from tests.recon.test_formats_npz import KEYPOINTS, POINTS, POSITIONS, amass, make_file
@@ -228,3 +237,103 @@ def test_points_with_y_up_keep_their_place_before_the_camera(tmp_path: Path) -> 
         read.points @ turned[0, :3, :3].T + turned[0, :3, 3],
         points @ pose[:3, :3].T + pose[:3, 3],
     )
+
+
+@pytest.mark.parametrize(
+    ("producer", "text", "message"),
+    [
+        ("openpose", '{"people": [{"person_id": [1%s], "pose_keypoints_2d": %s}]}', "person"),
+        ("alphapose", '[{"image_id": "1.jpg", "idx": 1%s, "keypoints": %s}]', "person"),
+        ("mmpose", '[{"frame_id": 1%s, "people": %s}]', "frame number"),
+    ],
+)
+def test_identities_of_thirty_digits(
+    tmp_path: Path, producer: str, text: str, message: str
+) -> None:
+    """Numbers of people and frames that no 64 bits hold ended in an OverflowError."""
+    path = tmp_path / f"{producer}.json"
+    points = [[100.0 + 9 * k, 200.0, 0.9] for k in range(17)]
+    path.write_text(text % ("0" * 30, np.ravel(points).tolist()))
+    with pytest.raises(ValueError, match=rf"{producer}\.json.*{message}"):
+        read_keypoints(path)
+    path.write_text(text % ("0" * 5000, "[]"))
+    with pytest.raises(ValueError, match=rf"{producer}\.json"):
+        read_keypoints(path)
+
+
+@pytest.mark.parametrize("points", [[1e308, 5.0, 0.9], [10.0, 5.0, 1e30]])
+def test_keypoints_that_no_detector_gives(tmp_path: Path, points: list[float]) -> None:
+    (tmp_path / "a.json").write_text(
+        '{"people": [{"pose_keypoints_2d": %s}]}' % (points + [100.0, 200.0, 0.9] * 16)
+    )
+    with pytest.raises(ValueError, match=r"a\.json.*(pixel|score)"):
+        read_keypoints(tmp_path / "a.json")
+
+
+def test_frame_numbers_of_files_that_a_clock_gave(tmp_path: Path) -> None:
+    name = "1" + 25 * "0"
+    (tmp_path / f"{name}.json").write_text('{"people": []}')
+    with pytest.raises(ValueError, match="frame number"):
+        read_keypoints(tmp_path)
+
+
+def test_times_that_are_hardly_numbers(tmp_path: Path) -> None:
+    """times.csv of 0, 1e-320, 2e-320, 1 ended in an OverflowError."""
+    files = [tmp_path / f"{k}.ply" for k in range(4)]
+    (tmp_path / "times.csv").write_text("0\n1e-320\n2e-320\n1\n")
+    with pytest.raises(ValueError, match=r"times\.csv.*frame rate"):
+        timed(tmp_path / "times.csv", files)
+    (tmp_path / "times.csv").write_text("0\n1\n2\n1e9\n")
+    with pytest.raises(ValueError, match=r"times\.csv.*nothing was seen for 1e\+09 s"):
+        timed(tmp_path / "times.csv", files)
+
+
+def test_a_sparse_matrix_of_a_million_squared(tmp_path: Path) -> None:
+    """A body model of a few bytes asked for a dense matrix of 8 TB."""
+    csc = scipy.sparse.csc_matrix((10**6, 10**6))
+    (tmp_path / "smpl.pkl").write_bytes(pickle.dumps({"J_regressor": csc}, protocol=2))
+    with pytest.raises(ValueError, match=r"smpl\.pkl.*J_regressor"):
+        load_smpl(tmp_path / "smpl.pkl")
+
+
+@pytest.mark.parametrize("call", [(np.ndarray, ((10**10,),)), (bytes, (10**10,))])
+def test_pickles_that_ask_for_memory(tmp_path: Path, call: tuple[Any, Any]) -> None:
+    class Asking:
+        def __reduce__(self) -> tuple[Any, Any]:
+            return call
+
+    (tmp_path / "smpl.pkl").write_bytes(pickle.dumps({"v_template": Asking()}, protocol=2))
+    with pytest.raises(ValueError, match=r"smpl\.pkl"):
+        load_smpl(tmp_path / "smpl.pkl")
+
+
+def test_clouds_that_promise_more_than_they_hold(tmp_path: Path) -> None:
+    head = "ply\nformat binary_little_endian 1.0\n"
+    head += "element vertex %d\nproperty float x\nend_header\n"
+    (tmp_path / "a.ply").write_bytes((head % 10_000_000).encode() + bytes(40))
+    with pytest.raises(ValueError, match=r"a\.ply.*promises 40000000 bytes"):
+        read_ply(tmp_path / "a.ply")
+    (tmp_path / "a.ply").write_bytes((head % 10**12).encode() + bytes(40))
+    with pytest.raises(ValueError, match=r"a\.ply.*number of points"):
+        read_ply(tmp_path / "a.ply")
+
+
+def test_images_that_promise_more_than_they_hold(tmp_path: Path) -> None:
+    size = struct.pack(">II", 60_000, 60_000)
+    (tmp_path / "0.png").write_bytes(b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + size + bytes(40))
+    with pytest.raises(ValueError, match=r"0\.png.*number of pixels"):
+        read_png(tmp_path / "0.png")
+    with pytest.raises(ValueError, match=r"0\.png.*number of pixels"):
+        load_silhouettes(tmp_path).visible(0)
+
+
+def test_masks_of_one_bit_a_pixel(tmp_path: Path) -> None:
+    mask = np.random.default_rng(0).integers(0, 3, (4, 7, 5)).astype(np.uint8)
+    np.savez_compressed(tmp_path / "mask.npz", mask=mask)
+    masks = load_silhouettes(tmp_path / "mask.npz")
+    for frame in range(4):
+        assert np.array_equal(masks.visible(frame), mask[frame] != 0)  # type: ignore[arg-type]
+    assert masks.visible(4) is None
+    np.savez(tmp_path / "mask.npz", mask=mask.astype(float))
+    with pytest.raises(ValueError, match=r"mask\.npz.*float64"):
+        load_silhouettes(tmp_path / "mask.npz")
