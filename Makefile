@@ -1,12 +1,13 @@
 # make demo: reconstruct the bundled noisy clip.   make test: lint, types, tests.
 # make test-slow: the tests marked slow, run before a release.
-# make bench: every table of the README (needs RECON_DATA).
+# make tables: the tables of README.md and docs/ from benchmarks/results.
+# make bench: those result files themselves (needs RECON_DATA; many hours).
 PYTHON ?= python3
 BIN := .venv/bin
 PIP := $(BIN)/pip install --quiet --no-compile --constraint constraints.txt
 OUT ?= out
 
-.PHONY: demo test test-slow bench clean
+.PHONY: demo test test-slow tables bench clean
 
 demo: .venv/installed
 	$(BIN)/recon demo --out demo
@@ -20,6 +21,9 @@ test: .venv/developed
 
 test-slow: .venv/developed
 	$(BIN)/pytest -q -n 2 --dist loadfile -m slow
+
+tables: .venv/developed
+	$(BIN)/python -m benchmarks.tables
 
 bench: .venv/developed
 	mkdir -p $(OUT)

@@ -1,9 +1,11 @@
-"""Every table of the README, one after the other.
+"""Every result file that the tables are made of, one after the other.
 
     make bench          # RECON_DATA names the folder of real recordings
+    python -m benchmarks.all --only humor real --out out
 
 Converts the corpus first (resumable; about half an hour on two cores), then prints each table and
-writes one JSON file per table into --out.
+writes one JSON file per table into --out. What is copied from there into benchmarks/results is
+what `make tables` writes into the documents.
 """
 
 import argparse
@@ -12,68 +14,92 @@ import subprocess
 import sys
 from pathlib import Path
 
+_NC = "weights-nc/humor.safetensors"
+_RUNS = "ABLATIONS"
+_LIKE = "benchmarks/results/complete_published.json"
+_CYCLES = ("CORPUS", "--weights", "nc", "--licence", "nc")
+_POINTS = ("noisy joints", "occluded points")
+_COLUMNS = ("--columns", "p=0", "p=50+lm", "f=5+lm", "p=50")
+
+COMMANDS: dict[str, tuple[str, ...]] = {
+    "corpus": ("corpus", "CORPUS"),
+    "likeness": ("likeness", "CORPUS"),
+    "markers": ("markers", "OBSERVATIONS"),
+    "stage12": ("stage12", "CORPUS"),
+    "humor": ("humor", "CORPUS", "--frames", "60", "--shooting", "8", "--protocols", *_POINTS),
+    "humor_90": ("humor", "CORPUS", "--frames", "90", "--shooting", "0", "--protocols", *_POINTS),
+    "humor_recipes": ("humor", "CORPUS", "--frames", "60", "--protocols", "in-betweening",
+                      "upper body"),
+    "ablations": ("humor", "CORPUS", "--frames", "60", "--only", "24", "--shooting", "0",
+                  "--ablations", _RUNS),
+    "physics_fit": ("physics_fit", "CORPUS", "--only", "24"),
+    "generation_open": ("generation", "CORPUS"),
+    "generation_nc": ("generation", "CORPUS", "--weights", "nc"),
+    "real": ("real", "OBSERVATIONS"),
+    "cameras": ("cameras", "CORPUS", "--only", "24", "--nc", _NC, "--ablations", _RUNS, "--cases",
+                "one camera", "one camera, posed", "moving camera", "three views"),
+    "depth": ("cameras", "CORPUS", "--only", "8", "--cases", "depth", "2D of the sensor",
+              "2D + depth"),
+    "pose2sim": ("pose2sim", "OBSERVATIONS"),
+    "nearest": ("nearest",),
+    "cycles": ("cycles", "CORPUS"),
+    "complete_open": ("complete", "CORPUS", "--weights", "open", "--each", "3"),
+    "complete_nc": ("complete", "CORPUS", "--weights", "nc", "--each", "3"),
+    "complete_published": ("complete", "CORPUS", "--method", "published", "--each", "3",
+                           *_COLUMNS),
+    "complete_frames": ("complete", "CORPUS", "--method", "frames", "--like", _LIKE, *_COLUMNS),
+    "complete_pose": ("complete", "CORPUS", "--method", "pose", "--like", _LIKE, *_COLUMNS),
+    "complete_collocation": ("complete", "CORPUS", "--method", "humor", "--weights", "open",
+                             "--like", _LIKE, *_COLUMNS),
+    "anchor_reconstruction_nc": ("anchor_reconstruction", *_CYCLES),
+    "anchor_structure": ("anchor_structure", *_CYCLES),
+    "anchor_interpolation": ("anchor_interpolation", *_CYCLES),
+    "anchor_morphology": ("anchor_morphology", *_CYCLES),
+    "anchor_study": ("anchor_study", "CORPUS", "--licence", "nc", "--out", "STUDY"),
+    "anchor_real": ("anchor_real", "OBSERVATIONS"),
+    "anchor_speed": ("anchor_speed", "CORPUS", "--weights", "nc"),
+    "retarget_shapes_open": ("retarget_shapes", "CORPUS", "--weights", "open", "--licence",
+                             "open"),
+    "retarget_shapes_nc": ("retarget_shapes", "CORPUS", "--weights", "nc", "--licence", "nc"),
+    "retarget": ("retarget", "CORPUS", "--licence", "nc", "--weights", "open", "nc"),
+    "humos_prior": ("humos_prior", "CORPUS", "--only", "24"),
+    "humos_ablations": ("humos_ablations", "CORPUS", "--out", "HUMOS_ABLATIONS"),
+    "long": ("long", "CORPUS", "--prior", "humor", "--seconds", "10", "60"),
+    "long_pose": ("long", "CORPUS", "--prior", "pose"),
+    "rollout": ("rollout",),
+    "solver": ("solver",),
+    "speed": ("speed",),
+    "fuzz": ("fuzz",),
+}  # fmt: skip
+"""By result file: the module below benchmarks and its arguments. CORPUS and OBSERVATIONS are
+folders of data, names in capitals besides are folders of runs below --out."""
+
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("out"))
-    out = parser.parse_args().out.resolve()
+    parser.add_argument("--only", nargs="+", choices=COMMANDS, default=list(COMMANDS))
+    given = parser.parse_args()
+    out = given.out.resolve()
     data = Path(os.environ.get("RECON_DATA", ""))
     if not (data / "mocap").is_dir():
         sys.exit("set RECON_DATA to the folder of real recordings (with mocap/, observations/)")
     corpus = out / "corpus"
     run("recon", "convert", "--all", str(data / "mocap"), str(corpus))
-    run("benchmarks.corpus", str(corpus), "--json", str(out / "corpus.json"))
-    run("benchmarks.markers", str(data / "observations"), "--json", str(out / "markers.json"))
-    run("benchmarks.stage12", str(corpus), "--json", str(out / "stage12.json"))
-    nc = str(Path(__file__).parents[1] / "weights-nc" / "humor.safetensors")
-    compared = ("--nc", nc, "--shooting", "8")
-    run("benchmarks.humor", str(corpus), *compared, "--json", str(out / "humor.json"))
-    run("benchmarks.ablations", str(corpus), "--out", str(out / "ablations"))
-    parts = ("--frames", "60", "--only", "24", "--shooting", "1")
-    parts += ("--ablations", str(out / "ablations"))
-    run("benchmarks.humor", str(corpus), *parts, "--json", str(out / "ablations.json"))
-    run("benchmarks.physics_fit", str(corpus), "--only", "24", "--json",
-        str(out / "physics_fit.json"))  # fmt: skip
-    run("benchmarks.generation", str(corpus), "--json", str(out / "generation.json"))
-    run("benchmarks.real", str(data / "observations"), "--json", str(out / "real.json"))
-    run("benchmarks.cameras", str(corpus), "--only", "24", "--nc", nc, "--ablations",
-        str(out / "ablations"), "--cases", "one camera", "one camera, posed", "moving camera",
-        "three views", "--json", str(out / "cameras.json"))  # fmt: skip
-    sensors = ("depth", "2D of the sensor", "2D + depth")
-    run("benchmarks.cameras", str(corpus), "--only", "8", "--cases", *sensors,
-        "--json", str(out / "depth.json"))  # fmt: skip
-    run("benchmarks.pose2sim", str(data / "observations"), "--json", str(out / "pose2sim.json"))
-    run("benchmarks.nearest", "--json", str(out / "nearest.json"))
-    run("benchmarks.cycles", str(corpus), "--json", str(out / "cycles.json"))
-    for weights in ("open", "nc"):
-        run("benchmarks.complete", str(corpus), "--weights", weights,
-            "--json", str(out / f"complete_{weights}.json"))  # fmt: skip
-    for method in ("published", "frames", "humor"):
-        run("benchmarks.complete", str(corpus), "--method", method, "--columns", "p=0",
-            "p=50+lm", "p=1000+lm", "--json", str(out / f"complete_{method}.json"))  # fmt: skip
-    cycles = ("--weights", "nc", "--licence", "nc")
-    for table in ("reconstruction", "structure", "interpolation", "morphology"):
-        run(f"benchmarks.anchor_{table}", str(corpus), *cycles,
-            "--json", str(out / f"anchor_{table}.json"))  # fmt: skip
-    run("benchmarks.anchor_study", str(corpus), "--licence", "nc", "--out", str(out / "study"),
-        "--json", str(out / "anchor_study.json"))  # fmt: skip
-    run("benchmarks.anchor_real", str(data / "observations"), "--json",
-        str(out / "anchor_real.json"))  # fmt: skip
-    run("benchmarks.anchor_speed", str(corpus), "--json", str(out / "anchor_speed.json"))
-    for weights in ("open", "nc"):
-        run("benchmarks.retarget_shapes", str(corpus), "--weights", weights, "--licence", weights,
-            "--json", str(out / f"retarget_shapes_{weights}.json"))  # fmt: skip
-    run("benchmarks.retarget", str(corpus), "--licence", "nc", "--weights", "open", "nc",
-        "--json", str(out / "retarget.json"))  # fmt: skip
-    run("benchmarks.humos_prior", str(corpus), "--only", "24", "--json",
-        str(out / "humos_prior.json"))  # fmt: skip
-    run("benchmarks.humos_ablations", str(corpus), "--out", str(out / "humos_ablations"),
-        "--json", str(out / "humos_ablations.json"))  # fmt: skip
-    run("benchmarks.long", str(corpus), "--prior", "humor", "--json", str(out / "long.json"))
-    run("benchmarks.rollout", "--json", str(out / "rollout.json"))
-    run("benchmarks.solver", "--json", str(out / "solver.json"))
-    run("benchmarks.speed", "--json", str(out / "speed.json"))
-    run("benchmarks.fuzz", "--json", str(out / "fuzz.json"))
+    if {"ablations", "cameras"} & set(given.only):
+        run("benchmarks.ablations", str(corpus), "--out", str(out / "ablations"))
+    places = {"CORPUS": str(corpus), "OBSERVATIONS": str(data / "observations")}
+    for name in given.only:
+        module, *arguments = COMMANDS[name]
+        said = [placed(argument, places, out) for argument in arguments]
+        run(f"benchmarks.{module}", *said, "--json", str(out / f"{name}.json"))
+
+
+def placed(argument: str, places: dict[str, str], out: Path) -> str:
+    """An argument with its folder in place of a name in capitals."""
+    if argument in places:
+        return places[argument]
+    return str(out / argument.lower()) if argument.isupper() else argument
 
 
 def run(module: str, *arguments: str) -> None:

@@ -13,7 +13,7 @@ at once. FOLDER is what `benchmarks.ablations` wrote.
 """
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -85,6 +85,7 @@ def main() -> None:
     parser.add_argument(
         "--shooting", type=int, default=None, help="fit so many windows by it; 0: none"
     )
+    parser.add_argument("--protocols", nargs="+", choices=COLUMNS, default=list(COLUMNS))
     parser.add_argument("--only", type=int, default=None, help="use so many windows in all")
     arguments = parser.parse_args()
 
@@ -104,8 +105,9 @@ def main() -> None:
         console.print(f"{key}: {len(windows.names)} of {windows.listed} listed windows")
         about[key] = windows.about
         found[key] = {}
-        for name, rows in protocols(windows, tuning, body, networks, arguments.shooting):
-            found[key][name] = rows
+        rows_of = protocols(windows, tuning, body, networks, arguments.shooting)
+        for name in arguments.protocols:
+            rows = found[key][name] = rows_of[name]()
             for shown in tables(f"{name}, {key}, {arguments.part}", COLUMNS[name], rows):
                 console.print(shown)
             if arguments.json is not None:
@@ -187,26 +189,32 @@ def entries(
 
 def protocols(
     windows: Windows, tuning: Windows, body: BodyModel, networks: Networks, most: int | None
-) -> Iterator[tuple[str, dict[str, Rows]]]:
-    """Each table's rows, as it is done."""
+) -> dict[str, Callable[[], dict[str, Rows]]]:
+    """What measures the rows of each table."""
     joints = body.pose(windows.truth).joints
-    noisy = noisy_joints(windows.truth, body, SEED)
-    rows = {"observed": score_points(windows, noisy.positions, joints)}
-    for name, (smooth, _) in tune_smoothers(tuning, body).items():
-        if "tuned" in name:
-            rows[name] = score_points(windows, smooth(noisy.positions), joints)
-    published = PoseWeights.published_joints(), HumorWeights.published_joints()
-    rows |= fitted_rows(windows, noisy, joints, entries(networks, 0.04, *published, most), body)
-    rows["each joint's more frequent contact"] = constant_contacts(windows)
-    yield "noisy joints", rows
 
-    occluded, points = occluded_points(windows.truth, body)
-    published = PoseWeights.published_points(), HumorWeights.published_points()
-    rows = fitted_rows(windows, occluded, points, entries(networks, 0.0, *published, most), body)
-    yield "occluded points", rows
+    def noisy() -> dict[str, Rows]:
+        seen = noisy_joints(windows.truth, body, SEED)
+        rows = {"observed": score_points(windows, seen.positions, joints)}
+        for name, (smooth, _) in tune_smoothers(tuning, body).items():
+            if "tuned" in name:
+                rows[name] = score_points(windows, smooth(seen.positions), joints)
+        published = PoseWeights.published_joints(), HumorWeights.published_joints()
+        rows |= fitted_rows(windows, seen, joints, entries(networks, 0.04, *published, most), body)
+        return {**rows, "each joint's more frequent contact": constant_contacts(windows)}
 
-    yield "in-betweening", in_between_rows(windows, body, networks.trained, SEED)
-    yield "upper body", upper_body_rows(windows, body, networks.trained, SEED)
+    def hidden() -> dict[str, Rows]:
+        occluded, points = occluded_points(windows.truth, body)
+        published = PoseWeights.published_points(), HumorWeights.published_points()
+        fits = entries(networks, 0.0, *published, most)
+        return fitted_rows(windows, occluded, points, fits, body)
+
+    return {
+        "noisy joints": noisy,
+        "occluded points": hidden,
+        "in-betweening": lambda: in_between_rows(windows, body, networks.trained, SEED),
+        "upper body": lambda: upper_body_rows(windows, body, networks.trained, SEED),
+    }
 
 
 def fitted_rows(

@@ -1,0 +1,53 @@
+"""Every table by the name that stands in its markers."""
+
+from collections.abc import Mapping
+
+from benchmarks.tables import bodies, cameras, gait, others, points
+from benchmarks.tables.page import Table
+
+TABLES: Mapping[str, Table] = {
+    "noisy-joints": points.noisy,
+    "hidden-points": points.hidden,
+    "in-betweening": points.gap,
+    "upper-body": points.upper,
+    "noisy-joints-90": points.noisy_90,
+    "hidden-points-90": points.hidden_90,
+    "by-subject": points.by_subject,
+    "compared": points.compared,
+    "shooting": points.shooting,
+    "windows": others.windows,
+    "likeness": others.likeness,
+    "ablations": others.ablations,
+    "real-hidden": others.real_hidden,
+    "generation": others.generation,
+    "long": others.long,
+    "markers": others.markers,
+    "corpus": others.corpus,
+    "solver": others.solver,
+    "speed": others.speed,
+    "rollout": others.rollout,
+    "fuzz": others.fuzz,
+    "cameras-summary": cameras.summary,
+    "cameras": cameras.cameras,
+    "cameras-ablations": cameras.ablations,
+    "detections": cameras.detections,
+    "nearest": cameras.nearest,
+    "cycles": gait.cycles,
+    "anchor-reconstruction": gait.reconstruction,
+    "anchor-study": gait.study,
+    "anchor-structure": gait.structure,
+    "anchor-interpolation": gait.interpolation,
+    "anchor-morphology": gait.morphology,
+    "completion": gait.completion,
+    "completion-beside": gait.completion_beside,
+    "completion-real": gait.real_markers,
+    "completion-speed": gait.speed,
+    "retargeting": bodies.retargeting,
+    "retargeting-flight": bodies.flight,
+    "retargeting-bodies": bodies.drawn_bodies,
+    "retargeting-losses": bodies.losses,
+    "retargeting-shapes": bodies.shapes,
+    "humos-noisy": bodies.prior_noisy,
+    "humos-hidden": bodies.prior_hidden,
+    "physics-fit": bodies.physics,
+}

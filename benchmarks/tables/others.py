@@ -1,0 +1,197 @@
+"""Ablations, new motions, long recordings, real markers, the corpus, solver, speed, fuzz."""
+
+import numpy as np
+
+from benchmarks.tables.values import (
+    NONE,
+    SUBJECTS,
+    belongs,
+    markdown,
+    mean,
+    number,
+    result,
+    source,
+)
+
+
+def ablations() -> str:
+    """Networks that lack one part each, one short training schedule."""
+    tables = result("ablations")["tables"]["60 frames"]
+    noisy, hidden = tables["noisy joints"], tables["occluded points"]
+    names = {
+        "stages 1-2, tuned": "stages 1-2, tuned", "short: full": "full",
+        "short: no-delta": "no delta", "short: no-contacts": "no contacts",
+        "short: no-smpl": "no L_SMPL", "short: standard-prior": "standard prior",
+        "short: mvae": "MVAE (all four)", "HuMoR": "the default weights",
+    }  # fmt: skip
+    rows = [
+        [label, number(mean(noisy[key], "joints_all"), 100, 2),
+         number(mean(noisy[key], "joints_legs"), 100, 2),
+         number(mean(noisy[key], "slip_speed"), 100, 1),
+         number(mean(noisy[key], "feet_balanced"), 100, 1),
+         number(mean(hidden[key], "observed_all"), 100, 2),
+         number(mean(hidden[key], "observed_hidden"), 100, 1)]
+        for key, label in names.items()
+    ]  # fmt: skip
+    headings = ["networks", "noisy: all cm", "legs cm", "slip cm/s", "feet right %",
+                "occluded: all cm", "hidden cm"]  # fmt: skip
+    return markdown(headings, rows) + source("ablations")
+
+
+def real_hidden() -> str:
+    """Real markers below 0.9 m hidden."""
+    rows = [
+        [name, number(row["pose prior"]), number(row["HuMoR"]),
+         number(row["pose prior, nothing hidden"])]
+        for name, row in result("real")["hidden_markers_cm"].items()
+    ]  # fmt: skip
+    headings = ["recording, cm", "stages 1-2", "collocation", "nothing hidden"]
+    return markdown(headings, rows) + source("real")
+
+
+def generation() -> str:
+    """Samples after true states, and how they stay on their feet."""
+    rows = []
+    for weights in ("open", "nc"):
+        tables = result(f"generation_{weights}")["tables"]
+        feet = tables["on their feet"]
+        for key, label in (
+            ("body at the joints (default)", f"{weights} weights"),
+            ("default, temperature 1.3", f"{weights}, `--temperature 1.3`"),
+        ):
+            row = tables["prediction"][key]
+            mixture = feet["from the mixture"]["stays"] if "default)" in key else None
+            rows.append(
+                [label, *(_cm(row, metric) for metric in ("ade_mean", "ade", "fde", "apd")),
+                 number(mixture, 100, 0),
+                 number(feet[f"from real states, {key}"]["stays"], 100, 0)]
+            )  # fmt: skip
+    tables = result("generation_open")["tables"]
+    guess = tables["prediction"]["constant velocity"]
+    rows.append(
+        ["constant velocity", _cm(guess, "ade_mean"), NONE, _cm(guess, "fde"), *[NONE] * 3]
+    )
+    recorded = tables["on their feet"]["as recorded, up to 5 s"]["stays"]
+    rows.append(["truth", *[NONE] * 5, number(recorded, 100, 0)])
+    headings = ["cm", "ADE of a sample, mean", "ADE, best of 50", "FDE, best of 50", "APD",
+                "on their feet from the mixture %", "from true states %"]  # fmt: skip
+    return markdown(headings, rows) + source("generation_open", "generation_nc")
+
+
+def _cm(row: dict, key: str) -> str:
+    return number(mean(row, key), 100, 1)
+
+
+def long() -> str:
+    """Windows over one recording, there and back."""
+    rows = []
+    for file, method in (("long", "collocation"), ("long_pose", "pose prior")):
+        [clips] = result(file)["rows"].values()
+        rows += [
+            [f"{method}, {clip}, {length}", number(row["cpu_seconds"], 1, 0),
+             number(row["peak_mb"], 1, 0), number(row["error"], 100, 2),
+             number(row.get("error_in_one_piece"), 100, 2), number(row["jump"], 1, 2),
+             number(row["jump_truth"], 1, 2)]
+            for clip, lengths in clips.items()
+            for length, row in lengths.items()
+        ]  # fmt: skip
+    headings = ["4 cm of noise", "CPU s", "peak MB", "error cm", "in one piece cm",
+                "largest change of velocity at a border m/s", "the truth's m/s"]  # fmt: skip
+    return markdown(headings, rows) + source("long", "long_pose")
+
+
+def markers() -> str:
+    """Each fifth marker left out and predicted."""
+    rows = [
+        [row["recording"], str(row["markers"]), number(row["left_out_mm"]),
+         number(row["nominal_mm"]), number(row["residual_mm"])]
+        for row in result("markers")["rows"]
+    ]  # fmt: skip
+    headings = ["recording, mm", "markers", "left-out, own offset known", "without its offset",
+                "residual of the others"]  # fmt: skip
+    return markdown(headings, rows) + source("markers")
+
+
+def corpus() -> str:
+    """What became of the recordings of skeletons."""
+    found = result("corpus")
+    columns = {
+        "pieces": 0, "converted": 0, "rejected": 0, "minutes": 1,
+        "residual mm (median clip)": 1, "residual mm (worst clip)": 1, "slip m/s": 4,
+        "slip of the source m/s": 4,
+    }  # fmt: skip
+    rows = [
+        [name, *(number(row[key], 1, digits) for key, digits in columns.items())]
+        for name, row in found["rows"].items()
+    ]
+    return markdown(["collection", *columns], rows) + source("corpus")
+
+
+def solver() -> str:
+    """Evaluations on standard problems, beside SciPy's L-BFGS-B."""
+    found = result("solver")
+    rows = [
+        [row["problem"], f"{row['value']:.2g}", f"{row['value_scipy']:.2g}", str(row["solved"]),
+         str(row["solved_scipy"])]
+        for row in found["problems"]
+    ]  # fmt: skip
+    rows.append(["all", "", "", str(found["solved"]), str(found["solved_scipy"])])
+    headings = ["problem", "minimum found", "SciPy's", "evaluations", "SciPy's"]
+    return markdown(headings, rows) + source("solver")
+
+
+def speed() -> str:
+    """Posing, and stages 1 and 2."""
+    rows = [[name, number(value, 1, 2)] for name, value in result("speed")["rows"].items()]
+    return markdown(["one thread", "value"], rows) + source("speed")
+
+
+def rollout() -> str:
+    """One objective and gradient of the published fit's last stage."""
+    rows = [
+        [f"width {row['width']}, {row['clips']} clips, {row['threads']} threads",
+         number(row["naive"], 1, 0), number(row["ours"], 1, 0), number(row["ratio"], 1, 1)]
+        for row in result("rollout")["rows"]
+    ]  # fmt: skip
+    return markdown(["60 frames", "naive ms", "ours ms", "ratio"], rows) + source("rollout")
+
+
+def fuzz() -> str:
+    """What became of spoilt observation files."""
+    found = result("fuzz")
+    rows = [[name, str(count)] for name, count in found["rows"].items()]
+    rows.append(["all", str(sum(found["rows"].values()))])
+    rows.append(["tracebacks, NaN, exit codes out of contract", str(len(found["faults"]))])
+    return markdown(["spoilt file: outcome (exit code)", "files"], rows) + source("fuzz")
+
+
+def likeness() -> str:
+    """How near people move to the test and validation people."""
+    found = result("likeness")
+    people = found["people"]
+    rows = []
+    for name, row in sorted(found["unknown"].items(), key=lambda item: min(item[1].values())):
+        nearest = min(row, key=row.__getitem__)
+        if row[nearest] < found["near_degrees"] + 1:
+            rows.append([f"`{name}`", *(number(row.get(person)) for person in people)])
+    for title, pick in (("own takes, median", np.median), ("own takes, greatest", max)):
+        own = [list(found["own"][person].values()) for person in people]
+        rows.append([title, *(number(float(pick(v))) if v else NONE for v in own)])
+    nearest = [min(found["others"][p].items(), key=lambda item: item[1]) for p in people]
+    rows.append(["nearest other known person", *(f"{v:.1f} ({who})" for who, v in nearest)])
+    return markdown(["degrees from", *people], rows) + source("likeness")
+
+
+def windows() -> str:
+    """How many windows there are, by subject."""
+    rows = []
+    for frames, file in ((60, "humor"), (90, "humor_90")):
+        names = result(file)["windows"][f"{frames} frames"]["names"]
+        own = [belongs(name) for name in names]
+        counts = [own.count(subject) for subject in (*SUBJECTS, "16")]
+        rows.append(
+            [f"{frames} frames", *map(str, counts[:3]), str(sum(counts[:3])), str(counts[3])]
+        )
+    return markdown(["windows", *SUBJECTS, "in the means", "16, apart"], rows) + source(
+        "humor", "humor_90"
+    )

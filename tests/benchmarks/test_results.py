@@ -1,0 +1,97 @@
+"""What a result file says about how it was made."""
+
+import json
+import subprocess
+from pathlib import Path
+
+from benchmarks.results import (
+    ROOT,
+    command_line,
+    commit,
+    corpus_source,
+    dumps,
+    recordings_source,
+    write,
+)
+
+
+def test_commands_name_their_data_and_not_the_paths_of_a_machine(tmp_path: Path) -> None:
+    """Result files said no arguments at all."""
+    sources = corpus_source(tmp_path / "corpus", [])
+    weights = str(ROOT / "weights-nc" / "humor.safetensors")
+    argv = ["x.py", str(tmp_path / "corpus"), "--only", "24", "--nc", weights]
+    argv += ["--json", str(tmp_path / "h.json")]
+    assert command_line(argv, "benchmarks.humor", sources) == (
+        "python -m benchmarks.humor CORPUS --only 24 --nc weights-nc/humor.safetensors "
+        "--json h.json"
+    )
+    assert (
+        command_line(["x", "--cases", "one camera"], "m", {}) == "python -m m --cases 'one camera'"
+    )
+
+
+def test_the_commit_says_when_code_was_not_committed(tmp_path: Path) -> None:
+    def git(*arguments: str) -> None:
+        named = ("-c", "user.name=a", "-c", "user.email=a@b.c")
+        subprocess.run(["git", *named, *arguments], cwd=tmp_path, check=True, capture_output=True)
+
+    assert commit(tmp_path) is None
+    git("init")
+    (tmp_path / "code.py").write_text("1")
+    git("add", ".")
+    git("commit", "-m", "one")
+    clean = commit(tmp_path)
+    assert clean is not None
+    assert len(clean) == 40
+    (tmp_path / "untracked").write_text("2")
+    assert commit(tmp_path) == clean
+    (tmp_path / "code.py").write_text("2")
+    assert commit(tmp_path) == clean + "+"
+
+
+def test_the_checksum_is_that_of_the_files_that_were_read(tmp_path: Path) -> None:
+    corpus, out = tmp_path / "corpus", tmp_path / "r.json"
+    corpus.mkdir()
+    (corpus / "a.npz").write_bytes(b"1")
+    (corpus / "b.npz").write_bytes(b"2")
+
+    def checksum(files: list[Path] | None) -> str:
+        write(out, 0, corpus_source(corpus, files), rows=[])
+        said = json.loads(out.read_text())["about"]["data"]["CORPUS"]
+        assert said["files"] == (2 if files is None else len(files))
+        return said["checksum"]
+
+    whole, one = checksum(None), checksum([corpus / "a.npz"])
+    assert whole != one
+    (corpus / "b.npz").write_bytes(b"3")
+    assert checksum([corpus / "a.npz"]) == one
+    assert checksum(None) != whole
+    about = json.loads(out.read_text())["about"]
+    assert {
+        "command",
+        "commit",
+        "date",
+        "seed",
+        "recon",
+        "python",
+        "torch",
+        "numpy",
+        "machine",
+    } < set(about)
+
+
+def test_recordings_may_lie_in_files_and_in_folders(tmp_path: Path) -> None:
+    (tmp_path / "one").mkdir()
+    for name in ("one/a.c3d", "one/b.c3d", "c.mat", "d.trc"):
+        (tmp_path / name).write_bytes(b"x")
+    _, files = recordings_source(tmp_path, ["one", "c.mat::walk1"])["OBSERVATIONS"]
+    assert sorted(file.name for file in files) == ["a.c3d", "b.c3d", "c.mat"]
+    _, files = recordings_source(tmp_path)["OBSERVATIONS"]
+    assert len(list(files)) == 4
+
+
+def test_lists_stand_on_one_line() -> None:
+    value = {"a": [1.5, None, 2], "b": {"c": ["x", "y [z]"]}, "d": [{"e": [1]}]}
+    text = dumps(value)
+    assert json.loads(text) == value
+    assert "[ 1.5, null, 2 ]" in text
