@@ -109,6 +109,8 @@ class Job:
     """Of the settings and the files they name (`recon.clip_inputs.settings_checksum`)."""
     known: Record
     """The last record of the clip, or nothing."""
+    overwrite: bool = False
+    """Whether a result that is there and recon did not write may be replaced."""
 
 
 def fit_all(
@@ -118,6 +120,8 @@ def fit_all(
     processes: int,
     log: Path,
     work: Callable[[Job], Record] | None = None,
+    *,
+    overwrite: bool = False,
 ) -> Iterator[Record]:
     """Fit every clip that is not done yet; yields one record per clip, logged as it ends.
 
@@ -132,6 +136,7 @@ def fit_all(
         processes: clips at a time.
         log: file of the records (`recon.worklog`).
         work: what is done for one clip; default: `fit_one`.
+        overwrite: whether results that are there and recon did not write may be replaced.
 
     Raises:
         ValueError: when a result would be written over an observation or a file of the settings,
@@ -144,8 +149,9 @@ def fit_all(
     common = settings_checksum(settings, VERSION)
     with open_log(log) as lines:
         jobs = (
-            (Job(clip, target(out, clip), settings, common, lines.records.get(clip.name, {})),)
+            (Job(clip, target(out, clip), settings, common, known, overwrite),)
             for clip in clips
+            for known in [lines.records.get(clip.name, {})]
         )
         for (job,), result in run_jobs(work or fit_one, jobs, processes):
             record = _failed(job, result) if isinstance(result, Failure) else result
@@ -170,7 +176,7 @@ def fit_one(job: Job) -> Record:
     from recon.fit_files import fit_files
 
     began = time.perf_counter()
-    report = fit_files(job.clip.observations, job.target, job.settings)
+    report = fit_files(job.clip.observations, job.target, job.settings, overwrite=job.overwrite)
     return record | {
         "status": "failed" if report["failed"] else "ok",
         "seconds": round(time.perf_counter() - began, 3),

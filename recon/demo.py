@@ -22,14 +22,16 @@ from recon.evaluation import (
     smoothness,
 )
 from recon.formats.amass import load_motion
-from recon.formats.files import replacing
 from recon.motion import Motion
+from recon.outputs import Kind, Output
 from recon.reconstruction import Method, Reconstruction, fit
+from recon.reports import versions
 from recon.simulate import Corruption
 from recon.view.colours import GREY
 from recon.view.frames import write_png
 from recon.view.html import write_html
 from recon.view.scene import Figure, Points, Show
+from recon.writing import writing
 
 Metrics = dict[str, float | None]
 
@@ -59,14 +61,23 @@ CASES: Mapping[str, Case] = {
 SEED = 0
 
 
-def demo(out: Path) -> dict[str, dict[str, Metrics]]:
+def demo(out: Path, *, overwrite: bool = False) -> dict[str, dict[str, Metrics]]:
     """Reconstruct both cases and write demo.json, demo.html, noisy.html, demo.png and *.npz.
 
     Returns the metrics by case and method.
+
+    Raises:
+        FileExistsError: when the folder holds files that recon did not write, unless `overwrite`.
     """
+    report = {"seed": SEED, "cases": {name: case.title for name, case in CASES.items()}}
+    report["versions"] = versions()
+    with writing(Output(out, Kind.FOLDER), report=report, overwrite=overwrite) as (staged,):
+        return _demo(staged)
+
+
+def _demo(out: Path) -> dict[str, dict[str, Metrics]]:
     from recon.fit_files import write_result
 
-    out.mkdir(parents=True, exist_ok=True)
     body = BodyModel.load()
     with resources.as_file(resources.files("recon") / "assets" / "demo.npz") as path:
         truth = load_motion(path).motion
@@ -90,8 +101,7 @@ def demo(out: Path) -> dict[str, dict[str, Metrics]]:
         write_result(out / f"{name}.npz", motion, body, {"case": case.title, "seed": SEED})
         write_html(out / ("demo.html" if name == "occluded" else f"{name}.html"), shows[-1])
     write_png(out / "demo.png", shows)
-    with replacing(out / "demo.json") as beside:
-        beside.write_text(json.dumps(table, indent=1))
+    (out / "demo.json").write_text(json.dumps(table, indent=1))
     return table
 
 

@@ -1,6 +1,5 @@
 """A result file against a truth file: what `recon evaluate` does."""
 
-import json
 from pathlib import Path
 
 import torch
@@ -11,11 +10,12 @@ from observations.files import positions_of
 from recon.body import BodyModel
 from recon.evaluation import ObservedPoints, evaluate, ground_errors, nearest_labels
 from recon.formats.amass import MotionFile
-from recon.formats.files import replacing
 from recon.formats.observation import ObservationFile, PositionsFile, load_observation
 from recon.motion import Motion
 from recon.motion_files import load_motion_of
 from recon.protocols import Estimate
+from recon.reports import checksums, versions
+from recon.writing import write_report
 
 _ON_ITS_GROUND = ("penetration", "sole_penetration", "contact", "slip_speed")
 """How metrics that judge a result by the ground it stands on begin."""
@@ -27,8 +27,10 @@ def evaluate_files(
     observation: Path | None,
     out: Path | None,
     body: Path | None = None,
+    *,
+    overwrite: bool = False,
 ) -> dict[str, float | None]:
-    """All metrics of `result`, written to `out` if given.
+    """All metrics of `result`, written to `out` if given, with checksums and versions.
 
     Where the observation's camera did not know its pose and the simulation kept it
     (`truth_T_world_camera`), errors are taken in the true world, into which the camera carries
@@ -40,6 +42,7 @@ def evaluate_files(
         FileNotFoundError: when a file does not exist.
         ValueError: when a file is damaged, the bodies differ, or the truth does not cover the
             result's times.
+        FileExistsError: when `out` is there and recon did not write it, unless `overwrite`.
     """
     model = BodyModel.load(body).to(dtype=torch.float64)
     ours, theirs = load_motion_of(result, model), load_motion_of(truth, model)
@@ -69,8 +72,9 @@ def evaluate_files(
         own = {key: value for key, value in metrics.items() if key.startswith(_ON_ITS_GROUND)}
         metrics |= there | own | ground_errors(found, true)
     if out is not None:
-        with replacing(out) as beside:
-            beside.write_text(json.dumps(metrics, indent=1))
+        read = [path for path in (result, truth, observation) if path is not None]
+        about = {"inputs": checksums(read), "versions": versions()}
+        write_report(out, metrics | about, overwrite=overwrite)
     return metrics
 
 

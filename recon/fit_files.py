@@ -1,10 +1,7 @@
 """Observation files in, a motion file and a report out: what `fit` and `batch` do to one clip."""
 
-import json
-import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -20,20 +17,28 @@ from recon.contacts import contact_labels, rest_heights
 from recon.domain import cycle_report
 from recon.examination import fit_examined
 from recon.formats.amass import MotionFile, save_motion
-from recon.formats.files import replacing
+from recon.inputs import paths_in
 from recon.long import LongReconstruction
 from recon.motion import Motion
+from recon.outputs import Output, check_outputs
 from recon.reconstruction import Reconstruction
+from recon.reports import versions
 from recon.settings import FitSettings
 from recon.solver import Termination
 from recon.stages import StageReport, Watch
 from recon.treadmill import in_room, path_of_belt
+from recon.writing import writing_file
 
 UP = (0.0, 0.0, 1.0)
 
 
 def fit_files(
-    paths: Sequence[Path], out: Path, settings: FitSettings, watch: Watch | None = None
+    paths: Sequence[Path],
+    out: Path,
+    settings: FitSettings,
+    watch: Watch | None = None,
+    *,
+    overwrite: bool = False,
 ) -> dict[str, Any]:
     """Fit one clip's observation files and write OUT and OUT.json.
 
@@ -43,7 +48,10 @@ def fit_files(
 
     Raises:
         FileNotFoundError, ValueError: for bad input; nothing is written then.
+        FileExistsError: when OUT or OUT.json is there and recon did not write it, unless
+            `overwrite`.
     """
+    check_outputs([Output(out)], paths_in((*paths, settings)), overwrite=overwrite)
     torch.manual_seed(settings.seed)
     body = BodyModel.load(settings.body)
     # before anything is read: what changes from now on must not pass for what was fitted
@@ -93,7 +101,9 @@ def fit_files(
         belt = path_of_belt(motion, examined.belt)
         motion = in_room(motion, examined.belt)
     observed = torch.from_numpy(examined.observed_at(motion))
-    write_result(out, motion, body, report, ground, T_world_camera, observed, belt)
+    write_result(
+        out, motion, body, report, ground, T_world_camera, observed, belt, overwrite=overwrite
+    )
     return report
 
 
@@ -106,34 +116,36 @@ def write_result(
     T_world_camera: Float[Tensor, "4 4"] | None = None,
     observed: Bool[Tensor, "time 22"] | None = None,
     belt: Float[Tensor, "time 3"] | None = None,
+    *,
+    overwrite: bool = False,
 ) -> None:
-    """The motion file with joints, contacts and ground (its height), and its report beside it.
+    """Write the motion file with joints, contacts and ground (its height), and its report.
 
     Where a camera's pose was found, the file has it and the root in the camera's frame besides.
     On a treadmill, contacts are told against the belt, by how far it has come.
+    The two are put in place together, the report first.
+
+    Raises:
+        FileExistsError: when either is there and recon did not write it, unless `overwrite`.
     """
-    out.parent.mkdir(parents=True, exist_ok=True)
     joints = body.pose(motion).joints
     above = joints - joints.new_tensor([0.0, 0.0, ground])
     if belt is not None:
         above = above - belt[:, None]
     labels = contact_labels(above, rest_heights(body, motion.shape), motion.fps)
-    save_motion(
-        out,
-        MotionFile(
-            motion,
-            body=body.name,
-            checksum=body.checksum,
-            joints=joints,
-            contacts=labels.to(joints),
-            ground=torch.tensor([0.0, 0.0, 1.0, ground]),
-            observed=observed,
-            T_world_camera=None if T_world_camera is None else T_world_camera[None],
-            in_camera=None if T_world_camera is None else in_camera(motion, T_world_camera, body),
-        ),
+    file = MotionFile(
+        motion,
+        body=body.name,
+        checksum=body.checksum,
+        joints=joints,
+        contacts=labels.to(joints),
+        ground=torch.tensor([0.0, 0.0, 1.0, ground]),
+        observed=observed,
+        T_world_camera=None if T_world_camera is None else T_world_camera[None],
+        in_camera=None if T_world_camera is None else in_camera(motion, T_world_camera, body),
     )
-    with replacing(out.with_name(out.name + ".json")) as beside:
-        beside.write_text(json.dumps(report, indent=1, default=str))
+    with writing_file(out, report, overwrite=overwrite) as staged:
+        save_motion(staged, file)
 
 
 def in_camera(
@@ -166,11 +178,7 @@ def describe(
         ],
         "settings": asdict(settings),
         "inputs": dict(inputs),
-        "versions": {
-            "recon": version("motion-recon"),
-            "torch": torch.__version__,
-            "python": platform.python_version(),
-        },
+        "versions": versions(),
     }
 
 

@@ -1,9 +1,7 @@
 """Motions out of nothing, or after the end of a motion file: what `sample` and `predict` do."""
 
-import json
 import math
 from dataclasses import asdict, dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,11 +13,13 @@ from priors.humos import Humos
 from recon.body import BodyModel
 from recon.contacts import contact_labels, rest_heights
 from recon.formats.amass import MotionFile, save_motion
-from recon.formats.files import replacing
 from recon.generation_metrics import stays_on_its_feet
 from recon.identities import doubts, identity
 from recon.motion_files import load_motion_of
+from recon.outputs import Kind, Output
 from recon.protocols import REFERENCE_FPS, Decoded
+from recon.reports import checksums, versions
+from recon.writing import writing
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,9 @@ class BodySettings:
     """Of the files; the prior itself has 20."""
 
 
-def sample_files(out: Path, count: int, settings: GenerationSettings) -> dict[str, Any]:
+def sample_files(
+    out: Path, count: int, settings: GenerationSettings, *, overwrite: bool = False
+) -> dict[str, Any]:
     """Write motions that begin anywhere, drawn from HuMoR; returns the report, written too.
 
     OUT is one motion file (.npz), or a folder for `sample_000.npz` and so on; the report is
@@ -59,18 +61,25 @@ def sample_files(out: Path, count: int, settings: GenerationSettings) -> dict[st
     Raises:
         FileNotFoundError: when there are no such weights, or no such body.
         ValueError: for several motions in one file, no motions, or no time; nothing is written.
+        FileExistsError: when something is there that recon did not write, unless `overwrite`.
     """
     frames = _frames(settings.seconds)
-    paths = _paths(out, count, "sample")
+    names = _names(out, count, "sample")
     temperature = _temperature(settings)
     humor = _humor(settings)
     random = torch.Generator().manual_seed(settings.seed)
     made = sample(humor, frames, count, random, temperature=temperature)
-    return _write(out, paths, made, humor.body, {"settings": asdict(settings)})
+    about = {"settings": asdict(settings)}
+    return _write(out, names, made, humor.body, about, overwrite=overwrite)
 
 
 def sample_of_body_files(
-    out: Path, count: int, settings: GenerationSettings, whose: BodySettings
+    out: Path,
+    count: int,
+    settings: GenerationSettings,
+    whose: BodySettings,
+    *,
+    overwrite: bool = False,
 ) -> dict[str, Any]:
     """Write motions of one body, drawn from HUMOS; files and report are as in `sample_files`.
 
@@ -80,9 +89,10 @@ def sample_of_body_files(
         FileNotFoundError: when there are no such weights, no such body, or no such motion file.
         ValueError: as in `sample_files`; when the shape is not understood, for a rate that is
             none, and where the prior cannot do as asked.
+        FileExistsError: when something is there that recon did not write, unless `overwrite`.
     """
     _frames(settings.seconds)
-    paths = _paths(out, count, "sample")
+    names = _names(out, count, "sample")
     if settings.temperature != 1:
         raise ValueError(f"--temperature is HuMoR's; HUMOS has none, got {settings.temperature}")
     if settings.device != "cpu":
@@ -99,11 +109,18 @@ def sample_of_body_files(
         "settings": asdict(settings) | asdict(whose),
         "warnings": [f"--shape {whose.shape}: {doubt}" for doubt in doubts(body, shape)],
     }
-    return _write(out, paths, Decoded(motion, contacts=labels.to(shape)), body, about)
+    made = Decoded(motion, contacts=labels.to(shape))
+    return _write(out, names, made, body, about, overwrite=overwrite)
 
 
 def predict_files(
-    motion: Path, out: Path, samples: int, at: float | None, settings: GenerationSettings
+    motion: Path,
+    out: Path,
+    samples: int,
+    at: float | None,
+    settings: GenerationSettings,
+    *,
+    overwrite: bool = False,
 ) -> dict[str, Any]:
     """Write what may follow a motion's last frame; returns the report, which is written too.
 
@@ -116,14 +133,16 @@ def predict_files(
         samples: how many continuations.
         at: seconds after the motion's first frame from which on it is not known; None is its end.
         settings: how to go on.
+        overwrite: whether files that recon did not write may be replaced.
 
     Raises:
         FileNotFoundError: when a file does not exist.
         ValueError: when the motion is damaged, has less than two frames up to there, or is on
             another body; or as in `sample_files`.
+        FileExistsError: as in `sample_files`.
     """
     frames = _frames(settings.seconds)
-    paths = _paths(out, samples, "prediction")
+    names = _names(out, samples, "prediction")
     temperature = _temperature(settings)
     humor = _humor(settings)
     body = humor.body
@@ -142,8 +161,13 @@ def predict_files(
     known = known.to(device=settings.device)
     one = known.map(lambda t: t[None])
     made = predict(humor, one, frames, samples, random, temperature=temperature)
-    about = {"settings": asdict(settings), "motion": str(motion), "at": at}
-    return _write(out, paths, made, body, about)
+    about = {
+        "settings": asdict(settings),
+        "motion": str(motion),
+        "at": at,
+        "inputs": checksums([motion]),
+    }
+    return _write(out, names, made, body, about, overwrite=overwrite)
 
 
 def _humor(settings: GenerationSettings) -> Humor:
@@ -167,41 +191,47 @@ def _temperature(settings: GenerationSettings) -> float:
     return settings.temperature
 
 
-def _paths(out: Path, count: int, name: str) -> list[Path]:
-    """One file, or several in a folder."""
+def _names(out: Path, count: int, name: str) -> list[str]:
+    """Of one file, or of several in a folder."""
     if count < 1:
         raise ValueError(f"nothing to write: expected one motion or more, got {count}")
     if out.suffix != ".npz":
-        return [out / f"{name}_{k:03d}.npz" for k in range(count)]
+        return [f"{name}_{k:03d}.npz" for k in range(count)]
     if count > 1:
         raise ValueError(f"{out} is one file, but {count} motions were asked for; give a folder")
-    return [out]
+    return [out.name]
 
 
 def _write(
-    out: Path, paths: list[Path], made: Decoded, body: BodyModel, about: dict[str, Any]
+    out: Path,
+    names: list[str],
+    made: Decoded,
+    body: BodyModel,
+    about: dict[str, Any],
+    *,
+    overwrite: bool,
 ) -> dict[str, Any]:
+    """Write motions as OUT or into it, and the report."""
     joints = body.pose(made.motion).joints
     stays = stays_on_its_feet(joints, rest_heights(body, made.motion.shape), made.motion.fps)
-    paths[0].parent.mkdir(parents=True, exist_ok=True)
     contacts = made.contacts
     assert contacts is not None
-    for k, path in enumerate(paths):
-        save_motion(
-            path,
-            MotionFile(
-                made.motion[k],
-                body=body.name,
-                checksum=body.checksum,
-                joints=joints[k],
-                contacts=contacts[k],
-                ground=torch.tensor([0.0, 0.0, 1.0, 0.0]),
-            ),
-        )
+    one = out.suffix == ".npz"
+    paths = [out] if one else [out / name for name in names]
     files = {str(p): {"stays on its feet": bool(s)} for p, s in zip(paths, stays, strict=True)}
-    versions = {"recon": version("motion-recon"), "torch": torch.__version__}
-    report = {"files": files, **about, "versions": versions}
-    beside = out.with_name(out.name + ".json") if out.suffix == ".npz" else out / "report.json"
-    with replacing(beside) as scratch:
-        scratch.write_text(json.dumps(report, indent=1, default=str))
+    report = {"files": files, **about, "versions": versions()}
+    output = Output(out, Kind.FILE if one else Kind.FOLDER)
+    with writing(output, report=report, overwrite=overwrite) as (staged,):
+        for k, name in enumerate(names):
+            save_motion(
+                staged if one else staged / name,
+                MotionFile(
+                    made.motion[k],
+                    body=body.name,
+                    checksum=body.checksum,
+                    joints=joints[k],
+                    contacts=contacts[k],
+                    ground=torch.tensor([0.0, 0.0, 1.0, 0.0]),
+                ),
+            )
     return report

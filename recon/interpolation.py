@@ -1,9 +1,7 @@
 """What lies between two cycles of motion: codes and shapes mixed, decoded, and feet settled."""
 
 import math
-import platform
 from dataclasses import asdict, dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +18,7 @@ from recon.fit_files import write_result
 from recon.grounding import flies, grounded
 from recon.motion import Motion
 from recon.motion_files import load_motion_of
+from recon.reports import checksums, versions
 
 _RETURN = math.radians(10)
 """How near to its start the flexion of either hip comes back in a file that is one cycle."""
@@ -44,7 +43,7 @@ class InterpolationSettings:
 
 
 def interpolate_files(
-    a: Path, b: Path, out: Path, settings: InterpolationSettings
+    a: Path, b: Path, out: Path, settings: InterpolationSettings, *, overwrite: bool = False
 ) -> dict[str, Any]:
     """Write the cycle between the best cycles of two motion files; returns the report.
 
@@ -56,6 +55,7 @@ def interpolate_files(
         FileNotFoundError: when a file does not exist.
         ValueError: for a share outside 0 to 1, a motion that is damaged, on another body or
             without a cycle, and for motions whose cycles never stand on the same feet.
+        FileExistsError: when something is there that recon did not write, unless `overwrite`.
     """
     if not 0 <= settings.at <= 1:
         raise ValueError(f"--at lies between 0 (the first file) and 1, got {settings.at}")
@@ -97,13 +97,10 @@ def interpolate_files(
             "result": float(prior.anchors(mixed).duration[0]),
         },
         "settings": asdict(settings),
-        "versions": {
-            "recon": version("motion-recon"),
-            "torch": torch.__version__,
-            "python": platform.python_version(),
-        },
+        "inputs": checksums((a, b)),
+        "versions": versions(),
     }
-    write_result(out, motion[0], body, report)
+    write_result(out, motion[0], body, report, overwrite=overwrite)
     return report
 
 

@@ -1,20 +1,13 @@
-"""Files that are replaced in one step, their checksums, and what killed processes leave."""
+"""Files that are replaced in one step, and what killed processes leave of them."""
 
 import contextlib
 import glob
-import hashlib
 import os
 import platform
 import re
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
-
-
-def checksum(path: Path) -> str:
-    """SHA-256 of a file's contents, read in pieces so that its size does not matter."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 @contextlib.contextmanager

@@ -1,9 +1,7 @@
 """One person's motion as another body would do it: what `recon retarget` does to files."""
 
 import math
-import platform
 from dataclasses import asdict, dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +20,7 @@ from recon.motion import Motion
 from recon.motion_files import load_motion_of
 from recon.physics_metrics import physics_metrics
 from recon.physics_samples import NO_GROUND, PhysicsSamples, physics_samples
+from recon.reports import checksums, versions
 from recon.reshape import copied
 from recon.retargeting import OVERLAP, SHORTEST, WINDOW, retarget
 from recon.windows import Windows
@@ -48,7 +47,9 @@ class RetargetSettings:
     """Height of the ground in the motion, metres; None is what the file says, else 0."""
 
 
-def retarget_files(motion: Path, out: Path, settings: RetargetSettings) -> dict[str, Any]:
+def retarget_files(
+    motion: Path, out: Path, settings: RetargetSettings, *, overwrite: bool = False
+) -> dict[str, Any]:
     """Write a motion as the body asked for does it; returns the report, which is OUT.json too.
 
     The report has both bodies, warnings, by how much rotations changed, and the physics of the
@@ -61,6 +62,8 @@ def retarget_files(motion: Path, out: Path, settings: RetargetSettings) -> dict[
         ValueError: when the motion is damaged, too short or on another body, when nobody said
             where its ground is and it never comes near z = 0, and when the shape is not
             understood; nothing is written.
+        FileExistsError: when OUT or OUT.json is there and recon did not write it, unless
+            `overwrite`.
     """
     for name, value in (("--fps", settings.fps), ("--ground", settings.ground)):
         if value is not None and not math.isfinite(value):
@@ -84,11 +87,6 @@ def retarget_files(motion: Path, out: Path, settings: RetargetSettings) -> dict[
     made = _retargeted(source, shape, body, settings).detach()
     result = made if settings.fps is None else made.resample(settings.fps)
     windows = Windows.cover(source.frames, round(WINDOW * source.fps), round(OVERLAP * source.fps))
-    versions = {
-        "recon": version("motion-recon"),
-        "torch": torch.__version__,
-        "python": platform.python_version(),
-    }
     report = {
         "source": {"file": str(motion), **_measures(body, source.shape)},
         "target": {"asked": settings.shape, **_measures(body, shape)},
@@ -104,9 +102,10 @@ def retarget_files(motion: Path, out: Path, settings: RetargetSettings) -> dict[
         },
         "warnings": warnings,
         "settings": asdict(settings),
-        "versions": versions,
+        "inputs": checksums([motion]),
+        "versions": versions(),
     }
-    write_result(out, raised(result, ground), body, report, ground)
+    write_result(out, raised(result, ground), body, report, ground, overwrite=overwrite)
     return report
 
 

@@ -1,7 +1,7 @@
 """A motion file as sensors would have seen it, as observation files: what `simulate` does."""
 
 import math
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,8 +19,11 @@ from recon.formats.observation import (
     save_observation,
 )
 from recon.formats.scans import write_scans
+from recon.inputs import paths_in
 from recon.motion import Motion
 from recon.motion_files import load_motion_of
+from recon.outputs import Kind, Output
+from recon.reports import checksums, versions
 from recon.settings import (
     FILM_DEFAULTS,
     SURFACE_DEFAULTS,
@@ -35,6 +38,7 @@ from recon.simulate_scans import scan_points
 from recon.skeleton import JOINTS
 from recon.surface import KEYPOINTS_43, LANDMARKS_16
 from recon.surface_detail import clothed
+from recon.writing import writing
 
 _PRESETS = {"front": 0.0, "side": math.tau / 4}
 """Angle of a preset's first camera from where the body faces, radians."""
@@ -55,16 +59,19 @@ def simulate_file(
     unknown_ground: bool = False,
     film: FilmSettings = FILM_DEFAULTS,
     surface: SurfaceSettings = SURFACE_DEFAULTS,
+    overwrite: bool = False,
 ) -> tuple[Path, ...]:
     """Write what a sensor would have seen of a motion file; returns what was written.
 
     One camera writes OUT, several write OUT/CAMERA.npz; scans whose OUT does not end in .npz are a
-    folder of PLY files with times.csv.
+    folder of PLY files with times.csv. A report is beside every file, and in every folder.
 
     Raises:
         FileNotFoundError: when there is no such motion or calibration.
         ValueError: when one is damaged, the motion has fewer frames than asked for, or options
             contradict each other; nothing is written then.
+        FileExistsError: when a file to write is there and recon did not write it, unless
+            `overwrite`.
     """
     _check_apply(kind, film, surface, corruption)
     body = BodyModel.load()
@@ -74,6 +81,7 @@ def simulate_file(
             raise ValueError(f"{motion}: has {truth.frames} frames, asked for {frames}")
         truth = truth.window(*frames)
     truth = truth if fps is None else truth.resample(fps)
+    files: dict[str, ObservationFile]
     if kind in ("keypoints2d", "depth"):
         files = _filmed(
             truth, body, kind, corruption, seed, film, surface, unknown_ground=unknown_ground
@@ -82,24 +90,31 @@ def simulate_file(
         if unknown_ground:
             raise ValueError("scans stand in the world; --unknown-ground does not apply to them")
         seen = _dressed(body, surface)
-        file = scan_points(truth, seen, corruption, seed, points=surface.points)
-        if out.suffix != ".npz":
-            write_scans(out, file)
-            return (out,)
-        files = {"": file}
+        files = {"": scan_points(truth, seen, corruption, seed, points=surface.points)}
     else:
         known = not unknown_ground
         files = {"": _tracked(truth, body, kind, corruption, seed, surface, ground_known=known)}
-    if len(files) == 1:
-        paths = (out,)
-    elif out.suffix == ".npz":
+    if len(files) > 1 and out.suffix == ".npz":
         raise ValueError(f"{out} is one file, but there are {len(files)} cameras; give a folder")
-    else:
-        out.mkdir(parents=True, exist_ok=True)
-        paths = tuple(out / f"{name}.npz" for name in files)
-    for path, file in zip(paths, files.values(), strict=True):
-        save_observation(path, file)
-    return paths
+    report = {
+        "kind": kind,
+        "settings": {
+            **asdict(corruption), **asdict(film), **asdict(surface), "seed": seed, "fps": fps,
+            "frames": frames, "unknown_ground": unknown_ground,
+        },
+        "inputs": checksums([motion, *paths_in(film)]),
+        "versions": versions(),
+    }  # fmt: skip
+    scans = kind == "scans" and out.suffix != ".npz"
+    output = Output(out, Kind.FOLDER if scans or len(files) > 1 else Kind.FILE)
+    with writing(output, report=report, overwrite=overwrite) as (staged,):
+        for name, file in files.items():
+            if scans:
+                assert isinstance(file, PointsFile)
+                write_scans(staged, file)
+            else:
+                save_observation(staged / f"{name}.npz" if len(files) > 1 else staged, file)
+    return tuple(out / f"{name}.npz" for name in files) if len(files) > 1 else (out,)
 
 
 def _check_apply(

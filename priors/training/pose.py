@@ -28,7 +28,9 @@ class PoseTraining:
     corpus: Path
     """Folder of converted motions (`recon convert --all`)."""
     out: Path = Path("pose.safetensors")
-    """Weights to write; a log of the run is written beside them (.log)."""
+    """Weights to write."""
+    log: Path | None = None
+    """Log of the run to write; None is beside the weights, .log."""
     data: Licence = "open"
     """`open`: clips whose weights may be shipped; `nc`: the non-commercial ones too."""
     splits: Path = SPLITS
@@ -48,7 +50,7 @@ def train(settings: PoseTraining) -> Path:
         FileNotFoundError: when there is no corpus, splits file or folder for the output.
         ValueError: when no clip of the corpus may be learned from.
     """
-    with logged_to(settings.out.with_suffix(".log"), "w"):
+    with logged_to(settings.log or settings.out.with_suffix(".log"), "w"):
         return _train(settings)
 
 

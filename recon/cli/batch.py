@@ -1,19 +1,42 @@
 """`recon batch`: many clips at once."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 from tyro.conf import OmitArgPrefixes, Positional
 
 from recon.cli.errors import Failed
+from recon.cli.places import Arguments, Overwrite, Place, writes
+from recon.outputs import Kind, Output
 from recon.settings import DEFAULTS, FitSettings
 
 
+def _is_former(folder: Path) -> bool:
+    """Whether a folder has the log of a batch; one that was cut at once has no line yet."""
+    from recon.worklog import read_log
+
+    return any(log.stat().st_size == 0 or read_log(log) for log in folder.glob("log*.jsonl"))
+
+
+def _results(out: Path, _: Arguments) -> tuple[Output, ...]:
+    return (Output(out, Kind.CONTINUED, is_former=_is_former),)
+
+
+def _observations(given: Arguments) -> Iterator[Path]:
+    from recon.batch import read_manifest
+
+    for clip in read_manifest(given["manifest"]):
+        yield from clip.observations
+
+
+@writes(Place("out", _results), reads=_observations)
 def batch(
     manifest: Positional[Path],
     out: Path,
     settings: OmitArgPrefixes[FitSettings] = DEFAULTS,
     processes: int = 2,
     shard: str = "0/1",
+    overwrite: Overwrite = False,
 ) -> None:
     """Fit every clip of a manifest; run it again to go on where it stopped.
 
@@ -28,6 +51,7 @@ def batch(
         settings: how to fit.
         processes: clips at a time, one thread each.
         shard: I/N fits the I-th of N equal parts: one part per machine or job of a cluster.
+        overwrite: replace files that are there and recon did not write.
     """
     from rich.progress import Progress
 
@@ -44,7 +68,7 @@ def batch(
     counts: dict[str, int] = {}
     with Progress(console=console.stderr, transient=True) as bar:
         task = bar.add_task("clips", total=len(clips))
-        for record in fit_all(clips, out, settings, processes, log):
+        for record in fit_all(clips, out, settings, processes, log, overwrite=overwrite):
             counts[record["status"]] = counts.get(record["status"], 0) + 1
             if "error" in record:
                 console.say(f"{record['id']}: {record['status']}: {record['error']}")

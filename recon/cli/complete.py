@@ -7,16 +7,19 @@ from typing import Annotated
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from recon.cli.fit import fit_and_say
+from recon.cli.places import Overwrite, Place, writes
 from recon.settings import DEFAULTS, FitSettings
 
 _DEFAULTS = replace(DEFAULTS, prior="anchor")
 
 
+@writes(Place("out"))
 def complete(
     observations: Positional[tuple[Path, ...]],
     out: Path,
     settings: OmitArgPrefixes[FitSettings] = _DEFAULTS,
     json: Annotated[bool, arg(help="Print the report as JSON on stdout.")] = False,
+    overwrite: Overwrite = False,
 ) -> None:
     """Complete one cycle of gait (0.3 to 3 s) of which little was seen.
 
@@ -34,10 +37,11 @@ def complete(
         out: motion file to write.
         settings: how to fit.
         json: print the report as JSON on stdout.
+        overwrite: replace files that are there and recon did not write.
     """
     if settings.prior != "anchor":
         raise ValueError(
             f"`complete` is `fit` with the prior anchor; for {settings.prior}, run `recon fit "
             f"--prior {settings.prior}`"
         )
-    fit_and_say(observations, out, settings, json)
+    fit_and_say(observations, out, settings, json=json, overwrite=overwrite)

@@ -6,8 +6,29 @@ from typing import Annotated, Literal
 from tyro.conf import Positional, arg
 
 from recon.cli.errors import Failed
+from recon.cli.places import Arguments, Overwrite, Place, writes
+from recon.outputs import Kind, Output
 
 
+def _is_former(folder: Path) -> bool:
+    """Whether a folder has the report of a conversion: a list with a row for every clip."""
+    import json
+
+    try:
+        rows = json.loads((folder / "report.json").read_bytes())
+    except (OSError, ValueError, RecursionError):
+        return False
+    return isinstance(rows, list) and all(isinstance(row, dict) and "clip" in row for row in rows)
+
+
+def _motion_or_folder(out: Path, given: Arguments) -> tuple[Output, ...]:
+    if not given["everything"]:
+        return (Output(out),)
+    # what is written is no recording, so it may lie among them
+    return (Output(out, Kind.CONTINUED, inside_input=True, is_former=_is_former),)
+
+
+@writes(Place("out", _motion_or_folder))
 def convert(
     recording: Positional[Path],
     out: Positional[Path],
@@ -19,11 +40,14 @@ def convert(
     body: Path | None = None,
     processes: int = 2,
     json: Annotated[bool, arg(help="Print the report as JSON on stdout.")] = False,
+    overwrite: Overwrite = False,
 ) -> None:
     """Bring a recording (.bvh, .amc, .c3d, .trc, .mat, also .xz and FILE::MEMBER) onto the body.
 
     With --all, RECORDING is a folder and OUT another: every skeleton recording below it is
     converted in parallel, one shape per subject, with a report; run it again to continue.
+
+    Writes OUT (AMASS .npz with joints, contacts and ground) and OUT.json (what happened).
 
     Args:
         recording: file, or folder with --all.
@@ -36,6 +60,7 @@ def convert(
         body: a SMPL-family file of your own; default: the bundled body.
         processes: clips at a time with --all.
         json: print the report as JSON on stdout.
+        overwrite: replace files that are there and recon did not write.
     """
     from recon.cli import console
 
@@ -45,21 +70,16 @@ def convert(
         _convert_folder(recording, out, body, processes, json)
         return
 
-    from recon.body import BodyModel
-    from recon.ingest import convert as convert_one
+    from recon.convert_files import ConversionSettings, convert_file
 
-    model = BodyModel.load(body)
-    found = convert_one(str(recording), model, unit=unit, up=up, mapping=mapping, fps=fps)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    found.save(out, model)
-    for decision in found.decisions:
+    settings = ConversionSettings(unit, up, mapping, fps, body)
+    report = convert_file(recording, out, settings, overwrite=overwrite)
+    for decision in report["decisions"]:
         console.say(f"  {decision}")
-    rows = {key: {"value": value} for key, value in found.report.items()}
-    console.table(str(out), rows)
+    console.table(str(out), {k: {"value": v} for k, v in report["conversion"].items()})
     if json:
-        residuals = {name: round(value, 2) for name, value in found.residuals.items()}
-        decisions = list(found.decisions)
-        console.answer({**found.report, "decisions": decisions, "residuals_mm": residuals})
+        shown = {name: report[name] for name in ("decisions", "residuals_mm")}
+        console.answer({**report["conversion"], **shown})
 
 
 def _convert_folder(

@@ -2,8 +2,11 @@
 
 from pathlib import Path
 
+from recon.cli.places import Overwrite, Place, folder, writes
 
-def demo(out: Path = Path("demo")) -> None:
+
+@writes(Place("out", folder))
+def demo(out: Path = Path("demo"), overwrite: Overwrite = False) -> None:
     """Spoil a real recording in two ways and give it back.
 
     Writes demo.json (all metrics), demo.html and noisy.html (pages to play), demo.png and the
@@ -11,10 +14,11 @@ def demo(out: Path = Path("demo")) -> None:
 
     Args:
         out: folder to write into.
+        overwrite: replace files that are there and recon did not write.
     """
     from recon import demo as work
     from recon.cli import console
 
-    table = work.demo(out)
+    table = work.demo(out, overwrite=overwrite)
     console.table("mean errors of the reconstruction, centimetres", work.summary(table))
     console.say(f"open {out / 'demo.html'} in a browser; the picture is {out / 'demo.png'}")

@@ -5,13 +5,17 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
+from recon.cli.places import Overwrite, Place, its_own_report, writes
 
+
+@writes(Place("json", its_own_report))
 def evaluate(
     result: Positional[Path],
     truth: Positional[Path],
     obs: Path | None = None,
     body: Path | None = None,
     json: Annotated[Path | None, arg(help="File for the metrics.")] = None,
+    overwrite: Overwrite = False,
 ) -> None:
     """Every metric of a reconstruction, in SI units.
 
@@ -23,11 +27,12 @@ def evaluate(
         obs: the observation that was fitted, for errors of its own points.
         body: the SMPL-family file of both motions' body; default: the bundled body.
         json: file to write the metrics to.
+        overwrite: replace files that are there and recon did not write.
     """
     from recon.cli import console
     from recon.evaluate_files import evaluate_files
 
-    metrics = evaluate_files(result, truth, obs, json, body)
+    metrics = evaluate_files(result, truth, obs, json, body, overwrite=overwrite)
     console.table(f"{result} against {truth}", {k: {"value": v} for k, v in metrics.items()})
     if json is None:
         console.answer(metrics)

@@ -4,7 +4,10 @@ from pathlib import Path
 
 from tyro.conf import Positional
 
+from recon.cli.places import Overwrite, Place, folder, writes
 
+
+@writes(Place("glb"), Place("bvh"), Place("trc"), Place("ply", folder), Place("html"))
 def export(
     motion: Positional[Path],
     glb: Path | None = None,
@@ -13,6 +16,7 @@ def export(
     ply: Path | None = None,
     html: Path | None = None,
     body: Path | None = None,
+    overwrite: Overwrite = False,
 ) -> None:
     """Write a motion for Blender, game engines, biomechanics tools or mesh viewers.
 
@@ -24,13 +28,12 @@ def export(
         ply: folder for one mesh per frame.
         html: self-contained page, as `recon view` writes.
         body: the SMPL-family file of the motion's body; default: the bundled body.
+        overwrite: replace files that are there and recon did not write.
     """
     from recon.export import export_file
 
     if all(target is None for target in (glb, bvh, trc, ply, html)):
         raise ValueError("nothing to write: give --glb, --bvh, --trc, --html FILE or --ply FOLDER")
-    export_file(motion, glb=glb, bvh=bvh, trc=trc, ply=ply, body=body)
-    if html is not None:
-        from recon.view.files import view_files
-
-        view_files(motion, html=html, body=body)
+    export_file(
+        motion, glb=glb, bvh=bvh, trc=trc, ply=ply, html=html, body=body, overwrite=overwrite
+    )

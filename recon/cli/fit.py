@@ -6,14 +6,17 @@ from typing import Annotated
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from recon.cli.errors import Failed
+from recon.cli.places import Overwrite, Place, writes
 from recon.settings import DEFAULTS, FitSettings
 
 
+@writes(Place("out"))
 def fit(
     observations: Positional[tuple[Path, ...]],
     out: Path,
     settings: OmitArgPrefixes[FitSettings] = DEFAULTS,
     json: Annotated[bool, arg(help="Print the report as JSON on stdout.")] = False,
+    overwrite: Overwrite = False,
 ) -> None:
     """Reconstruct the motion behind what was recorded of one clip.
 
@@ -30,12 +33,18 @@ def fit(
         out: motion file to write.
         settings: how to fit.
         json: print the report as JSON on stdout.
+        overwrite: replace files that are there and recon did not write.
     """
-    fit_and_say(observations, out, settings, json)
+    fit_and_say(observations, out, settings, json=json, overwrite=overwrite)
 
 
 def fit_and_say(
-    observations: tuple[Path, ...], out: Path, settings: FitSettings, json: bool
+    observations: tuple[Path, ...],
+    out: Path,
+    settings: FitSettings,
+    *,
+    json: bool,
+    overwrite: bool,
 ) -> None:
     """Fit, and tell what a person at the terminal should know.
 
@@ -47,7 +56,7 @@ def fit_and_say(
     from recon.fit_files import fit_files
 
     with console.fitting({}) as watch:
-        report = fit_files(observations, out, settings, watch)
+        report = fit_files(observations, out, settings, watch, overwrite=overwrite)
     for line in report["read"]:
         console.note(line)
     for stage in report["stages"]:

@@ -5,7 +5,10 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
+from recon.cli.places import Overwrite, Place, writes
 
+
+@writes(Place("out"))
 def interpolate(
     a: Positional[Path],
     b: Positional[Path],
@@ -15,6 +18,7 @@ def interpolate(
     fps: float | None = None,
     body: Path | None = None,
     json: Annotated[bool, arg(help="Print the report as JSON on stdout.")] = False,
+    overwrite: Overwrite = False,
 ) -> None:
     """Make the cycle of gait that lies between those of two motions.
 
@@ -30,12 +34,13 @@ def interpolate(
         fps: of the result; default: the first file's.
         body: the SMPL-family file of both motions' body; default: the bundled body.
         json: print the report as JSON on stdout.
+        overwrite: replace files that are there and recon did not write.
     """
     from recon.cli import console
     from recon.interpolation import InterpolationSettings, interpolate_files
 
     settings = InterpolationSettings(at, weights, body, fps)
-    report = interpolate_files(a, b, out, settings)
+    report = interpolate_files(a, b, out, settings, overwrite=overwrite)
     console.table(f"{out}, {at:g} of the way", {"seconds": report["durations"]})
     if json:
         console.answer(report)

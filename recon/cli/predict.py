@@ -5,7 +5,10 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
+from recon.cli.places import Overwrite, Place, several_or_npz, writes
 
+
+@writes(Place("out", several_or_npz))
 def predict(
     motion: Positional[Path],
     out: Path,
@@ -18,6 +21,7 @@ def predict(
     device: Literal["cpu", "cuda"] = "cpu",
     temperature: float = 1.0,
     json: Annotated[bool, arg(help="Print the report as JSON on stdout.")] = False,
+    overwrite: Overwrite = False,
 ) -> None:
     """Go on from the last frame of a motion, in one way or in several.
 
@@ -35,12 +39,13 @@ def predict(
         device: where to compute.
         temperature: above 1 draws more varied motions, below 1 more usual ones.
         json: print the report as JSON on stdout.
+        overwrite: replace files that are there and recon did not write.
     """
     from recon.cli import console
     from recon.generate_files import GenerationSettings, predict_files
 
     settings = GenerationSettings(seconds, seed, weights, body, device, temperature)
-    report = predict_files(motion, out, samples, at, settings)
+    report = predict_files(motion, out, samples, at, settings, overwrite=overwrite)
     console.table(f"{motion}, {seconds:g} s more", report["files"])
     if json:
         console.answer(report)

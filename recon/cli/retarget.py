@@ -5,7 +5,10 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
+from recon.cli.places import Overwrite, Place, writes
 
+
+@writes(Place("out"))
 def retarget(
     motion: Positional[Path],
     out: Path,
@@ -15,6 +18,7 @@ def retarget(
     fps: float | None = None,
     ground: float | None = None,
     json: Annotated[bool, arg(help="Print the report as JSON on stdout.")] = False,
+    overwrite: Overwrite = False,
 ) -> None:
     """Show a motion as another body would do it.
 
@@ -35,12 +39,13 @@ def retarget(
         fps: of the result; default: the motion's rate.
         ground: height of the ground in the motion, metres; default: what the file says, else 0.
         json: print the report as JSON on stdout.
+        overwrite: replace files that are there and recon did not write.
     """
     from recon.cli import console
     from recon.retarget_files import RetargetSettings, retarget_files
 
     settings = RetargetSettings(shape, weights, body, fps, ground)
-    report = retarget_files(motion, out, settings)
+    report = retarget_files(motion, out, settings, overwrite=overwrite)
     bodies = {
         name: {
             "height, m": round(report[name]["height"], 3),

@@ -5,7 +5,10 @@ from typing import Annotated, Literal
 
 from tyro.conf import arg
 
+from recon.cli.places import Overwrite, Place, several_or_npz, writes
 
+
+@writes(Place("out", several_or_npz))
 def sample(
     out: Path,
     count: int = 1,
@@ -19,6 +22,7 @@ def sample(
     device: Literal["cpu", "cuda"] = "cpu",
     temperature: float = 1.0,
     json: Annotated[bool, arg(help="Print the report as JSON on stdout.")] = False,
+    overwrite: Overwrite = False,
 ) -> None:
     """Make up motions that a prior finds likely.
 
@@ -38,6 +42,7 @@ def sample(
         device: humor: where to compute.
         temperature: humor: above 1 draws more varied motions, below 1 more usual ones.
         json: print the report as JSON on stdout.
+        overwrite: replace files that are there and recon did not write.
     """
     from recon.cli import console
     from recon.generate_files import (
@@ -50,11 +55,11 @@ def sample(
     settings = GenerationSettings(seconds, seed, weights, body, device, temperature)
     if prior == "humos":
         whose = BodySettings(shape) if fps is None else BodySettings(shape, fps)
-        report = sample_of_body_files(out, count, settings, whose)
+        report = sample_of_body_files(out, count, settings, whose, overwrite=overwrite)
     else:
         if shape is not None or fps is not None:
             raise ValueError("--shape and --fps are of --prior humos")
-        report = sample_files(out, count, settings)
+        report = sample_files(out, count, settings, overwrite=overwrite)
     console.table(f"{count} motions of {seconds:g} s", report["files"])
     for warning in report.get("warnings", []):
         console.warn(warning)

@@ -4,6 +4,8 @@ from pathlib import Path
 
 from tyro.conf import OmitArgPrefixes, Positional
 
+from recon.cli.places import Arguments, Overwrite, Place, writes
+from recon.outputs import Kind, Output
 from recon.settings import (
     FILM_DEFAULTS,
     SURFACE_DEFAULTS,
@@ -13,6 +15,13 @@ from recon.settings import (
 )
 
 
+def _file_or_folder(out: Path, given: Arguments) -> tuple[Output, ...]:
+    """One file; a folder of scans or of several cameras, of which a calibration may tell."""
+    several = given["kind"] == "scans" or given["film"].views > 1 or out.is_dir()
+    return (Output(out, Kind.FOLDER if several and out.suffix != ".npz" else Kind.FILE),)
+
+
+@writes(Place("out", _file_or_folder))
 def simulate(
     motion: Positional[Path],
     out: Positional[Path],
@@ -30,6 +39,7 @@ def simulate(
     fps: float | None = None,
     unknown_ground: bool = False,
     seed: int = 0,
+    overwrite: Overwrite = False,
 ) -> None:
     """Make observation files from a motion.
 
@@ -56,6 +66,7 @@ def simulate(
         fps: rate of the sensor; default: that of the motion.
         unknown_ground: do not say that the ground is at z = 0, nor where the camera stands.
         seed: of everything random.
+        overwrite: replace files that are there and recon did not write.
     """
     from recon.cli import console
     from recon.simulate import Corruption
@@ -73,7 +84,7 @@ def simulate(
     )
     written = simulate_file(
         motion, out, kind, corruption, seed=seed, fps=fps, frames=_frames(frames),
-        unknown_ground=unknown_ground, film=film, surface=surface,
+        unknown_ground=unknown_ground, film=film, surface=surface, overwrite=overwrite,
     )  # fmt: skip
     console.say(", ".join(map(str, written)))
 

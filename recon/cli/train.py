@@ -1,12 +1,30 @@
 """`recon train`: learn a prior from a converted corpus."""
 
-from dataclasses import replace
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from tyro.conf import Positional
 
+from recon.cli.places import Arguments, Overwrite, Place, writes
+from recon.outputs import Kind, Output
 
+
+def _is_former(folder: Path) -> bool:
+    """Whether a folder has a checkpoint, or the log of a run that was cut before its first."""
+    return (folder / "checkpoint.pt").is_file() or (folder / "train.log").is_file()
+
+
+def _weights(out: Path, given: Arguments) -> tuple[Output, ...]:
+    """The weights, and the log or the folder of the run, which goes on where it was cut."""
+    if given["prior"] == "pose":
+        return Output(out), Output(out.with_suffix(".log"))
+    run = Output(out.with_suffix(""), Kind.CONTINUED, is_former=_is_former)
+    return Output(out), run
+
+
+@writes(Place("out", _weights))
 def train(
     prior: Positional[Literal["pose", "humor", "anchor", "humos"]],
     corpus: Positional[Path],
@@ -16,6 +34,7 @@ def train(
     latent: int | None = None,
     device: Literal["cpu", "cuda"] = "cpu",
     seed: int = 0,
+    overwrite: Overwrite = False,
 ) -> None:
     """Learn the weights of a prior.
 
@@ -37,48 +56,64 @@ def train(
             0.4 s).
         device: where to compute.
         seed: of everything random.
+        overwrite: replace files that are there and recon did not write.
     """
     from recon.cli import console
 
     asked = {"steps": steps, "latent": latent}
     asked = {name: value for name, value in asked.items() if value is not None}
+    if prior in ("anchor", "humos") and device != "cpu":
+        raise ValueError(f"{prior} is trained on the processor: give --device cpu")
+
+    from recon.reports import versions
+    from recon.writing import writing, writing_file
+
+    report = {"prior": prior, "corpus": str(corpus), "data": data, "seed": seed, **asked}
+    report["versions"] = versions()
     if prior == "pose":
         from priors.training.pose import PoseTraining
         from priors.training.pose import train as train_pose
 
-        train_pose(PoseTraining(corpus=corpus, out=out, data=data))
-    elif prior == "anchor":
-        from priors.training.anchor import train as train_anchor
-        from priors.training.anchor_export import export_weights as export_anchor
-        from priors.training.anchor_run import AnchorTraining
-
-        _processor_only(prior, device)
-        run = AnchorTraining(corpus=corpus, out=out.with_suffix(""), data=data, seed=seed)
-        run = replace(run, **asked)
-        train_anchor(run)
-        export_anchor(run, out)
-    elif prior == "humos":
-        from priors.training.humos import train as train_humos
-        from priors.training.humos_export import export_weights as export_humos
-        from priors.training.humos_run import HumosTraining
-
-        _processor_only(prior, device)
-        run = HumosTraining(corpus=corpus, out=out.with_suffix(""), data=data, seed=seed)
-        run = replace(run, **asked)
-        train_humos(run)
-        export_humos(run, out)
-    else:
-        from priors.training.humor import train as train_humor
-        from priors.training.humor_run import HumorTraining, export_weights
-
-        folder = out.with_suffix("")
-        ask = {"data": data, "steps": steps or 20_000, "device": device, "seed": seed}
-        run = HumorTraining(corpus=corpus, out=folder, **ask)
-        train_humor(run)
-        export_weights(run, out)
+        outputs = _weights(out, {"prior": prior})
+        with writing(*outputs, report=report, overwrite=overwrite) as (made, log):
+            train_pose(PoseTraining(corpus=corpus, out=made, log=log, data=data))
+        console.say(str(out))
+        return
+    ask = {"corpus": corpus, "out": out.with_suffix(""), "data": data, "seed": seed, **asked}
+    export = {"anchor": _anchor, "humos": _humos, "humor": _humor}[prior](ask, device)
+    with writing_file(out, report, overwrite=overwrite) as made:
+        export(made)
     console.say(str(out))
 
 
-def _processor_only(prior: str, device: str) -> None:
-    if device != "cpu":
-        raise ValueError(f"{prior} is trained on the processor: give --device cpu")
+Export = Callable[[Path], object]
+"""Writes the weights of a run that is done."""
+
+
+def _anchor(ask: dict[str, Any], _: str) -> Export:
+    from priors.training.anchor import train as train_anchor
+    from priors.training.anchor_export import export_weights
+    from priors.training.anchor_run import AnchorTraining
+
+    run = AnchorTraining(**ask)
+    train_anchor(run)
+    return partial(export_weights, run)
+
+
+def _humos(ask: dict[str, Any], _: str) -> Export:
+    from priors.training.humos import train as train_humos
+    from priors.training.humos_export import export_weights
+    from priors.training.humos_run import HumosTraining
+
+    run = HumosTraining(**ask)
+    train_humos(run)
+    return partial(export_weights, run)
+
+
+def _humor(ask: dict[str, Any], device: str) -> Export:
+    from priors.training.humor import train as train_humor
+    from priors.training.humor_run import HumorTraining, export_weights
+
+    run = HumorTraining(**{name: ask[name] for name in ask if name != "latent"}, device=device)
+    train_humor(run)
+    return partial(export_weights, run)

@@ -4,7 +4,10 @@ from pathlib import Path
 
 from tyro.conf import Positional
 
+from recon.cli.places import Overwrite, Place, writes
 
+
+@writes(Place("html"), Place("png"), Place("mp4"))
 def view(
     motion: Positional[Path],
     html: Path | None = None,
@@ -14,6 +17,7 @@ def view(
     compare: Path | None = None,
     beside: Path | None = None,
     body: Path | None = None,
+    overwrite: Overwrite = False,
 ) -> None:
     """Draw a motion as a page to play, a picture or a film.
 
@@ -31,11 +35,13 @@ def view(
         beside: a motion to play side by side with this one, for example the same motion on
             another body; both play from their first frames on.
         body: the SMPL-family file of the motions' body; default: the bundled body.
+        overwrite: replace files that are there and recon did not write.
     """
     from recon.view.files import view_files
 
     if html is None and png is None and mp4 is None:
         raise ValueError("nothing to draw: give --html FILE, --png FILE or --mp4 FILE")
     view_files(
-        motion, obs=obs, compare=compare, side=beside, html=html, png=png, mp4=mp4, body=body
-    )
+        motion, obs=obs, compare=compare, side=beside, html=html, png=png, mp4=mp4, body=body,
+        overwrite=overwrite,
+    )  # fmt: skip

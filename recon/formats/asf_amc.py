@@ -68,7 +68,7 @@ def read_amc(
         ValueError: when one of them is damaged, or they do not belong together.
     """
     data = read_bytes(path)
-    skeleton = _find_skeleton(path) if skeleton is None else skeleton
+    skeleton = find_skeleton(path) if skeleton is None else skeleton
     tree = _parse_asf(decode(read_bytes(skeleton, TABLE)), skeleton.name)
     motion, degrees = _parse_amc(decode(data), path.name)
     raw = _pose(tree, motion, degrees, path.name)
@@ -86,7 +86,12 @@ def read_amc(
     return settle_skeleton(recording, unit=unit, up=up, declared=tree.declared, usual_up="y")
 
 
-def _find_skeleton(path: Path) -> Path:
+def find_skeleton(path: Path) -> Path:
+    """The skeleton (.asf) of an .amc file, in the same folder.
+
+    Raises:
+        FileNotFoundError: when there is none.
+    """
     subject = path.name.split(".")[0].split("_")[0]
     found = sorted(
         p for p in path.parent.iterdir() if p.name.lower().endswith((".asf", ".asf.xz"))

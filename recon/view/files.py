@@ -10,10 +10,13 @@ from recon.ground import Ground
 from recon.identities import height, weight
 from recon.motion import Motion
 from recon.motion_files import load_motion_of
+from recon.outputs import Output
+from recon.reports import checksums, versions
 from recon.view.beside import beside, common
 from recon.view.colours import CORAL, GREY
 from recon.view.observed import observed
 from recon.view.scene import Figure, Show
+from recon.writing import writing
 
 
 def view_files(
@@ -26,6 +29,7 @@ def view_files(
     png: Path | None = None,
     mp4: Path | None = None,
     body: Path | None = None,
+    overwrite: bool = False,
 ) -> None:
     """Draw a motion, with what it was fitted to and another motion if given.
 
@@ -37,6 +41,32 @@ def view_files(
         FileNotFoundError: when a file does not exist.
         ValueError: when one is damaged or of another body, or the motions do not overlap in
             time.
+        FileExistsError: when a file to write is there and recon did not write it, unless
+            `overwrite`.
+    """
+    show = shown(motion, obs=obs, compare=compare, side=side, body=body)
+    every = ((html, draw_html), (png, _draw_png), (mp4, _draw_mp4))
+    asked = [(Output(path), draw) for path, draw in every if path is not None]
+    read = [path for path in (motion, *obs, compare, side, body) if path is not None]
+    report = {"inputs": checksums(read), "versions": versions()}
+    outputs = [output for output, _ in asked]
+    with writing(*outputs, report=report, overwrite=overwrite) as staged:
+        for path, (_, draw) in zip(staged, asked, strict=True):
+            draw(path, show)
+
+
+def shown(
+    motion: Path,
+    *,
+    obs: Sequence[Path] = (),
+    compare: Path | None = None,
+    side: Path | None = None,
+    body: Path | None = None,
+) -> Show:
+    """What `view_files` draws.
+
+    Raises:
+        FileNotFoundError, ValueError: as there.
     """
     model = BodyModel.load(body)
     file = load_motion_of(motion, model)
@@ -55,15 +85,7 @@ def view_files(
         figures.append(Figure(model, other, name, colour=GREY, opacity=0.45))
     seen = observed(obs, file, model)
     ground = None if file.ground is None else Ground.create(file.ground[:3], file.ground[3])
-    show = Show(motion.stem, tuple(figures), seen.points, seen.cloud, seen.cameras, ground)
-    if html is not None:
-        from recon.view.html import write_html
-
-        write_html(html, show)
-    if png is not None:
-        _draw_png(png, show)
-    if mp4 is not None:
-        _draw_mp4(mp4, show)
+    return Show(motion.stem, tuple(figures), seen.points, seen.cloud, seen.cameras, ground)
 
 
 def _another(path: Path, first: Path) -> str:
@@ -76,6 +98,13 @@ def _measured(figure: Figure) -> Figure:
     shape = figure.motion.shape
     tall, heavy = height(figure.body, shape), weight(figure.body, shape)
     return replace(figure, name=f"{figure.name}: {tall:.2f} m, {heavy:.0f} kg")
+
+
+def draw_html(path: Path, show: Show) -> None:
+    """Draw the page."""
+    from recon.view.html import write_html
+
+    write_html(path, show)
 
 
 def _draw_png(path: Path, show: Show) -> None:

@@ -57,7 +57,7 @@ def found(clip, tmp_path) -> tuple[Path, Path, torch.Tensor]:
 def test_a_true_motion_on_a_wrong_ground(clip, found, tmp_path):
     result, seen, camera = found
     metrics = evaluate_files(result, clip, seen, tmp_path / "m.json")
-    assert json.loads((tmp_path / "m.json").read_text()) == metrics
+    assert metrics.items() <= json.loads((tmp_path / "m.json").read_text()).items()
     for name in ("joints_all", "joints_hidden", "joints_visible", "vertices"):
         assert metrics[name] == pytest.approx(0.0, abs=1e-4)  # metres
     assert metrics["ground_normal"] == pytest.approx(TILT, abs=1e-4)

@@ -62,7 +62,7 @@ def test_a_simulated_observation_is_fitted_written_and_evaluated(kind, truth, tm
     metrics = evaluate_files(out, truth, seen, tmp_path / "m.json")
     assert metrics["observed_visible"] is not None
     assert metrics["observed_visible"] < 0.04  # metres
-    assert json.loads((tmp_path / "m.json").read_text()) == metrics
+    assert metrics.items() <= json.loads((tmp_path / "m.json").read_text()).items()
 
 
 def test_two_observations_of_a_clip_add_up(truth, tmp_path):
@@ -136,6 +136,7 @@ def test_the_stated_remedies_work(truth, tmp_path):
     seen = observation(truth, tmp_path, noise=0.005)
     spoil("millimetres", seen, np.random.default_rng(0))
     fit_files([seen], tmp_path / "a.npz", FitSettings(prior="pose", unit="mm"))
+    seen.unlink()
     seen = observation(truth, tmp_path, noise=0.005)
     spoil("y up", seen, np.random.default_rng(0))
     with pytest.raises(ValueError, match="--up y"):

@@ -56,7 +56,7 @@ def test_samples_are_motion_files(weights: Path, tmp_path: Path, capsys) -> None
     report = json.loads(capsys.readouterr().out)
     files = [load_motion(path) for path in sorted(folder.glob("*.npz"))]
     assert [Path(path).name for path in report["files"]] == ["sample_000.npz", "sample_001.npz"]
-    assert report == json.loads((folder / "report.json").read_text())
+    assert report.items() <= json.loads((folder / "report.json").read_text()).items()
     assert report["settings"]["seed"] == 0
     body = BodyModel.load()
     for file in files:

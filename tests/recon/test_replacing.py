@@ -1,6 +1,5 @@
 """Files are replaced in one step; nothing is left of runs that were killed."""
 
-import hashlib
 import os
 import subprocess
 import sys
@@ -9,7 +8,7 @@ import numpy as np
 import pytest
 
 from recon.formats.files import save_arrays
-from recon.replacing import checksum, clear_leftovers, part_of, replacing
+from recon.replacing import clear_leftovers, part_of, replacing
 
 
 @pytest.fixture(scope="module")
@@ -18,11 +17,6 @@ def dead() -> int:
     with subprocess.Popen([sys.executable, "-c", ""]) as process:
         process.wait()
     return process.pid
-
-
-def test_a_checksum_is_sha256_of_the_contents(tmp_path):
-    (tmp_path / "file").write_bytes(b"recon" * 1_000_000)
-    assert checksum(tmp_path / "file") == hashlib.sha256(b"recon" * 1_000_000).hexdigest()
 
 
 def test_a_write_that_fails_leaves_the_old_file_and_nothing_else(tmp_path):

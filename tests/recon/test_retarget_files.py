@@ -52,7 +52,7 @@ def test_another_body_does_the_same(tmp_path: Path, capsys) -> None:
     assert recon_(*ask) == cli.OK
     shown = capsys.readouterr()
     report = json.loads(shown.out)
-    assert report == json.loads(out.with_name("b.npz.json").read_text())
+    assert report.items() <= json.loads(out.with_name("b.npz.json").read_text()).items()
     assert report["target"]["height"] == pytest.approx(1.8, abs=1e-3)
     assert report["target"]["weight"] == pytest.approx(75, abs=0.1)
     assert report["rotation_change"] < 1e-3

@@ -1,0 +1,96 @@
+"""What a verb writes, declared beside it, and checked before anything else happens.
+
+Every path among a verb's arguments that is not declared as written is something that it reads.
+"""
+
+import functools
+import inspect
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, ParamSpec, TypeVar
+
+from tyro.conf import arg
+
+from recon.inputs import paths_in
+from recon.outputs import Kind, Output, check_outputs
+
+Overwrite = Annotated[bool, arg(help="Replace files that are there and recon did not write.")]
+"""The option of every verb that writes."""
+Arguments = Mapping[str, Any]
+"""A verb's arguments by name."""
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def a_file(path: Path, _: Arguments) -> tuple[Output, ...]:
+    """A file with its report beside it."""
+    return (Output(path),)
+
+
+def its_own_report(path: Path, _: Arguments) -> tuple[Output, ...]:
+    """A JSON file that is its own report."""
+    return (Output(path, Kind.REPORT),)
+
+
+def folder(path: Path, _: Arguments) -> tuple[Output, ...]:
+    """A folder that is written whole."""
+    return (Output(path, Kind.FOLDER),)
+
+
+def several_or_npz(path: Path, _: Arguments) -> tuple[Output, ...]:
+    """One motion file where its name ends in .npz, else a folder of them."""
+    return (Output(path, Kind.FILE if path.suffix == ".npz" else Kind.FOLDER),)
+
+
+@dataclass(frozen=True)
+class Place:
+    """An argument that names something a verb writes."""
+
+    parameter: str
+    outputs: Callable[[Path, Arguments], tuple[Output, ...]] = a_file
+    """What is written, by the argument and all the others; default: a file and its report."""
+
+
+def _nothing_else(_: Arguments) -> Iterable[Path]:
+    return ()
+
+
+def writes(
+    *places: Place, reads: Callable[[Arguments], Iterable[Path]] = _nothing_else
+) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Declare what a verb writes; it then begins with a check of all of it.
+
+    Args:
+        places: every argument that names an output. The verb has an argument `overwrite` besides.
+        reads: paths that the verb reads beside those among its arguments.
+    """
+
+    def declare(verb: Callable[P, R]) -> Callable[P, R]:
+        signature = inspect.signature(verb)
+        written = {place.parameter for place in places}
+
+        @functools.wraps(verb)
+        def checked(*args: P.args, **kwargs: P.kwargs) -> R:
+            bound = signature.bind(*args, **kwargs)
+            bound.apply_defaults()
+            given = bound.arguments
+            others = tuple(value for name, value in given.items() if name not in written)
+            named = [place for place in places if given[place.parameter] is not None]
+            outputs = [
+                one for place in named for one in place.outputs(given[place.parameter], given)
+            ]
+            check_outputs(
+                outputs, (*paths_in(others), *reads(given)), overwrite=given["overwrite"]
+            )
+            return verb(*args, **kwargs)
+
+        vars(checked)["writes"] = places
+        return checked
+
+    return declare
+
+
+def declared(verb: Callable[..., Any]) -> tuple[Place, ...]:
+    """What a verb was declared to write; nothing for one that only reads."""
+    return vars(verb).get("writes", ())
