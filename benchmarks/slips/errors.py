@@ -1,28 +1,36 @@
 """How wrong a fit is, by what a slip spoils."""
 
+import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
-from benchmarks.slips.kinds import Measure
+from benchmarks.slips.kinds import Measure, Slip
 from benchmarks.slips.recordings import Recording
 from recon import metrics
 from recon.clip import ClipFit
 from recon.motion import Motion
-from recon.skeleton import MIRROR, joint_index
+from recon.skeleton import JOINTS, MIRROR, joint_index
 
 Joints = Float[Tensor, "time 22 3"]
+Counted = Bool[Tensor, "time 22"]
+"""Joints and frames whose errors count."""
+_MOST = 0.5
 
 
 def error(
-    found: ClipFit, recording: Recording, measure: Measure, joints: tuple[str, ...], clip: int = 0
+    found: ClipFit,
+    recording: Recording,
+    measure: Measure,
+    counted: Counted,
+    clip: int = 0,
 ) -> float:
     """Of one clip of a fit: metres, or for speeds the factor by which they are wrong."""
-    return motion_error(_in_true_world(found, recording, clip), recording, measure, joints)
+    return motion_error(_in_true_world(found, recording, clip), recording, measure, counted)
 
 
 def motion_error(
-    motion: Motion, recording: Recording, measure: Measure, joints: tuple[str, ...] = ()
+    motion: Motion, recording: Recording, measure: Measure, counted: Counted
 ) -> float:
     """The same of a motion in the true world, one clip without batch axis."""
     own, true = (recording.body.pose(m).joints for m in (motion, recording.truth))
@@ -31,13 +39,36 @@ def motion_error(
         return max(ratio, 1 / ratio)
     own = recording.body.pose(_at_moments_of(motion, recording.truth)).joints
     if measure == "posture":
-        return min(_posture_error(own, true), _posture_error(own, mirror_image(true)))
+        alike = [_posture_errors(own, image) for image in (true, mirror_image(true))]
+        return min(errors[counted].mean().item() for errors in alike)
     if measure == "pelvis":
         own, true = metrics.root_aligned(own), metrics.root_aligned(true)
     elif measure == "path":
         own, true = own - own[:1, :1], true - true[:1, :1]
-    chosen = [joint_index(name) for name in joints] or list(range(22))
-    return metrics.point_errors(own, true)[:, chosen].mean().item()
+    return metrics.point_errors(own, true)[counted].mean().item()
+
+
+def spoiled_samples(slip: Slip, frames: int) -> Counted:
+    """The joints that a slip spoils, in all frames."""
+    chosen = torch.zeros(frames, len(JOINTS), dtype=torch.bool)
+    chosen[:, [joint_index(name) for name in slip.joints or JOINTS]] = True
+    return chosen
+
+
+def claimed_samples(slip: Slip, observed: Bool[np.ndarray, "time 22"], frames: int) -> Counted:
+    """Those samples that the fit does not declare to be inferred.
+
+    Where it declares most of what the slip spoils to be inferred, the rest of the body is judged,
+    and the whole body where it declares most of that.
+    """
+    spoiled = spoiled_samples(slip, frames)
+    if observed.shape != spoiled.shape:
+        return spoiled
+    seen = torch.from_numpy(observed)
+    for chosen in (spoiled, torch.ones_like(spoiled)):
+        if (chosen & seen).sum() >= _MOST * chosen.sum():
+            return chosen & seen
+    return torch.ones_like(spoiled)
 
 
 def mirror_image(joints: Joints) -> Joints:
@@ -55,17 +86,18 @@ def rigidly_aligned(points: Joints, target: Joints) -> Joints:
     return (points - middle) @ turn.mT + goal
 
 
-def _posture_error(own: Joints, true: Joints) -> float:
-    return metrics.point_errors(rigidly_aligned(own, true), true).mean().item()
+def _posture_errors(own: Joints, true: Joints) -> Float[Tensor, "time 22"]:
+    return metrics.point_errors(rigidly_aligned(own, true), true)
 
 
 def _in_true_world(found: ClipFit, recording: Recording, clip: int) -> Motion:
     """One clip's motion, brought from the world that was found to the true one.
 
-    Where the ground is known both are the same; where it is not, the recording's frame tells.
+    Points in space have their z axis up: of the world only the height of the ground is found,
+    which is the true ground's. With cameras, the first camera's pose tells.
     """
     motion = found.result.clip(clip).detach().to(device="cpu")
-    if found.ground_known:
+    if found.ground_known or len(recording.cameras) == 0:
         return motion
     T = recording.T_world_recording @ torch.linalg.inv(found.T_world_recording[clip].float())
     return motion.carried(T, recording.body.rest_joints(motion.shape)[0])

@@ -163,7 +163,7 @@ def main() -> None:
     parts: tuple[Part, ...] = ("test", "validation")
     for part in parts:
         windows = windows_of(arguments.corpus, part, body)
-        real = evenly(recorded_windows(arguments.observations, part, body), REAL[part])
+        real = some_of(recorded_windows(arguments.observations, part, body), REAL[part])
         chosen = (*simulated_windows(windows.names, SIMULATED[part]), *real)
         rows[part] = [
             {key: value for key, value in vars(window).items() if value not in ("", 0.0)}
@@ -213,7 +213,7 @@ def recorded_windows(observations: Path, part: Part, body: BodyModel) -> list[Go
     return found
 
 
-def evenly(windows: Sequence[GoodWindow], count: int) -> list[GoodWindow]:
+def some_of(windows: Sequence[GoodWindow], count: int) -> list[GoodWindow]:
     """So many windows of a list."""
     step = max(len(windows) / count, 1.0)
     return [windows[int(k * step)] for k in range(min(count, len(windows)))]

@@ -131,16 +131,14 @@ def _somebody_else(windows: Windows, number: int) -> int:
     return next(o for o in others if windows.subjects[o] != windows.subjects[number])
 
 
-def windows_of(corpus: Path, part: Part, body: BodyModel, clips: int | None = None) -> Windows:
-    """The listed windows of a part, evenly so many of them.
-
-    A corpus that was converted in part gives those of its clips that are listed.
-    """
+def windows_of(corpus: Path, part: Part, body: BodyModel) -> Windows:
+    """The listed windows of a part; of a corpus that is not complete, those of its clips."""
     splits, files = Splits.load(), clip_files(corpus)
     listed = tuple(row for row in splits.windows[part][FRAMES] if row[0] in files)
-    there = replace(splits, windows={part: {FRAMES: listed}})
-    windows = load_windows(corpus, there, part, body)
+    return load_windows(corpus, replace(splits, windows={part: {FRAMES: listed}}), part, body)
+
+
+def evenly(windows: Windows, clips: int) -> list[int]:
+    """Numbers of so many windows, evenly from the list; all when there are no more."""
     count = len(windows.names)
-    if clips is None or clips >= count:
-        return windows
-    return windows.take(np.linspace(0, count - 1, clips).round().astype(int).tolist())
+    return np.linspace(0, count - 1, min(clips, count)).round().astype(int).tolist()

@@ -19,9 +19,9 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.results import corpus_source, write
-from benchmarks.slips.errors import error
+from benchmarks.slips.errors import error, spoiled_samples
 from benchmarks.slips.kinds import SLIPS, Slip
-from benchmarks.slips.recordings import SENSORS, Recording, recording_of, windows_of
+from benchmarks.slips.recordings import SENSORS, Recording, evenly, recording_of, windows_of
 from observations.first_guess import Seen
 from recon.body import BodyModel
 from recon.clip import ClipFit, fit_clip
@@ -75,13 +75,13 @@ def main() -> None:
     parser.add_argument("--json", type=Path, default=SIZES)
     arguments = parser.parse_args()
     body, settings = BodyModel.load(), FitSettings(prior=arguments.prior)
-    windows = windows_of(arguments.corpus, "validation", body, arguments.clips)
+    windows = windows_of(arguments.corpus, "validation", body)
+    clips = evenly(windows, arguments.clips)
     rows = _earlier(arguments.json) if arguments.only else {}
     for sensor in SENSORS:
         slips = [s for s in SLIPS if s.sensor == sensor and arguments.only in s.key]
         if len(slips) == 0:
             continue
-        clips = range(len(windows.names))
         recordings = [recording_of(windows, k, sensor, body) for k in clips]
         clean = fitted([r.clean for r in recordings], settings, body)
         for slip in slips:
@@ -91,8 +91,9 @@ def main() -> None:
             print(f"{slip.key:48s} {found.size:6g} {slip.unit:9s} {_shown(found)}  "
                   f"{time.process_time() - began:.0f} CPU s", flush=True)  # fmt: skip
             ordered = [rows[s.key] for s in SLIPS if s.key in rows]
+            names = [windows.names[k] for k in clips]
             write(arguments.json, 0, corpus_source(arguments.corpus, windows.files),
-                  windows=windows.names, prior=arguments.prior, sizes=ordered)  # fmt: skip
+                  windows=names, prior=arguments.prior, sizes=ordered)  # fmt: skip
 
 
 def sized(
@@ -152,7 +153,7 @@ def _earlier(path: Path) -> dict[str, dict[str, Any]]:
 
 def _errors(found: ClipFit, recordings: Sequence[Recording], slip: Slip) -> tuple[float, ...]:
     return tuple(
-        error(found, recording, slip.measure, slip.joints, clip)
+        error(found, recording, slip.measure, spoiled_samples(slip, recording.truth.frames), clip)
         for clip, recording in enumerate(recordings)
     )
 

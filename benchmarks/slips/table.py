@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from benchmarks.slips.errors import error
+from benchmarks.slips.errors import claimed_samples, error
 from benchmarks.slips.good import GoodWindow, GoodWindows, alarms
 from benchmarks.slips.kinds import Slip
 from benchmarks.slips.recordings import SENSORS, Recording, recording_of
@@ -36,6 +36,7 @@ class Judged:
 
 def judged(
     windows: Windows,
+    clips: Sequence[int],
     slips: Sequence[Slip],
     sizes: dict[str, float],
     settings: FitSettings,
@@ -43,13 +44,12 @@ def judged(
     *,
     unrepaired: bool,
 ) -> Iterator[Judged]:
-    """Every slip on all windows, as it is done."""
+    """Every slip on some of the windows, as it is done."""
     for sensor in SENSORS:
         own = [slip for slip in slips if slip.sensor == sensor]
         if len(own) == 0:
             continue
-        count = range(len(windows.names))
-        recordings = [recording_of(windows, k, sensor, body) for k in count]
+        recordings = [recording_of(windows, k, sensor, body) for k in clips]
         clean = [fit_clip(r.clean, settings, body) for r in recordings]
         for slip in own:
             began, size = time.process_time(), sizes[slip.key]
@@ -69,16 +69,20 @@ def slipped(
     unrepaired: bool,
 ) -> Verdict:
     """One slip on one clip."""
-    seen = slip.spoil(recording, size)
+    seen, frames = slip.spoil(recording, size), recording.truth.frames
     found = fit_examined(seen, recording.names, settings, recording.body)
+    claimed = claimed_samples(slip, found.observed, frames)
 
     def wrong(fit: ClipFit) -> float:
-        return error(fit, recording, slip.measure, slip.joints)
+        return error(fit, recording, slip.measure, claimed)
 
-    as_it_is = wrong(fit_clip(seen, settings, recording.body)) if unrepaired else None
     return verdict_of(
-        slip, recording.name, wrong(clean), as_it_is, wrong(found.fit), found.repairs,
-        found.warnings,
+        slip, recording.name,
+        clean=wrong(clean),
+        unrepaired=wrong(fit_clip(seen, settings, recording.body)) if unrepaired else None,
+        error=wrong(found.fit),
+        repairs=found.repairs,
+        warnings=found.warnings,
     )  # fmt: skip
 
 

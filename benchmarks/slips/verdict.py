@@ -18,11 +18,11 @@ class Verdict:
 
     clip: str
     clean: float
-    """Error of the clip without the slip, in the slip's measure."""
+    """Error of the clip without the slip, in the slip's measure, over the samples of `error`."""
     unrepaired: float | None
     """Error of a fit to the slipped data as they are; None where it was not made."""
     error: float
-    """Error of the examined fit."""
+    """Error of the examined fit, where it does not declare joints to be inferred."""
     repairs: tuple[str, ...]
     """Codes."""
     warnings: tuple[str, ...]
@@ -51,6 +51,7 @@ class Verdict:
 def verdict_of(
     slip: Slip,
     clip: str,
+    *,
     clean: float,
     unrepaired: float | None,
     error: float,

@@ -2,12 +2,19 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 
 from benchmarks.results import demo_clip
 from benchmarks.slips import mistakes, points, views
-from benchmarks.slips.errors import mirror_image, motion_error, rigidly_aligned
+from benchmarks.slips.errors import (
+    claimed_samples,
+    mirror_image,
+    motion_error,
+    rigidly_aligned,
+    spoiled_samples,
+)
 from benchmarks.slips.good import GoodWindow, alarms, listed
 from benchmarks.slips.kinds import SLIPS, Slip
 from benchmarks.slips.recordings import CLEAN, Recording, Sensor, cameras_of, observed
@@ -17,6 +24,7 @@ from observations.first_guess import Seen
 from observations.keypoints2d import Keypoints2D
 from recon.body import BodyModel
 from recon.findings import Finding
+from recon.skeleton import JOINTS
 
 FRAMES = 30
 BODY = BodyModel.load()
@@ -160,14 +168,27 @@ def test_a_turned_camera_stays_in_its_place() -> None:
 def test_errors_are_those_of_what_is_spoiled() -> None:
     recording = RECORDED["joints3d"]
     truth = recording.truth
+    every = torch.ones(FRAMES, 22, dtype=torch.bool)
     lifted = truth.replace(translation=truth.translation + torch.tensor([0.0, 0.0, 0.3]))
-    assert motion_error(lifted, recording, "world") == pytest.approx(0.3, abs=1e-4)
-    assert motion_error(lifted, recording, "pelvis") == pytest.approx(0.0, abs=1e-5)
-    assert motion_error(lifted, recording, "path") == pytest.approx(0.0, abs=1e-5)
-    assert motion_error(lifted, recording, "posture") == pytest.approx(0.0, abs=1e-3)
+    assert motion_error(lifted, recording, "world", every) == pytest.approx(0.3, abs=1e-4)
+    assert motion_error(lifted, recording, "pelvis", every) == pytest.approx(0.0, abs=1e-5)
+    assert motion_error(lifted, recording, "path", every) == pytest.approx(0.0, abs=1e-5)
+    assert motion_error(lifted, recording, "posture", every) == pytest.approx(0.0, abs=1e-3)
     fast = replace(truth, fps=2 * truth.fps)
-    assert motion_error(fast, recording, "speed") == pytest.approx(2.0, abs=1e-3)
-    assert motion_error(truth, recording, "world", ("left_wrist",)) == pytest.approx(0, abs=1e-5)
+    assert motion_error(fast, recording, "speed", every) == pytest.approx(2.0, abs=1e-3)
+    assert motion_error(truth, recording, "world", every) == pytest.approx(0, abs=1e-5)
+
+
+def test_joints_that_are_declared_inferred_are_not_judged_unless_most_are() -> None:
+    slip = next(s for s in SLIPS if s.joints == ("left_wrist",))
+    observed = np.ones((FRAMES, 22), dtype=bool)
+    wrist = spoiled_samples(slip, FRAMES)
+    assert wrist.sum() == FRAMES
+    assert torch.equal(claimed_samples(slip, observed, FRAMES), wrist)
+    observed[5:, JOINTS.index("left_wrist")] = False
+    rest = claimed_samples(slip, observed, FRAMES)
+    assert torch.equal(rest, torch.from_numpy(observed))
+    assert claimed_samples(slip, np.zeros((FRAMES, 22), dtype=bool), FRAMES).all()
 
 
 def test_a_mirror_image_is_no_rotation_but_a_rotation_is_aligned() -> None:
@@ -188,15 +209,25 @@ def test_a_size_spoils_when_it_doubles_the_error_or_adds_five_centimetres() -> N
 def test_verdicts() -> None:
     slip = SLIPS[0]
     right, wrong, unseen = (Finding(c, "") for c in ("sides exchanged", "rate", "unseen"))
-    silent = verdict_of(slip, "a", 0.01, None, 0.05, (), ())
+    silent = verdict_of(
+        slip, "a", clean=0.01, unrepaired=None, error=0.05, repairs=(), warnings=()
+    )  # fmt: skip
     assert (silent.caught, silent.named, silent.judged) == (False, False, True)
-    warned = verdict_of(slip, "a", 0.01, None, 0.05, (), (wrong, right))
+    warned = verdict_of(
+        slip, "a", clean=0.01, unrepaired=None, error=0.05, repairs=(), warnings=(wrong, right)
+    )  # fmt: skip
     assert (warned.caught, warned.named, warned.first) == (True, True, False)
-    repaired = verdict_of(slip, "a", 0.01, None, 0.0115, (unseen, right), ())
+    repaired = verdict_of(
+        slip, "a", clean=0.01, unrepaired=None, error=0.0115, repairs=(unseen, right), warnings=()
+    )  # fmt: skip
     assert (repaired.caught, repaired.named, repaired.first) == (True, True, True)
-    in_vain = verdict_of(slip, "a", 0.01, None, 0.05, (right,), ())
+    in_vain = verdict_of(
+        slip, "a", clean=0.01, unrepaired=None, error=0.05, repairs=(right,), warnings=()
+    )  # fmt: skip
     assert (in_vain.caught, in_vain.named) == (False, True)
-    harmless = verdict_of(slip, "a", 0.01, None, 0.01, (), ())
+    harmless = verdict_of(
+        slip, "a", clean=0.01, unrepaired=None, error=0.01, repairs=(), warnings=()
+    )  # fmt: skip
     assert (harmless.caught, harmless.judged) == (True, False)
 
 
