@@ -68,7 +68,10 @@ def camera_above(ground: tuple[float, float, float, float]) -> Float[np.ndarray,
 
 
 def undistorted(file: KeypointsFile) -> Float[np.ndarray, "time points 2"]:
-    """Pixels of the same camera with a perfect lens."""
+    """Pixels of the same camera with a perfect lens.
+
+    Exact zeros stay: nothing is ever seen just there, and diagnosis looks for them.
+    """
     camera = file.camera
     if camera.distortion is None:
         return file.pixels
@@ -76,7 +79,8 @@ def undistorted(file: KeypointsFile) -> Float[np.ndarray, "time points 2"]:
     straight = cv2.undistortPoints(
         flat, camera.camera_matrix, camera.distortion, P=camera.camera_matrix
     )
-    return straight.reshape(file.pixels.shape)
+    written = (file.pixels == 0).all(-1, keepdims=True)
+    return np.where(written, 0.0, straight.reshape(file.pixels.shape))
 
 
 def pinhole(
