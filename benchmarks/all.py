@@ -48,6 +48,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "complete_published": ("complete", "CORPUS", "--method", "published", "--each", "3",
                            *_COLUMNS),
     "complete_frames": ("complete", "CORPUS", "--method", "frames", "--like", _LIKE, *_COLUMNS),
+    "complete_smooth": ("complete", "CORPUS", "--method", "smooth", "--like", _LIKE, *_COLUMNS),
     "complete_pose": ("complete", "CORPUS", "--method", "pose", "--like", _LIKE, *_COLUMNS),
     "complete_collocation": ("complete", "CORPUS", "--method", "humor", "--weights", "open",
                              "--like", _LIKE, *_COLUMNS),

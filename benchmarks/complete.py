@@ -5,8 +5,8 @@ python -m benchmarks.complete CORPUS --weights nc --json benchmarks/results/comp
 Columns are those of Marsot et al., table 1: p points a frame, or f of 100 frames with all points;
 each with the 16 landmarks (+lm) and without. Test cycles, each of a body and in clothes of its
 own (benchmarks/scans.py). The row of the truth is the bare body in its true motion. `frames` fits
-every frame for itself, `pose` is the pose prior with its smoothness, `humor` the default of
-`recon fit`.
+every frame for itself, `smooth` is the same pose prior with its smoothness; `pose` and `humor` are
+what `recon fit` does with these priors, whose noise it tells from the data.
 """
 
 import json
@@ -103,10 +103,12 @@ def completed(weights: str, body: BodyModel, kind: type[AnchorFit] = AnchorFit) 
     return run
 
 
-def frame_by_frame(body: BodyModel) -> Fitter:
-    """The density of single poses, which knows nothing of motion."""
-    tuned = PoseWeights.for_noise(NAMED_NOISE)
-    prior = PosePrior.load(weights=replace(tuned, velocity=0.0, acceleration=0.0))
+def frame_by_frame(body: BodyModel, *, smooth: bool) -> Fitter:
+    """The density of single poses, which knows no motion, with its smoothness or without."""
+    weights = PoseWeights.for_noise(NAMED_NOISE)
+    if not smooth:
+        weights = replace(weights, velocity=0.0, acceleration=0.0)
+    prior = PosePrior.load(weights=weights)
 
     def run(observations: list[Points]) -> list[Motion]:
         start = (observations[-1]).start(body)
@@ -222,7 +224,8 @@ def _main() -> None:
     fitter = {
         "complete": lambda: completed(given.weights, body),
         "published": lambda: completed(given.weights, body, PublishedAnchorFit),
-        "frames": lambda: frame_by_frame(body),
+        "frames": lambda: frame_by_frame(body, smooth=False),
+        "smooth": lambda: frame_by_frame(body, smooth=True),
         "pose": lambda: fitted(FitSettings(prior="pose"), body),
         "humor": lambda: fitted(FitSettings(prior="humor", weights=given.weights), body),
     }[given.method]()

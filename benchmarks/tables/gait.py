@@ -173,7 +173,8 @@ def completion_beside() -> str:
         "a cycle as one code": ("complete_nc",),
         "as published": ("complete_published",),
         "single poses, no smoothness": ("complete_frames",),
-        "pose prior and smoothness": ("complete_pose",),
+        "pose prior and its smoothness": ("complete_smooth",),
+        "`recon fit --prior pose`": ("complete_pose",),
         "collocation": ("complete_collocation",),
     }
     columns = ("p=0", "p=50+lm", "f=5+lm", "p=50")
