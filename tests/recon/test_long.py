@@ -197,7 +197,7 @@ def test_a_window_that_fails_is_named_and_the_others_go_on(toy_body):
     wild = observation.positions.clone()
     wild[:, 3:6] = 1e200  # its square overflows
     result = fit_long(
-        [observation.replace(positions=wild)], Rigid(), toy_body, window=2.0, overlap=0.5
+        [observation.derived(positions=wild)], Rigid(), toy_body, window=2.0, overlap=0.5
     )
     assert result.failed_windows == (0,)
     assert result.failed == (True,)
