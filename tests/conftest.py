@@ -12,8 +12,20 @@ import numpy as np  # noqa: E402
 import torch  # noqa: E402
 
 from recon.body import BodyModel  # noqa: E402
+from tests import perturbed  # noqa: E402
 
 GOLDEN = Path(__file__).parent / "golden"
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--ulps", type=int, default=0, help="units in the last place that inputs are moved by"
+    )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    if (ulps := config.getoption("--ulps")) > 0:
+        perturbed.install(ulps)
 
 
 @pytest.fixture(autouse=True)

@@ -20,6 +20,8 @@ from recon.skeleton import joint_index
 from tests import laws
 from tests.conftest import GOLDEN
 
+pytestmark = pytest.mark.numerics
+
 
 @pytest.fixture(scope="module")
 def golden():

@@ -1,5 +1,6 @@
 """Where a fit begins: the observations that tell most decide."""
 
+import pytest
 import torch
 
 from observations import Joints3D
@@ -7,6 +8,8 @@ from observations.first_guess import first_guess
 from observations.weighing import noise_of, pixel_size, weights_of
 from recon.simulate import Corruption, joints3d
 from tests.filmed import NOISE, bundled, cameras, joint_error, view, walk
+
+pytestmark = pytest.mark.numerics
 
 
 def views(count: int, **settings):

@@ -11,6 +11,8 @@ from recon import rotations as so3
 from recon.motion import Motion
 from tests.filmed import bundled, cameras, turned, view, walk
 
+pytestmark = pytest.mark.numerics
+
 
 def facing(motion: Motion) -> torch.Tensor:
     """Direction of the body's front over the ground, radians."""

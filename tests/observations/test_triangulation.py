@@ -6,6 +6,8 @@ import torch
 from observations.triangulation import triangulate, views_start
 from tests.filmed import bundled, cameras, joint_error, view, walk
 
+pytestmark = pytest.mark.numerics
+
 
 def three(noise=0.0):
     truth = walk(8)

@@ -12,6 +12,8 @@ from recon.motion import pad
 from recon.protocols import Prior
 from tests.priors.tiny_anchor import LATENT, tiny_prior, tiny_weights, walks
 
+pytestmark = pytest.mark.numerics
+
 BODY = BodyModel.load()
 PRIOR = tiny_prior(BODY)
 

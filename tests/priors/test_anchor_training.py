@@ -23,6 +23,8 @@ from recon.spread import spread_vertices
 from tests.priors.test_humor_training import SPLITS
 from tests.walking import a_walk
 
+pytestmark = pytest.mark.numerics
+
 BODY = BodyModel.load()
 
 

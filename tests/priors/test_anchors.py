@@ -9,6 +9,8 @@ from recon.body import BodyModel
 from tests.laws import a_motion
 from tests.walking import a_walk
 
+pytestmark = pytest.mark.numerics
+
 BODY = BodyModel.load()
 DOUBLE = BODY.to(dtype=torch.float64)
 

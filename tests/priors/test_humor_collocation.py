@@ -18,6 +18,8 @@ from recon.terms import Term
 from tests.priors.test_humor import humor, motions
 from tests.priors.test_pose import swinging
 
+pytestmark = pytest.mark.numerics
+
 
 def collocated(body: BodyModel) -> CollocatedHumor:
     return CollocatedHumor(humor(body), PosePrior.load())

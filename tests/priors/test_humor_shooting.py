@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import pytest
 import torch
 
 from observations.joints3d import Joints3D
@@ -14,6 +15,8 @@ from recon.scene import Scene
 from recon.stages import evaluate_stage, run_stage
 from recon.terms import Term
 from tests.priors.test_humor import humor, motions
+
+pytestmark = pytest.mark.numerics
 
 
 def zero(estimate: Estimate) -> torch.Tensor:

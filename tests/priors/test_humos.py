@@ -22,6 +22,8 @@ from tests import laws
 from tests.priors.tiny_humos import tiny_prior, tiny_weights
 from tests.walking import a_walk
 
+pytestmark = pytest.mark.numerics
+
 BODY = BodyModel.load()
 KINDS = [WindowNetworks, ClipNetworks]
 

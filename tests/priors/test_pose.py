@@ -20,6 +20,8 @@ from recon.protocols import Prior
 from recon.reconstruction import Method, fit
 from tests.laws import check_heading_invariance, check_prior
 
+pytestmark = pytest.mark.numerics
+
 
 def swinging(frames: int, seed: int, fps: float = 30.0) -> Motion:
     """A made-up clip: every joint swings slowly about an angle of its own."""

@@ -18,6 +18,8 @@ from recon.struct import concatenate
 from recon.upright import sole_heights
 from tests.filmed import bundled, cameras, joint_error, turned, view, walk
 
+pytestmark = pytest.mark.numerics
+
 POSE = FitSettings(prior="pose")
 HUMOR = FitSettings(prior="humor")
 

@@ -28,6 +28,8 @@ from recon.surface import LANDMARKS_16
 from recon.terms import Term
 from tests.walk_prior import one_cycle, tiny_weights
 
+pytestmark = pytest.mark.numerics
+
 
 @pytest.fixture(scope="module")
 def settings(tmp_path_factory) -> FitSettings:

@@ -1,11 +1,14 @@
 """The compact inverse Hessian is the dense BFGS update, element by element."""
 
+import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
 from recon.curvature import Curvature
+
+pytestmark = pytest.mark.numerics
 
 
 @settings(derandomize=True, deadline=None, max_examples=25)

@@ -10,6 +10,8 @@ from recon.cycles import find_cycles, hip_flexion, warp
 from recon.skeleton import MIRROR
 from tests.walking import a_walk
 
+pytestmark = pytest.mark.numerics
+
 BODY = BodyModel.load()
 
 

@@ -17,6 +17,8 @@ from recon.ground import (
     world_from_camera,
 )
 
+pytestmark = pytest.mark.numerics
+
 GOLDEN = Path(__file__).parents[1] / "golden" / "floor.npz"
 
 

@@ -11,6 +11,8 @@ from recon.formats.amass import MotionFile, save_motion
 from recon.identities import doubts, height, identity, weight
 from tests.walking import a_walk
 
+pytestmark = pytest.mark.numerics
+
 BODY = BodyModel.load()
 
 

@@ -21,6 +21,8 @@ from recon.motion import Motion
 from recon.skeleton import joint_index
 from tests.priors.tiny_anchor import tiny_prior
 
+pytestmark = pytest.mark.numerics
+
 
 @pytest.fixture(scope="module")
 def body():

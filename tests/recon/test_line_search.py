@@ -7,6 +7,8 @@ from hypothesis import strategies as st
 
 from recon.line_search import LineSearches, Wolfe
 
+pytestmark = pytest.mark.numerics
+
 
 @settings(derandomize=True, deadline=None, max_examples=50)
 @given(

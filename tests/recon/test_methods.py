@@ -15,6 +15,8 @@ from recon.terms import Term
 from tests.filmed import bundled
 from tests.recon.standing_body import path, standing, times
 
+pytestmark = pytest.mark.numerics
+
 
 def data() -> tuple[Term, ...]:
     return (Term("data", lambda estimate: estimate.motion.translation.sum((-1, -2)), 1.0),)

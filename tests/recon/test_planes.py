@@ -7,6 +7,8 @@ import pytest
 
 from recon.planes import above, find_ground, largest_cluster
 
+pytestmark = pytest.mark.numerics
+
 UP = np.array([0.0, 0.0, 1.0])
 
 

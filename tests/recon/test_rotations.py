@@ -12,6 +12,8 @@ from hypothesis.extra.numpy import arrays
 from recon import rotations as so3
 from tests.conftest import GOLDEN
 
+pytestmark = pytest.mark.numerics
+
 vectors = arrays(np.float64, (4, 3), elements=st.floats(-1.8, 1.8)).map(torch.from_numpy)
 fast = settings(derandomize=True, deadline=None, max_examples=60)
 

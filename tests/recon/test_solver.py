@@ -14,6 +14,8 @@ from torch import Tensor
 
 from recon.solver import LBFGS, Progress, Solution, Termination
 
+pytestmark = pytest.mark.numerics
+
 
 def _benchmark():
     path = Path(__file__).parents[2] / "benchmarks" / "solver.py"

@@ -16,6 +16,8 @@ from recon.struct import concatenate
 from recon.terms import Term
 from tests import laws
 
+pytestmark = pytest.mark.numerics
+
 
 @dataclass
 class Free:

@@ -11,6 +11,8 @@ from recon.motion import Motion
 from recon.upright import ground_below, mean_up, pelvis_path, sole_heights, upright_ground
 from tests.filmed import bundled, turned, walk
 
+pytestmark = pytest.mark.numerics
+
 UP = torch.tensor([0.0, 0.0, 1.0])
 
 
