@@ -32,7 +32,7 @@ def moved_tensor(values: torch.Tensor, ulps: int, random: np.random.Generator) -
 
 
 def install(ulps: int) -> None:
-    """From now on bodies, weights and arrays of files are moved; to be called before tests load."""
+    """From now on bodies, weights and arrays of files are moved; called before tests load."""
     from priors import checkpoints
     from recon.formats import files
 
