@@ -1,5 +1,6 @@
 # make demo: reconstruct the bundled noisy clip.   make test: lint, types, tests.
 # make test-slow: the tests marked slow, run before a release.
+# make mutants: small faults in some modules, and which of them their tests notice.
 # make tables: the tables of README.md and docs/ from benchmarks/results.
 # make bench: those result files themselves (needs RECON_DATA; many hours).
 PYTHON ?= python3
@@ -9,7 +10,7 @@ OUT ?= out
 # On the kernels of other processors, from inputs off by a few units in the last place.
 NUMERICS = $(BIN)/pytest -q -n 2 --dist loadfile -m 'numerics and not slow' --ulps 4
 
-.PHONY: demo test test-slow tables bench clean
+.PHONY: demo test test-slow mutants tables bench clean
 
 demo: .venv/installed
 	$(BIN)/recon demo --out demo
@@ -25,6 +26,9 @@ test: .venv/developed
 
 test-slow: .venv/developed
 	$(BIN)/pytest -q -n 2 --dist loadfile -m slow
+
+mutants: .venv/developed
+	$(BIN)/python -m benchmarks.mutants --out benchmarks/results/mutants.json
 
 tables: .venv/developed
 	$(BIN)/python -m benchmarks.tables

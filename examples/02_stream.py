@@ -48,9 +48,8 @@ def main() -> None:
     torch.set_num_threads(1)
     prior, last = PosePrior.load(), None
     for number, chunk in enumerate(sensor()):
-        visible = torch.from_numpy(np.isfinite(chunk).all(-1))[None]
-        positions = torch.from_numpy(np.nan_to_num(chunk)).float()[None]
-        observation = Joints3D(positions, visible, tuple(range(22)), FPS)
+        visible = np.isfinite(chunk).all(-1)
+        observation = Joints3D(chunk[None], visible[None], tuple(range(22)), FPS)
         start = None if last is None else hold(last, len(chunk))
         result = recon.fit([observation], prior, start=start)
         last = result.motion.detach()

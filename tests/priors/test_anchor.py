@@ -57,7 +57,8 @@ def test_directions_without_variance_are_not_blown_up(residue, tmp_path):
     spread = CodeSpread(torch.zeros(LATENT), torch.eye(LATENT), torch.zeros(2, LATENT))
     path = tmp_path / "anchor.safetensors"
     save_weights(path, AnchorWeights(networks, spread, Alignment.YAW), {})
-    assert torch.equal(load_weights(path).networks.to_code, networks.to_code.detach().half())
+    there = load_weights(path).networks.to_code
+    assert torch.allclose(there, networks.to_code.detach(), rtol=1e-2)  # of float16
 
 
 def test_directions_with_variance_have_unit_variance():
