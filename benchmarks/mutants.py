@@ -21,16 +21,17 @@ from pathlib import Path
 from benchmarks.mutation import Mutant, mutant, places
 
 MODULES = {
-    "recon/solver.py": ("tests/recon/test_solver.py",),
-    "recon/line_search.py": ("tests/recon/test_line_search.py", "tests/recon/test_solver.py"),
-    "recon/camera.py": ("tests/recon/test_camera.py",),
     "recon/robust.py": ("tests/recon/test_robust.py",),
     "recon/scene.py": ("tests/recon/test_scene.py",),
+    "recon/camera.py": ("tests/recon/test_camera.py", "tests/observations/test_checks.py"),
     "recon/formats/c3d.py": ("tests/recon/test_formats_markers.py",),
     "recon/formats/observation.py": (
         "tests/recon/test_formats_npz.py", "tests/recon/test_formats_keypoints.py",
+        "tests/recon/test_limits.py",
     ),
     "recon/ingest/markers.py": ("tests/recon/test_ingest.py",),
+    "recon/line_search.py": ("tests/recon/test_line_search.py", "tests/recon/test_solver.py"),
+    "recon/solver.py": ("tests/recon/test_solver.py",),
 }  # fmt: skip
 """Modules and the tests that answer for them."""
 _LIBRARIES = (

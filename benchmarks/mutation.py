@@ -37,7 +37,7 @@ class Mutant:
 def places(source: str) -> list[tuple[int, str]]:
     """Where a fault can be made, and by which operator, in the order of the source.
 
-    Docstrings, annotations, imports and what a `raise` says are left as they are.
+    Docstrings, annotations, decorators, imports and what a `raise` says are left as they are.
     """
     return [
         (number, name)
@@ -84,6 +84,9 @@ def _places(tree: ast.AST) -> Iterator[ast.expr | ast.stmt]:
             yield from _places(ast.Module(child.body, []))
             continue
         if isinstance(child, ast.arg):
+            continue
+        if isinstance(child, ast.ClassDef):  # without its decorators
+            yield from _places(ast.Module(child.body, []))
             continue
         if isinstance(child, ast.expr | ast.stmt):
             yield child

@@ -272,8 +272,9 @@ def test_mistakes_are_named() -> None:
         LBFGS()(lambda x, _: rosenbrock(x).sum(-1), starts(2))
     with pytest.raises(ValueError, match="without detaching"):
         LBFGS()(lambda x, _: rosenbrock(x.detach()), starts(2))
-    with pytest.raises(ValueError, match="c1 < c2"):
-        LBFGS(c1=0.9, c2=0.1)
+    for c1, c2 in ((0.9, 0.1), (0.0, 0.9), (0.1, 1.0), (0.5, 0.5)):
+        with pytest.raises(ValueError, match="c1 < c2"):
+            LBFGS(c1=c1, c2=c2)
     with pytest.raises(ValueError, match="history must be at least 1"):
         LBFGS(history=0)
 
