@@ -10,7 +10,6 @@ is touched.
 
 import argparse
 import importlib.machinery
-import json
 import os
 import random
 import signal
@@ -55,11 +54,13 @@ def main() -> None:
     rows = [_judge(path, options.each, options.seed) for path in options.only]
     total = sum(row["mutants"] for row in rows)
     killed = sum(row["killed"] for row in rows)
-    report = {
-        "each": options.each, "seed": options.seed, "modules": rows,
-        "mutants": total, "killed": killed, "share": round(killed / total, 3),
-    }  # fmt: skip
-    options.out.write_text(json.dumps(report, indent=1, ensure_ascii=False) + "\n")
+    # only now, as it imports the modules that were tested
+    from benchmarks.results import write
+
+    write(
+        options.out, options.seed, each=options.each, modules=rows,
+        mutants=total, killed=killed, share=round(killed / total, 3),
+    )  # fmt: skip
     print(f"{killed} of {total} killed ({killed / total:.0%})")
 
 

@@ -11,7 +11,8 @@ def test_numbers_move_by_units_in_the_last_place_and_no_more():
     away = moved(values, 4, np.random.default_rng(0))
     assert away.dtype == np.float32
     assert np.abs(away - values).max() > 0
-    assert (np.abs(away - values) <= 5 * np.spacing(np.abs(values))).all()
+    # eps is one unit of numbers just above a power of two, and two of those just below
+    assert (np.abs(away - values) <= 9 * np.spacing(np.abs(values))).all()
     assert (away[0] == 0).all()
     whole = np.arange(5)
     assert moved(whole, 4, np.random.default_rng(0)) is whole
