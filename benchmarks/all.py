@@ -41,6 +41,8 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "depth": ("cameras", "CORPUS", "--only", "8", "--cases", "depth", "2D of the sensor",
               "2D + depth"),
     "pose2sim": ("pose2sim", "OBSERVATIONS"),
+    "slip_sizes": ("slips.sizes", "CORPUS"),
+    "slips": ("slips", "CORPUS", "--good", "300", "--observations", "OBSERVATIONS"),
     "nearest": ("nearest",),
     "cycles": ("cycles", "CORPUS"),
     "complete_open": ("complete", "CORPUS", "--weights", "open", "--each", "3"),
