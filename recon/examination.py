@@ -29,6 +29,10 @@ from recon.stages import Watch
 from recon.treadmill import with_belt
 
 
+_NO_SPEED = frozenset({"identity change", "frame order"})
+"""Findings after which the speed of the motion says nothing about its rate."""
+
+
 @dataclass(frozen=True)
 class Examined:
     """A fit, and what is known about the data and the result."""
@@ -129,7 +133,9 @@ def examine(found: ClipFit, names: Sequence[str], screened: ScreenedClip) -> Exa
     views = [seen for seen in found.observations if isinstance(seen, Keypoints2D)]
     observed = observed_joints(found.observations, here)
     motion = found.result.clip(0).detach().to(device="cpu")
-    rate = rate_finding(motion, body, torch.from_numpy(observed[: motion.frames]))
+    broken = any(finding.code in _NO_SPEED for finding in screened.warnings)
+    seen = torch.from_numpy(observed[: motion.frames])
+    rate = None if broken else rate_finding(motion, body, seen)
     after = [
         *agreement_warnings(summaries, found.observations, here),
         *body_warnings(found),

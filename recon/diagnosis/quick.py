@@ -26,6 +26,8 @@ SIGMA = 0.15
 points by, and less than the distance of two points that are confused."""
 _EXCERPT = 6.0
 """Seconds of a recording that are enough to tell which of two versions is a body."""
+_SHAPE = 1e-4
+"""Weight of the shape: unlike in a fit, an odd body must not explain a misplaced point away."""
 _ITERATIONS = (12, 40)
 """Of the two stages at most."""
 
@@ -74,7 +76,8 @@ class _Quick:
     def stages(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
         """Root, then poses."""
         noise = estimate_noise(self.points.positions, self.points.visible)
-        prior = PosePrior.load(weights=PoseWeights.for_noise(noise))
+        weights = replace(PoseWeights.for_noise(noise), shape=_SHAPE)
+        prior = PosePrior.load(weights=weights)
         return tuple(
             replace(stage, minimiser=LBFGS(max_iterations=most, tolerance_decrease=1e-3))
             for stage, most in zip(prior.stages(data), _ITERATIONS, strict=True)

@@ -12,9 +12,11 @@ from recon.body import BodyModel
 from recon.diagnosis.belt import belt_velocity
 from recon.diagnosis.cleaning import plausible
 from recon.diagnosis.exact import repaired_exact
+from recon.diagnosis.exchanged import exchanged_moments, exchanged_throughout
 from recon.diagnosis.named_points import NamedPoints, Points
-from recon.diagnosis.outlying import Predicted, exchanged_points, misplaced_points, outliers
+from recon.diagnosis.outlying import misplaced_points, outliers
 from recon.diagnosis.placement import floor_finding, floor_height, scale_findings
+from recon.diagnosis.predicted import Predicted
 from recon.diagnosis.quick import QuickFit, quick_fits
 from recon.diagnosis.sides import find_exchanges
 from recon.diagnosis.tracks import frame_order, identity_changes, temporal_noise
@@ -68,7 +70,9 @@ def screen_points(points: Points, body: BodyModel) -> Screened:
     named = plausible(exact)
     exchanges = find_exchanges(named)
     steady = named.permuted(named.counterparts, exchanges)
-    state = state.warned(*identity_changes(steady), *scale_findings(steady))
+    state = state.warned(*scale_findings(steady))
+    if jumps := identity_changes(steady):  # no one body explains the points before and after
+        return state.warned(*jumps)
     state, fitted = _sides(state, exchanges, body)
     state, fitted = _exchanged(state, fitted, body)
     return _against_a_body(state, fitted, body)
@@ -123,25 +127,48 @@ def _throughout(fits: Sequence[QuickFit]) -> Finding:
 
 
 def _exchanged(state: Screened, fitted: QuickFit, body: BodyModel) -> tuple[Screened, QuickFit]:
-    """Two points that carry each other's name throughout."""
+    """Two points that carry each other's name, throughout or in a stretch."""
     named = NamedPoints.of(state.points, body)
-    for a, b in exchanged_points(Predicted.of(named, fitted.points, fitted.estimate)):
-        order = list(range(len(named.names)))
-        order[a], order[b] = b, a
-        moments = np.ones(len(named.visible), dtype=bool)
-        other = named.permuted(tuple(order), moments)
+    everywhere = np.ones(len(named.visible), dtype=bool)
+    if (pair := exchanged_throughout(named)) is not None:
+        other = _swapped(named, pair, everywhere)
         (better,) = quick_fits([_cleaned(other, state.points)], body)
-        if better.cost > _CLEARLY_BETTER * fitted.cost:
-            continue
-        names = (named.names[a], named.names[b])
-        said = Finding(
-            "points exchanged",
-            f"{listed(names)} lie in each other's place; their names were exchanged",
-            names,
-            value=better.cost / fitted.cost,
-        )
-        state, fitted, named = state.after(other.into(state.points), said), better, other
+        if better.cost < _CLEARLY_BETTER * fitted.cost:
+            said = _exchange_finding(named, pair, everywhere)
+            state, fitted, named = state.after(other.into(state.points), said), better, other
+    predicted = Predicted.of(named, fitted.points, fitted.estimate)
+    noise = temporal_noise(NamedPoints.of(fitted.points, body))
+    pairs = exchanged_moments(predicted, noise)
+    for pair, moments in pairs:
+        said = _exchange_finding(named, pair, moments)
+        named = _swapped(named, pair, moments)
+        state = state.after(named.into(state.points), said)
+    if pairs:
+        (fitted,) = quick_fits([_cleaned(named, state.points)], body)
     return state, fitted
+
+
+def _swapped(
+    named: NamedPoints, pair: tuple[int, int], moments: Bool[np.ndarray, " moments"]
+) -> NamedPoints:
+    order = list(range(len(named.names)))
+    order[pair[0]], order[pair[1]] = pair[1], pair[0]
+    return named.permuted(tuple(order), moments)
+
+
+def _exchange_finding(
+    named: NamedPoints, pair: tuple[int, int], moments: Bool[np.ndarray, " moments"]
+) -> Finding:
+    names = (named.names[pair[0]], named.names[pair[1]])
+    frames = () if moments.all() else stretches(moments)
+    when = f" ({spans(frames)})" if frames else ""
+    return Finding(
+        "points exchanged",
+        f"{listed(names)} lie in each other's place{when}; their names were exchanged",
+        names,
+        frames,
+        float(moments.mean()),
+    )
 
 
 def _against_a_body(state: Screened, fitted: QuickFit, body: BodyModel) -> Screened:
@@ -149,9 +176,10 @@ def _against_a_body(state: Screened, fitted: QuickFit, body: BodyModel) -> Scree
     named = NamedPoints.of(state.points, body)
     noise = temporal_noise(NamedPoints.of(fitted.points, body))
     predicted = Predicted.of(named, fitted.points, fitted.estimate)
-    kept, misplaced = misplaced_points(predicted)
+    kept, misplaced = misplaced_points(predicted, noise)
     kept, wild = outliers(replace(predicted, points=kept), noise)
-    state = state.after(kept.into(state.points), *misplaced)
+    # what is left out throughout is inferred, which a user should know
+    state = state.after(kept.into(state.points), *misplaced).warned(*misplaced)
     if wild is not None:
         state = state.after(_robust(state.points, noise), wild)
     if state.points.ground_known:

@@ -24,6 +24,8 @@ _GROWTH = 1.5
 _JUMP = 0.12
 """Metres beyond its neighbours' steps by which the middle of all points may step between two
 moments of one recording."""
+_DISORDERLY = 3
+"""Jumps from which on frames are out of order rather than somebody else's."""
 _JUMP_SPEED = 4.0
 """Metres per second that a jump must amount to: a change of speed by this much within a frame is
 more than ten times gravity."""
@@ -79,16 +81,27 @@ def identity_changes(points: NamedPoints) -> list[Finding]:
     jumps = _jumps(points)
     if not jumps.any():
         return []
-    step = _middle_step(points)[0]
-    most = float(step[jumps].max())
+    frames, most = stretches(jumps), float(_middle_step(points)[0][jumps].max())
+    if jumps.sum() >= _DISORDERLY:
+        return [
+            Finding(
+                "frame order",
+                f"all points jump together by up to {most:.2f} m and back, again and again "
+                f"({spans(frames)}): the frames there do not seem to be in the order of time; "
+                "sort them by their time stamps",
+                (),
+                frames,
+                most,
+            )
+        ]
     return [
         Finding(
             "identity change",
-            f"all points jump together by up to {most:.2f} m in one frame "
-            f"({spans(stretches(jumps))}): probably another person was tracked from there on; cut "
-            "the recording there (--between) or correct the identities",
+            f"all points jump together by up to {most:.2f} m in one frame ({spans(frames)}): "
+            "probably another person was tracked from there on; cut the recording there "
+            "(--between) or correct the identities",
             (),
-            stretches(jumps),
+            frames,
             most,
         )
     ]
