@@ -20,6 +20,7 @@ from recon.diagnosis.pace import rate_finding
 from recon.diagnosis.screening import screen_points
 from recon.diagnosis.seen_joints import observed_joints, unseen_findings
 from recon.diagnosis.summaries import ResidualSummary, summarise
+from recon.diagnosis.views import screen_views
 from recon.findings import Finding
 from recon.motion import Motion
 from recon.plausibility import body_warnings, mirror_warnings
@@ -27,7 +28,6 @@ from recon.protocols import Estimate
 from recon.settings import FitSettings
 from recon.stages import Watch
 from recon.treadmill import with_belt
-
 
 _NO_SPEED = frozenset({"identity change", "frame order"})
 """Findings after which the speed of the motion says nothing about its rate."""
@@ -102,19 +102,20 @@ def screen(
     """Check all sensors of a clip before the fit; without `settings.repair` nothing is done."""
     if not settings.repair:
         return ScreenedClip(tuple(observations))
-    kept: list[Seen] = []
-    repairs: list[Finding] = []
-    warnings: list[Finding] = []
+    kept = list(observations)
+    rows = [k for k, one in enumerate(observations) if isinstance(one, Keypoints2D)]
+    views = [one for one in observations if isinstance(one, Keypoints2D)]
+    checked, repairs, warnings = screen_views(views, [names[k] for k in rows], body)
+    for row, view in zip(rows, checked, strict=True):
+        kept[row] = view
     belts: list[Float[Tensor, " 2"]] = []
-    for name, one in zip(names, observations, strict=True):
-        if not isinstance(one, Joints3D | Markers3D):
-            kept.append(one)
-            continue
-        found = screen_points(one, body)
-        kept.append(found.points)
-        repairs += [_of(name, finding) for finding in found.repairs]
-        warnings += [_of(name, finding) for finding in found.warnings]
-        belts += [] if found.belt is None else [found.belt]
+    for row, one in enumerate(observations):
+        if isinstance(one, Joints3D | Markers3D):
+            found = screen_points(one, body)
+            kept[row] = found.points
+            repairs += [_of(names[row], finding) for finding in found.repairs]
+            warnings += [_of(names[row], finding) for finding in found.warnings]
+            belts += [] if found.belt is None else [found.belt]
     clip = ScreenedClip(tuple(kept), tuple(repairs), tuple(warnings))
     points = [one for one in kept if isinstance(one, Joints3D | Markers3D)]
     if not belts or len(points) < len(kept) or settings.prior == "anchor":
