@@ -207,8 +207,8 @@ every_tenth = ["dataset-*"]
 non_commercial = ["dataset-*"]
 [excluded]
 clips = ["08_02"]
-[windows]
-test = [["07_01", 0.5]]
+[windows.test]
+60 = [["07_01", 0.5]]
 """
 
 
@@ -230,7 +230,7 @@ def test_splits_go_by_clip_names(splits: Splits, tmp_path: Path) -> None:
     assert {n for n, p in parts.items() if p == "validation"} == {
         "06_03", "dataset-1_bow_active_000", "dataset-1_bow_active_010"
     }  # fmt: skip
-    assert splits.windows["test"] == (("07_01", 0.5),)
+    assert splits.windows["test"] == {60: (("07_01", 0.5),)}
     assert splits.is_open("08_01")
     assert not splits.is_open("dataset-1_bow_active_000")
 

@@ -132,3 +132,18 @@ def test_bad_cameras_are_refused() -> None:
         Camera.create(matrix, (1920, 1080), torch.zeros(6))
     with pytest.raises(ValueError, match="move either one sideways"):
         looking(numbers([0.0, 0.0, 3.0]), numbers([0.0, 0.0, 0.0]))
+
+
+def test_a_moving_camera_is_where_its_clock_says_and_stands_still_beyond_its_poses() -> None:
+    still = depth_camera().to(dtype=torch.float64)
+    place = torch.eye(4, dtype=torch.float64).repeat(3, 1, 1)
+    place[:, 0, 3] = numbers([10.0, 20.0, 30.0])
+    moving = still.replace(T_camera_world=place)
+    assert moving.at(range(-2, 5)).T_camera_world[:, 0, 3].tolist() == [
+        10.0, 10.0, 10.0, 20.0, 30.0, 30.0, 30.0,
+    ]  # fmt: skip
+    assert moving.at(range(1, 2)).T_camera_world.shape == (1, 4, 4)
+    two = still.replace(T_camera_world=place[:2])
+    assert two.at(range(3)).T_camera_world[:, 0, 3].tolist() == [10.0, 20.0, 20.0]
+    fixed = still.replace(T_camera_world=place[:1])
+    assert fixed.at(range(7)) is fixed

@@ -96,6 +96,35 @@ def test_the_screen_axis_decides_only_where_the_body_does_not(tmp_path: Path) ->
         read_recording(tmp_path / "none.c3d", unit="mm")
 
 
+def test_c3d_points_of_negative_residual_are_not_seen(tmp_path: Path) -> None:
+    """A fault that dropped the sign of the residual went unnoticed."""
+    write_c3d(tmp_path / "clip.c3d", make_markers())
+    data = bytearray((tmp_path / "clip.c3d").read_bytes())
+    words = np.frombuffer(bytes(data), "<u2", 10, 2)
+    place = (int(words[7]) - 1) * 512 + 3 * 4  # residual of the first point of the first frame
+    data[place : place + 4] = np.float32(-1.0).tobytes()
+    (tmp_path / "clip.c3d").write_bytes(bytes(data))
+    back = read_recording(tmp_path / "clip.c3d")
+    assert isinstance(back, MarkerRecording)
+    assert not back.visible[0, 0]
+    assert (back.positions[0, 0] == 0).all()
+    assert back.visible[1:, 0].all()
+
+
+def test_c3d_without_its_second_block_or_with_too_many_points_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "clip.c3d"
+    write_c3d(path, make_markers())
+    whole = path.read_bytes()
+    path.write_bytes(whole[:1000])
+    with pytest.raises(ValueError, match="its first block is no C3D header"):
+        read_recording(path)
+    crowd = bytearray(whole)
+    crowd[2:4] = np.uint16(5001).tobytes()
+    path.write_bytes(bytes(crowd) + bytes(5 * 4 * 4 * 5001))
+    with pytest.raises(ValueError, match="number of joints or markers of 1 to 5000"):
+        read_recording(path)
+
+
 @pytest.mark.parametrize("unit", ["m", "mm"])
 def test_trc_round_trip(tmp_path: Path, unit: str) -> None:
     markers = make_markers()

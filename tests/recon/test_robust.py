@@ -104,3 +104,9 @@ def test_no_spread_means_no_outliers_and_no_nan() -> None:
 def test_weights_carry_no_gradient() -> None:
     residual = torch.rand(1, 20, dtype=torch.float64, requires_grad=True)
     assert not robust.bisquare_weights(residual, robust.mad_scale(residual)).requires_grad
+
+
+def test_the_median_of_one_sample_is_that_sample_and_of_none_zero() -> None:
+    values = numbers(3.0, 5.0, 7.0).expand(3, 3)
+    present = torch.tensor([[False, True, False], [False, False, False], [True, True, False]])
+    assert robust.lower_median(values, present).tolist() == [5.0, 0.0, 3.0]

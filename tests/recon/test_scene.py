@@ -82,6 +82,13 @@ def test_to_recording_is_the_inverse():
     assert torch.equal(known.to_recording_directions(points), points)
 
 
+def test_a_new_scene_has_every_point_where_the_model_says():
+    scene = Scene.create(2, 5, like=torch.zeros(1, dtype=torch.float64))
+    assert torch.equal(scene.offsets, torch.zeros(2, 5, 3, dtype=torch.float64))
+    assert Scene.create(3, like=torch.zeros(1)).offsets.shape == (3, 0, 3)
+    assert scene.ground is None
+
+
 def scene_up(like: torch.Tensor) -> torch.Tensor:
     return like.new_tensor([0.0, 0.0, 1.0]).expand_as(like)
 
