@@ -204,11 +204,8 @@ def _show(title: str, table: dict[str, dict[str, float]]) -> None:
 def _main() -> None:
     parser = over_windows(__doc__)
     parser.add_argument("--weights", default="nc", help="of the anchor prior: open, nc or a file")
-    parser.add_argument(
-        "--method",
-        choices=("complete", "published", "frames", "pose", "humor"),
-        default="complete",
-    )
+    methods = ("complete", "published", "frames", "smooth", "pose", "humor")
+    parser.add_argument("--method", choices=methods, default="complete")
     parser.add_argument("--like", type=Path, help="complete the cycles that a result file lists")
     parser.add_argument("--each", type=int, default=4, help="cycles of every subject")
     parser.add_argument("--columns", nargs="*", choices=COLUMNS, default=list(COLUMNS))
