@@ -28,7 +28,7 @@ from benchmarks.results import recordings_source, write
 from recon.body import BodyModel
 from recon.formats import read_recording
 from recon.ingest.coverage import MarkerSet, full_body_markers
-from recon.ingest.markers import MarkerFit, fit_markers, nominal_offsets
+from recon.ingest.markers import MarkerFit, fit_markers
 from recon.recording import MarkerRecording
 
 FOLDS = 5
@@ -101,7 +101,7 @@ def predictions(
     bones = body.weights[list(markers.vertices)].argmax(-1)
     turns = posed.orientations[:, bones]
     skin = posed.points(torch.tensor(markers.vertices))
-    raw = skin + (turns @ nominal_offsets(body, markers.vertices)[..., None])[..., 0]
+    raw = skin + (turns @ markers.nominal[..., None])[..., 0]
     local = (turns.mT @ (positions - skin)[..., None])[..., 0][::OFFSET_EVERY]
     seen = visible[::OFFSET_EVERY, :, None]
     own = local.where(seen, 0.0).sum(0) / seen.sum(0).clamp(min=1)

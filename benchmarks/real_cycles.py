@@ -16,8 +16,8 @@ from benchmarks.scans import observed_frames
 from observations.markers3d import Markers3D
 from recon.body import BodyModel
 from recon.cycles import find_cycles
-from recon.ingest.coverage import MarkerSet, full_body_markers
-from recon.ingest.markers import fit_markers, nominal_offsets
+from recon.ingest.coverage import MarkerSet, full_body_markers, nominal_offsets
+from recon.ingest.markers import fit_markers
 from recon.motion import Motion
 from recon.recording import MarkerRecording
 from recon.struct import concatenate

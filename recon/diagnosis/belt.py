@@ -75,8 +75,11 @@ def belt_finding(
 ) -> Finding | None:
     """A treadmill and its speed, or None where the feet stand in the room."""
     belt = belt_velocity(motion, body, observed)
-    if belt is None:
-        return None
+    return None if belt is None else treadmill_finding(belt)
+
+
+def treadmill_finding(belt: Float[Tensor, " 2"]) -> Finding:
+    """What is said of a belt of this velocity, m/s."""
     speed = float(belt.norm())
     return Finding(
         "treadmill",

@@ -170,10 +170,10 @@ def _imbalance(movement: Movement, factor: float) -> float | None:
     soles = movement.soles[step:-step][asked][..., :2]
     # a foot in the air lends its corners to the other one, which then stand for it twice
     soles = np.where(standing[asked][..., None, None], soles, soles[:, ::-1])
-    return float(_outside(point, soles.reshape(len(soles), 4, 2)).mean())
+    return float(outside(point, soles.reshape(len(soles), 4, 2)).mean())
 
 
-def _outside(
+def outside(
     points: Float[np.ndarray, "frames 2"], corners: Float[np.ndarray, "frames corners 2"]
 ) -> Float[np.ndarray, " frames"]:
     """Distance of a point from the convex hull of its corners, zero inside."""

@@ -5,6 +5,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -13,6 +14,10 @@ from torch import Tensor
 
 from recon.body import BodyModel
 from recon.contacts import contact_labels, rest_heights
+from recon.diagnosis.belt import belt_velocity, treadmill_finding
+from recon.diagnosis.pace import rate_finding
+from recon.diagnosis.support import support_findings
+from recon.findings import Finding
 from recon.formats.amass import MotionFile, save_motion
 from recon.ingest.soles import Soles, Stance, levelling, turned
 from recon.ingest.solve import Solved, residual_names, solve
@@ -43,6 +48,21 @@ class Conversion:
     """What was read, guessed or cut, one sentence each."""
     report: Mapping[str, float | int | str | None]
     """Flat numbers for tables: frames, fps, residual_mm, slip_mps, ..."""
+    observed: Bool[Tensor, "time 22"] | None = None
+    """False where a joint was inferred rather than seen; None where every joint was seen."""
+    diagnosis: tuple[Finding, ...] = ()
+    """Residuals by joint or marker, and by stretch of frames."""
+    repairs: tuple[Finding, ...] = ()
+    """What was wrong with the recording and was put right."""
+    warnings: tuple[Finding, ...] = ()
+    """What may be wrong with the result."""
+    on_belt: bool = False
+    """Whether feet stand on a treadmill: contacts with it are no contacts with the room."""
+
+    def findings(self) -> dict[str, list[dict[str, Any]]]:
+        """The lists `diagnosis`, `repairs` and `warnings` of a report."""
+        lists = {"diagnosis": self.diagnosis, "repairs": self.repairs, "warnings": self.warnings}
+        return {name: [one.report() for one in found] for name, found in lists.items()}
 
     def save(self, path: str | Path, body: BodyModel, *, contacts: bool = True) -> None:
         """Write an AMASS file with joints and, unless they are not to be trusted, contacts."""
@@ -53,7 +73,8 @@ class Conversion:
                 body=body.name,
                 checksum=body.checksum,
                 joints=self.joints,
-                contacts=self.contacts.to(self.joints) if contacts else None,
+                contacts=self.contacts.to(self.joints) if contacts and not self.on_belt else None,
+                observed=self.observed,
                 ground=torch.tensor([0.0, 0.0, 1.0, 0.0]),
             ),
         )
@@ -103,14 +124,17 @@ def grounded(
     soles: Soles,
     *,
     n_glitch: int,
+    observed: Bool[Tensor, "time 22"] | None = None,
 ) -> Conversion:
-    """Stand a motion on z = 0, label its contacts and report."""
-    stance = Stance.of(motion, body, soles)
+    """Stand a motion on z = 0, label its contacts, report, and judge pace and ground."""
+    belt = belt_velocity(motion, body, observed)
+    placed = None if observed is None else observed.any(-1)
+    stance = Stance.of(motion, body, soles, belt, placed)
     notes: list[str] = []
     tilt = 0.0
     if (rotation := levelling(stance)) is not None:
         motion = turned(motion, rotation, body)
-        stance = Stance.of(motion, body, soles)
+        stance = Stance.of(motion, body, soles, belt, placed)
         tilt = math.degrees(math.acos(min(1.0, float(rotation[2, 2]))))
         notes.append(f"levelled by {tilt:.1f} degrees: the soles stand on a tilted plane")
     shift = stance.height()
@@ -118,11 +142,17 @@ def grounded(
     motion = motion.replace(translation=motion.translation - down)
     joints = body.pose(motion).joints
     contacts = contact_labels(joints, rest_heights(body, motion.shape), motion.fps)
+    contacts = contacts if observed is None else contacts & observed
     seen = f"in {stance.frames} frames of stance" if stance.frames > 0 else "in all frames"
     notes.append(f"lowered by {shift:.3f} m: 5th percentile of the soles {seen}")
     if n_glitch > 0:
         notes.append(f"{n_glitch} jumps: a joint is faster than {GLITCH_SPEED:g} m/s")
     values = list(residuals.values())
+    judged = (
+        rate_finding(motion, body, observed),
+        None if belt is None else treadmill_finding(belt),
+        *support_findings(motion, body, observed),
+    )
     return Conversion(
         motion=motion,
         joints=joints,
@@ -142,6 +172,13 @@ def grounded(
             "n_glitch": n_glitch,
             "slip_mps": slip_speed(joints, contacts, motion.fps),
         },
+        observed=observed,
+        diagnosis=tuple(
+            Finding("residual", f"{name}: {value:.1f} mm on average", (name,), (), value / 1000)
+            for name, value in residuals.items()
+        ),
+        warnings=tuple(finding for finding in judged if finding is not None),
+        on_belt=belt is not None,
     )
 
 
@@ -156,6 +193,7 @@ def resampled(found: Conversion, body: BodyModel, fps: float) -> Conversion:
         motion=motion,
         joints=body.pose(motion).joints,
         contacts=found.contacts[nearest],
+        observed=None if found.observed is None else found.observed[nearest],
         decisions=(*found.decisions, note),
         report={**found.report, "frames": motion.frames, "fps": motion.fps},
     )

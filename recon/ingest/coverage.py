@@ -2,10 +2,16 @@
 
 import logging
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
 from recon.body import BodyModel
+from recon.ingest.joint_centres import are_keypoints, keypoint_of, keypoint_places
 from recon.recording import MarkerRecording
 from recon.skeleton import descendants, joint_index
 from recon.surface import landmark, load_marker_map, match_markers
@@ -14,7 +20,11 @@ logger = logging.getLogger(__name__)
 
 _LOOSE = re.compile(r"thigh|shank|upper_arm|deltoid|forearm$|forearm_|scapula$|chest")
 """Landmarks that are a region: markers are put anywhere on it."""
+STANDOFF = 0.0095
+"""Metres from the skin to a marker's centre, along the normal (MoSh)."""
 _LEAST = 10
+_STUDY = "_study"
+"""Suffix of OpenCap's augmented markers."""
 
 
 @dataclass(frozen=True)
@@ -25,8 +35,12 @@ class MarkerSet:
     vertices: tuple[int, ...]
     loose: tuple[bool, ...]
     """Whether the place is only roughly known."""
+    nominal: Float[Tensor, "markers 3"]
+    """Where markers are expected away from their vertex, in the frame of its bone, metres."""
     unknown: tuple[str, ...]
     """Labels nobody knows: virtual markers, joint centres, unlabelled points."""
+    inside: bool = False
+    """Whether they are joint centres that a detector found, rather than markers on the skin."""
 
 
 def full_body_markers(
@@ -54,8 +68,14 @@ def full_body_markers(
         for marker, label in enumerate(recording.marker_names)
         if recording.visible[:, marker].any()
     ]
+    if mapping is None and are_keypoints(seen):
+        return _keypoints(seen, body)
     if mapping is None:
-        names, unknown = match_markers(seen)
+        # OpenCap adds markers that a network placed beside the keypoints they were made from
+        study = {label.removesuffix(_STUDY): label for label in seen if label.endswith(_STUDY)}
+        known, unknown = match_markers(study if len(study) >= _LEAST else seen)
+        names = {study.get(label, label): name for label, name in known.items()}
+        unknown = tuple(label for label in seen if label not in names)
         vertices = {label: landmark(name) for label, name in names.items()}
         loose = {label: _LOOSE.search(name) is not None for label, name in names.items()}
     else:
@@ -71,7 +91,22 @@ def full_body_markers(
         labels=labels,
         vertices=tuple(vertices.values()),
         loose=tuple(loose[label] for label in labels),
+        nominal=nominal_offsets(body, tuple(vertices.values())),
         unknown=unknown,
+    )
+
+
+def _keypoints(labels: Sequence[str], body: BodyModel) -> MarkerSet:
+    known = tuple(label for label in labels if keypoint_of(label) is not None)
+    vertices, nominal = keypoint_places(known, body)
+    return MarkerSet(
+        labels=known,
+        vertices=vertices,
+        # what detectors call a joint is some centimetres off the body's own joint
+        loose=(True,) * len(known),
+        nominal=nominal,
+        unknown=tuple(label for label in labels if label not in known),
+        inside=True,
     )
 
 
@@ -96,3 +131,14 @@ def _check_cover(
             f"{len(bones)} ({', '.join(vertices)}); without a marker: {', '.join(bare) or 'none'}"
             f"{left}{how}"
         )
+
+
+def nominal_offsets(body: BodyModel, vertices: Sequence[int]) -> Float[Tensor, "markers 3"]:
+    """A marker's centre off the skin, along the normal of the rest body, metres."""
+    corners = body.template[body.faces]
+    normals = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    total = torch.zeros_like(body.template)
+    for corner in range(3):
+        total.index_add_(0, body.faces[:, corner], normals)
+    chosen = total[list(vertices)]
+    return STANDOFF * chosen / chosen.norm(dim=-1, keepdim=True)

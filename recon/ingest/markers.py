@@ -5,10 +5,9 @@ name says; where exactly is found together with the body's shape from a few fram
 """
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -16,18 +15,19 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from observations.markers3d import Markers3D
-from recon import rotations as so3
 from recon import terms
 from recon.body import BodyModel
 from recon.free import FreeMotion
-from recon.ingest.conversion import Conversion, grounded
-from recon.ingest.coverage import MarkerSet, full_body_markers
+from recon.ingest.coverage import MarkerSet
 from recon.ingest.energies import AboveGround
+from recon.ingest.gaps import between, bridged, observed_joints, placed_frames, turned_joints
+from recon.ingest.jumps import UNMADE, mended, unmade_steps
+from recon.ingest.rest import natural_rest, with_natural_pose
 from recon.ingest.soles import Soles
 from recon.motion import Motion
 from recon.protocols import REFERENCE_FPS, Estimate
 from recon.recording import MarkerRecording
-from recon.robust import geman_mcclure
+from recon.robust import geman_mcclure, squared
 from recon.scene import Scene
 from recon.solver import LBFGS
 from recon.stages import Stage, run_stages
@@ -36,13 +36,13 @@ from recon.terms import Term
 
 logger = logging.getLogger(__name__)
 
-STANDOFF = 0.0095
-"""Metres from the skin to a marker's centre, along the normal (MoSh)."""
 OUTLIER = 0.1
 """Metres at which a marker counts half as much: swapped labels, ghosts."""
 CALIBRATION_FRAMES = 150
 _FOOT_MARKER = (0.0, 0.08)
 """Metres above the ground of the lowest marker of a body that stands."""
+_NOISE = 3.0
+"""Times the mean residual by which joints may step without their markers: noise does that."""
 _KEY_RATE = 10.0
 _CHUNK = 3000
 _PLACE = frozenset({"translation", "root"})
@@ -59,7 +59,7 @@ class MarkerWeights:
     loose: float = 0.03
     """Per frame, of offsets of markers that are put anywhere on a limb."""
     rest: float = 1e-3
-    """Of the pose away from rest, where no better `pose_terms` are given."""
+    """Of the pose away from the natural one, where no better `pose_terms` are given."""
     turning: float = 2e-4
     """Of turns from frame to frame."""
     ground: float = 20.0
@@ -83,42 +83,12 @@ class MarkerFit:
     subject: MarkerSubject
     predicted: Float[Tensor, "time markers 3"]
     """Where every marker would be, metres; markers left out of the fit have no fitted offset."""
-
-
-def convert_markers(
-    recording: MarkerRecording,
-    body: BodyModel,
-    *,
-    mapping: str | Path | None = None,
-    pose_terms: Sequence[Term] = (),
-) -> Conversion:
-    """A recording of any full-body marker set as a motion of our body.
-
-    Args:
-        recording: in metres, z up.
-        body: whose motion it becomes; marker names are points of the bundled body's mesh.
-        mapping: TOML file, marker label = landmark or vertex; None uses the known labels.
-        pose_terms: what is known of poses, in place of a pull towards the rest pose.
-
-    Raises:
-        FileNotFoundError: when there is no such mapping file.
-        ValueError: when the markers are not known or do not cover the body.
-    """
-    markers = full_body_markers(recording, body, mapping)
-    chosen = recording.select(markers.labels)
-    fit = fit_markers(chosen, markers, body, pose_terms=pose_terms)
-    seen = torch.from_numpy(chosen.visible)
-    apart = (fit.predicted - torch.from_numpy(chosen.positions).float()).norm(dim=-1)
-    mean = apart.where(seen, 0.0).sum(0) / seen.sum(0).clamp(min=1)
-    left = f"; not known: {', '.join(markers.unknown)}" if markers.unknown else ""
-    return grounded(
-        fit.motion,
-        dict(zip(markers.labels, (1000 * mean).tolist(), strict=True)),
-        (*recording.decisions, f"{len(markers.labels)} markers used{left}"),
-        body,
-        Soles.of(body),
-        n_glitch=0,
-    )
+    observed: Bool[Tensor, "time 22"]
+    """Joints whose place a fitted marker shows; all others are inferred."""
+    mended: Bool[Tensor, " time"]
+    """Frames that were solved again because the body left its markers there."""
+    unmade: Bool[Tensor, "steps 22"]
+    """Steps to the next frame in which a joint still moves and no marker about it does."""
 
 
 def fit_markers(
@@ -137,29 +107,37 @@ def fit_markers(
         markers: their places on the body.
         body: whose motion it becomes.
         used: markers that are fitted; None fits all.
-        pose_terms: what is known of poses, in place of a pull towards the rest pose.
+        pose_terms: what is known of poses, in place of a pull towards the natural pose.
         weights: of the energies.
+
+    Raises:
+        ValueError: when no frame shows enough markers to place a body.
     """
     weights = MarkerWeights() if weights is None else weights
     positions = torch.from_numpy(recording.positions).float()
     visible = torch.from_numpy(recording.visible)
     visible = visible if used is None else visible & used
     data = _Data(positions, visible, markers.vertices, recording.fps)
-    hold = tuple(pose_terms) or (Term("rest pose", terms.rest_pose, weights.rest),)
+    hold = tuple(pose_terms) or (Term("rest pose", natural_rest, weights.rest),)
     if _stands_on_zero(positions, visible):
         soles = Soles.of(body).points.flatten()
         hold = (*hold, Term("ground", AboveGround(soles), weights.ground))
+    bones = data.observation().bones(body)
+    placed = placed_frames(visible, bones).nonzero()[:, 0]
+    if len(placed) == 0:
+        raise ValueError(
+            f"{recording.name}: no frame shows enough markers of one body to place it; there are "
+            f"{int(visible.sum(-1).max())} of {len(markers.labels)} at most"
+        )
     chosen = _well_seen(visible)
     subject, motion = _calibrate(data.frames(chosen), markers, body, hold, weights)
     step = max(1, round(recording.fps / _KEY_RATE))
-    keys = torch.arange(0, len(positions), step)
-    keys = torch.unique(torch.cat((keys, torch.tensor([len(positions) - 1]))))
-    motion = _solve(data.frames(keys), _between(motion, chosen, keys), subject, body, hold, 100)
-    everything = torch.arange(len(positions))
+    keys = torch.unique(torch.cat((placed[::step], placed[-1:])))
+    motion = _solve(data.frames(keys), between(motion, chosen, keys), subject, body, hold, 100)
     smooth = (*hold, Term("turning", terms.rotation_velocity, weights.turning))
     parts = [
-        _solve(data.frames(part), _between(motion, keys, part), subject, body, smooth, 80)
-        for part in everything.split(_CHUNK)
+        _solve(data.frames(part), between(motion, keys, part), subject, body, smooth, 80)
+        for part in placed.split(_CHUNK)
     ]
     motion = Motion.create(
         translation=torch.cat([part.translation for part in parts]),
@@ -167,9 +145,18 @@ def fit_markers(
         shape=subject.shape,
         fps=recording.fps,
     )
+    motion, changed, unmade = _mended(data.frames(placed), motion, subject, body, smooth)
+    motion = bridged(motion, placed, turned_joints(visible, bones))
     with torch.no_grad():
         predicted = _predict(data, motion, subject.offsets, body)
-    return MarkerFit(motion, subject, predicted)
+    return MarkerFit(
+        motion,
+        subject,
+        predicted,
+        observed=observed_joints(visible, markers.vertices, body),
+        mended=_spread(changed, placed, len(positions)),
+        unmade=_spread(unmade, placed[1:] - 1, len(positions) - 1),
+    )
 
 
 @dataclass(frozen=True)
@@ -204,10 +191,11 @@ def _calibrate(
     count = len(data.positions)
     data = _Data(data.positions, data.visible, data.vertices, REFERENCE_FPS)
     seen = data.observation()
-    nominal = nominal_offsets(body, markers.vertices)
+    nominal = markers.nominal
     scene = Scene(nominal[None])
     with torch.no_grad():
         motion = seen.start(body)
+    motion = motion.replace(rotations=with_natural_pose(motion.rotations))
     stiff = torch.tensor([weights.loose if loose else weights.placed for loose in markers.loose])
 
     def away(estimate: Estimate) -> Float[Tensor, "*batch"]:
@@ -246,13 +234,16 @@ def _solve(
     body: BodyModel,
     hold: tuple[Term, ...],
     iterations: int,
+    kernel: Callable[[Tensor], Tensor] | None = None,
 ) -> Motion:
-    """Poses of some frames, shape and offsets held."""
+    """Poses of some frames, shape and offsets held, by the robust kernel or another."""
+    seen = data.observation()
+    seen = seen if kernel is None else seen.replace(kernel=kernel)
     motion = start.replace(fps=data.fps, shape=subject.shape).map(lambda tensor: tensor[None])
     stage = Stage(
         "frames",
         FreeMotion(),
-        (Term("markers", data.observation(), 1.0), *hold),
+        (Term("markers", seen, 1.0), *hold),
         _POSE,
         LBFGS(max_iterations=iterations, history=10, tolerance_decrease=1e-6),
     )
@@ -260,21 +251,51 @@ def _solve(
     return estimate.motion.detach()[0]
 
 
-def _between(
-    motion: Motion, known: Int[Tensor, " known"], wanted: Int[Tensor, " wanted"]
-) -> Motion:
-    """Poses of frames between (or beyond) frames that are known."""
-    after = torch.searchsorted(known, wanted).clamp(max=len(known) - 1)
-    before = (after - (known[after] > wanted).long()).clamp(min=0)
-    gap = (known[after] - known[before]).clamp(min=1)
-    fraction = ((wanted - known[before]) / gap).clamp(0, 1)
-    a, b = motion.rotations[before], motion.rotations[after]
-    return Motion.create(
-        translation=motion.translation[before].lerp(motion.translation[after], fraction[:, None]),
-        rotations=so3.interpolate(a, b, fraction[:, None].expand(a.shape[:2])),
-        shape=motion.shape,
-        fps=motion.fps,
-    )
+def nominal_places(
+    fit: MarkerFit, markers: MarkerSet, body: BodyModel
+) -> Float[Tensor, "time markers 3"]:
+    """Where a fitted body has markers that sit exactly where their names say, metres."""
+    with torch.no_grad():
+        posed = body.pose(fit.motion)
+        points = posed.points(torch.tensor(markers.vertices))
+        bones = body.weights[list(markers.vertices)].argmax(-1)
+        return points + (posed.orientations[:, bones] @ markers.nominal[..., None])[..., 0]
+
+
+def _mended(
+    data: _Data, motion: Motion, subject: MarkerSubject, body: BodyModel, hold: tuple[Term, ...]
+) -> tuple[Motion, Bool[Tensor, " time"], Bool[Tensor, "steps 22"]]:
+    """Frames in which the body leaves its markers solved again; which, and what steps remain."""
+    bones = data.observation().bones(body)
+
+    def unmade(motion: Motion) -> Bool[Tensor, "steps 22"]:
+        with torch.no_grad():
+            joints = body.pose(motion).joints
+        limit = max(UNMADE, _NOISE * float(start[data.visible].mean()))
+        return unmade_steps(joints, data.positions, data.visible, bones, limit)
+
+    def residuals(motion: Motion) -> Float[Tensor, "time markers"]:
+        with torch.no_grad():
+            predicted = _predict(data, motion, subject.offsets, body)
+        return (predicted - data.positions).norm(dim=-1).where(data.visible, 0.0)
+
+    start = residuals(motion)
+
+    def again(frames: Int[Tensor, " frames"], start: Motion) -> Motion:
+        some = data.frames(frames)
+        # first everything counts alike: limbs that were turned over are no outliers
+        plain = _solve(some, start, subject, body, hold, 60, squared)
+        return _solve(some, plain, subject, body, hold, 80)
+
+    motion, changed = mended(motion, unmade, residuals, again)
+    return motion, changed, unmade(motion)
+
+
+def _spread(some: Bool[Tensor, "..."], index: Int[Tensor, " rows"], count: int) -> Tensor:
+    """Flags of some rows among all rows; false elsewhere."""
+    everything = torch.zeros(count, *some.shape[1:], dtype=torch.bool)
+    everything[index] = some
+    return everything
 
 
 def _predict(
@@ -301,14 +322,3 @@ def _stands_on_zero(
     low = positions[..., 2].where(visible, torch.inf).amin(-1)
     low = low[low.isfinite()]
     return len(low) > 0 and _FOOT_MARKER[0] < float(low.quantile(0.1)) < _FOOT_MARKER[1]
-
-
-def nominal_offsets(body: BodyModel, vertices: Sequence[int]) -> Float[Tensor, "markers 3"]:
-    """A marker's centre off the skin, along the normal of the rest body, metres."""
-    corners = body.template[body.faces]
-    normals = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    total = torch.zeros_like(body.template)
-    for corner in range(3):
-        total.index_add_(0, body.faces[:, corner], normals)
-    chosen = total[list(vertices)]
-    return STANDOFF * chosen / chosen.norm(dim=-1, keepdim=True)

@@ -5,7 +5,7 @@ from pathlib import Path
 from recon.body import BodyModel
 from recon.formats import read_recording
 from recon.ingest.conversion import Conversion, convert_skeletons, resampled
-from recon.ingest.markers import convert_markers
+from recon.ingest.marker_conversion import convert_markers
 from recon.ingest.skeletons import recognise
 from recon.ingest.subject import SubjectModel, calibrate
 from recon.recording import MarkerRecording, SkeletonRecording, drop_lead_in

@@ -114,8 +114,23 @@ class Stance:
     """Ankle and toe are."""
 
     @classmethod
-    def of(cls, motion: Motion, body: BodyModel, soles: Soles) -> "Stance":
-        """Watch a motion's feet."""
+    def of(
+        cls,
+        motion: Motion,
+        body: BodyModel,
+        soles: Soles,
+        belt: Float[Tensor, " 2"] | None = None,
+        frames: Bool[Tensor, " time"] | None = None,
+    ) -> "Stance":
+        """Watch a motion's feet.
+
+        Args:
+            motion: one clip.
+            body: whose motion it is.
+            soles: of that body.
+            belt: velocity of the ground they stand on, m/s; None is a floor at rest.
+            frames: that count; in the others no foot stands. None counts all.
+        """
         lowest = []
         for first in range(0, motion.frames, _CHUNK):
             posed = body.pose(motion.window(first, first + _CHUNK))
@@ -123,7 +138,12 @@ class Stance:
             deepest = points[..., 2].argmin(-1)[..., None, None]
             lowest.append(points.take_along_dim(deepest, -2).squeeze(-2))
         joints = body.pose(motion).joints[..., list(FEET), :]
+        if belt is not None:
+            moved = (torch.arange(motion.frames) / motion.fps)[:, None] * belt
+            joints = joints - torch.nn.functional.pad(moved, (0, 1))[:, None]
         slow = (speeds(joints, motion.fps) < MAXIMUM_SPEED).unflatten(-1, (2, 2))
+        if frames is not None:
+            slow = slow & frames[:, None, None]
         return cls(torch.cat(lowest), slow.any(-2), slow.all(-2))
 
     @property

@@ -18,8 +18,7 @@ from recon.ingest import Conversion, convert
 from recon.ingest.collection import Clip, collections, read_clips, skeleton_key
 from recon.ingest.conversion import glitches, resampled
 from recon.ingest.corpus import config_hash, convert_corpus, split
-from recon.ingest.coverage import full_body_markers
-from recon.ingest.markers import STANDOFF, nominal_offsets
+from recon.ingest.coverage import STANDOFF, full_body_markers, nominal_offsets
 from recon.ingest.skeletons import recognise
 from recon.ingest.soles import Soles, Stance, levelling, standing_flat, turned
 from recon.ingest.tpose import alignments_from_rest
