@@ -5,10 +5,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from recon.body import BodyModel
-from recon.ingest.soles import Soles, Stance
 from recon.motion import Motion
 from recon.scene import TILT, UnknownGround
 from recon.skeleton import joint_index
+from recon.soles import Soles, Stance
 
 _HEAD = joint_index("head")
 _ANKLES = [joint_index("left_ankle"), joint_index("right_ankle")]
@@ -53,7 +53,7 @@ def pelvis_path(motion: Motion, body: BodyModel) -> Float[Tensor, "clips 3"]:
 
 
 def sole_heights(motion: Motion, body: BodyModel) -> Float[Tensor, " clips"]:
-    """Height of level ground below every clip, metres; see `recon.ingest.soles`."""
+    """Height of level ground below every clip, metres; see `recon.soles`."""
     here, clips = body.to(device="cpu"), motion.detach().to(device="cpu")
     soles = Soles.of(here)
     heights = [

@@ -19,13 +19,13 @@ from recon.diagnosis.pace import rate_finding
 from recon.diagnosis.support import support_findings
 from recon.findings import Finding
 from recon.formats.amass import MotionFile, save_motion
-from recon.ingest.soles import Soles, Stance, levelling, turned
 from recon.ingest.solve import Solved, residual_names, solve
 from recon.ingest.subject import SubjectModel
 from recon.metrics import slip_speed
 from recon.motion import Motion
 from recon.recording import SkeletonRecording
 from recon.skeleton import FEET, JOINTS
+from recon.soles import Soles, Stance, levelling, turned
 
 GLITCH_SPEED = 20.0
 """Metres per second: no joint of a body moves so fast; between such frames it jumped."""

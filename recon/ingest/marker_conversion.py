@@ -22,8 +22,8 @@ from recon.ingest.joint_centres import keypoint_finding
 from recon.ingest.jumps import jump_findings
 from recon.ingest.marker_findings import marker_findings, marker_residuals
 from recon.ingest.markers import MarkerFit, fit_markers, nominal_places
-from recon.ingest.soles import Soles
 from recon.recording import MarkerRecording
+from recon.soles import Soles
 from recon.terms import Term
 
 _BAD = 0.02

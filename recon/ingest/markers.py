@@ -23,12 +23,12 @@ from recon.ingest.energies import AboveGround
 from recon.ingest.gaps import between, bridged, observed_joints, placed_frames, turned_joints
 from recon.ingest.jumps import UNMADE, mended, unmade_steps
 from recon.ingest.rest import natural_rest, with_natural_pose
-from recon.ingest.soles import Soles
 from recon.motion import Motion
 from recon.protocols import REFERENCE_FPS, Estimate
 from recon.recording import MarkerRecording
 from recon.robust import geman_mcclure, squared
 from recon.scene import Scene
+from recon.soles import Soles
 from recon.solver import LBFGS
 from recon.stages import Stage, run_stages
 from recon.struct import TensorStruct

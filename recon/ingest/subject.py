@@ -16,12 +16,12 @@ from recon.body import BodyModel
 from recon.free import FreeMotion
 from recon.ingest.energies import BoneOrientations, FlatSoles
 from recon.ingest.skeletons import SkeletonMap
-from recon.ingest.soles import Soles, standing_flat
 from recon.ingest.tpose import alignments_from_rest
 from recon.protocols import REFERENCE_FPS, Estimate
 from recon.recording import SkeletonRecording
 from recon.scene import Scene
 from recon.skeleton import FEET
+from recon.soles import Soles, standing_flat
 from recon.solver import LBFGS
 from recon.stages import Stage, run_stages
 from recon.struct import TensorStruct

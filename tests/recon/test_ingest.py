@@ -20,11 +20,11 @@ from recon.ingest.conversion import glitches, resampled
 from recon.ingest.corpus import config_hash, convert_corpus, split
 from recon.ingest.coverage import STANDOFF, full_body_markers, nominal_offsets
 from recon.ingest.skeletons import recognise
-from recon.ingest.soles import Soles, Stance, levelling, standing_flat, turned
 from recon.ingest.tpose import alignments_from_rest
 from recon.motion import Motion
 from recon.recording import MarkerRecording, SkeletonRecording
 from recon.skeleton import JOINTS, LEGS
+from recon.soles import Soles, Stance, levelling, standing_flat, turned
 from recon.surface import landmark
 
 FPS = 60.0

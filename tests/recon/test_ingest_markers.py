@@ -20,10 +20,10 @@ from recon.ingest.gaps import bridged, gap_findings, observed_joints, placed_fra
 from recon.ingest.joint_centres import are_keypoints, keypoint_of, keypoint_places
 from recon.ingest.jumps import jump_findings, mended, unmade_steps
 from recon.ingest.rest import natural_pose
-from recon.ingest.soles import Soles
 from recon.motion import Motion
 from recon.recording import MarkerRecording
 from recon.skeleton import JOINTS, joint_index
+from recon.soles import Soles
 from recon.surface import landmark
 from tests.recon.test_ingest import MARKERS
 
