@@ -136,10 +136,12 @@ def gap_findings(observed: Bool[Tensor, "time 22"], fps: float) -> list[Finding]
     hidden = np.zeros(len(empty), dtype=bool)
     for limb, names in _LIMBS.items():
         rows = [JOINTS.index(name) for name in names]
-        unseen = _long(~observed[:, rows].all(-1).numpy() & ~empty, fps)
+        unseen = ~observed[:, rows].all(-1).numpy() & ~empty
+        never = bool(unseen[~empty].all())
+        unseen = unseen if never else _long(unseen, fps)
         if not unseen.any():
             continue
-        limbs.append(limb if not unseen[~empty].all() else f"{limb} (never seen)")
+        limbs.append(f"{limb} (never seen)" if never else limb)
         joints += [name for name, row in zip(names, rows, strict=True)
                    if not bool(observed[~empty, row].all())]  # fmt: skip
         hidden |= unseen
@@ -162,5 +164,5 @@ def _long(flags: Bool[np.ndarray, " time"], fps: float) -> Bool[np.ndarray, " ti
     """Only the stretches that last longer than what neighbours in time fill well."""
     kept = np.zeros_like(flags)
     for first, last in stretches(flags):
-        kept[first : last + 1] = last - first + 1 > _SHORT * fps or last - first + 1 == len(flags)
+        kept[first : last + 1] = last - first + 1 > _SHORT * fps
     return kept
