@@ -46,6 +46,8 @@ def repaired_zeros(images: Images) -> Found:
 
 def repaired_copies(images: Images) -> Found:
     """Frames that are exact copies of the one before are made unseen."""
+    if images.pixels.shape[1] < 2:
+        return images, []
     same = _same(images)
     both = images.seen[:, 1:] & images.seen[:, :-1]
     enough = both.sum(-1) >= _FEWEST

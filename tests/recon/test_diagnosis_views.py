@@ -14,9 +14,11 @@ from observations.images import keypoints_of
 from observations.keypoints2d import Keypoints2D
 from recon import rotations as so3
 from recon.diagnosis.views import screen_views
+from recon.examination import screen
 from recon.findings import Finding
 from recon.layouts import keypoint_names
 from recon.motion import Motion
+from recon.settings import FitSettings
 from recon.simulate import Corruption
 from recon.simulate_images import keypoints2d
 from tests.filmed import bundled, cameras, turned, view, walk
@@ -337,3 +339,34 @@ def test_views_of_several_clocks_are_checked_apart() -> None:
     out, repairs, _ = screened(second(views, other))
     assert [(f.code, f.frames) for f in repairs] == [("sides exchanged", ((7, 16),))]
     assert torch.equal(out[1].pixels, views[1].pixels[:, 1:])
+
+
+@pytest.mark.parametrize("frames", [1, 2, 3, 5])
+@pytest.mark.parametrize("layout", ["coco17", "h36m17", "smpl22"])
+def test_short_clips_of_any_layout_are_looked_at(frames: int, layout: str) -> None:
+    motion = walk(frames)
+    views = [view(motion, c, seed=k, layout=layout) for k, c in enumerate(cameras(motion, 3))]
+    _, repairs, warnings = screened(tuple(views))
+    assert repairs == []
+    assert warnings == []
+
+
+def test_views_in_which_nothing_is_seen_say_nothing() -> None:
+    views = filmed(3)
+    nothing = views[1].replace(
+        pixels=torch.zeros_like(views[1].pixels), confidence=torch.zeros_like(views[1].confidence)
+    )
+    for some in [second(views, nothing), (nothing,), (nothing, nothing), (nothing,) * 3]:
+        _, repairs, warnings = screened(some)
+        assert repairs == []
+        assert warnings == []
+
+
+def test_a_fit_screens_its_views_unless_told_not_to() -> None:
+    spoilt = renamed(filmed(1)[0], slice(8, 18), SIDES)
+    found = screen([spoilt], ["one"], FitSettings(), bundled())
+    assert [f.code for f in found.repairs] == ["sides exchanged"]
+    assert torch.equal(found.observations[0].pixels, filmed(1)[0].pixels)  # type: ignore[union-attr]
+    left = screen([spoilt], ["one"], FitSettings(repair=False), bundled())
+    assert left.repairs == ()
+    assert left.observations[0] is spoilt
