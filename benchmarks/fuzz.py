@@ -73,7 +73,8 @@ def judge(name: str, folder: Path, random: Random) -> str:
         outliers=float(random.uniform(0, 0.4)) if name == "outliers" else 0.0,
     )
     with resources.as_file(resources.files("recon") / "assets" / "demo.npz") as truth:
-        simulate_file(truth, seen, kind, corruption, seed=first, frames=(first, first + 30))
+        frames = (first, first + 30)
+        simulate_file(truth, seen, kind, corruption, seed=first, frames=frames, overwrite=True)
     SPOILS[name](seen, random)
     errors, answers = io.StringIO(), io.StringIO()
     try:
