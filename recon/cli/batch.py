@@ -25,8 +25,9 @@ def _results(out: Path, _: Arguments) -> tuple[Output, ...]:
 def _observations(given: Arguments) -> Iterator[Path]:
     from recon.batch import read_manifest
 
-    for clip in read_manifest(given["manifest"]):
-        yield from clip.observations
+    if given["manifest"].is_file():
+        for clip in read_manifest(given["manifest"]):
+            yield from clip.observations
 
 
 @writes(Place("out", _results), reads=_observations)
