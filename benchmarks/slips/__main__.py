@@ -13,19 +13,38 @@ the slip spoils, or over the others where the fit declares those to be inferred 
 It is `named` when one of the codes that were reported is right, and named `first` when the first
 of them is; clips that a slip does no harm to, and about which nothing is said, count in neither.
 `as is` is the error of a fit without examination. `--good` fits recordings without a slip
-(`benchmarks.slips.good`); what is said about them and is not so is a false alarm.
+(`benchmarks.slips.good`); what is said about them and is not so is a false alarm. The whole table
+is a matter of hours: with --json, a run that was interrupted goes on where it stopped, as long as
+the code is the same and committed.
 """
 
 import argparse
+import json
 from pathlib import Path
 from typing import Any
 
-from benchmarks.results import Sources, corpus_source, recordings_source, write
+from benchmarks.results import (
+    ROOT,
+    Sources,
+    commit,
+    corpus_source,
+    recordings_source,
+    write,
+)
 from benchmarks.slips.good import GoodWindows, listed, some_of
 from benchmarks.slips.kinds import SLIPS
 from benchmarks.slips.recordings import SENSORS, evenly, windows_of
 from benchmarks.slips.sizes import chosen_sizes
-from benchmarks.slips.table import HEADING, Judged, judged, line, quiet, summary
+from benchmarks.slips.table import (
+    HEADING,
+    Judged,
+    false_alarms,
+    judged,
+    line,
+    quiet,
+    summary,
+    totals,
+)
 from recon.body import BodyModel
 from recon.settings import FitSettings
 
@@ -36,19 +55,25 @@ def main() -> None:
     arguments = parsed()
     body, settings = BodyModel.load(), FitSettings(prior=arguments.prior)
     every = windows_of(arguments.corpus, arguments.part, body)
+    clips = evenly(every, arguments.clips)
     sources: Sources = corpus_source(arguments.corpus, every.files)
-    tables: dict[str, Any] = {"part": arguments.part, "prior": arguments.prior}
+    head = {
+        "part": arguments.part,
+        "prior": arguments.prior,
+        "windows": [every.names[k] for k in clips],
+    }
+    tables = head | begun(arguments.json, head)
     if arguments.clips > 0:
-        clips = evenly(every, arguments.clips)
         slips = [s for s in SLIPS if s.sensor in arguments.sensor and arguments.slip in s.name]
-        tables |= {"windows": [every.names[k] for k in clips], "slips": {}}
-        done: list[Judged] = []
-        print(HEADING)
+        done = [Judged.of(s, tables["slips"][s.key]) for s in slips if s.key in tables["slips"]]
+        left = [s for s in slips if s.key not in tables["slips"]]
+        print("\n".join([HEADING, *(line(found) for found in done)]), flush=True)
         for found in judged(
-            every, clips, slips, chosen_sizes(), settings, body, unrepaired=arguments.unrepaired
+            every, clips, left, chosen_sizes(), settings, body, unrepaired=arguments.unrepaired
         ):
             done.append(found)
             tables["slips"][found.slip.key] = found.report()
+            tables["totals"] = totals(done)
             print(line(found), flush=True)
             if arguments.json is not None:
                 write(arguments.json, 0, sources, **tables)
@@ -56,11 +81,27 @@ def main() -> None:
     if arguments.good > 0:
         chosen = some_of(listed(arguments.part), arguments.good)
         real = [window.source for window in chosen if not window.variant]
-        good = GoodWindows(every, arguments.observations, body)
-        tables["good"] = quiet(good, chosen, settings, body)
         sources = {**sources, **recordings_source(arguments.observations, real)}
-        if arguments.json is not None:
-            write(arguments.json, 0, sources, **tables)
+        known = {row["window"] for row in tables["good"]}
+        rest = [window for window in chosen if window.name not in known]
+        good = GoodWindows(every, arguments.observations, body)
+        for row in quiet(good, rest, settings, body):
+            tables["good"].append(row)
+            if arguments.json is not None:
+                write(arguments.json, 0, sources, **tables)
+        print(false_alarms(tables["good"]))
+
+
+def begun(path: Path | None, head: dict[str, Any]) -> dict[str, Any]:
+    """What an interrupted run of the same commit and clips has found; nothing otherwise."""
+    nothing: dict[str, Any] = {"slips": {}, "good": []}
+    if path is None or not path.is_file():
+        return nothing
+    earlier = json.loads(path.read_text())
+    same = {key: earlier.get(key) for key in head} == head
+    here = commit(ROOT)
+    clean = here is not None and not here.endswith("+") and earlier["about"]["commit"] == here
+    return {key: earlier[key] for key in nothing} if same and clean else nothing
 
 
 def parsed() -> argparse.Namespace:

@@ -31,7 +31,18 @@ class Judged:
     def report(self) -> dict[str, Any]:
         """As it stands in a result file."""
         clips = [asdict(verdict) for verdict in self.verdicts]
-        return {"size": self.size, "unit": self.slip.unit, "clips": clips}
+        return {
+            "size": self.size, "unit": self.slip.unit, "seconds": self.seconds, "clips": clips
+        }  # fmt: skip
+
+    @classmethod
+    def of(cls, slip: Slip, row: dict[str, Any]) -> "Judged":
+        """From a result file."""
+        verdicts = tuple(
+            Verdict(**{**c, "repairs": tuple(c["repairs"]), "warnings": tuple(c["warnings"])})
+            for c in row["clips"]
+        )
+        return cls(slip, row["size"], verdicts, row["seconds"])
 
 
 def judged(
@@ -115,34 +126,50 @@ def line(found: Judged) -> str:
     )
 
 
-def summary(table: Sequence[Judged]) -> str:
-    """Shares over all slips and clips."""
+def totals(table: Sequence[Judged]) -> dict[str, int]:
+    """Numbers of fits over all slips and clips."""
     rows = [verdict for found in table for verdict in found.verdicts]
     with_cause = [r for r in rows if r.judged]
-    caught, named = sum(r.caught for r in rows), sum(r.named for r in with_cause)
-    first = sum(r.first for r in with_cause)
+    return {
+        "fits": len(rows),
+        "caught": sum(r.caught for r in rows),
+        "with_cause": len(with_cause),
+        "named": sum(r.named for r in with_cause),
+        "named_first": sum(r.first for r in with_cause),
+    }
+
+
+def summary(table: Sequence[Judged]) -> str:
+    """The same in a sentence."""
+    found = totals(table)
+    share = {key: _share(found[key], found["with_cause"]) for key in ("named", "named_first")}
     return (
-        f"{caught} of {len(rows)} caught ({_share(caught, len(rows))}); of {len(with_cause)} the "
-        f"cause is named in {named} ({_share(named, len(with_cause))}), first in {first} "
-        f"({_share(first, len(with_cause))})"
+        f"{found['caught']} of {found['fits']} caught ({_share(found['caught'], found['fits'])}); "
+        f"of {found['with_cause']} the cause is named in {found['named']} ({share['named']}), "
+        f"first in {found['named_first']} ({share['named_first']})"
     )
 
 
 def quiet(
-    good: GoodWindows, windows: Sequence[GoodWindow], settings: FitSettings, body: BodyModel
-) -> dict[str, Any]:
-    """Fit good windows; print those about which anything is said that is not so."""
-    rows: list[dict[str, Any]] = []
+    good: GoodWindows,
+    windows: Sequence[GoodWindow],
+    settings: FitSettings,
+    body: BodyModel,
+) -> Iterator[dict[str, Any]]:
+    """Fit good windows; print what is said about them and is not so."""
     for window in windows:
         seen, names = good.load(window)
         found = fit_examined(seen, names, settings, body)
         said = alarms(window, (*found.repairs, *found.warnings))
-        rows.append({"window": window.name, "alarms": [finding.report() for finding in said]})
         for finding in said:
             print(f"{window.name}: {finding.code}: {finding.message}", flush=True)
+        yield {"window": window.name, "alarms": [finding.report() for finding in said]}
+
+
+def false_alarms(rows: Sequence[dict[str, Any]]) -> str:
+    """How many good windows anything was said about."""
     false = sum(len(row["alarms"]) > 0 for row in rows)
-    print(f"{false} false alarms about {len(rows)} good windows ({_share(false, len(rows))})")
-    return {"false": false, "windows": rows}
+    return f"{false} false alarms about {len(rows)} good windows ({_share(false, len(rows))})"
 
 
 def _share(part: int, whole: int) -> str:

@@ -1,12 +1,15 @@
 """Every slip changes what it says and nothing else, and verdicts count what they should."""
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
 from benchmarks.results import demo_clip
+from benchmarks.slips import __main__ as run
 from benchmarks.slips import mistakes, points, views
 from benchmarks.slips.errors import (
     claimed_samples,
@@ -19,6 +22,7 @@ from benchmarks.slips.good import GoodWindow, alarms, listed
 from benchmarks.slips.kinds import SLIPS, Slip
 from benchmarks.slips.recordings import CLEAN, Recording, Sensor, cameras_of, observed
 from benchmarks.slips.sizes import spoils
+from benchmarks.slips.table import Judged
 from benchmarks.slips.verdict import verdict_of
 from observations.first_guess import Seen
 from observations.keypoints2d import Keypoints2D
@@ -229,6 +233,29 @@ def test_verdicts() -> None:
         slip, "a", clean=0.01, unrepaired=None, error=0.01, repairs=(), warnings=()
     )  # fmt: skip
     assert (harmless.caught, harmless.judged) == (True, False)
+
+
+def test_an_interrupted_table_goes_on_with_the_same_code_and_clips_only(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, head = tmp_path / "slips.json", {"part": "test", "windows": ["a@0.00"]}
+    slip, seen = SLIPS[0], Finding("zeros", "")
+    verdict = verdict_of(
+        slip, "a", clean=1, unrepaired=None, error=2, repairs=(), warnings=(seen,)
+    )
+    found = Judged(slip, 1.0, (verdict,), 3.0)
+    rows = {"slips": {slip.key: found.report()}, "good": [{"window": "b", "alarms": []}]}
+    path.write_text(json.dumps({"about": {"commit": "abc"}, **head, **rows}))
+    nothing = {"slips": {}, "good": []}
+    monkeypatch.setattr(run, "commit", lambda _: "abc")
+    kept = run.begun(path, head)
+    assert Judged.of(slip, kept["slips"][slip.key]) == found
+    assert kept["good"] == rows["good"]
+    assert run.begun(path, head | {"windows": ["c@0.00"]}) == nothing
+    assert run.begun(tmp_path / "none.json", head) == nothing
+    for other in ("abcd", "abc+", None):
+        monkeypatch.setattr(run, "commit", lambda _, own=other: own)
+        assert run.begun(path, head) == nothing
 
 
 def test_the_list_of_good_windows() -> None:
