@@ -15,7 +15,7 @@ slip. The first has float and BoS distance of flight in it, where they mean noth
 the clips `without flight`.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from time import process_time
 
@@ -121,22 +121,32 @@ def measured(
     return samples, {"turned": turned, "seconds": seconds / len(jobs)}
 
 
-def summary(samples: Sequence[PhysicsSamples], jobs: Sequence[Job]) -> dict[str, Row]:
-    """Pooled frames: of all clips, of those without flight, of every subject; means over these."""
+def summary(
+    samples: Sequence[PhysicsSamples], jobs: Sequence[Job], apart: Collection[str] = ()
+) -> dict[str, Row]:
+    """Pooled frames: of all clips, of those without flight, of every subject; means over these.
+
+    Subjects `apart` have a row of their own and count in no other.
+    """
 
     def over(wanted: Callable[[Job], bool]) -> Row:
         rows = [s for s, job in zip(samples, jobs, strict=True) if wanted(job)]
         return physics_metrics(concatenate(rows)) if rows else {}
 
+    def counted(job: Job) -> bool:
+        return job.subject not in apart
+
     subjects = dict.fromkeys(job.subject for job in jobs)
     own = {name: over(lambda job, name=name: job.subject == name) for name in subjects}
-    pooled = over(lambda _: True)
-    mean = {key: _mean(own, key) for key in pooled}
+    pooled = over(counted)
+    mean = {
+        key: _mean({n: row for n, row in own.items() if n not in apart}, key) for key in pooled
+    }
     groups = {
         "pooled": pooled,
-        "without flight": over(lambda job: not job.flies),
-        "bodies of people": over(lambda job: job.real and not job.flies),
-        "bodies drawn": over(lambda job: not (job.real or job.flies)),
+        "without flight": over(lambda job: counted(job) and not job.flies),
+        "bodies of people": over(lambda job: counted(job) and job.real and not job.flies),
+        "bodies drawn": over(lambda job: counted(job) and not (job.real or job.flies)),
         "mean": mean,
         **own,
     }
@@ -235,7 +245,7 @@ def _main() -> None:
     table: dict[str, dict[str, Row]] = {}
     for name, method in ({TRUTH: itself} | methods | trained).items():
         samples, more = measured(method, jobs, body)
-        table[name] = summary(samples, jobs)
+        table[name] = summary(samples, jobs, splits.apart)
         table[name]["pooled"] |= more
     with_sums(table)
     standing = sum(not job.flies for job in jobs)

@@ -189,6 +189,17 @@ def test_rows_are_pooled_by_subject_and_sums_count_copies() -> None:
     assert soles_down(motion, BODY).all()
 
 
+def test_subjects_apart_count_in_their_own_row_alone() -> None:
+    """Subject 16, who walks like a training subject, was among the pooled frames."""
+    motion = squatting(9)
+    jobs = [Job(name, name, motion, TALL, False, False) for name in ("a", "b")]
+    samples, _ = measured(copied, jobs, BODY)
+    table = summary(samples, jobs, apart=("b",))
+    assert table["pooled"] == table["without flight"] == table["a"]
+    assert table["mean"]["penetrate"] == pytest.approx(table["a"]["penetrate"])
+    assert "b" in table
+
+
 def test_a_clip_of_another_length_is_refused() -> None:
     job = Job("clip", "one", squatting(), TALL, False, False)
     with pytest.raises(ValueError, match="keeps its times"):
