@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from multiprocessing import get_context
 from multiprocessing.connection import Connection, wait
+from types import GeneratorType
 from typing import Any, Literal
 
 Kind = Literal["bad input", "out of memory", "crashed", "error"]
@@ -27,6 +28,10 @@ _REFUSALS = (
 
 _PATIENCE = 5.0
 """Seconds that a process has to clean up when it is told to end."""
+
+
+DONE = "done"
+"""What a generator gives at last when nothing went wrong."""
 
 
 @dataclass(frozen=True)
@@ -44,8 +49,9 @@ def run_jobs(
 ) -> Iterator[tuple[tuple[Any, ...], Any]]:
     """Call `function(*job)` for every job in some processes; yields jobs and results as they end.
 
-    The result is what the function returned, or a `Failure`. Jobs are drawn when a process is
-    free for them. When the caller stops iterating, or is killed, the processes end as well.
+    The result is what the function returned, or a `Failure`. A function that is a generator gives
+    several results, one after the other, and at last `DONE` or a `Failure`. Jobs are drawn when a
+    process is free for them. When the caller stops iterating, or is killed, the processes end.
 
     Args:
         function: importable, as its process has to find it; so are jobs and results.
@@ -71,9 +77,10 @@ def run_jobs(
             ready = wait(list(busy))
             for connection in [one for one in busy if one in ready]:
                 worker, job = busy[connection]
-                result, alive = worker.result()
-                del busy[connection]
-                if alive:
+                result, ended, alive = worker.result()
+                if ended:
+                    del busy[connection]
+                if ended and alive:
                     idle.append(worker)
                 yield job, result
     finally:
@@ -97,19 +104,19 @@ class _Worker:
         with contextlib.suppress(BrokenPipeError, ConnectionResetError):
             self.connection.send(job)
 
-    def result(self) -> tuple[Any, bool]:
-        """The result of the job, and whether the process can do another."""
+    def result(self) -> tuple[Any, bool, bool]:
+        """A result of the job, whether it is the last, and whether the process can do another."""
         try:
-            result = self.connection.recv()
+            result, ended = self.connection.recv()
         except (EOFError, ConnectionResetError):
             self.connection.close()
             self._process.join()
-            return Failure("crashed", _death(self._process.exitcode or 0)), False
+            return Failure("crashed", _death(self._process.exitcode or 0)), True, False
         if isinstance(result, Failure) and result.kind == "out of memory":
             # what a process holds after that is not known
             self.stop()
-            return result, False
-        return result, True
+            return result, True, False
+        return result, ended, True
 
     def stop(self) -> None:
         """End the process, whatever it does; it removes what it has half written."""
@@ -138,19 +145,26 @@ def _serve(function: Callable[..., Any], connection: Connection) -> None:
     _one_thread()
     with contextlib.suppress(EOFError, BrokenPipeError, ConnectionResetError):
         while True:
-            connection.send(_attempt(function, connection.recv()))
+            for result in _attempt(function, connection.recv()):
+                connection.send(result)
 
 
-def _attempt(function: Callable[..., Any], job: tuple[Any, ...]) -> Any:
-    """The result, or why there is none: whatever it is, it ends this job and no other."""
+def _attempt(function: Callable[..., Any], job: tuple[Any, ...]) -> Iterator[tuple[Any, bool]]:
+    """Results, and whether each is the last; whatever goes wrong ends this job and no other."""
     try:
-        return function(*job)
+        result = function(*job)
+        if isinstance(result, GeneratorType):
+            for part in result:
+                yield part, False
+            result = DONE
+        yield result, True
     except MemoryError as error:
-        return Failure("out of memory", _described(error))
+        yield Failure("out of memory", _described(error)), True
     except Exception as error:
         if _is_refusal(error):
-            return Failure("bad input", str(error))
-        return Failure("error", _described(error), traceback.format_exc())
+            yield Failure("bad input", str(error)), True
+        else:
+            yield Failure("error", _described(error), traceback.format_exc()), True
 
 
 def _is_refusal(error: Exception) -> bool:

@@ -37,7 +37,7 @@ class Splits:
 
     subjects: dict[str, tuple[str, ...]]
     """Name patterns of the clips of each subject, the first that matches counts; a clip of no
-    pattern belongs to the subject its name begins with (`07_01`: 07)."""
+    pattern belongs to the subject its name begins with (`07_01`: 07; `anna/walk_1`: anna)."""
     test: tuple[str, ...]
     apart: tuple[str, ...]
     """Subjects who are tested, but left out of means over the test subjects."""
@@ -91,7 +91,7 @@ class Splits:
         for name, patterns in self.subjects.items():
             if _matches(clip, patterns):
                 return name
-        return clip.split("_", 1)[0]
+        return clip.split("/" if "/" in clip else "_", 1)[0]
 
     def is_open(self, clip: str) -> bool:
         """Weights that learned from it may go into an open package."""
@@ -134,15 +134,23 @@ def clip_files(corpus: str | Path) -> dict[str, Path]:
         ValueError: when two files have the same name.
     """
     found: dict[str, Path] = {}
-    for path in sorted(Path(corpus).rglob("*.npz"), key=lambda p: p.stem):
-        if path.stem in found:
-            raise ValueError(f"two clips are called {path.stem}: {found[path.stem]} and {path}")
-        found[path.stem] = path
+    for name, path in sorted((_name(path), path) for path in Path(corpus).rglob("*.npz")):
+        if name in found:
+            raise ValueError(f"two clips are called {name}: {found[name]} and {path}")
+        found[name] = path
     if len(found) == 0:
         raise FileNotFoundError(
             f"{corpus}: no motion files (.npz) there; make them by recon convert --all"
         )
     return found
+
+
+def _name(motion: Path) -> str:
+    """A clip's name as the conversion noted it, folders included; else that of its file."""
+    beside = motion.with_suffix(".json")
+    noted = json.loads(beside.read_text(encoding="utf-8")) if beside.is_file() else None
+    name = noted.get("clip") if isinstance(noted, dict) else None
+    return name if isinstance(name, str) else motion.stem
 
 
 def load_clips(

@@ -45,7 +45,9 @@ def convert(
     """Bring a recording (.bvh, .amc, .c3d, .trc, .mat, also .xz and FILE::MEMBER) onto the body.
 
     With --all, RECORDING is a folder and OUT another: every skeleton recording below it is
-    converted in parallel, one shape per subject, with a report; run it again to continue.
+    converted in parallel, one shape per subject, with a report; run it again to continue. Exit
+    code 1 says that something went wrong with some; those that are too short or of an unknown
+    skeleton are rejected, which is in the report alone.
 
     Writes OUT (AMASS .npz with joints, contacts and ground) and OUT.json (what happened).
 
@@ -92,10 +94,12 @@ def _convert_folder(
 
     rows = convert_corpus(folder, out, processes=processes, body=body)
     kept = [row for row in rows if row.get("kept")]
+    failed = [row for row in rows if row["status"] not in ("ok", "rejected")]
     summary = {
         "clips": len(rows),
         "converted": len(kept),
-        "rejected": len(rows) - len(kept),
+        "rejected": len(rows) - len(kept) - len(failed),
+        "failed": len(failed),
         "minutes": round(sum(float(row["seconds"] or 0) for row in kept) / 60, 2),
         "median_residual_mm": median(float(row["residual_mm"] or 0) for row in kept)
         if kept
@@ -107,3 +111,7 @@ def _convert_folder(
         console.answer(summary)
     if not kept:
         raise Failed(f"{folder}: no recording could be converted; see {out / 'report.csv'}")
+    if bad := [row for row in rows if row["status"] not in ("ok", "rejected")]:
+        raise Failed(
+            f"{len(bad)} recordings could not be converted; {out / 'report.csv'} says why"
+        )

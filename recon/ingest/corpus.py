@@ -1,228 +1,290 @@
 """Whole collections at once: one shape per skeleton, clips in parallel, resumable."""
 
-import csv
 import hashlib
-import json
 import logging
-from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
-from dataclasses import dataclass
-from functools import partial
-from itertools import pairwise
-from multiprocessing import get_context
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from importlib import resources
 from pathlib import Path
-
-import torch
+from typing import Any
 
 from recon.body import BodyModel
-from recon.formats.files import replacing
+from recon.checksums import file_checksum, value_checksum
 from recon.ingest import solve as solving
 from recon.ingest import subject as calibrating
-from recon.ingest.collection import Clip, collections, read_clips, skeleton_key
-from recon.ingest.conversion import convert_skeletons, glitches
-from recon.ingest.skeletons import recognise
-from recon.ingest.subject import SubjectModel, calibrate
-from recon.recording import SkeletonRecording
+from recon.ingest.collection import Clip, collections
+from recon.ingest.corpus_jobs import (
+    Survey,
+    Task,
+    calibrate_group,
+    convert_tasks,
+    survey,
+)
+from recon.ingest.corpus_report import (
+    Converted,
+    Row,
+    converted_record,
+    failed_record,
+    rejected_record,
+    write_report,
+)
+from recon.ingest.subject import SubjectModel
+from recon.work_items import run_items
+from recon.workers import Failure, run_jobs
+from recon.worklog import Record, WorkLog, open_log
 
 logger = logging.getLogger(__name__)
 
-VERSION = 2
+VERSION = 3
 """Raised when the conversion gives other results, so that old outputs are made anew."""
-SHORTEST = 1.0
-"""Seconds; what is left between jumps must last so long to be kept."""
-_BATCH_FRAMES = 6000
-"""Frames of one batch, padding included."""
+_SURVEYED_TOGETHER = 20
+"""Files that a process looks at in a row."""
 _CHUNK_FRAMES = 30000
-"""Frames of one job, about a minute."""
+"""Frames of an archive that a process converts in a row, so that it is read seldom."""
 _CHUNK_CLIPS = 400
 _CALIBRATION_CLIPS = 200
-
-Row = dict[str, str | float | int | bool | None]
-
-
-@dataclass(frozen=True)
-class Piece:
-    """A recording, or what lies between two jumps of one."""
-
-    clip: Clip
-    name: str
-    recording: SkeletonRecording
-    cut: str
-    """What was cut off, for the report."""
+_CALIBRATED_TOGETHER = 4
+"""Skeletons for each process."""
+_REPORT_EVERY = 20.0
+"""Seconds."""
 
 
 def convert_corpus(
-    folder: str | Path, out: str | Path, *, processes: int = 2, body: str | Path | None = None
+    folder: str | Path,
+    out: str | Path,
+    *,
+    processes: int = 2,
+    body: str | Path | None = None,
+    calibration: Callable[..., Any] = calibrate_group,
 ) -> list[Row]:
     """Convert every skeleton recording below a folder.
 
-    Writes OUT/COLLECTION/CLIP.npz, and OUT/report.csv and report.json with one row per clip.
-    A recording with jumps is split at them; pieces under a second are rejected. Outputs that are
-    there already, made with the same settings and body, are kept.
+    Writes OUT/COLLECTION/CLIP.npz and CLIP.json, OUT/log.jsonl with a line per clip as it ends,
+    and OUT/report.csv and report.json with a row per motion or rejected clip; `status` of a row
+    says whether something went wrong. A recording with jumps is split at them; pieces under a
+    second are rejected. Clips are kept as they are while nothing that they depend on changes:
+    the content of the recording, its notes, the contents of those recordings of its skeleton from
+    which its shape was calibrated (up to 200), the body and the version of the conversion.
 
     Args:
         folder: with recordings, or with folders that hold a manifest.csv.
         out: folder to write to.
         processes: that work at once, one thread each.
         body: file of another body; None is the bundled one.
+        calibration: finds what the clips of one skeleton have in common.
 
     Raises:
-        FileNotFoundError: when the folder or a file of its manifest is missing.
-        ValueError: when nothing in it is a recording of a skeleton.
+        FileNotFoundError: when there is no such folder.
+        ValueError: when nothing in it is a recording, a manifest is damaged, two recordings would
+            have one output, or another run is writing to OUT.
     """
-    if processes < 1:
-        raise ValueError(f"expected at least one process, got {processes}")
     out = Path(out)
+    found = collections(Path(folder))
     settings = config_hash(BodyModel.load(body))
-    rows: list[Row] = []
-    for clips in collections(Path(folder)):
-        target = out / clips[0].collection
-        target.mkdir(parents=True, exist_ok=True)
-        with ProcessPoolExecutor(processes, get_context("spawn"), initializer=_one_thread) as pool:
-            groups, unread = _by_skeleton(clips, pool)
-            rows += unread
-            pending: list[list[Clip]] = []
-            for group in groups:
-                found = {c.name: _finished(target / f"{c.name}.npz", settings) for c in group}
-                rows += [row for row in found.values() if row is not None]
-                pending.append([clip for clip in group if found[clip.name] is None])
-            waiting = [(g, p) for g, p in zip(groups, pending, strict=True) if p]
-            calibrated = pool.map(
-                partial(calibrate_group, body_path=body), [group for group, _ in waiting]
-            )
-            jobs: list[Future[list[Row]]] = []
-            for (_, clips_left), subject in zip(waiting, list(calibrated), strict=True):
-                if isinstance(subject, str):
-                    rows += [_rejection(clip, subject) for clip in clips_left]
-                    continue
-                jobs += [
-                    pool.submit(convert_chunk, chunk, subject, target, settings, body)
-                    for chunk in _chunks(clips_left)
-                ]
-            write_report(out, rows)
-            for job in as_completed(jobs):
-                rows += job.result()
-                write_report(out, rows)
-        logger.info("%s: done", clips[0].collection)
-    return rows
+    out.mkdir(parents=True, exist_ok=True)
+    if not (out / "report.json").exists():
+        write_report(out, [])
+    with open_log(out / "log.jsonl") as log:
+        every = [clip for clips in found for clip in clips]
+        work = _Corpus(out, log, settings, processes, body, every, calibration)
+        for clips in found:
+            work.convert(clips)
+            logger.info("%s: done", clips[0].collection)
+        work.report()
+        return work.rows()
 
 
-def calibrate_group(clips: Sequence[Clip], body_path: str | Path | None) -> SubjectModel | str:
-    """Shape, offsets and alignments of one skeleton, from up to 200 of its clips.
+@dataclass
+class _Corpus:
+    """A conversion on its way."""
 
-    Or why there is none: nobody knows the skeleton, or no clip is whole.
-    """
-    some = list(clips[:: max(1, -(-len(clips) // _CALIBRATION_CLIPS))])
-    recordings = [
-        piece.recording
-        for clip, recording in read_clips(some)
-        if isinstance(recording, SkeletonRecording)
-        for piece in split(clip, recording)[0]
-    ]
-    if not recordings:
-        return "no clip of its skeleton lasts a second without jumps"
-    try:
-        skeleton = recognise(recordings[0])
-    except ValueError as error:
-        return str(error)
-    return calibrate(recordings, skeleton, BodyModel.load(body_path))
+    out: Path
+    log: WorkLog
+    settings: str
+    processes: int
+    body: str | Path | None
+    clips: Sequence[Clip]
+    """Of all collections."""
+    calibrate: Callable[..., Any]
+    """`calibrate_group`."""
+    ended: dict[str, Record] = field(default_factory=dict)
+    """What became of the clips, by their ids."""
+    reported: float = 0.0
+    """When the report was written last."""
 
-
-def convert_chunk(
-    clips: Sequence[Clip],
-    subject: SubjectModel,
-    target: Path,
-    settings: str,
-    body_path: str | Path | None,
-) -> list[Row]:
-    """Some clips of one skeleton, in batches of like length."""
-    body = BodyModel.load(body_path)
-    rows: list[Row] = []
-    pieces: list[Piece] = []
-    for clip, recording in read_clips(list(clips)):
-        if isinstance(recording, str):
-            rows.append(_rejection(clip, recording))
-            continue
-        kept, rejected = split(clip, recording)
-        rows += rejected
-        for piece in kept:
-            row = _finished(target / f"{piece.name}.npz", settings)
-            if row is None:
-                pieces.append(piece)
+    def convert(self, clips: Sequence[Clip]) -> None:
+        """Survey, calibrate and convert one collection."""
+        surveyed: dict[str, Survey] = {}
+        for clip, found in run_items(survey, _in_rows(clips, _SURVEYED_TOGETHER), self.processes):
+            if isinstance(found, Failure):
+                self._end(clip, failed_record(clip, found))
+            elif found.reason:
+                self._end(clip, failed_record(clip, Failure("bad input", found.reason)))
             else:
-                rows.append(row)
-    for batch in _batches(pieces):
-        rows += convert_batch(batch, subject, body, target, settings)
-    return rows
+                surveyed[clip.id] = found
+        groups: dict[str, list[Clip]] = {}
+        for clip in clips:
+            # a clip that was found twice may have been surveyed and then failed
+            if clip.id in surveyed and clip.id not in self.ended:
+                groups.setdefault(surveyed[clip.id].skeleton, []).append(clip)
+        waiting = [job for group in groups.values() for job in self._waiting(group, surveyed)]
+        # some at a time, so that a run that is killed has not calibrated many for nothing
+        for k in range(0, len(waiting), _CALIBRATED_TOGETHER * self.processes):
+            self._convert(waiting[k : k + _CALIBRATED_TOGETHER * self.processes], surveyed)
+
+    def _convert(self, waiting: Sequence["_Waiting"], surveyed: Mapping[str, Survey]) -> None:
+        """Calibrate skeletons and convert clips of them."""
+        tasks: list[Task] = []
+        keys: dict[str, str] = {}
+        for job, subject in run_jobs(self.calibrate, [one.job for one in waiting], self.processes):
+            own = next(one for one in waiting if one.job == job)
+            found = self._without_culprits(own) if isinstance(subject, Failure) else subject
+            for clip, key in own.left:
+                keys[clip.id] = key
+                if isinstance(found, SubjectModel):
+                    tasks.append(self._task(clip, surveyed[clip.id], found))
+                elif isinstance(found, str):
+                    self._end(clip, rejected_record(clip, found, key))
+                else:
+                    reason = f"the shape of its subject could not be found: {found.reason}"
+                    self._end(clip, failed_record(clip, replace(found, reason=reason)))
+        for task, found in run_items(convert_tasks, _chunks(tasks), self.processes):
+            if isinstance(found, Converted):
+                self._end(task.clip, converted_record(task.clip, found, keys[task.clip.id]))
+            else:
+                self._end(task.clip, failed_record(task.clip, found))
+
+    def _without_culprits(self, group: "_Waiting") -> SubjectModel | str | Failure:
+        """A calibration without the clips that make it fail, which are found by halving."""
+        good, suspected = list[Clip](), [group.some]
+        result: SubjectModel | str | Failure = Failure("error", "every clip of it makes it fail")
+        while suspected:
+            halves = [half for clips in suspected for half in _halves(clips)]
+            jobs = [(half, self.body) for half in halves]
+            suspected = []
+            for (half, _), found in run_jobs(self.calibrate, jobs, self.processes):
+                if not isinstance(found, Failure):
+                    good += half
+                elif len(half) > 1:
+                    suspected.append(half)
+                else:
+                    result = found
+        # in their order, since a calibration depends on it
+        kept = [clip for clip in group.some if clip in good]
+        if kept:
+            for _, found in run_jobs(self.calibrate, [(kept, self.body)], 1):
+                result = found
+        return result
+
+    def _waiting(
+        self, group: Sequence[Clip], surveyed: Mapping[str, Survey]
+    ) -> Iterator["_Waiting"]:
+        """The group of a skeleton, where some of its clips are to be converted."""
+        some = list(group[:: max(1, -(-len(group) // _CALIBRATION_CLIPS))])
+        subject = value_checksum([surveyed[clip.id].checksum for clip in some])
+        left: list[tuple[Clip, str]] = []
+        for clip in group:
+            notes = [clip.id, clip.subject, clip.action, clip.flat, clip.contacts]
+            key = value_checksum([self.settings, subject, surveyed[clip.id].checksum, notes])
+            known = self.log.records.get(clip.id, {})
+            if known.get("key") == key and self._is_whole(clip, known):
+                self.ended[clip.id] = known
+            else:
+                left.append((clip, key))
+        if left:
+            yield _Waiting(some, left, self.body)
+
+    def _is_whole(self, clip: Clip, known: Record) -> bool:
+        """Whether all outputs of a former run are as they were written."""
+        folder = self.out / clip.collection
+        return known["status"] in ("ok", "rejected") and all(
+            (folder / name).is_file() and file_checksum(folder / name) == checksum
+            for name, checksum in known["outputs"].items()
+        )
+
+    def _task(self, clip: Clip, surveyed: Survey, subject: SubjectModel) -> Task:
+        pieces = clip.name + "."
+        return Task(
+            clip,
+            surveyed.checksum,
+            subject,
+            self.out / clip.collection,
+            self.settings,
+            self.body,
+            frozenset(
+                other.name
+                for other in self.clips
+                if other.collection == clip.collection and other.name.startswith(pieces)
+            ),
+            self.log.records.get(clip.id, {}).get("outputs", {}),
+        )
+
+    def _end(self, clip: Clip, record: Record) -> None:
+        """Log a clip; remove what a former run made of it and this one did not."""
+        folder = self.out / clip.collection
+        former = self.log.records.get(clip.id, {}).get("outputs", {})
+        for name in former.keys() - record["outputs"].keys():
+            path = folder / name
+            if path.is_file() and file_checksum(path) == former[name]:
+                path.unlink()
+                path.with_suffix(".json").unlink(missing_ok=True)
+        self.log.append(record)
+        self.ended[clip.id] = record
+        if time.monotonic() > self.reported + _REPORT_EVERY:
+            self.report()
+
+    def rows(self) -> list[Row]:
+        """The report so far."""
+        return [
+            {**row, "status": record["status"]}
+            for record in self.ended.values()
+            for row in record["rows"]
+        ]
+
+    def report(self) -> None:
+        """Write the report, and say what lies in OUT without a recording."""
+        write_report(self.out, self.rows())
+        self.reported = time.monotonic()
+        known = {clip.id for clip in self.clips}
+        gone = [
+            id_ for id_, r in self.log.records.items() if r.get("outputs") and id_ not in known
+        ]
+        if gone:
+            logger.warning(
+                "%s: motions of %d recordings that are not there any more were left: %s",
+                self.out, len(gone), ", ".join(sorted(gone)[:5]),
+            )  # fmt: skip
 
 
-def convert_batch(
-    batch: Sequence[Piece], subject: SubjectModel, body: BodyModel, target: Path, settings: str
-) -> list[Row]:
-    """Clips of one batch, each written beside its row of the report."""
-    rows: list[Row] = []
-    found = convert_skeletons([piece.recording for piece in batch], subject, body)
-    for piece, conversion in zip(batch, found, strict=True):
-        clip, path = piece.clip, target / f"{piece.name}.npz"
-        conversion.save(path, body, contacts=clip.contacts)
-        row: Row = {
-            "collection": clip.collection,
-            "clip": piece.name,
-            "subject": clip.subject,
-            "action": clip.action,
-            "kept": True,
-            **conversion.report,
-            "flat": clip.flat,
-            "contacts": clip.contacts,
-            "skeleton": subject.skeleton.name,
-            "cut": piece.cut,
-            "reason": "",
-            "settings": settings,
-        }
-        with replacing(path.with_suffix(".json")) as beside:
-            beside.write_text(json.dumps(row, indent=1) + "\n", encoding="utf-8")
-        rows.append(row)
-    return rows
+@dataclass(frozen=True)
+class _Waiting:
+    """Clips of one skeleton that are to be converted, with their keys."""
+
+    some: list[Clip]
+    """From which it is calibrated."""
+    left: list[tuple[Clip, str]]
+    body: str | Path | None
+
+    @property
+    def job(self) -> tuple[list[Clip], str | Path | None]:
+        """Arguments of `calibrate_group`."""
+        return self.some, self.body
 
 
-def split(clip: Clip, recording: SkeletonRecording) -> tuple[list[Piece], list[Row]]:
-    """What of a recording is whole: the runs between jumps that last a second or more."""
-    jumps = glitches(recording)
-    edges = [0, *(jump + 1 for jump in jumps), recording.frames]
-    runs = [(a, b) for a, b in pairwise(edges) if b > a]
-    pieces: list[Piece] = []
-    rejected: list[Row] = []
-    for first, last in runs:
-        if last - first < SHORTEST * recording.fps:
-            continue
-        name = clip.name if len(runs) == 1 else f"{clip.name}.{first}"
-        cut = "" if len(runs) == 1 else f"frames {first}:{last}, between {len(jumps)} jumps"
-        pieces.append(Piece(clip, name, recording.window(first, last), cut))
-    kept = sum(piece.recording.frames for piece in pieces)
-    if kept < recording.frames:
-        between = f" between its {len(jumps)} jumps" if jumps else ""
-        row = _rejection(clip, f"shorter than a second{between}")
-        frames = recording.frames - kept
-        rejected.append(row | {"frames": frames, "fps": recording.fps, "n_glitch": len(jumps)})
-    return pieces, rejected
-
-
-def _rejection(clip: Clip, reason: str) -> Row:
-    return {
-        "collection": clip.collection,
-        "clip": clip.name,
-        "subject": clip.subject,
-        "action": clip.action,
-        "kept": False,
-        "reason": reason,
-    }
+def _halves(clips: Sequence[Clip]) -> list[list[Clip]]:
+    middle = len(clips) // 2
+    return [list(half) for half in (clips[:middle], clips[middle:]) if half]
 
 
 def config_hash(body: BodyModel) -> str:
     """Changes whenever the same recording would give another motion."""
+    with resources.as_file(resources.files("recon") / "assets" / "skeletons.toml") as skeletons:
+        known = file_checksum(skeletons)
     settings = (
         VERSION,
         body.checksum,
+        known,
         calibrating.CalibrationWeights(),
         calibrating.FRAMES,
         calibrating.FEET_WEIGHT,
@@ -233,77 +295,32 @@ def config_hash(body: BodyModel) -> str:
     return hashlib.sha256(repr(settings).encode()).hexdigest()[:16]
 
 
-def write_report(out: Path, rows: Sequence[Mapping[str, object]]) -> None:
-    """OUT/report.csv and OUT/report.json, in one step each."""
-    ordered = sorted(rows, key=lambda row: (str(row["collection"]), str(row["clip"])))
-    columns = list(dict.fromkeys(key for row in ordered for key in row))
-    with replacing(out / "report.csv") as beside, beside.open("w", newline="") as file:
-        writer = csv.DictWriter(file, columns)
-        writer.writeheader()
-        writer.writerows(ordered)
-    with replacing(out / "report.json") as beside:
-        beside.write_text(json.dumps(ordered, indent=1) + "\n", encoding="utf-8")
-
-
-def _finished(path: Path, settings: str) -> Row | None:
-    """The report row of an output that need not be made again."""
-    beside = path.with_suffix(".json")
-    if not path.is_file() or not beside.is_file():
-        return None
-    row = json.loads(beside.read_text(encoding="utf-8"))
-    return row if row.get("settings") == settings else None
-
-
-def _by_skeleton(clips: Sequence[Clip], pool: Executor) -> tuple[list[list[Clip]], list[Row]]:
-    """Clips that share names and lengths of bones, and rows of those that cannot be read."""
-    groups: dict[str, list[Clip]] = {}
-    unread: list[Row] = []
-    parts = [list(clips[k : k + _CHUNK_CLIPS]) for k in range(0, len(clips), _CHUNK_CLIPS)]
-    for found in pool.map(_skeleton_keys, parts):
-        for clip, key, reason in found:
-            if key:
-                groups.setdefault(key, []).append(clip)
-            else:
-                unread.append(_rejection(clip, reason))
-    return list(groups.values()), unread
-
-
-def _skeleton_keys(clips: list[Clip]) -> list[tuple[Clip, str, str]]:
-    """Every clip with the key of its skeleton, or without and why."""
-    return [
-        (clip, "", found) if isinstance(found, str) else (clip, skeleton_key(found), "")
-        for clip, found in read_clips(clips)
-    ]
-
-
-def _chunks(clips: Sequence[Clip]) -> Iterator[list[Clip]]:
-    """Clips for one job each: short ones many at a time, so that archives are read seldom."""
-    chunk: list[Clip] = []
-    frames = 0
+def _in_rows(clips: Sequence[Clip], count: int) -> Iterator[list[Clip]]:
+    """Files some at a time, all clips of an archive together."""
+    files = [clip for clip in clips if clip.member is None]
+    for k in range(0, len(files), count):
+        yield files[k : k + count]
+    packed: dict[Path, list[Clip]] = {}
     for clip in clips:
-        stated = clip.notes.get("frames", "")
-        frames += int(stated) if stated.isdigit() else _CHUNK_FRAMES // 8
-        chunk.append(clip)
-        if frames >= _CHUNK_FRAMES:
+        if clip.member is not None:
+            packed.setdefault(clip.path, []).append(clip)
+    yield from packed.values()
+
+
+def _chunks(tasks: Sequence[Task]) -> Iterator[list[Task]]:
+    """Files alone, clips of one archive many at a time."""
+    chunk: list[Task] = []
+    frames = 0
+    for task in sorted(tasks, key=lambda task: str(task.clip.path)):
+        if task.clip.member is None:
+            yield [task]
+            continue
+        full = frames >= _CHUNK_FRAMES or len(chunk) >= _CHUNK_CLIPS
+        if chunk and (full or chunk[0].clip.path != task.clip.path):
             yield chunk
             chunk, frames = [], 0
+        stated = task.clip.notes.get("frames", "")
+        frames += int(stated) if stated.isdigit() else _CHUNK_FRAMES // 8
+        chunk.append(task)
     if chunk:
         yield chunk
-
-
-def _batches(pieces: Sequence[Piece]) -> Iterator[list[Piece]]:
-    """Pieces of one rate and like length."""
-    batch: list[Piece] = []
-    for piece in sorted(pieces, key=lambda p: (p.recording.fps, -p.recording.frames, p.name)):
-        first = batch[0].recording if batch else piece.recording
-        full = (len(batch) + 1) * first.frames > _BATCH_FRAMES
-        if batch and (full or first.fps != piece.recording.fps):
-            yield batch
-            batch = []
-        batch.append(piece)
-    if batch:
-        yield batch
-
-
-def _one_thread() -> None:
-    torch.set_num_threads(1)

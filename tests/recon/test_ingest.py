@@ -17,7 +17,8 @@ from recon.formats.bvh_write import skeleton_of, write_bvh
 from recon.ingest import Conversion, convert
 from recon.ingest.collection import Clip, collections, read_clips, skeleton_key
 from recon.ingest.conversion import glitches, resampled
-from recon.ingest.corpus import config_hash, convert_corpus, split
+from recon.ingest.corpus import config_hash, convert_corpus
+from recon.ingest.corpus_jobs import split
 from recon.ingest.coverage import STANDOFF, full_body_markers, nominal_offsets
 from recon.ingest.skeletons import recognise
 from recon.ingest.tpose import alignments_from_rest
