@@ -12,10 +12,11 @@ from recon.settings import DEFAULTS, FitSettings
 
 
 def _is_former(folder: Path) -> bool:
-    """Whether a folder has the log of a batch; one that was cut at once has no line yet."""
+    """Whether a folder has the log of a batch; one that was cut at once has no whole line yet."""
     from recon.worklog import read_log
 
-    return any(log.stat().st_size == 0 or read_log(log) for log in folder.glob("log*.jsonl"))
+    logs = list(folder.glob("log*.jsonl"))
+    return any(b"\n" not in log.read_bytes() or read_log(log) for log in logs)
 
 
 def _results(out: Path, _: Arguments) -> tuple[Output, ...]:

@@ -69,7 +69,7 @@ def convert(
     if everything:
         if any(option is not None for option in (unit, up, mapping, fps)):
             raise ValueError("--all takes unit, axis and rate from each file; leave them out")
-        _convert_folder(recording, out, body, processes, json)
+        _convert_folder(recording, out, body, processes, json, overwrite)
         return
 
     from recon.convert_files import ConversionSettings, convert_file
@@ -85,14 +85,14 @@ def convert(
 
 
 def _convert_folder(
-    folder: Path, out: Path, body: Path | None, processes: int, json: bool
+    folder: Path, out: Path, body: Path | None, processes: int, json: bool, overwrite: bool
 ) -> None:
     from statistics import median
 
     from recon.cli import console
     from recon.ingest.corpus import convert_corpus
 
-    rows = convert_corpus(folder, out, processes=processes, body=body)
+    rows = convert_corpus(folder, out, processes=processes, body=body, overwrite=overwrite)
     kept = [row for row in rows if row.get("kept")]
     failed = [row for row in rows if row["status"] not in ("ok", "rejected")]
     summary = {

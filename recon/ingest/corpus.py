@@ -57,6 +57,7 @@ def convert_corpus(
     processes: int = 2,
     body: str | Path | None = None,
     calibration: Callable[..., Any] = calibrate_group,
+    overwrite: bool = False,
 ) -> list[Row]:
     """Convert every skeleton recording below a folder.
 
@@ -73,6 +74,7 @@ def convert_corpus(
         processes: that work at once, one thread each.
         body: file of another body; None is the bundled one.
         calibration: finds what the clips of one skeleton have in common.
+        overwrite: whether motions that are there and recon did not write may be replaced.
 
     Raises:
         FileNotFoundError: when there is no such folder.
@@ -87,7 +89,7 @@ def convert_corpus(
         write_report(out, [])
     with open_log(out / "log.jsonl") as log:
         every = [clip for clips in found for clip in clips]
-        work = _Corpus(out, log, settings, processes, body, every, calibration)
+        work = _Corpus(out, log, settings, processes, body, every, calibration, overwrite)
         for clips in found:
             work.convert(clips)
             logger.info("%s: done", clips[0].collection)
@@ -108,6 +110,7 @@ class _Corpus:
     """Of all collections."""
     calibrate: Callable[..., Any]
     """`calibrate_group`."""
+    overwrite: bool
     ended: dict[str, Record] = field(default_factory=dict)
     """What became of the clips, by their ids."""
     reported: float = 0.0
@@ -218,6 +221,7 @@ class _Corpus:
                 if other.collection == clip.collection and other.name.startswith(pieces)
             ),
             self.log.records.get(clip.id, {}).get("outputs", {}),
+            self.overwrite,
         )
 
     def _end(self, clip: Clip, record: Record) -> None:

@@ -54,6 +54,8 @@ class Task:
     """Names of other clips that a piece of this one could have."""
     known: Mapping[str, str] = field(default_factory=dict)
     """SHA-256 of its outputs of a former run, by name."""
+    overwrite: bool = False
+    """Whether motions that are there and recon did not write may be replaced."""
 
 
 @dataclass(frozen=True)
@@ -211,12 +213,13 @@ def _check_target(task: Task, piece: Piece) -> None:
             "which is the name of another recording; rename one of them"
         )
     path = task.target / f"{piece.name}.npz"
-    if not path.exists():
+    if task.overwrite or not path.exists():
         return
     if file_checksum(path) not in {task.known.get(f"{piece.name}.npz"), *_noted(path)}:
         raise FileExistsError(
             f"{path} is there already, and recon did not write it as it is (its checksum does not "
-            f"stand in {path.with_suffix('.json').name}); move it away, or give another OUT"
+            f"stand in {path.with_suffix('.json').name}); move it away, give another OUT, or "
+            "replace it by --overwrite"
         )
 
 
