@@ -52,6 +52,7 @@ def convert_file(
         "conversion": dict(found.report),
         "decisions": list(found.decisions),
         "residuals_mm": {name: round(value, 2) for name, value in found.residuals.items()},
+        **found.findings(),
         "settings": asdict(settings),
         "inputs": checksums(read),
         "versions": versions(),

@@ -78,9 +78,11 @@ def convert(
     report = convert_file(recording, out, settings, overwrite=overwrite)
     for decision in report["decisions"]:
         console.say(f"  {decision}")
+    console.findings({kind: report[kind] for kind in ("repairs", "warnings")})
     console.table(str(out), {k: {"value": v} for k, v in report["conversion"].items()})
     if json:
-        shown = {name: report[name] for name in ("decisions", "residuals_mm")}
+        lists = ("decisions", "residuals_mm", "diagnosis", "repairs", "warnings")
+        shown = {name: report[name] for name in lists}
         console.answer({**report["conversion"], **shown})
 
 

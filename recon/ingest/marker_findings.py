@@ -16,7 +16,7 @@ _OFTEN = 0.02
 """Share of a marker's frames in which it is, that is worth a word."""
 _LARGE = 0.03
 """Metres of mean residual of all markers that no good recording leaves."""
-_PLACED, _LOOSE = 0.10, 0.20
+_PLACED, _LOOSE = 0.12, 0.20
 """Metres between where a marker's name says that it sits and where it does, at most; by whether
 the name says a point or a region."""
 _STILL = 0.002

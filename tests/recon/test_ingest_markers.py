@@ -1,6 +1,7 @@
 """Recordings of markers with what goes wrong in practice: gaps, jumps, exchanged labels."""
 
 import dataclasses
+import json
 from importlib import resources
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import pytest
 import torch
 
 from recon.body import BodyModel
+from recon.convert_files import ConversionSettings, convert_file
 from recon.findings import Finding
 from recon.formats.amass import load_motion
 from recon.formats.deeplabcut import normalised
@@ -139,6 +141,20 @@ def test_what_was_seen_is_written(
     lists = with_gaps.findings()
     assert {"gap", "unseen"} <= {entry["code"] for entry in lists["warnings"]}
     assert any(entry["joints"] == ("C7",) for entry in lists["diagnosis"])
+
+
+def test_the_report_beside_the_motion_holds_the_lists(
+    with_gaps: Conversion, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("recon.convert_files.convert", lambda *_, **__: with_gaps)
+    (tmp_path / "raw.trc").write_bytes(b"markers")
+    out = tmp_path / "m.npz"
+    convert_file(tmp_path / "raw.trc", out, ConversionSettings())
+    report = json.loads((tmp_path / "m.npz.json").read_bytes())
+    assert {entry["code"] for entry in report["warnings"]} == {"gap", "unseen"}
+    assert report["repairs"] == []
+    assert {entry["code"] for entry in report["diagnosis"]} == {"residual"}
+    assert set(report["warnings"][0]) == {"code", "message", "joints", "frames", "value"}
 
 
 def test_a_good_recording_raises_nothing(
