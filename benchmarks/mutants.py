@@ -10,6 +10,7 @@ is touched.
 
 import argparse
 import importlib.machinery
+import json
 import os
 import random
 import signal
@@ -47,11 +48,13 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--each", type=int, default=15, help="faults of each module")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--again", type=Path, help="a result whose survivors alone are judged")
     parser.add_argument("--only", nargs="*", default=list(MODULES), help="modules")
     options = parser.parse_args()
     for name in _LIBRARIES:
         __import__(name)
-    rows = [_judge(path, options.each, options.seed) for path in options.only]
+    before = {} if options.again is None else _survivors(options.again)
+    rows = [_judge(path, options.each, options.seed, before.get(path)) for path in options.only]
     total = sum(row["mutants"] for row in rows)
     killed = sum(row["killed"] for row in rows)
     # only now, as it imports the modules that were tested
@@ -64,8 +67,21 @@ def main() -> None:
     print(f"{killed} of {total} killed ({killed / total:.0%})")
 
 
-def _judge(path: str, each: int, seed: int) -> dict:
-    """How many of a module's sampled faults its tests notice, and those that they do not."""
+def _survivors(result: Path) -> dict[str, set[tuple]]:
+    """By module what an earlier run with the same sample did not notice."""
+    return {
+        row["module"]: {
+            (s["line"], s["operator"], s["before"], s["after"]) for s in row["survivors"]
+        }
+        for row in json.loads(result.read_text())["modules"]
+    }
+
+
+def _judge(path: str, each: int, seed: int, before: set[tuple] | None) -> dict:
+    """How many of a module's sampled faults its tests notice, and those that they do not.
+
+    Of the faults of an earlier run only those that survived it are tried again: tests grow.
+    """
     source = (_ROOT / path).read_text()
     every = places(source)
     some = random.Random(f"{seed} {path}").sample(every, min(each, len(every)))
@@ -75,6 +91,9 @@ def _judge(path: str, each: int, seed: int) -> dict:
         raise SystemExit(f"{path}: its tests fail without any fault ({', '.join(MODULES[path])})")
     survivors: list[Mutant] = []
     for one in chosen:
+        known = (one.line, one.operator, one.before, one.after)
+        if before is not None and known not in before:
+            continue
         code, seconds = _run(path, one.source, MODULES[path], _PATIENCE * limit + 10)
         print(f"{path}:{one.line} {one.operator}: {one.before[:60]!r} -> {one.after[:60]!r}",
               "survived" if code == 0 else "killed", f"{seconds:.1f} s", flush=True)  # fmt: skip

@@ -20,8 +20,11 @@ _BUNDLED = Path(__file__).parents[1] / "priors"
 
 
 def moved(values: np.ndarray, ulps: int, random: np.random.Generator) -> np.ndarray:
-    """Every number x as x (1 + k eps), k whole and at most `ulps`; zero stays zero."""
-    if values.dtype.kind != "f":
+    """Every number x as x (1 + k eps), k whole and at most `ulps`; zero stays zero.
+
+    Single numbers, such as a frame rate, are settings and stay as they are.
+    """
+    if values.dtype.kind != "f" or values.ndim == 0:
         return values
     steps = random.integers(-ulps, ulps + 1, values.shape)
     return (values * (1 + steps * np.finfo(values.dtype).eps)).astype(values.dtype)

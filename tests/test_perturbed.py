@@ -14,8 +14,8 @@ def test_numbers_move_by_units_in_the_last_place_and_no_more():
     # eps is one unit of numbers just above a power of two, and two of those just below
     assert (np.abs(away - values) <= 9 * np.spacing(np.abs(values))).all()
     assert (away[0] == 0).all()
-    whole = np.arange(5)
-    assert moved(whole, 4, np.random.default_rng(0)) is whole
+    for other in (np.arange(5), np.array(["left", "right"]), np.array(30.0)):
+        assert moved(other, 4, np.random.default_rng(0)) is other
 
 
 def test_tensors_move_alike():

@@ -22,8 +22,6 @@ from tests import laws
 from tests.priors.tiny_humos import tiny_prior, tiny_weights
 from tests.walking import a_walk
 
-pytestmark = pytest.mark.numerics
-
 BODY = BodyModel.load()
 KINDS = [WindowNetworks, ClipNetworks]
 
@@ -167,6 +165,7 @@ def test_weights_survive_the_disk(kind, tmp_path):
         load_weights(path)
 
 
+@pytest.mark.numerics
 @pytest.mark.parametrize("method", [HumosFit, CodesFit])
 def test_a_fit_is_better_than_what_was_seen(prior, method):
     motion = walks(seconds=1.3)

@@ -18,8 +18,6 @@ from recon.struct import concatenate
 from recon.upright import sole_heights
 from tests.filmed import bundled, cameras, joint_error, turned, view, walk
 
-pytestmark = pytest.mark.numerics
-
 POSE = FitSettings(prior="pose")
 HUMOR = FitSettings(prior="humor")
 
@@ -57,6 +55,7 @@ def camera_height(found: ClipFit, seen: Keypoints2D) -> float:
     return float(eye[2, 3])
 
 
+@pytest.mark.numerics
 @pytest.mark.parametrize("settings", [POSE, HUMOR], ids=["pose", "humor"])
 def test_one_camera_of_unknown_pose(settings):
     truth = walk(16)
@@ -94,6 +93,7 @@ def test_three_views_give_the_motion_itself(settings):
     assert all(1 < noise.own < 8 for noise in found.noises)  # pixels
 
 
+@pytest.mark.numerics
 def test_joints_and_images_add_up():
     """Noisy joints of the upper body, images of everything."""
     truth = walk(16)
@@ -110,6 +110,7 @@ def test_joints_and_images_add_up():
     assert {"data 1", "data 2"} <= terms
 
 
+@pytest.mark.numerics
 def test_clips_of_a_batch_are_fitted_as_alone():
     first, second = walk(16), turned(walk(16), 1.0)
     a, b = one_view(first), one_view(second, 0.5, seed=3)
