@@ -87,7 +87,8 @@ def test_landmarks_are_completed_from_the_command_line(settings, tmp_path, capsy
     line = ["complete", str(seen), "--out", str(out), "--weights", settings.weights, "--json"]
     assert cli.run(line) == cli.OK
     report = json.loads(capsys.readouterr().out)
-    assert report == json.loads((tmp_path / "out.npz.json").read_text())
+    written = json.loads((tmp_path / "out.npz.json").read_text())
+    assert report == {name: written[name] for name in report}
     assert error(out) < 0.04  # metres
     cycle = report["cycle"]
     assert cycle["seconds"] == pytest.approx((one_cycle().frames - 1) / 30, abs=0.04)
