@@ -26,12 +26,12 @@ def parents(joints: int) -> np.ndarray:
 
 def model(joints: int = 24, shapes: int = 10) -> dict[str, np.ndarray]:
     rng = np.random.default_rng(joints)
-    weights = rng.random((VERTICES, joints))
+    weights, regressor = rng.random((VERTICES, joints)), rng.random((joints, VERTICES))
     return {
         "v_template": rng.normal(size=(VERTICES, 3)),
         "shapedirs": rng.normal(size=(VERTICES, 3, shapes)),
         "posedirs": rng.normal(size=(VERTICES, 3, 9 * (joints - 1))),
-        "J_regressor": rng.random((joints, VERTICES)),
+        "J_regressor": regressor / regressor.sum(1, keepdims=True),
         "weights": weights / weights.sum(1, keepdims=True),
         "kintree_table": parents(joints),
         "f": rng.integers(0, VERTICES, (30, 3)).astype(np.uint32),
