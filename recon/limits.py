@@ -39,7 +39,8 @@ class Limit:
             ValueError: naming file, quantity, the first number outside, and where it stands.
         """
         numbers = np.asarray(values)
-        with np.errstate(invalid="ignore"):
+        # numbers of half precision are compared with ranges that it does not hold
+        with np.errstate(invalid="ignore", over="ignore"):
             bad = ~((numbers >= self.low) & (numbers <= self.high))
         if seen is not None:
             mask = np.asarray(seen, dtype=np.bool_)

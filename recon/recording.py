@@ -251,9 +251,10 @@ def head_to_foot(
     feet = [j for j, word in enumerate(words) if any(w in word for w in ("foot", "toe", "ankle"))]
     every = range(len(names))
     depth = np.zeros(len(names))
-    for joint, (parent, length) in enumerate(
-        zip(parents, np.linalg.norm(offsets, axis=-1), strict=True)
-    ):
+    # impossible offsets become an infinite length, which no unit fits
+    with np.errstate(over="ignore"):
+        lengths = np.linalg.norm(offsets, axis=-1)
+    for joint, (parent, length) in enumerate(zip(parents, lengths, strict=True)):
         depth[joint] = 0.0 if parent < 0 else depth[parent] + length
     # deepest head and foot below every joint, so far; they meet where two branches join
     deepest = np.full((2, len(names)), -math.inf)

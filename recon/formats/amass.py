@@ -200,8 +200,14 @@ def _poses(path: Path, arrays: dict[str, np.ndarray]) -> np.ndarray:
     if "poses" in arrays:
         poses = arrays["poses"]
     else:
-        poses = np.concatenate([arrays[k].reshape(len(arrays[k]), -1) for k in
-                                ("root_orient", "pose_body")], axis=1)  # fmt: skip
+        parts = [arrays[key] for key in ("root_orient", "pose_body")]
+        if any(part.ndim not in (2, 3) for part in parts) or len(parts[0]) != len(parts[1]):
+            raise ValueError(
+                f"{path}: expected root_orient (T, 3) and pose_body (T, 63), got {parts[0].shape} "
+                f"and {parts[1].shape}"
+            )
+        rows = len(parts[0])
+        poses = np.concatenate([part.reshape(rows, -1 if rows else 0) for part in parts], axis=1)
     if poses.ndim == 3 and poses.shape[2] == 3:
         poses = poses.reshape(len(poses), -1)
     if poses.ndim != 2 or poses.shape[1] < 66 or poses.shape[1] % 3:

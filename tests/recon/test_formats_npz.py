@@ -115,6 +115,16 @@ def test_split_poses_and_repeated_betas_are_read(tmp_path: Path) -> None:
     assert np.allclose(so3.log(file.motion.rotations).flatten(-2).numpy(), poses[:, :66])
 
 
+def test_split_poses_of_two_lengths_are_refused_by_name(tmp_path: Path) -> None:
+    """A root of one length and a body of another ended in a message of numpy's, without a file."""
+    arrays = amass()
+    poses = arrays.pop("poses")
+    arrays |= {"root_orient": poses[:2, :3], "pose_body": poses[:, 3:66]}
+    np.savez(tmp_path / "m.npz", **arrays)
+    with pytest.raises(ValueError, match=r"m\.npz.*root_orient \(T, 3\)"):
+        load_motion(tmp_path / "m.npz")
+
+
 def test_other_tools_find_their_keys(tmp_path: Path) -> None:
     save_motion(tmp_path / "m.npz", make_file())
     with np.load(tmp_path / "m.npz", allow_pickle=False) as file:
