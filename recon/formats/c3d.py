@@ -4,6 +4,7 @@ Read here and not through ezc3d because that crashes the process on damaged file
 compared in the tests.
 """
 
+import math
 import struct
 from dataclasses import dataclass
 from pathlib import Path
@@ -147,7 +148,7 @@ def _read_parameters(
 def _parameter(data: bytes, place: int, processor: int) -> _Parameter:
     size, rank = struct.unpack_from("bB", data, place)
     shape = data[place + 2 : place + 2 + rank]
-    count = int(np.prod(np.array(list(shape), dtype=np.float64)))
+    count = math.prod(shape)
     start = place + 2 + rank
     raw = data[start : start + abs(size) * count]
     if len(raw) < abs(size) * count or len(shape) < rank:
