@@ -2,8 +2,10 @@
 
 from collections.abc import Sequence
 
+from observations.depth import PointCloud
 from observations.first_guess import Seen
 from observations.keypoints2d import Keypoints2D
+from recon.diagnosis.silhouette import basin_findings
 from recon.diagnosis.summaries import ResidualSummary
 from recon.findings import Finding
 from recon.plausibility import distance_warnings
@@ -24,6 +26,8 @@ def agreement_warnings(
         warnings += _of(summary)
         if isinstance(seen, Keypoints2D):
             warnings += distance_warnings(summary.name, seen, estimate)
+        if isinstance(seen, PointCloud):
+            warnings += basin_findings(summary.name, seen, summary, estimate)
     return warnings
 
 

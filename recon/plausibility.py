@@ -8,6 +8,7 @@ from torch import Tensor
 
 from observations.first_guess import one_clock
 from observations.keypoints2d import Keypoints2D
+from observations.markers3d import Markers3D
 from observations.triangulation import triangulate
 from recon.clip import ClipFit
 from recon.findings import Finding
@@ -17,6 +18,9 @@ from recon.upright import sole_heights
 
 _NEAR, _FAR = 0.7, 40.0
 """Metres at which people are filmed."""
+_ODDEST_MARKERS = 10.0
+"""Standard deviations of shape that real markers lead to where they stand off the skin or beside
+the landmark that they are named after; good recordings reach 7."""
 _OFF_GROUND = 0.15
 """Metres between the soles that stand and the ground."""
 _CLEARLY = 0.6
@@ -53,17 +57,17 @@ def body_warnings(found: ClipFit) -> list[Finding]:
         warnings.append(
             Finding(
                 "body size",
-                f"the person would be {tall:.2f} m tall; check focal lengths, units and the "
-                "poses of the cameras (for a child this is as well as an adult body can do)",
+                f"the person would be {tall:.2f} m tall; check {_sizes(found)} (for a child this "
+                "is as well as an adult body can do)",
                 value=tall,
             )
         )
-    elif (odd := float(posed.shape.abs().max())) > ODDEST:
+    elif (odd := float(posed.shape.abs().max())) > _oddest(found):
         warnings.append(
             Finding(
                 "body size",
                 f"the person's shape is {odd:.1f} standard deviations from the average; check "
-                "the calibration, and that left and right are not mirrored",
+                f"{_sizes(found)}",
                 value=odd,
             )
         )
@@ -80,6 +84,19 @@ def body_warnings(found: ClipFit) -> list[Finding]:
                 )
             )
     return warnings
+
+
+def _sizes(found: ClipFit) -> str:
+    """What tells the size of a body, for messages."""
+    if any(isinstance(seen, Keypoints2D) for seen in found.observations):
+        return "focal lengths, units and the poses of the cameras"
+    return "the unit, the scale and the labels of the points"
+
+
+def _oddest(found: ClipFit) -> float:
+    """Standard deviations from which on a shape is odd; markers beside the skin bend it."""
+    markers = any(isinstance(seen, Markers3D) for seen in found.observations)
+    return _ODDEST_MARKERS if markers else ODDEST
 
 
 def mirror_warnings(views: Sequence[Keypoints2D]) -> list[Finding]:

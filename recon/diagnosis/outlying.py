@@ -1,7 +1,7 @@
 """Points that stay away from the body that most points agree on, and why."""
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from recon.diagnosis.named_points import NamedPoints
 from recon.diagnosis.predicted import Predicted, least_away
@@ -11,15 +11,19 @@ _FAR = 0.25
 """Metres from the body beyond which a single position is an outlier, whatever the noise."""
 _NOISES = 6.0
 """Standard deviations of a coordinate beyond which a position is an outlier."""
+_LEAP = 0.1
+"""Metres between a position and the middle of its neighbours in time, by which points leap to
+outliers and back; hands that punch turn around within 8 cm at 30 frames per second."""
 _MANY = 0.02
 """Share of outliers that is worth a word."""
 _AWAY = 0.08
 """Metres of median distance from which on a point may be away from its place throughout."""
 _OTHERS = 3.0
 """Times the median distance of the other points, likewise."""
-_OFFSET = 0.07
-"""Metres of a constant offset from which on a point is misplaced; people's joints and markers are
-within 4 cm of where the body has them."""
+_OFFSET_JOINTS, _OFFSET_MARKERS = 0.07, 0.15
+"""Metres of a constant offset from which on a point is misplaced. Joints of other models are
+within 4 cm of where the body has them; real markers of elbows and wrists are put up to 13 cm away
+from the landmark that they are named after."""
 _STEADY, _SPREAD = 0.5, 2.0
 """Share of its length, and standard deviations of a coordinate, within which (the larger of both)
 an offset stays the same in the frame of the bone."""
@@ -37,6 +41,7 @@ def misplaced_points(predicted: Predicted, noise: float) -> tuple[NamedPoints, l
     """The points without those that are away from their place throughout, and why they are."""
     points, typical = predicted.points, predicted.typical
     found: list[Finding] = []
+    limit = _OFFSET_JOINTS if points.are_joints else _OFFSET_MARKERS
     least, away = least_away(typical, _AWAY, _OTHERS), predicted.away
     for point in np.flatnonzero(points.visible.any(0)):
         seen = points.visible[:, point]
@@ -53,7 +58,7 @@ def misplaced_points(predicted: Predicted, noise: float) -> tuple[NamedPoints, l
             found.append(_left_out("constant point", name, value, (
                 f"{name} stays in one place in the room while the body moves away from it"
             )))  # fmt: skip
-        elif steady and constant > _OFFSET:
+        elif steady and constant > limit:
             found.append(_left_out("offset point", name, value, (
                 f"{name} is {100 * value:.0f} cm away from its place on the body throughout"
             )))  # fmt: skip
@@ -70,6 +75,7 @@ def outliers(predicted: Predicted, noise: float) -> tuple[NamedPoints, Finding |
     points = predicted.points
     limit = max(_FAR, _NOISES * noise)
     far = points.visible & (np.nan_to_num(predicted.away) > limit)
+    far = _entered_by_leaps(far, points, max(_LEAP, _NOISES * noise))
     share = float(far.sum() / max(points.visible.sum(), 1))
     if share == 0:
         return points, None
@@ -86,6 +92,27 @@ def outliers(predicted: Predicted, noise: float) -> tuple[NamedPoints, Finding |
         stretches(np.any(far, axis=1)),
         share,
     )
+
+
+def _entered_by_leaps(
+    far: Bool[np.ndarray, "moments points"], points: NamedPoints, leap: float
+) -> Bool[np.ndarray, "moments points"]:
+    """Those stretches of far positions that a point leaps into and out of.
+
+    A limb may be faster than the quick fit follows; it then leaves the body smoothly.
+    """
+    bend = np.zeros(far.shape)
+    x = points.positions
+    bend[1:-1] = np.linalg.norm(x[1:-1] - (x[:-2] + x[2:]) / 2, axis=-1)
+    unknown = ~points.visible
+    unknown[1:-1] |= ~points.visible[2:] | ~points.visible[:-2]
+    bend[unknown] = np.inf
+    kept = far.copy()
+    for point in range(far.shape[1]):
+        for first, last in stretches(far[:, point]):
+            if min(bend[first, point], bend[last, point]) < leap:
+                kept[first : last + 1, point] = False
+    return kept
 
 
 def _left_out(code: Code, name: str, value: float, what: str) -> Finding:

@@ -10,9 +10,9 @@ from recon.motion import Motion
 from recon.skeleton import FEET, PARENTS
 from recon.upright import sole_heights
 
-_FLOOR = 0.04
-"""Metres by which standing soles may miss the ground of a recording that knows it: shoes, carpets,
-and what a body's soles differ from a person's."""
+_FLOOR_JOINTS, _FLOOR_MARKERS = 0.04, 0.07
+"""Metres by which standing soles may miss the ground of a recording that knows it: carpets, what a
+body's soles differ from a person's, and, for markers, shoes and where on them they sit."""
 _FLOOR_NOISE = 1.0
 """Times the noise of a coordinate, likewise."""
 _SMALLEST, _LARGEST = 0.72, 1.25
@@ -27,7 +27,8 @@ def floor_height(points: NamedPoints, motion: Motion, body: BodyModel, noise: fl
     if not feet or points.visible[:, feet].any(1).mean() < _FEWEST_FEET:
         return 0.0
     height = float(sole_heights(motion, body)[0])
-    return height if abs(height) > max(_FLOOR, _FLOOR_NOISE * noise) else 0.0
+    least = _FLOOR_JOINTS if points.are_joints else _FLOOR_MARKERS
+    return height if abs(height) > max(least, _FLOOR_NOISE * noise) else 0.0
 
 
 def floor_finding(height: float) -> Finding:
