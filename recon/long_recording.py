@@ -44,8 +44,8 @@ class TimedObservation(Observation, Protocol):
         """
         ...
 
-    def replace(self, **fields: Any) -> "TimedObservation":
-        """The same record with some fields exchanged."""
+    def derived(self, **fields: Any) -> "TimedObservation":
+        """The same record with some fields exchanged, which were checked before."""
         ...
 
 
@@ -128,7 +128,7 @@ class LongRecording:
         start, stop = self.span(row)
         parts = [observation.window(start, stop) for observation in self.observations]
         return tuple(
-            p.replace(start_time=round(p.start_time - start, _MICROSECONDS)) for p in parts
+            p.derived(start_time=round(p.start_time - start, _MICROSECONDS)) for p in parts
         )
 
     def batches(self, rows: Sequence[int]) -> Iterator[list[int]]:

@@ -148,7 +148,12 @@ def clip_files(corpus: str | Path) -> dict[str, Path]:
 def _name(motion: Path) -> str:
     """A clip's name as the conversion noted it, folders included; else that of its file."""
     beside = motion.with_suffix(".json")
-    noted = json.loads(beside.read_text(encoding="utf-8")) if beside.is_file() else None
+    try:
+        noted = json.loads(beside.read_text(encoding="utf-8")) if beside.is_file() else None
+    except ValueError as error:
+        raise ValueError(
+            f"{beside}: expected the notes of recon convert --all, got no JSON ({error})"
+        ) from error
     name = noted.get("clip") if isinstance(noted, dict) else None
     return name if isinstance(name, str) else motion.stem
 

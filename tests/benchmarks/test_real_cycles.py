@@ -84,7 +84,7 @@ def test_markers_that_were_never_seen_in_the_offset_frames_are_not_judged(cycle,
 def test_one_marker_for_a_landmark_and_no_neighbour_on_it_among_the_judged():
     labels = ("RKNE", "RKNE2", "C7")
     vertices = (landmark("right_knee_lateral"),) * 2 + (landmark("c7"),)
-    markers = MarkerSet(labels, vertices, (False,) * 3, ())
+    markers = MarkerSet(labels, vertices, (False,) * 3, torch.zeros(3, 3), ())
     visible = torch.ones(4, 3, dtype=torch.bool)
     visible[0, 0] = False
     assert divided(markers, visible) == ([1], [2])

@@ -19,8 +19,9 @@ CHECKPOINT = Path("run/checkpoint.pt")
 
 def settings_of(kind: type, folder: Path) -> Any:
     (folder / "corpus").mkdir(exist_ok=True)
-    for name in ("a.npz", "b.npz", "a.json"):
+    for name in ("a.npz", "b.npz"):
         (folder / "corpus" / name).write_text(name)
+    (folder / "corpus" / "a.json").write_text('{"clip": "a"}')
     for name in ("splits.toml", "weights"):
         (folder / name).write_text(name)
     settings = kind(folder / "corpus", folder / "run", splits=folder / "splits.toml")
@@ -85,7 +86,7 @@ def test_contents_are_held_wherever_they_lie(kind, file, name, tmp_path):
     same_run(CHECKPOINT, identity(moved), found)
     if kind is AnchorTraining and file == "weights":
         return
-    (tmp_path / "there" / file).write_text("another")
+    (tmp_path / "there" / file).write_text('"another"')
     with pytest.raises(ValueError, match=rf"other ({name}) \(its contents differ\)"):
         same_run(CHECKPOINT, identity(moved), found)
 

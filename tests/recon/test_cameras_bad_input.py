@@ -105,7 +105,7 @@ def mirrored(person: Person) -> Person:
 
 
 def fitted(recording: Recording, folder: Path, **settings) -> tuple[Motion, str]:
-    """The motion and all warnings."""
+    """The motion, and all repairs and warnings."""
     paths, calibration = recording.write(folder)
     given = FitSettings(
         prior="pose", camera=calibration, frame_rate=30.0, layout="openpose25", **settings
@@ -113,7 +113,7 @@ def fitted(recording: Recording, folder: Path, **settings) -> tuple[Motion, str]
     report = fit_files(paths, folder / "out.npz", given)
     assert not report["failed"]
     return load_motion(folder / "out.npz").motion, " ".join(
-        finding["message"] for finding in report["warnings"]
+        finding["message"] for finding in (*report["repairs"], *report["warnings"])
     )
 
 
@@ -168,8 +168,8 @@ def test_a_calibration_in_millimetres_that_is_said_to_be_metres_is_no_silent_err
 
 def test_mirrored_images_of_three_views_are_said(tmp_path):
     """Around a person they fit together almost, as if the person stood the other way round."""
-    _, warnings = fitted(Recording(person=mirrored), tmp_path)
-    assert "images seem to be mirrored" in warnings
+    _, said = fitted(Recording(person=mirrored), tmp_path)
+    assert "mirrored" in said
 
 
 def test_a_mirrored_view_alone_is_the_mirrored_motion(tmp_path):

@@ -171,6 +171,7 @@ def test_items_that_are_not_worked_on_are_failures():
     ]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_work_is_keyed_by_contents_and_one_clip_stops_no_other(tmp_path):
     """Work was keyed by settings alone, and one recording could keep its subject from it all."""
     source, out = tmp_path / "in", tmp_path / "out"

@@ -121,7 +121,7 @@ def test_a_point_away_from_its_place_is_left_out():
         return positions
 
     found = changed(change)
-    assert codes(found) == (["offset point"], [])
+    assert codes(found) == (["offset point"], ["offset point"])
     assert found.repairs[0].joints == ("head",)
 
 
@@ -144,7 +144,7 @@ def test_outliers_are_left_out_and_the_rest_counts_robustly():
 
     found = changed(lambda positions: positions + noise * wild[..., None])
     assert codes(found) == (["outliers"], [])
-    assert (found.points.visible & wild).float().mean() < 0.02
+    assert (found.points.visible & wild).float().mean() < 0.03
     assert found.points.kernel is not seen().kernel
 
 
