@@ -22,8 +22,6 @@ from recon.surface import LANDMARKS_16, landmark
 from tests.filmed import cameras, view
 from tests.priors.tiny_anchor import tiny_prior, tiny_weights, walks
 
-pytestmark = pytest.mark.numerics
-
 BODY = BodyModel.load()
 
 

@@ -18,8 +18,6 @@ from recon.retargeting import proposed, retarget
 from tests.priors.tiny_humos import tiny_prior
 from tests.walking import a_walk
 
-pytestmark = pytest.mark.numerics
-
 BODY = BodyModel.load()
 
 
