@@ -29,6 +29,8 @@ _WRONG_SIDES = 0.75
 """Share of the cost of the names as given, below which exchanged sides are the right ones."""
 _CLEARLY_BETTER = 0.9
 """Share of the cost below which two points that exchange their names are the right ones."""
+_FEW = 0.1
+"""Share of the points that may be misplaced; if more seem to be, the body is."""
 _KERNEL = 4.0
 """Scale of the robust kernel in standard deviations of a coordinate, where there are outliers."""
 _LEAST_KERNEL = 0.05
@@ -177,6 +179,8 @@ def _against_a_body(state: Screened, fitted: QuickFit, body: BodyModel) -> Scree
     noise = temporal_noise(NamedPoints.of(fitted.points, body))
     predicted = Predicted.of(named, fitted.points, fitted.estimate)
     kept, misplaced = misplaced_points(predicted, noise)
+    if len(misplaced) > _FEW * len(named.names):
+        return state  # the quick fit itself is wrong, so it cannot judge points
     kept, wild = outliers(replace(predicted, points=kept), noise)
     # what is left out throughout is inferred, which a user should know
     state = state.after(kept.into(state.points), *misplaced).warned(*misplaced)
