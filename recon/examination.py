@@ -16,6 +16,7 @@ from recon.agreement import agreement_warnings
 from recon.body import BodyModel
 from recon.clip import ClipFit, fit_clip
 from recon.completion import complete
+from recon.diagnosis.belt import treadmill_finding
 from recon.diagnosis.pace import rate_finding
 from recon.diagnosis.screening import screen_points
 from recon.diagnosis.seen_joints import observed_joints, unseen_findings
@@ -118,8 +119,14 @@ def screen(
             belts += [] if found.belt is None else [found.belt]
     clip = ScreenedClip(tuple(kept), tuple(repairs), tuple(warnings))
     points = [one for one in kept if isinstance(one, Joints3D | Markers3D)]
-    if not belts or len(points) < len(kept) or settings.prior == "anchor":
+    if not belts:
         return clip
+    if len(points) < len(kept) or settings.prior == "anchor":  # these stay in the room
+        return replace(
+            clip,
+            repairs=tuple(one for one in clip.repairs if one.code != "treadmill"),
+            warnings=(*clip.warnings, treadmill_finding(belts[0])),
+        )
     carried = tuple(with_belt(one, belts[0]) for one in points)
     return replace(clip, observations=carried, belt=belts[0])
 
@@ -130,7 +137,7 @@ def examine(found: ClipFit, names: Sequence[str], screened: ScreenedClip) -> Exa
     body = estimate.body.model.to(device="cpu")
     here = Estimate(estimate.decoded, estimate.body, estimate.scene.detach())
     sensors = list(zip(names, found.observations, found.noises, strict=True))
-    summaries = tuple(summarise(name, seen, noise, here)[0] for name, seen, noise in sensors)
+    summaries = tuple(summarise(name, seen, noise, here) for name, seen, noise in sensors)
     views = [seen for seen in found.observations if isinstance(seen, Keypoints2D)]
     observed = observed_joints(found.observations, here)
     motion = found.result.clip(0).detach().to(device="cpu")

@@ -37,7 +37,7 @@ def floor_finding(height: float) -> Finding:
         "floor",
         f"the soles stand {100 * abs(height):.0f} cm {'above' if height > 0 else 'below'} the "
         "recording's ground at z = 0; the height of the ground was estimated instead. If the "
-        "person stands on something, give --ground-known",
+        "person stands on something, give --no-repair",
         value=height,
     )
 

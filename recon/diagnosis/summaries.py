@@ -14,7 +14,7 @@ from observations.weighing import Noise
 from recon.body import BodyModel
 from recon.diagnosis.named_points import NamedPoints
 from recon.protocols import Estimate
-from recon.residuals import Residuals, Unit
+from recon.residuals import Unit
 
 _QUANTILES = (0.5, 0.9, 0.99)
 
@@ -41,17 +41,15 @@ class ResidualSummary:
         return asdict(self)
 
 
-def summarise(
-    name: str, seen: Seen, noise: Noise, estimate: Estimate
-) -> tuple[ResidualSummary, Residuals]:
-    """Numbers for the report of the first clip, and the residuals they come from."""
+def summarise(name: str, seen: Seen, noise: Noise, estimate: Estimate) -> ResidualSummary:
+    """Numbers about the residuals of the first clip for its report."""
     with torch.no_grad():
         residuals = seen.residuals(estimate)
     lengths = residuals.distances[0].double().cpu().numpy()
     lengths[~residuals.seen[0].cpu().numpy()] = np.nan
     flat = lengths[np.isfinite(lengths)]
     names = point_names(seen, estimate.body.model)
-    summary = ResidualSummary(
+    return ResidualSummary(
         name=name,
         unit=residuals.unit,
         noise=noise.own,
@@ -60,7 +58,6 @@ def summarise(
         by_point=dict(zip(names, _medians(lengths.T), strict=True)) if names else {},
         by_frame=tuple(_medians(lengths)),
     )
-    return summary, residuals
 
 
 def point_names(seen: Seen, body: BodyModel) -> tuple[str, ...]:
