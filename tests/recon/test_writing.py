@@ -18,6 +18,14 @@ from recon.writing import uninterrupted, write_report, writing, writing_file
 REPORT = {"settings": {"seed": 1, "at": float("nan"), "where": Path("a")}}
 
 
+@pytest.fixture
+def heeded():
+    """Ctrl-C is heeded, here and in what is started; shells ignore it for what runs beside."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 def write(out: Path, text: str, *, overwrite: bool = False) -> None:
     with writing_file(out, REPORT, overwrite=overwrite) as staged:
         staged.write_text(text)
@@ -189,6 +197,7 @@ def test_devices_are_not_replaced():
         check_outputs([Output(Path("/dev/null"))])
 
 
+@pytest.mark.usefixtures("heeded")
 def test_signals_wait_for_the_end_of_a_move():
     done = []
 
@@ -222,6 +231,7 @@ main()
 """
 
 
+@pytest.mark.usefixtures("heeded")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_an_interrupted_run_leaves_nothing_half_written(number, tmp_path):
     """After SIGKILL nobody can clean up; the next run for the same OUT does."""
