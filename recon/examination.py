@@ -17,6 +17,7 @@ from recon.body import BodyModel
 from recon.clip import ClipFit, fit_clip
 from recon.completion import complete
 from recon.diagnosis.belt import treadmill_finding
+from recon.diagnosis.carried import carried_finding
 from recon.diagnosis.pace import rate_finding
 from recon.diagnosis.screening import screen_points
 from recon.diagnosis.seen_joints import observed_joints, unseen_findings
@@ -144,7 +145,9 @@ def examine(found: ClipFit, names: Sequence[str], screened: ScreenedClip) -> Exa
     broken = any(finding.code in _NO_SPEED for finding in screened.warnings)
     seen = torch.from_numpy(observed[: motion.frames])
     rate = None if broken else rate_finding(motion, body, seen)
+    carried = None if broken else _carried(names, found.observations, motion, body, seen)
     after = [
+        *([] if carried is None else [carried]),
         *agreement_warnings(summaries, found.observations, here),
         *body_warnings(found),
         *mirror_warnings(views),
@@ -159,6 +162,20 @@ def examine(found: ClipFit, names: Sequence[str], screened: ScreenedClip) -> Exa
         observed=observed,
         belt=screened.belt,
     )
+
+
+def _carried(
+    names: Sequence[str],
+    observations: Sequence[Seen],
+    motion: Motion,
+    body: BodyModel,
+    observed: Bool[Tensor, "time 22"],
+) -> Finding | None:
+    """Whether a camera turned that alone has seen the clip, and that is declared fixed."""
+    if len(observations) > 1 or not isinstance(seen := observations[0], Keypoints2D):
+        return None
+    fixed = seen.camera.T_camera_world.shape[-3] == 1
+    return carried_finding(names[0], motion, body, observed) if fixed else None
 
 
 def _of(name: str, finding: Finding) -> Finding:
