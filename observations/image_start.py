@@ -1,6 +1,7 @@
 """A first guess from one camera: the rest body, turned and scaled to fit every image."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -103,11 +104,23 @@ def bone_distance(
     at rest. HuMoR takes means, in which foreshortened bones, and missing ones as bones of no
     length, push the body away (section 6.2). Where no bone is seen, the median of the others.
     """
+    scale = bone_scale(points.names, rest, pixels, confidence)
+    focal = camera.camera_matrix[..., [0, 1], [0, 1]].mean(-1)
+    return focal.expand(scale.shape) / scale
+
+
+def bone_scale(
+    names: Sequence[str],
+    rest: Float[Tensor, "points 3"],
+    pixels: Float[Tensor, "batch time points 2"],
+    confidence: Float[Tensor, "batch time points"],
+) -> Float[Tensor, "batch time"]:
+    """Pixels per metre at the average body, likewise."""
     ends = [
-        (points.names.index(f"{side}_{a}"), points.names.index(f"{side}_{b}"))
+        (names.index(f"{side}_{a}"), names.index(f"{side}_{b}"))
         for side in ("left", "right")
         for a, b in _BONES
-        if {f"{side}_{a}", f"{side}_{b}"} <= set(points.names)
+        if {f"{side}_{a}", f"{side}_{b}"} <= set(names)
     ]
     first, second = torch.tensor(ends, device=pixels.device).unbind(-1)
     length = (rest[first] - rest[second]).norm(dim=-1)
@@ -115,9 +128,7 @@ def bone_distance(
     seen = (confidence[..., first] > 0) & (confidence[..., second] > 0)
     scale = ratio.where(seen, torch.nan).nanquantile(_STRETCHED, dim=-1)
     usual = scale.nanmedian(-1, keepdim=True).values.nan_to_num(1.0)
-    scale = torch.where(scale.isnan(), usual, scale).clamp(min=1e-3)
-    focal = camera.camera_matrix[..., [0, 1], [0, 1]].mean(-1)
-    return focal.expand(scale.shape) / scale
+    return torch.where(scale.isnan(), usual, scale).clamp(min=1e-3)
 
 
 def _trust(points: BodyPoints) -> Float[Tensor, " points"]:

@@ -34,7 +34,7 @@ _ROUNDS = 20
 """Of reweighting."""
 _FEWEST = 20
 """Moments of a standing foot that are needed to tell a rate."""
-_RATES = (10.0, 50.0)
+_RATES = (9.0, 50.0)
 """Degrees per second at which cameras are carried around a person or panned with one; people who
 turn on the spot or climb reach less and more."""
 _LEAST_GAIN = 0.07

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 
-from observations.image_start import bone_distance
+from observations.image_start import bone_scale
 from observations.keypoints2d import Keypoints2D
 from recon.body import BodyModel
 
@@ -45,27 +45,35 @@ class Images:
     @classmethod
     def of(cls, views: Sequence[Keypoints2D], names: Sequence[str], body: BodyModel) -> "Images":
         """The arrays of views of one clip, whose batch axis has length one."""
-        moments = views[0].pixels.shape[-3]
-        rest = views[0].points.at_rest(body, body.joint_template.new_zeros(body.shape_size))
+        moments, points = views[0].pixels.shape[-3], views[0].points.names
+        average = body.joint_template.new_zeros(body.shape_size)
+        rest = views[0].points.at_rest(body, average).double().cpu().numpy()
+        pixels = np.stack([view.pixels[0].double().cpu().numpy() for view in views])
+        confidence = np.stack([view.confidence[0].double().cpu().numpy() for view in views])
 
         def posed(view: Keypoints2D) -> np.ndarray:
             poses = view.camera.T_camera_world[0].double().cpu().numpy()
             return np.broadcast_to(poses, (moments, 4, 4))
 
         return cls(
-            pixels=np.stack([view.pixels[0].double().cpu().numpy() for view in views]),
-            confidence=np.stack([view.confidence[0].double().cpu().numpy() for view in views]),
+            pixels=pixels,
+            confidence=confidence,
             matrix=np.stack(
                 [v.camera.camera_matrix[0].reshape(-1, 3, 3)[0].double().cpu() for v in views]
             ),
             pose=np.stack([posed(view) for view in views]),
-            scale=np.stack([_scale(view, body) for view in views]),
+            scale=np.stack(
+                [
+                    _scale(*own, points, rest, views[0].fps)
+                    for own in zip(pixels, confidence, strict=True)
+                ]
+            ),
             size=tuple(view.camera.image_size for view in views),
             names=tuple(names),
-            points=views[0].points.names,
+            points=points,
             fps=views[0].fps,
             fixed=tuple(view.camera.T_camera_world.shape[-3] == 1 for view in views),
-            rest=rest.double().cpu().numpy(),
+            rest=rest,
         )
 
     def into(self, views: Sequence[Keypoints2D], given: "Images") -> list[Keypoints2D]:
@@ -146,12 +154,13 @@ class Images:
         )
 
     def without(self, hidden: Bool[np.ndarray, "views moments points"]) -> "Images":
-        """Some keypoints made unseen."""
-        return replace(
-            self,
-            pixels=np.where(hidden[..., None], 0.0, self.pixels),
-            confidence=np.where(hidden, 0.0, self.confidence),
-        )
+        """Some keypoints made unseen; what they made of the scale is told anew by the others."""
+        pixels = np.where(hidden[..., None], 0.0, self.pixels)
+        confidence = np.where(hidden, 0.0, self.confidence)
+        scale = self.scale.copy()
+        for v in np.flatnonzero(hidden.any((1, 2)) & (confidence > 0).any((1, 2))):
+            scale[v] = _scale(pixels[v], confidence[v], self.points, self.rest, self.fps)
+        return replace(self, pixels=pixels, confidence=confidence, scale=scale)
 
 
 def _other_side(name: str) -> str:
@@ -159,14 +168,16 @@ def _other_side(name: str) -> str:
     return {"left": f"right_{rest}", "right": f"left_{rest}"}.get(side, name)
 
 
-def _scale(view: Keypoints2D, body: BodyModel) -> Float[np.ndarray, " moments"]:
+def _scale(
+    pixels: Float[np.ndarray, "moments points 2"],
+    confidence: Float[np.ndarray, "moments points"],
+    points: Sequence[str],
+    rest: Float[np.ndarray, "points 3"],
+    fps: float,
+) -> Float[np.ndarray, " moments"]:
     """Pixels per metre at the body, the median over a second around every moment."""
-    rest = view.points.at_rest(body, body.joint_template.new_zeros(body.shape_size))
-    distance = bone_distance(
-        view.points, rest.to(view.pixels), view.pixels, view.confidence, view.camera
-    )
-    focal = float(view.camera.camera_matrix[0].reshape(-1, 3, 3)[0, [0, 1], [0, 1]].mean())
-    scale = focal / distance[0].double().cpu().numpy()
-    reach = min(round(_STEADY * view.fps), len(scale) - 1)
+    place, found, at_rest = (torch.from_numpy(a) for a in (pixels, confidence, rest))
+    scale = bone_scale(points, at_rest, place[None], found[None])[0].numpy()
+    reach = min(round(_STEADY * fps), len(scale) - 1)
     windows = np.lib.stride_tricks.sliding_window_view(np.pad(scale, reach, "edge"), 2 * reach + 1)
     return np.median(windows, -1)

@@ -198,6 +198,24 @@ def test_wrist_and_elbow_are_given_back_their_names(frames: slice) -> None:
     assert torch.equal(out.pixels, one.pixels)
 
 
+def test_outliers_do_not_hide_by_making_the_body_look_larger() -> None:
+    """Outliers made bones look long, at the ends of a clip by four times; by that scale they were
+    near enough. A third outlier within five frames hid the others for good."""
+    (one,) = filmed(1)
+    generator = torch.Generator().manual_seed(4)
+    wild = torch.rand(one.confidence.shape, generator=generator) < 0.15
+    wild &= one.confidence > 0
+    anywhere = torch.rand(one.pixels.shape, generator=generator) * torch.tensor([1920.0, 1080.0])
+    spoilt = one.replace(pixels=torch.where(wild[..., None], anywhere, one.pixels))
+    (out,), repairs, warnings = screened((spoilt,))
+    assert [f.code for f in repairs] == ["outliers"]
+    assert warnings == []
+    far = wild & ((spoilt.pixels - one.pixels).norm(dim=-1) > 200)
+    assert int((far & (out.confidence > 0)).sum()) == 0
+    kept = (out.confidence > 0)[~wild & (one.confidence > 0)]
+    assert kept.float().mean() > 0.98
+
+
 def test_another_person_from_mid_clip_on_is_said() -> None:
     """A jump of the whole body by 0.6 m in one frame was followed as one person."""
     motion = walk(2 * FRAMES)
