@@ -28,6 +28,8 @@ _STAYS = 0.35
 """Mean speed of the pelvis over that of the belt, up to which the body stays where it is."""
 _LEAST_SECONDS = 0.15
 """Of contact of each foot."""
+_UPRIGHT = 0.7
+"""Median height of the pelvis above the ground in lengths of leg; nobody walks or runs lower."""
 
 
 def belt_velocity(
@@ -45,6 +47,9 @@ def belt_velocity(
     """
     movement = Movement.of(motion, body, observed)
     if movement.frames < 3:
+        return None
+    height = float(np.median(movement.joints[:, 0, 2])) - movement.ground
+    if height < _UPRIGHT * movement.leg:
         return None
     feet = np.stack((movement.ankles, movement.toes), -2)
     # the part of each foot that is on the ground: heel strike to flat foot to toe
@@ -68,14 +73,6 @@ def belt_velocity(
     if min(shares) < _SHARE or still > _STANDING_SHARE or not stays or facing > 0:
         return None
     return torch.from_numpy(belt).to(motion.translation)
-
-
-def belt_finding(
-    motion: Motion, body: BodyModel, observed: Bool[Tensor, "time 22"] | None = None
-) -> Finding | None:
-    """A treadmill and its speed, or None where the feet stand in the room."""
-    belt = belt_velocity(motion, body, observed)
-    return None if belt is None else treadmill_finding(belt)
 
 
 def treadmill_finding(belt: Float[Tensor, " 2"]) -> Finding:

@@ -3,12 +3,12 @@
 from itertools import combinations
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
+from recon.diagnosis.bone_lengths import distances, joint_pairs, rest_length, size
 from recon.diagnosis.named_points import NamedPoints
 from recon.diagnosis.predicted import Predicted
 from recon.findings import stretches
-from recon.skeleton import PARENTS
 
 _BETTER = 0.5
 """Share of the distance that may remain when two points exchange their names."""
@@ -29,9 +29,7 @@ def exchanged_throughout(points: NamedPoints) -> tuple[int, int] | None:
     """
     if not points.are_joints:
         return None
-    spans = [(k, j) for j in range(len(points.bones)) for k in range(len(points.bones))
-             if PARENTS[points.bones[j]] == points.bones[k]]  # fmt: skip
-    size = _ratio(points, spans)
+    spans, ratio = joint_pairs(points), size(points) or 1.0
     best, pair = 0.0, None
     for a, b in combinations(range(len(points.bones)), 2):
         touched = [one for one in spans if a in one or b in one]
@@ -40,10 +38,10 @@ def exchanged_throughout(points: NamedPoints) -> tuple[int, int] | None:
         swap = {a: b, b: a}
         other = [(swap.get(k, k), swap.get(j, j)) for k, j in touched]
         own = sum(
-            _misfit(points, got, want, size) for got, want in zip(touched, touched, strict=True)
+            _misfit(points, got, want, ratio) for got, want in zip(touched, touched, strict=True)
         )
         new = sum(
-            _misfit(points, got, want, size) for got, want in zip(other, touched, strict=True)
+            _misfit(points, got, want, ratio) for got, want in zip(other, touched, strict=True)
         )
         if own - new > max(best, _SAVED) and new < _BETTER * own:
             best, pair = own - new, (a, b)
@@ -61,7 +59,8 @@ def exchanged_moments(
     for a, b in combinations(range(len(points.names)), 2):
         own, other = away[:, a, a] + away[:, b, b], away[:, a, b] + away[:, b, a]
         both = points.visible[:, a] & points.visible[:, b]
-        moments = _runs(both & (own - other > nearer) & (other < _BETTER * own))
+        surely = both & (own - other > nearer) & (other < _BETTER * own)
+        moments = _runs(_grown(surely, both & (own - other > noise)))
         if moments.any():
             found.append((float((own - other)[moments].sum()), (a, b), moments & both))
     taken: set[int] = set()
@@ -71,6 +70,19 @@ def exchanged_moments(
             taken |= set(pair)
             kept.append((pair, moments))
     return kept
+
+
+def _grown(
+    surely: Bool[np.ndarray, " moments"], likely: Bool[np.ndarray, " moments"]
+) -> Bool[np.ndarray, " moments"]:
+    """The stretches of likely moments that hold a sure one.
+
+    Limbs that pass each other come too near to tell for a moment within an exchanged stretch.
+    """
+    grown = surely.copy()
+    for first, last in stretches(likely):
+        grown[first : last + 1] |= surely[first : last + 1].any()
+    return grown
 
 
 def _runs(flags: Bool[np.ndarray, " moments"]) -> Bool[np.ndarray, " moments"]:
@@ -86,26 +98,9 @@ def _runs(flags: Bool[np.ndarray, " moments"]) -> Bool[np.ndarray, " moments"]:
 
 
 def _misfit(
-    points: NamedPoints, got: tuple[int, int], want: tuple[int, int], size: float
+    points: NamedPoints, got: tuple[int, int], want: tuple[int, int], ratio: float
 ) -> float:
     """Median difference of a distance from the length of a bone, metres; zero if never seen."""
-    lengths = _distances(points, got)
-    rest = size * float(np.linalg.norm(points.rest[want[0]] - points.rest[want[1]]))
+    lengths = distances(points, *got)
+    rest = ratio * rest_length(points, *want)
     return float(np.median(np.abs(lengths - rest))) if len(lengths) else 0.0
-
-
-def _ratio(points: NamedPoints, spans: list[tuple[int, int]]) -> float:
-    """Median length of bones against those of the average body."""
-    ratios = [
-        float(np.median(lengths)) / float(np.linalg.norm(points.rest[a] - points.rest[b]))
-        for a, b in spans
-        if len(lengths := _distances(points, (a, b))) > 0
-    ]
-    return float(np.median(ratios)) if ratios else 1.0
-
-
-def _distances(points: NamedPoints, pair: tuple[int, int]) -> Float[np.ndarray, " moments"]:
-    both = points.visible[:, pair[0]] & points.visible[:, pair[1]]
-    return np.linalg.norm(
-        points.positions[both, pair[0]] - points.positions[both, pair[1]], axis=-1
-    )

@@ -3,9 +3,12 @@
 import numpy as np
 from jaxtyping import Bool, Float
 
+from recon.diagnosis.bone_lengths import out_of_reach
+from recon.diagnosis.cleaning import plausible
 from recon.diagnosis.named_points import NamedPoints
 from recon.diagnosis.predicted import Predicted, least_away
 from recon.findings import Code, Finding, listed, stretches
+from recon.skeleton import ARMS
 
 _FAR = 0.25
 """Metres from the body beyond which a single position is an outlier, whatever the noise."""
@@ -24,6 +27,10 @@ _OFFSET_JOINTS, _OFFSET_MARKERS = 0.07, 0.15
 """Metres of a constant offset from which on a point is misplaced. Joints of other models are
 within 4 cm of where the body has them; real markers of elbows and wrists are put up to 13 cm away
 from the landmark that they are named after."""
+_ONE_SIDED = 0.065
+"""Metres by which a marker of the trunk or a leg may differ from the mirror image of its
+counterpart: people put both in the same manner, so that a protocol of other places moves both.
+Elbows and wrists, whose few markers leave the bone's twist open, differ by more."""
 _STEADY, _SPREAD = 0.5, 2.0
 """Share of its length, and standard deviations of a coordinate, within which (the larger of both)
 an offset stays the same in the frame of the bone."""
@@ -41,15 +48,18 @@ def misplaced_points(predicted: Predicted, noise: float) -> tuple[NamedPoints, l
     """The points without those that are away from their place throughout, and why they are."""
     points, typical = predicted.points, predicted.typical
     found: list[Finding] = []
-    limit = _OFFSET_JOINTS if points.are_joints else _OFFSET_MARKERS
     least, away = least_away(typical, _AWAY, _OTHERS), predicted.away
+    offset, spread = predicted.offsets
+    constant = np.linalg.norm(offset, axis=-1)
+    if points.are_joints:
+        displaced = constant > _OFFSET_JOINTS
+    else:
+        displaced = (constant > _OFFSET_MARKERS) | _one_sided(points, offset)
+    unreached = out_of_reach(plausible(points), _OFFSET_JOINTS)
+    steady = spread < np.maximum(_STEADY * constant, _SPREAD * noise)
     for point in np.flatnonzero(points.visible.any(0)):
         seen = points.visible[:, point]
         x, body = points.positions[seen, point], predicted.positions[seen, point]
-        local = np.einsum("tij,ti->tj", predicted.turns[seen, point], x - body)
-        offset = np.median(local, axis=0)
-        constant = float(np.linalg.norm(offset))
-        steady = _median_norm(local - offset) < max(_STEADY * constant, _SPREAD * noise)
         still = np.quantile(np.linalg.norm(x - np.median(x, axis=0), axis=-1), _ALWAYS) < _STILL
         moved = np.linalg.norm(body - np.median(body, axis=0), axis=-1).max() > _MOVED
         name = points.names[point]
@@ -58,7 +68,11 @@ def misplaced_points(predicted: Predicted, noise: float) -> tuple[NamedPoints, l
             found.append(_left_out("constant point", name, value, (
                 f"{name} stays in one place in the room while the body moves away from it"
             )))  # fmt: skip
-        elif steady and constant > limit:
+        elif unreached[point]:
+            found.append(_left_out("offset point", name, value, (
+                f"all bones that end at {name} have lengths that no person's have"
+            )))  # fmt: skip
+        elif steady[point] and displaced[point]:
             found.append(_left_out("offset point", name, value, (
                 f"{name} is {100 * value:.0f} cm away from its place on the body throughout"
             )))  # fmt: skip
@@ -68,6 +82,17 @@ def misplaced_points(predicted: Predicted, noise: float) -> tuple[NamedPoints, l
         hidden[:, point] = True
         points = points.without(hidden)
     return points, found
+
+
+def _one_sided(
+    points: NamedPoints, offset: Float[np.ndarray, "points 3"]
+) -> Bool[np.ndarray, " points"]:
+    """Markers of trunk and legs that are out of place while their counterparts are not."""
+    mirrored = offset[list(points.counterparts)] * (-1.0, 1.0, 1.0)
+    apart = np.linalg.norm(offset - mirrored, axis=-1)
+    away, other = np.linalg.norm(offset, axis=-1), np.linalg.norm(mirrored, axis=-1)
+    fixed = np.array([bone not in ARMS for bone in points.bones])
+    return fixed & (apart > _ONE_SIDED) & (away > _ONE_SIDED) & (other < away / 2)
 
 
 def outliers(predicted: Predicted, noise: float) -> tuple[NamedPoints, Finding | None]:
@@ -118,7 +143,3 @@ def _entered_by_leaps(
 def _left_out(code: Code, name: str, value: float, what: str) -> Finding:
     said = f"{what}; it was left out. Look at its label and its tracking"
     return Finding(code, said, (name,), (), value)
-
-
-def _median_norm(vectors: Float[np.ndarray, "rows 3"]) -> float:
-    return float(np.median(np.linalg.norm(vectors, axis=-1)))

@@ -1,18 +1,17 @@
 """Where and how large the body is: a floor at another height, everything scaled by one factor."""
 
-import numpy as np
-from jaxtyping import Float
-
 from recon.body import BodyModel
+from recon.diagnosis.bone_lengths import size
 from recon.diagnosis.named_points import NamedPoints
 from recon.findings import Finding
 from recon.motion import Motion
-from recon.skeleton import FEET, PARENTS
+from recon.skeleton import FEET
 from recon.upright import sole_heights
 
-_FLOOR_JOINTS, _FLOOR_MARKERS = 0.04, 0.07
-"""Metres by which standing soles may miss the ground of a recording that knows it: carpets, what a
-body's soles differ from a person's, and, for markers, shoes and where on them they sit."""
+_FLOOR_JOINTS, _FLOOR_MARKERS = (-0.05, 0.036), (-0.055, 0.07)
+"""Metres by which standing soles may lie below and above the ground of a recording that knows it.
+The body's soles reach a centimetre lower than recorded feet; shoes and carpets lift, and shoes
+lift markers once more."""
 _FLOOR_NOISE = 1.0
 """Times the noise of a coordinate, likewise."""
 _SMALLEST, _LARGEST = 0.72, 1.25
@@ -27,8 +26,9 @@ def floor_height(points: NamedPoints, motion: Motion, body: BodyModel, noise: fl
     if not feet or points.visible[:, feet].any(1).mean() < _FEWEST_FEET:
         return 0.0
     height = float(sole_heights(motion, body)[0])
-    least = _FLOOR_JOINTS if points.are_joints else _FLOOR_MARKERS
-    return height if abs(height) > max(least, _FLOOR_NOISE * noise) else 0.0
+    low, high = _FLOOR_JOINTS if points.are_joints else _FLOOR_MARKERS
+    noise *= _FLOOR_NOISE
+    return 0.0 if min(low, -noise) <= height <= max(high, noise) else height
 
 
 def floor_finding(height: float) -> Finding:
@@ -40,21 +40,6 @@ def floor_finding(height: float) -> Finding:
         "person stands on something, give --no-repair",
         value=height,
     )
-
-
-def size(points: NamedPoints) -> float | None:
-    """Size of the body against the average one: median ratio of distances along bones.
-
-    None where too few such distances are seen.
-    """
-    ratios: list[float] = []
-    for a, b in _spans(points):
-        both = points.visible[:, a] & points.visible[:, b]
-        if both.sum() < 3:
-            continue
-        length = np.linalg.norm(points.positions[both, a] - points.positions[both, b], axis=-1)
-        ratios.append(float(np.median(length) / _length(points.rest, a, b)))
-    return float(np.median(ratios)) if len(ratios) >= 4 else None
 
 
 def scale_findings(points: NamedPoints) -> list[Finding]:
@@ -70,20 +55,3 @@ def scale_findings(points: NamedPoints) -> list[Finding]:
             value=ratio,
         )
     ]
-
-
-def _spans(points: NamedPoints) -> list[tuple[int, int]]:
-    """Pairs of points on neighbouring bones that are at least 10 cm apart at rest."""
-    bones = points.bones
-    count = range(len(bones))
-    return [
-        (a, b)
-        for a in count
-        for b in count
-        if (PARENTS[bones[b]] == bones[a] or (bones[a] == bones[b] and a < b))
-        and _length(points.rest, a, b) > 0.1
-    ]
-
-
-def _length(rest: Float[np.ndarray, "points 3"], a: int, b: int) -> float:
-    return float(np.linalg.norm(rest[a] - rest[b]))

@@ -48,6 +48,20 @@ class Predicted:
         away[:, ~self.points.visible.any(0)] = 0.0
         return np.nanmedian(away, axis=0)
 
+    @property
+    def offsets(self) -> tuple[Float[np.ndarray, "points 3"], Float[np.ndarray, " points"]]:
+        """Every point's median offset from its place, and how much single offsets differ from it.
+
+        Both are in the frame of the point's bone, metres; the second is the median length of the
+        differences. Zero for points that were never seen.
+        """
+        points = self.points
+        away = np.where(points.visible[..., None], points.positions - self.positions, np.nan)
+        away[:, ~points.visible.any(0)] = 0.0
+        local = np.einsum("tpij,tpi->tpj", self.turns, away)
+        middle = np.nanmedian(local, axis=0)
+        return middle, np.nanmedian(np.linalg.norm(local - middle, axis=-1), axis=0)
+
 
 def least_away(typical: Float[np.ndarray, " points"], at_least: float, times: float) -> float:
     """Median distance from which on a point is suspicious beside the others, metres."""

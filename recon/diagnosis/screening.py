@@ -189,8 +189,8 @@ def _against_a_body(state: Screened, fitted: QuickFit, body: BodyModel) -> Scree
     if state.points.ground_known:
         height = floor_height(kept, fitted.estimate.motion, body, noise)
         if height != 0:
-            moved = state.points.replace(ground_known=False)
-            state = state.after(moved, floor_finding(height))
+            moved, said = state.points.replace(ground_known=False), floor_finding(height)
+            state = state.after(moved, said).warned(said)  # soles tell it to two centimetres
     motion = fitted.estimate.motion[0]
     belt = belt_velocity(motion, body)
     if belt is None:

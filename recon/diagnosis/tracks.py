@@ -3,12 +3,14 @@
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
+from scipy.stats import chi
 
 from observations.noise import estimate_noise
+from recon.diagnosis.bone_lengths import distances, joint_pairs
+from recon.diagnosis.cleaning import plausible
 from recon.diagnosis.named_points import NamedPoints
 from recon.findings import Finding, spans, stretches
 from recon.robust import NORMAL_MAD
-from recon.skeleton import PARENTS
 
 _DIFFERENCE = 2.2
 """Typical distance of two measurements of one place, in standard deviations of a coordinate."""
@@ -21,6 +23,21 @@ _LAGS = (3, 6, 10)
 """Frames after which a body that moves is farther away than after one frame."""
 _GROWTH = 1.5
 """Factor by which it must be farther then; a body in motion reaches more than two."""
+_SEAMS = 4
+"""Sudden changes of the whole body's velocity from which on frames are out of order; a change of
+person or of names has at most two."""
+_SEAM_SPEED = 0.8
+"""Metres per second by which half of the points change their velocity there. A kick or a landing
+changes it by at most 0.5 within a frame of 1/30 s."""
+_SEAM_NOISE = 1.4
+"""Factor by which noise alone makes the largest such changes exceed the typical one."""
+_SEAM_DIFFERENCE = 5**0.5
+"""Standard deviation of such a change, in standard deviations of a coordinate: squares of 1/2,
+3/2, 3/2 and 1/2 summed."""
+_SEAM_POINTS = 8
+"""Points that must be seen around a moment."""
+_WILD = 0.08
+"""Share of the points that may lie where no body is."""
 _JUMP = 0.12
 """Metres beyond its neighbours' steps by which the middle of all points may step between two
 moments of one recording."""
@@ -49,16 +66,17 @@ def bone_noise(points: NamedPoints) -> float | None:
     """
     spreads: list[float] = []
     for a, b in _rigid_pairs(points):
-        both = points.visible[:, a] & points.visible[:, b]
-        if both.sum() < 8:
+        length = distances(points, a, b)
+        if len(length) < 8:
             continue
-        length = np.linalg.norm(points.positions[both, a] - points.positions[both, b], axis=-1)
         spreads.append(float(np.median(np.abs(length - np.median(length)))))
     return float(np.median(spreads)) / NORMAL_MAD / 2**0.5 if spreads else None
 
 
 def frame_order(points: NamedPoints) -> list[Finding]:
     """Whether frames are out of order: the body leaps about, but its bones keep their lengths."""
+    if found := _seams(points):
+        return found
     along, near = bone_noise(points), _travelled(points, 1)
     far = [way for lag in _LAGS if (way := _travelled(points, lag)) is not None]
     if along is None or near is None or not far or near < _LEAST_DISORDER:
@@ -76,12 +94,61 @@ def frame_order(points: NamedPoints) -> list[Finding]:
     ]
 
 
+def _seams(points: NamedPoints) -> list[Finding]:
+    """Whether the whole body goes on from another place many times.
+
+    That is so between blocks of frames which were put together in a wrong order.
+    """
+    kept = plausible(points)
+    if kept.visible.sum() < (1 - _WILD) * points.visible.sum():
+        return []  # where many points are outliers, half of them may change together by chance
+    change = _velocity_changes(kept)
+    noise = _SEAM_NOISE * _SEAM_DIFFERENCE * (bone_noise(points) or 0.0)
+    limit = float(np.hypot(noise, _SEAM_SPEED / points.fps))
+    before, after = np.append(0.0, change[:-1]), np.append(change[1:], 0.0)
+    seams = (change > limit) & (change >= before) & (change >= after)
+    if seams.sum() < _SEAMS:
+        return []
+    frames = stretches(np.concatenate(([False, False], seams, [False])))
+    speed = float(np.median(change[seams])) * points.fps
+    return [
+        Finding(
+            "frame order",
+            f"the whole body changes its velocity by about {speed:.1f} m/s within one frame, "
+            f"{int(seams.sum())} times ({spans(frames)}), which no person can: the frames do not "
+            "seem to be in the order of time; sort them by their time stamps",
+            (),
+            frames,
+            speed,
+        )
+    ]
+
+
+def _velocity_changes(points: NamedPoints) -> Float[np.ndarray, " seams"]:
+    """Length in metres by which a frame's step differs from the mean of its neighbours' steps.
+
+    Row k is of the step from moment k + 1 to k + 2. It is the median over the points, divided by
+    what the median is for normal noise of one metre in each coordinate of the difference; zero
+    where too few points are seen in all four moments.
+    """
+    steps = np.diff(points.positions, axis=0)
+    both = points.visible[1:] & points.visible[:-1]
+    known = both[:-2] & both[1:-1] & both[2:]
+    length = np.linalg.norm(steps[1:-1] - (steps[:-2] + steps[2:]) / 2, axis=-1)
+    enough = known.sum(1) >= _SEAM_POINTS
+    out = np.zeros(len(length))
+    for row in np.flatnonzero(enough):
+        out[row] = np.median(length[row, known[row]])
+    return out / float(chi.median(3))
+
+
 def identity_changes(points: NamedPoints) -> list[Finding]:
     """Frames at which the whole body jumps, as where a tracker goes on with somebody else."""
-    jumps = _jumps(points)
+    step, elapsed = _middle_step(points)
+    jumps = _jumps(step, elapsed, temporal_noise(points))
     if not jumps.any():
         return []
-    frames, most = stretches(jumps), float(_middle_step(points)[0][jumps].max())
+    frames, most = stretches(jumps), float(step[jumps].max())
     if jumps.sum() >= _DISORDERLY:
         return [
             Finding(
@@ -107,18 +174,18 @@ def identity_changes(points: NamedPoints) -> list[Finding]:
     ]
 
 
-def _jumps(points: NamedPoints) -> Bool[np.ndarray, " moments"]:
+def _jumps(
+    step: Float[np.ndarray, " moments"], elapsed: Float[np.ndarray, " moments"], noise: float
+) -> Bool[np.ndarray, " moments"]:
     """Moments to which the middle of the points steps unlike it does before and after."""
-    step, elapsed = _middle_step(points)
     known = np.isfinite(step)
     usual = np.zeros(len(step))
     for t in np.flatnonzero(known):
         beside = [k for k in range(t - 3, t + 4) if k != t and 0 <= k < len(step) and known[k]]
         speeds = step[beside] / elapsed[beside]
         usual[t] = float(np.median(speeds)) * elapsed[t] if beside else 0.0
-    noise = min(temporal_noise(points), 0.1)
     beyond = np.where(known, step - usual, 0.0)
-    return (beyond > _JUMP + 3 * noise) & (beyond > _JUMP_SPEED * elapsed)
+    return (beyond > _JUMP + 3 * min(noise, 0.1)) & (beyond > _JUMP_SPEED * elapsed)
 
 
 def _middle_step(
@@ -152,9 +219,7 @@ def _travelled(points: NamedPoints, lag: int) -> float | None:
 
 def _rigid_pairs(points: NamedPoints) -> list[tuple[int, int]]:
     """Numbers of points whose distance no pose changes: on one bone, or the joints at its ends."""
-    bones = points.bones
-    count = range(len(bones))
-    pairs = [(a, b) for a in count for b in count if a < b and bones[a] == bones[b]]
-    if not points.are_joints:
-        return pairs
-    return [(a, b) for a in count for b in count if PARENTS[bones[b]] == bones[a]]
+    if points.are_joints:
+        return joint_pairs(points)
+    bones, count = points.bones, range(len(points.bones))
+    return [(a, b) for a in count for b in count if a < b and bones[a] == bones[b]]

@@ -125,6 +125,29 @@ def test_a_point_away_from_its_place_is_left_out():
     assert found.repairs[0].joints == ("head",)
 
 
+def test_a_bone_that_no_person_has_ends_at_a_misplaced_joint():
+    """The quick fit's neck reached for a head that was put 10 cm too high."""
+
+    def change(positions):
+        positions[:, :, index("head"), 2] += 0.1
+        return positions
+
+    found = changed(change)
+    assert codes(found) == (["offset point"], ["offset point"])
+    assert found.repairs[0].joints == ("head",)
+
+
+def test_a_marker_of_one_side_alone_is_misplaced():
+    """Markers may be 15 cm away from their landmark where both sides are, and a knee was."""
+    clip = markers3d(walk(), bundled(), Corruption(noise=0.01), 0).map(_batched)
+    knee = NamedPoints.of(clip, bundled()).names.index("right_knee_lateral")
+    positions = clip.positions.clone()
+    positions[:, :, knee, 2] += 0.1
+    found = screen_points(clip.replace(positions=positions), bundled())
+    assert codes(found) == (["offset point"], ["offset point"])
+    assert found.repairs[0].joints == ("right_knee_lateral",)
+
+
 def test_exchanged_ankles_are_exchanged_back():
     pair = [index("left_ankle"), index("right_ankle")]
 
@@ -151,7 +174,7 @@ def test_outliers_are_left_out_and_the_rest_counts_robustly():
 def test_a_floor_at_another_height_is_estimated():
     for height in (0.1, -0.1):
         found = changed(lambda positions, h=height: positions + torch.tensor([0.0, 0.0, h]))
-        assert codes(found) == (["floor"], [])
+        assert codes(found) == (["floor"], ["floor"])
         assert found.repairs[0].value == pytest.approx(height, abs=0.03)
         assert not found.points.ground_known
 
@@ -159,6 +182,15 @@ def test_a_floor_at_another_height_is_estimated():
 def test_frames_out_of_order_are_said():
     clip = joints3d(walk(60), bundled(), Corruption(noise=0.015), 0).map(_batched)
     order = torch.randperm(60, generator=torch.Generator().manual_seed(1))
+    shuffled = clip.replace(positions=clip.positions[:, order])
+    assert codes(screen_points(shuffled, bundled())) == ([], ["frame order"])
+
+
+def test_short_blocks_out_of_order_are_said():
+    """Frames in random order within blocks of four were fitted without a word."""
+    clip = joints3d(walk(60), bundled(), Corruption(noise=0.01), 0).map(_batched)
+    blocks = np.arange(60).reshape(15, 4)
+    order = np.random.default_rng(0).permuted(blocks, axis=1).ravel()
     shuffled = clip.replace(positions=clip.positions[:, order])
     assert codes(screen_points(shuffled, bundled())) == ([], ["frame order"])
 
