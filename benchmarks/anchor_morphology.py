@@ -31,10 +31,11 @@ from priors.anchor import AnchorFrames
 from priors.anchors import Anchors
 from recon.body import BodyModel
 from recon.motion import Motion
+from recon.normals import vertex_normals
 from recon.skeleton import PARENTS
 from recon.spread import spread_vertices
 from recon.view.lettering import join, label, save_picture
-from recon.view.raster import rasterise, vertex_normals
+from recon.view.raster import rasterise
 from recon.view.scene import Figure
 from recon.view.viewpoint import follow
 

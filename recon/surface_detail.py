@@ -13,7 +13,7 @@ from jaxtyping import Float
 from torch import Generator, Tensor
 
 from recon.body import BodyModel
-from recon.formats.gltf import vertex_normals
+from recon.normals import tensor_normals
 from recon.skeleton import joint_index
 
 COVER = MappingProxyType(
@@ -48,7 +48,7 @@ class Clothing:
 def clothed(body: BodyModel, seed: int, clothing: Clothing | None = None) -> BodyModel:
     """The same body, joints, shape space and all, in clothes; the same ones for every shape."""
     offset = offsets(body, seed, clothing)
-    normals = vertex_normals(body.template, body.faces)
+    normals = tensor_normals(body.template, body.faces)
     return body.replace(
         name=f"{body.name} clothed {seed}", template=body.template + offset[:, None] * normals
     )

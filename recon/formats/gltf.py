@@ -12,6 +12,7 @@ from recon import rotations as so3
 from recon.body import BodyModel
 from recon.formats.files import replacing
 from recon.motion import Motion
+from recon.normals import tensor_normals
 from recon.skeleton import JOINTS, PARENTS
 
 INFLUENCES = 4
@@ -115,7 +116,7 @@ class _Buffer:
         weights, joints = weights[:, :INFLUENCES], joints[:, :INFLUENCES]
         weights = weights / weights.sum(-1, keepdim=True)
         joints = torch.where(weights > 0, joints, 0)
-        normals = _array(vertex_normals(vertices.double(), body.faces))
+        normals = _array(tensor_normals(vertices.double(), body.faces))
         attributes = g.Attributes(
             POSITION=self.add(_array(vertices), g.FLOAT, g.VEC3, g.ARRAY_BUFFER),
             NORMAL=self.add(normals, g.FLOAT, g.VEC3, g.ARRAY_BUFFER),
@@ -161,20 +162,6 @@ def quaternions(rotations: Float[Tensor, "time joints 3 3"]) -> Float[Tensor, "t
     signs = torch.where(signs == 0, 1.0, signs).cumprod(0)
     q = torch.cat((q[:1], q[1:] * signs[..., None]))
     return q / q.norm(dim=-1, keepdim=True)
-
-
-def vertex_normals(
-    vertices: Float[Tensor, "vertices 3"], faces: Tensor
-) -> Float[Tensor, "vertices 3"]:
-    """Unit normals, faces weighted by area; a vertex without area gets the vertical."""
-    corners = vertices[faces]
-    normal = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    total = torch.zeros_like(vertices)
-    for corner in range(3):
-        total.index_add_(0, faces[:, corner], normal)
-    length = total.norm(dim=-1, keepdim=True)
-    vertical = torch.tensor([0.0, 1.0, 0.0]).to(vertices)
-    return torch.where(length > 1e-12, total / length.clamp(min=1e-12), vertical)
 
 
 def _array(tensor: Tensor) -> np.ndarray:

@@ -4,11 +4,12 @@ import cv2
 import numpy as np
 
 from recon.camera import Camera
+from recon.normals import vertex_normals
 from recon.view.colours import CLOUD, MISSING, REPROJECTED, VISIBLE, WHITE, Colour
 from recon.view.lettering import Picture
 from recon.view.marks import draw_discs, draw_rings, draw_segments
 from recon.view.painter import CLOUD_LIMIT, SUPERSAMPLING, display, tint
-from recon.view.raster import rasterise, vertex_normals
+from recon.view.raster import rasterise
 from recon.view.regions import Region, drawable
 from recon.view.scene import Figure, Show
 from recon.view.views import UNSURE, View

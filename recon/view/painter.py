@@ -6,9 +6,10 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from recon.normals import vertex_normals
 from recon.view.colours import CAMERA, CLOUD, CONTACT, MISSING, VISIBLE, Colour
 from recon.view.frusta import draw_lines, frustum
-from recon.view.raster import Raster, rasterise, vertex_normals
+from recon.view.raster import Raster, rasterise
 from recon.view.scene import Figure, Show
 from recon.view.stage import SHADOW_MAP, Light, Plane, cast, floor
 from recon.view.viewpoint import Viewpoint

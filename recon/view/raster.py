@@ -67,21 +67,5 @@ def rasterise(
     return Raster(seen, barycentric, buffer)
 
 
-def vertex_normals(
-    vertices: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"]
-) -> Float[np.ndarray, "vertices 3"]:
-    """Unit normals: the mean of the adjacent faces' normals, weighted by area."""
-    a, b, c = vertices[faces[:, 0]], vertices[faces[:, 1]], vertices[faces[:, 2]]
-    normal = np.cross(b - a, c - a)
-    total = np.stack(
-        [
-            np.bincount(faces.ravel(), np.repeat(normal[:, axis], 3), len(vertices))
-            for axis in range(3)
-        ],
-        1,
-    )
-    return total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-12)
-
-
 def _cross(u: Float[np.ndarray, "n 2"], v: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
     return u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]

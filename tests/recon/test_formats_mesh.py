@@ -10,9 +10,10 @@ import torch
 
 from recon import rotations as so3
 from recon.body import BodyModel
-from recon.formats.gltf import quaternions, vertex_normals, write_glb
+from recon.formats.gltf import quaternions, write_glb
 from recon.formats.ply import read_ply, write_ply, write_ply_sequence
 from recon.motion import Motion
+from recon.normals import tensor_normals
 from recon.skeleton import JOINTS, PARENTS
 
 
@@ -126,7 +127,7 @@ def test_quaternions_take_the_short_way_and_mean_the_same_rotation() -> None:
 
 def test_normals_point_outwards() -> None:
     corners = torch.tensor([[0, 0, 0], [1, 0, 0], [0, 1, 0], [5, 5, 5]], dtype=torch.float64)
-    normals = vertex_normals(corners, torch.tensor([[0, 1, 2]]))
+    normals = tensor_normals(corners, torch.tensor([[0, 1, 2]]))
     assert np.allclose(normals[:3].numpy(), [0, 0, 1])
     assert np.allclose(normals[3].numpy(), [0, 1, 0])
 

@@ -16,13 +16,14 @@ import zstandard
 from recon import rotations as so3
 from recon.body import BodyModel
 from recon.motion import Motion
+from recon.normals import vertex_normals
 from recon.skeleton import joint_index
 from recon.view import Figure, Points, Show
 from recon.view.colours import CORAL, MISSING, VISIBLE
 from recon.view.frames import write_mp4, write_png
 from recon.view.html import INFLUENCES, prune_weights, write_html
 from recon.view.painter import paint
-from recon.view.raster import rasterise, vertex_normals
+from recon.view.raster import rasterise
 from recon.view.viewpoint import follow
 
 TINY = (96, 120)
