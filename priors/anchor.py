@@ -11,9 +11,9 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from priors.anchor_basis import cosines
 from priors.anchor_weights import AnchorWeights, load_weights
 from priors.anchors import ANCHORS, POSED, Alignment, Anchors, rest_pelvis
+from priors.cosines import cosines
 from recon import rotations as so3
 from recon.body import BodyModel
 from recon.motion import Motion

@@ -8,6 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from priors.anchors import ANCHORS, POSE, ROW
+from priors.cosines import cosines
 from recon.struct import TensorStruct
 
 COSINES = 24
@@ -118,14 +119,6 @@ class CycleBasis(TensorStruct):
     ) -> Float[Tensor, "*batch 100 124"]:
         """Normalised rows of coefficients."""
         return self.from_codes(self.mean + (coefficients * self.scale) @ self.directions)
-
-
-def cosines(frames: int, count: int) -> Float[Tensor, "frames cosines"]:
-    """The first orthonormal cosines over so many frames (DCT-II)."""
-    t = torch.arange(frames, dtype=torch.float64)[:, None] + 0.5
-    k = torch.arange(count, dtype=torch.float64)
-    amplitude = torch.where(k == 0, 1.0, 2.0).sqrt() / math.sqrt(frames)
-    return amplitude * (math.pi * t * k / frames).cos()
 
 
 def _worth(like: Tensor) -> Float[Tensor, " channels"]:

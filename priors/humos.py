@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from priors.anchor_basis import cosines
+from priors.cosines import cosines
 from priors.humos_basis import existing_windows, windows_of
 from priors.humos_frames import BodyFrames, levers, lowest_of, turn_of
 from priors.humos_weights import HumosWeights, load_weights

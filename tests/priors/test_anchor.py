@@ -3,10 +3,11 @@ import pytest
 import torch
 
 from priors.anchor import AnchorFrames
-from priors.anchor_basis import CycleBasis, cosines
+from priors.anchor_basis import CycleBasis
 from priors.anchor_nets import AnchorNetworks
 from priors.anchor_weights import AnchorWeights, CodeSpread, load_weights, save_weights
 from priors.anchors import Alignment, Anchors
+from priors.cosines import cosines
 from recon.body import BodyModel
 from recon.motion import pad
 from recon.protocols import Prior

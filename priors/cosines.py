@@ -1,0 +1,15 @@
+"""Orthonormal cosines over the frames of a clip, in which slow motions are few numbers."""
+
+import math
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+
+def cosines(frames: int, count: int) -> Float[Tensor, "frames cosines"]:
+    """The first orthonormal cosines over so many frames (DCT-II)."""
+    t = torch.arange(frames, dtype=torch.float64)[:, None] + 0.5
+    k = torch.arange(count, dtype=torch.float64)
+    amplitude = torch.where(k == 0, 1.0, 2.0).sqrt() / math.sqrt(frames)
+    return amplitude * (math.pi * t * k / frames).cos()
