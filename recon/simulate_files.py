@@ -24,17 +24,17 @@ from recon.motion import Motion
 from recon.motion_files import load_motion_of
 from recon.outputs import Kind, Output
 from recon.reports import checksums, versions
-from recon.settings import (
+from recon.simulate import Corruption, joints3d, landmarks3d, markers3d, visible_joints
+from recon.simulate_depth import DepthSensor, depth_points, without_pose
+from recon.simulate_images import dome, keypoints2d, orbiting
+from recon.simulate_scans import scan_points
+from recon.simulate_settings import (
     FILM_DEFAULTS,
     SURFACE_DEFAULTS,
     FilmSettings,
     SensorKind,
     SurfaceSettings,
 )
-from recon.simulate import Corruption, joints3d, landmarks3d, markers3d, visible_joints
-from recon.simulate_depth import DepthSensor, depth_points, without_pose
-from recon.simulate_images import dome, keypoints2d, orbiting
-from recon.simulate_scans import scan_points
 from recon.skeleton import JOINTS
 from recon.surface import KEYPOINTS_43, LANDMARKS_16
 from recon.surface_detail import clothed

@@ -37,7 +37,7 @@ def interpolate(
         overwrite: replace files that are there and recon did not write.
     """
     from recon.cli import console
-    from recon.interpolation import InterpolationSettings, interpolate_files
+    from recon.interpolate_files import InterpolationSettings, interpolate_files
 
     settings = InterpolationSettings(at, weights, body, fps)
     report = interpolate_files(a, b, out, settings, overwrite=overwrite)

@@ -6,7 +6,7 @@ from tyro.conf import OmitArgPrefixes, Positional
 
 from recon.cli.places import Arguments, Overwrite, Place, writes
 from recon.outputs import Kind, Output
-from recon.settings import (
+from recon.simulate_settings import (
     FILM_DEFAULTS,
     SURFACE_DEFAULTS,
     FilmSettings,

@@ -8,15 +8,8 @@ from priors.anchors import ANCHORS, Anchors, rest_pelvis
 from recon import rotations as so3
 from recon.body import BodyModel
 from recon.formats.amass import MotionFile, load_motion, save_motion
-from recon.interpolation import (
-    InterpolationSettings,
-    agreement,
-    between,
-    cycles_of,
-    foot_lift,
-    interpolate_files,
-    played,
-)
+from recon.interpolate_files import InterpolationSettings, interpolate_files
+from recon.interpolation import agreement, between, cycles_of, foot_lift, played
 from recon.motion import Motion
 from recon.skeleton import joint_index
 from tests.priors.tiny_anchor import tiny_prior

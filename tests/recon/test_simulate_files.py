@@ -15,9 +15,9 @@ from recon.formats.amass import load_motion, save_motion
 from recon.formats.observation import KeypointsFile, PointsFile, PositionsFile, load_observation
 from recon.formats.scans import read_scans
 from recon.motion import Motion
-from recon.settings import FilmSettings, SurfaceSettings
 from recon.simulate import Corruption
 from recon.simulate_files import cameras_around, simulate_file
+from recon.simulate_settings import FilmSettings, SurfaceSettings
 from recon.surface import LANDMARKS_16, landmark
 from tests.recon.keypoint_scene import camera, write_toml
 

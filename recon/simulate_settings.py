@@ -1,0 +1,41 @@
+"""How simulated sensors look at a motion, as the command line shows it; light to import."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+SensorKind = Literal["joints3d", "markers3d", "landmarks", "keypoints2d", "depth", "scans"]
+"""What a simulated sensor gives: the 22 joints, 43 points of the skin, 16 markers beside the skin,
+keypoints in images, points that a depth camera sees, points all over the skin."""
+
+
+@dataclass(frozen=True)
+class FilmSettings:
+    """How simulated cameras look at a motion; for keypoints2d and depth."""
+
+    camera: str = "front"
+    """`front` or `side` of the body, near enough to fill the image, or a calibration."""
+    views: int = 1
+    """Cameras evenly around the body, the first as above; OUT is a folder for several."""
+    orbit: float = 0.0
+    """Angle that the cameras are carried around the body by, radians."""
+    layout: str = "openpose25"
+    """Which keypoints."""
+
+
+FILM_DEFAULTS = FilmSettings()
+
+
+@dataclass(frozen=True)
+class SurfaceSettings:
+    """What simulated sensors see of the surface; for landmarks, depth and scans."""
+
+    points: int = 4096
+    """Most points of a frame of depth and scans."""
+    clothed: int | None = None
+    """Seed of the clothes that depth and scans see; default: bare skin."""
+    skin_offset: float = 0.01
+    """Standard deviation per axis of how far landmarks are placed from where they should be,
+    metres."""
+
+
+SURFACE_DEFAULTS = SurfaceSettings()
