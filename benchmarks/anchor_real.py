@@ -35,7 +35,7 @@ from observations.markers3d import Markers3D
 from recon.body import BodyModel
 from recon.clip import fit_clip
 from recon.completion import NAMED_NOISE, complete
-from recon.formats import read_recording
+from recon.formats.recordings import read_recording
 from recon.motion import Motion
 from recon.recording import MarkerRecording
 from recon.settings import FitSettings

@@ -22,12 +22,12 @@ from benchmarks.fuzz_mutations import (
     inside_xz,
 )
 from recon.detections.masks import Silhouettes, load_silhouettes
-from recon.formats import read_recording
 from recon.formats.amass import load_motion
 from recon.formats.calibration import load_cameras
 from recon.formats.depth_images import read_depth_images
 from recon.formats.keypoints import read_keypoints
 from recon.formats.observation import CameraArrays, PointsFile, load_observation
+from recon.formats.recordings import read_recording
 from recon.formats.scans import read_scans, write_scans
 from recon.formats.smpl import load_smpl
 from recon.simulate import Corruption

@@ -26,7 +26,7 @@ from torch import Tensor
 
 from benchmarks.results import recordings_source, write
 from recon.body import BodyModel
-from recon.formats import read_recording
+from recon.formats.recordings import read_recording
 from recon.ingest.coverage import MarkerSet, full_body_markers
 from recon.ingest.markers import MarkerFit, fit_markers
 from recon.recording import MarkerRecording

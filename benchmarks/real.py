@@ -21,7 +21,7 @@ from priors.humor import Humor
 from priors.humor_collocation import Collocation
 from priors.pose import PosePrior, PoseWeights
 from recon.body import BodyModel
-from recon.formats import read_recording
+from recon.formats.recordings import read_recording
 from recon.ingest.coverage import full_body_markers
 from recon.reconstruction import Method, fit
 from recon.recording import MarkerRecording

@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 
 from recon.detections.masks import load_silhouettes
-from recon.formats import read_recording
 from recon.formats.amass import load_motion
 from recon.formats.files import existing, load_arrays
 from recon.formats.observation import (
@@ -15,6 +14,7 @@ from recon.formats.observation import (
     PositionsFile,
     load_observation,
 )
+from recon.formats.recordings import read_recording
 from recon.formats.smpl import load_smpl
 from recon.info_cameras import (
     describe_calibration,

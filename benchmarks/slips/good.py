@@ -29,7 +29,7 @@ from observations.first_guess import Seen
 from priors.training.dataset import Part
 from recon.body import BodyModel
 from recon.findings import Code, Finding
-from recon.formats import read_recording
+from recon.formats.recordings import read_recording
 from recon.ingest.coverage import full_body_markers
 from recon.recording import MarkerRecording
 from recon.simulate import Corruption

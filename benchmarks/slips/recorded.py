@@ -11,7 +11,7 @@ from observations.first_guess import Seen
 from observations.markers3d import Markers3D
 from recon.body import BodyModel
 from recon.clip_files import load_clip
-from recon.formats import read_recording
+from recon.formats.recordings import read_recording
 from recon.ingest.coverage import full_body_markers
 from recon.recording import MarkerRecording
 from recon.settings import FitSettings

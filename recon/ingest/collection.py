@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from recon.checksums import file_checksum, value_checksum
-from recon.formats import read_recording
 from recon.formats.archives import iterate_texts
 from recon.formats.asf_amc import find_skeleton
 from recon.formats.bvh import parse_bvh
+from recon.formats.recordings import read_recording
 from recon.recording import SkeletonRecording, drop_lead_in
 
 _SUFFIXES = (".bvh.xz", ".amc.xz", ".bvh", ".amc")

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from recon.body import BodyModel
-from recon.formats import read_recording
+from recon.formats.recordings import read_recording
 from recon.ingest.conversion import Conversion, convert_skeletons, resampled
 from recon.ingest.marker_conversion import convert_markers
 from recon.ingest.skeletons import recognise

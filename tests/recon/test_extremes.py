@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from recon.formats import read_recording
 from recon.formats.amass import load_motion
 from recon.formats.calibration import load_cameras
 from recon.formats.keypoints import read_keypoints
@@ -22,6 +21,7 @@ from recon.formats.observation import (
     load_observation,
     save_observation,
 )
+from recon.formats.recordings import read_recording
 from recon.formats.scan_times import timed
 from recon.formats.trc import write_trc
 from tests.recon.test_formats_markers import make_markers

@@ -11,11 +11,11 @@ import torch
 
 from recon import rotations as so3
 from recon.body import BodyModel
-from recon.formats import read_recording
 from recon.formats.archives import iterate_recordings
 from recon.formats.asf_amc import read_amc
 from recon.formats.bvh import parse_bvh, read_bvh
 from recon.formats.bvh_write import Order, skeleton_of, write_bvh
+from recon.formats.recordings import read_recording
 from recon.motion import Motion
 from recon.recording import SkeletonRecording, drop_lead_in
 

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recon.formats import read_recording
 from recon.formats.amass import load_motion, save_motion
 from recon.formats.observation import load_observation, save_observation
 from recon.formats.ply import read_ply, write_ply
+from recon.formats.recordings import read_recording
 from recon.formats.trc import write_trc
 from tests.recon.test_formats_bvh import AMC, ASF, BVH
 from tests.recon.test_formats_markers import make_markers, write_c3d

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from recon.formats import read_recording
 from recon.formats.c3d import _floats as vax_floats  # pyright: ignore[reportPrivateUsage]
+from recon.formats.recordings import read_recording
 from recon.formats.trc import write_trc
 from recon.recording import MarkerRecording
 

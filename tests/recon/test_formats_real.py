@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recon.formats import read_recording
 from recon.formats.archives import iterate_texts
 from recon.formats.bvh import parse_bvh, read_bvh
 from recon.formats.bvh_write import write_bvh
+from recon.formats.recordings import read_recording
 from recon.recording import MarkerRecording, SkeletonRecording, drop_lead_in
 
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recon.formats import read_recording
 from recon.formats.numbers_in import numbers_in
+from recon.formats.recordings import read_recording
 from recon.recording import head_to_foot
 from tests.recon.test_formats_markers import make_markers, write_c3d
 
