@@ -22,6 +22,7 @@ from recon.diagnosis.pace import rate_finding
 from recon.diagnosis.screening import screen_points
 from recon.diagnosis.seen_joints import observed_joints, unseen_findings
 from recon.diagnosis.summaries import ResidualSummary, summarise
+from recon.diagnosis.support import support_findings
 from recon.diagnosis.views import screen_views
 from recon.findings import Finding
 from recon.motion import Motion
@@ -43,7 +44,8 @@ class Examined:
     residuals: tuple[ResidualSummary, ...]
     """Of every sensor, in the order of the observations."""
     diagnosis: tuple[Finding, ...]
-    """What is worth knowing but is no fault: limbs and frames that were inferred."""
+    """What is worth knowing but is no fault: limbs and frames that were inferred, feet at several
+    heights, rests on something else than feet."""
     repairs: tuple[Finding, ...]
     """What was wrong with the data and was put right before the fit."""
     warnings: tuple[Finding, ...]
@@ -142,21 +144,24 @@ def examine(found: ClipFit, names: Sequence[str], screened: ScreenedClip) -> Exa
     views = [seen for seen in found.observations if isinstance(seen, Keypoints2D)]
     observed = observed_joints(found.observations, here)
     motion = found.result.clip(0).detach().to(device="cpu")
-    broken = any(finding.code in _NO_SPEED for finding in screened.warnings)
     seen = torch.from_numpy(observed[: motion.frames])
-    rate = None if broken else rate_finding(motion, body, seen)
+    broken = any(finding.code in _NO_SPEED for finding in screened.warnings)
+    sizes = body_warnings(found)
+    # cameras whose ground and person do not fit together measure in no metres
+    unmeasured = len(views) > 0 and any(finding.code == "floor" for finding in sizes)
+    rate = None if broken or unmeasured else rate_finding(motion, body, seen)
     carried = None if broken else _carried(names, found.observations, motion, body, seen)
     after = [
         *([] if carried is None else [carried]),
         *agreement_warnings(summaries, found.observations, here),
-        *body_warnings(found),
+        *sizes,
         *mirror_warnings(views),
         *([] if rate is None else [rate]),
     ]
     return Examined(
         fit=found,
         residuals=summaries,
-        diagnosis=tuple(unseen_findings(observed)),
+        diagnosis=(*unseen_findings(observed), *support_findings(motion, body, seen)),
         repairs=screened.repairs,
         warnings=(*screened.warnings, *after),
         observed=observed,

@@ -8,7 +8,7 @@ from recon.motion import Motion
 from recon.skeleton import FEET
 from recon.upright import sole_heights
 
-_FLOOR_JOINTS, _FLOOR_MARKERS = (-0.05, 0.036), (-0.055, 0.07)
+_FLOOR_JOINTS, _FLOOR_MARKERS = (-0.065, 0.036), (-0.055, 0.07)
 """Metres by which standing soles may lie below and above the ground of a recording that knows it.
 The body's soles reach a centimetre lower than recorded feet; shoes and carpets lift, and shoes
 lift markers once more."""

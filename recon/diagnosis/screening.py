@@ -18,7 +18,7 @@ from recon.diagnosis.outlying import misplaced_points, outliers
 from recon.diagnosis.placement import floor_finding, floor_height, scale_findings
 from recon.diagnosis.predicted import Predicted
 from recon.diagnosis.quick import QuickFit, quick_fits
-from recon.diagnosis.sides import find_exchanges
+from recon.diagnosis.sides import exchanged_pairs, find_exchanges
 from recon.diagnosis.tracks import frame_order, identity_changes, temporal_noise
 from recon.findings import Finding, listed, spans, stretches
 from recon.robust import geman_mcclure, squared
@@ -59,9 +59,10 @@ class Screened:
 def screen_points(points: Points, body: BodyModel) -> Screened:
     """Check one clip's joints or markers, and repair what can be repaired surely.
 
-    In this order: what repeats bit for bit, the order of frames, sides that change names within
-    the clip, jumps of the whole body, its size, sides exchanged throughout, and, against a quick
-    robust fit, two points exchanged, points away from their place, outliers and the ground.
+    In this order: what repeats bit for bit, the order of frames, sides and single pairs that
+    change names within the clip, jumps of the whole body, its size, sides exchanged throughout,
+    and, against a quick robust fit, two points exchanged, points away from their place, outliers
+    and the ground.
     """
     exact, found = repaired_exact(NamedPoints.of(points, body))
     state = Screened(points).after(exact.into(points), *found)
@@ -73,6 +74,9 @@ def screen_points(points: Points, body: BodyModel) -> Screened:
     exchanges = find_exchanges(named)
     steady = named.permuted(named.counterparts, exchanges)
     state = state.warned(*scale_findings(steady))
+    for pair, moments in exchanged_pairs(steady):
+        steady = _swapped(steady, pair, moments)
+        state = _exchanged_back(state, pair, moments, body)
     if jumps := identity_changes(steady):  # no one body explains the points before and after
         return state.warned(*jumps)
     state, fitted = _sides(state, exchanges, body)
@@ -142,12 +146,22 @@ def _exchanged(state: Screened, fitted: QuickFit, body: BodyModel) -> tuple[Scre
     noise = temporal_noise(NamedPoints.of(fitted.points, body))
     pairs = exchanged_moments(predicted, noise)
     for pair, moments in pairs:
-        said = _exchange_finding(named, pair, moments)
-        named = _swapped(named, pair, moments)
-        state = state.after(named.into(state.points), said)
+        state = _exchanged_back(state, pair, moments, body)
     if pairs:
+        named = NamedPoints.of(state.points, body)
         (fitted,) = quick_fits([_cleaned(named, state.points)], body)
     return state, fitted
+
+
+def _exchanged_back(
+    state: Screened,
+    pair: tuple[int, int],
+    moments: Bool[np.ndarray, " moments"],
+    body: BodyModel,
+) -> Screened:
+    named = NamedPoints.of(state.points, body)
+    said = _exchange_finding(named, pair, moments)
+    return state.after(_swapped(named, pair, moments).into(state.points), said)
 
 
 def _swapped(

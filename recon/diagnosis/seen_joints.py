@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from observations.depth import PointCloud
 from observations.first_guess import Seen
@@ -37,7 +37,9 @@ def observed_joints(
     seen = np.zeros((motion.frames, len(JOINTS)), dtype=bool)
     for observation in observations:
         moments = _of(observation, estimate)
-        seen |= moments[_nearest_moments(observation, motion, len(moments))]
+        number = _nearest_moments(observation, motion)
+        within = (number >= 0) & (number < len(moments))
+        seen[within] |= moments[number[within]]
     return seen
 
 
@@ -115,8 +117,10 @@ def _near_points(cloud: PointCloud, estimate: Estimate) -> Bool[np.ndarray, "mom
     return seen
 
 
-def _nearest_moments(observation: Seen, motion: Motion, moments: int) -> np.ndarray:
-    """For every frame of the motion the number of the nearest moment of the observation."""
+def _nearest_moments(observation: Seen, motion: Motion) -> Int[np.ndarray, " time"]:
+    """For every frame of the motion the number of the nearest tick of the observation's clock.
+
+    Frames before its first and after its last moment have numbers beyond its own.
+    """
     times = motion.start_time + np.arange(motion.frames) / motion.fps
-    number = np.rint((times - observation.start_time) * observation.fps).astype(int)
-    return np.clip(number, 0, moments - 1)
+    return np.rint((times - observation.start_time) * observation.fps).astype(int)

@@ -24,6 +24,19 @@ def find_exchanges(points: NamedPoints) -> Bool[np.ndarray, " moments"]:
     return _parity(_flips(points, _pairs(points)))
 
 
+def exchanged_pairs(
+    points: NamedPoints,
+) -> list[tuple[tuple[int, int], Bool[np.ndarray, " moments"]]]:
+    """Single pairs of counterparts that jump to each other's place and back again, and when."""
+    found: list[tuple[tuple[int, int], Bool[np.ndarray, " moments"]]] = []
+    for pair in _pairs(points):
+        flips = _flips(points, [pair])
+        moments = _parity(flips)
+        if moments.any() and flips.sum() % 2 == 0:  # else nobody knows on which side they began
+            found.append((pair, moments & points.visible[:, pair[0]] & points.visible[:, pair[1]]))
+    return found
+
+
 def _pairs(points: NamedPoints) -> list[tuple[int, int]]:
     return [(k, other) for k, other in enumerate(points.counterparts) if k < other]
 

@@ -7,6 +7,7 @@ import torch
 from observations.joints3d import Joints3D
 from recon.diagnosis.named_points import NamedPoints
 from recon.diagnosis.screening import Screened, screen_points
+from recon.diagnosis.sides import exchanged_pairs
 from recon.simulate import Corruption, joints3d, markers3d
 from recon.treadmill import in_room, with_belt
 from tests.filmed import bundled, walk
@@ -232,3 +233,15 @@ def test_a_walk_on_a_treadmill_is_told():
     found = screen_points(with_belt(clip, -belt), bundled())
     assert [finding.code for finding in found.repairs] == ["treadmill"]
     assert torch.allclose(found.belt, belt, atol=0.15)
+
+
+def test_a_pair_that_jumps_to_each_other_and_back_is_told_by_its_paths():
+    """A quick fit crosses its legs to reach exchanged ankles, so that they seem to be in place."""
+    clip = seen()
+    pair = [index("left_wrist"), index("right_wrist")]
+    positions = clip.positions.clone()
+    positions[:, 8:12, pair] = positions[:, 8:12, pair[::-1]]
+    (found,) = exchanged_pairs(NamedPoints.of(clip.replace(positions=positions), bundled()))
+    assert found[0] == tuple(pair)
+    assert np.flatnonzero(found[1]).tolist() == [8, 9, 10, 11]
+    assert exchanged_pairs(NamedPoints.of(clip, bundled())) == []
