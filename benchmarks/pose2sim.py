@@ -26,7 +26,6 @@ from benchmarks.results import recordings_source, write
 from benchmarks.scores import Columns, Row, cell
 from observations.keypoints2d import Keypoints2D
 from recon import metrics
-from recon.agreement import misfits
 from recon.body import BodyModel
 from recon.clip import ClipFit, fit_clip
 from recon.clip_files import load_clip
@@ -107,7 +106,8 @@ def _fitted(paths: list[Path], settings: FitSettings, body: BodyModel) -> tuple[
     seconds = time.process_time() - began
     views = [o for o in clip.observations if isinstance(o, Keypoints2D)]
     with torch.no_grad():
-        away = torch.cat([misfits(view, found.result.estimate) for view in found.observations])
+        estimate = found.result.estimate
+        away = torch.cat([view.residuals(estimate).present() for view in found.observations])
     return {
         "frames": float(views[0].pixels.shape[1]),
         "triangulation": views_error(views) if len(views) > 1 else None,

@@ -1,0 +1,19 @@
+"""Every benchmark can be imported; no other test looks at most of them."""
+
+import importlib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+MODULES = sorted(
+    ".".join(path.relative_to(ROOT).with_suffix("").parts)
+    for path in (ROOT / "benchmarks").rglob("*.py")
+    if path.stem != "__main__"
+)
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_it_names_nothing_that_is_gone(name):
+    """`benchmarks.pose2sim` asked for a function that had been renamed."""
+    importlib.import_module(name)
