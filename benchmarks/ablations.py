@@ -18,15 +18,15 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from priors.humor import Humor
-from priors.humor_collocation import Collocation
-from priors.humor_nets import LATENT, RAW, HumorNetworks
-from priors.humor_state import Frame, State, compose
+from priors.humor.collocation import Collocation
+from priors.humor.networks import LATENT, RAW, HumorNetworks
+from priors.humor.prior import Humor
+from priors.humor.state import Frame, State, compose
+from priors.humor.training.run import HumorTraining, LossWeights, export_weights
+from priors.humor.training.scaling import ScaledNetworks, Scaling
+from priors.humor.training.train import train
 from priors.training.dataset import SPLITS
-from priors.training.humor import train
-from priors.training.humor_run import HumorTraining, LossWeights, export_weights
-from priors.training.humor_scaling import ScaledNetworks, Scaling
-from recon import rotations as so3
+from recon.core import rotations as so3
 
 WIDTH = 512
 STEPS = 1500

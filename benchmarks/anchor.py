@@ -10,11 +10,11 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from priors.anchor import AnchorFrames
-from priors.anchors import Anchors
-from priors.training.anchor_corpus import CycleBatch, CycleCorpus
+from priors.anchor.frames import Anchors
+from priors.anchor.prior import AnchorFrames
+from priors.anchor.training.corpus import CycleBatch, CycleCorpus
 from priors.training.dataset import SPLITS, Licence, Part, Splits
-from recon import rotations as so3
+from recon.core import rotations as so3
 
 TURNS = 30.0
 """Degrees by which a cycle turns at least: clips named after turns also walk straight."""

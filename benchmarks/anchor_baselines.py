@@ -6,10 +6,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from priors.anchors import ANCHORS, ROW, Anchors
-from priors.training.anchor_corpus import CycleBatch
-from recon import rotations as so3
-from recon.struct import TensorStruct
+from priors.anchor.frames import ANCHORS, ROW, Anchors
+from priors.anchor.training.corpus import CycleBatch
+from recon.core import rotations as so3
+from recon.core.struct import TensorStruct
 
 COMPONENTS = 72
 """64 for the code and 8 for the shape, as in the paper."""

@@ -7,7 +7,7 @@
 Pairs of cycles, of one subject where there are two: running and walking, walking forward and
 backward, turning left and right. Codes and shapes are mixed by the
 prior, linear coefficients by PCA-72, and anchors by slerp (Marsot et al., section 5.2); each as it
-is, and settled (`recon.grounding`), as `recon interpolate` leaves it.
+is, and settled (`recon.fitting.settling`), as `recon interpolate` leaves it.
 
 Pairs stand on the same feet, each told by which foot is lower: hips of backward walking swing as
 those of forward walking do, while the other foot stands.
@@ -34,17 +34,17 @@ from benchmarks.anchor import Ask, Cycles, asked, parser, turned, weights_name
 from benchmarks.anchor_baselines import LinearCycles, slerp
 from benchmarks.anchor_structure import learned
 from benchmarks.results import corpus_source, show, write
-from priors.anchor import AnchorFrames
-from priors.anchors import ANCHORS, POSED, Anchors
-from priors.training.anchor_corpus import CycleBatch
+from priors.anchor.frames import ANCHORS, POSED, Anchors
+from priors.anchor.prior import AnchorFrames
+from priors.anchor.training.corpus import CycleBatch
 from priors.training.dataset import Part
-from recon import metrics
-from recon.contacts import TOE_REACH, rest_heights, touching_heights
-from recon.formats.files import replacing
-from recon.grounding import flies, grounded
-from recon.interpolation import agreement, foot_lift
-from recon.skeleton import FEET
-from recon.struct import concatenate
+from recon.body.contacts import TOE_REACH, rest_heights, touching_heights
+from recon.core.skeleton import FEET
+from recon.core.struct import concatenate
+from recon.fitting.interpolation import agreement, foot_lift
+from recon.fitting.settling import flies, grounded
+from recon.formats.files.opening import replacing
+from recon.metrics import errors as metrics
 
 KINDS = {
     "run - walk": ("run", "walk"),

@@ -27,17 +27,17 @@ from torch import Tensor
 from benchmarks.anchor import Cycles, asked, parser, weights_name
 from benchmarks.anchor_structure import codes, learned
 from benchmarks.results import corpus_source, show, write
-from priors.anchor import AnchorFrames
-from priors.anchors import Anchors
-from recon.body import BodyModel
-from recon.motion import Motion
-from recon.normals import vertex_normals
-from recon.skeleton import PARENTS
-from recon.spread import spread_vertices
-from recon.view.lettering import join, label, save_picture
-from recon.view.raster import rasterise
-from recon.view.scene import Figure
-from recon.view.viewpoint import follow
+from priors.anchor.frames import Anchors
+from priors.anchor.prior import AnchorFrames
+from recon.body.model import BodyModel
+from recon.body.spread import spread_vertices
+from recon.core.geometry.normals import vertex_normals
+from recon.core.geometry.raster import rasterise
+from recon.core.motion import Motion
+from recon.core.skeleton import PARENTS
+from recon.view.drawing.lettering import join, label, save_picture
+from recon.view.show.scene import Figure
+from recon.view.show.viewpoint import follow
 
 DIRECTIONS = (0, 1)
 """Shape directions that are looked at."""

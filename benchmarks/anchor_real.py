@@ -3,10 +3,10 @@
     python -m benchmarks.anchor_real OBSERVATIONS --weights open nc
         --json benchmarks/results/anchor_real.json --picture docs/anchor_real.png
 
-All known markers of a recording are fitted (`recon.ingest.markers`), which tells where its cycles
-are; the one in the middle is taken. Given are the markers of `LANDMARKS_16` that the recording
-has, in every frame (`16`) or in the frames at 5 of the cycle's 100 anchors (`16, f=5`). Judged are
-all other known markers, except those that share a landmark with a given one.
+All known markers of a recording are fitted (`recon.ingest.markers.fit`), which tells where its
+cycles are; the one in the middle is taken. Given are the markers of `LANDMARKS_16` that the
+recording has, in every frame (`16`) or in the frames at 5 of the cycle's 100 anchors (`16, f=5`).
+Judged are all other known markers, except those that share a landmark with a given one.
 
 A left-out marker's constant offset, in the frame of its bone, is the mean over every tenth frame
 on the body that is judged; its error is measured in the other frames, as benchmarks/markers.py
@@ -32,16 +32,16 @@ from benchmarks.real_cycles import RealCycle, judged, real_cycle, together
 from benchmarks.results import recordings_source, write
 from benchmarks.scans import observed_frames
 from observations.markers3d import Markers3D
-from recon.body import BodyModel
-from recon.clip import fit_clip
-from recon.completion import NAMED_NOISE, complete
-from recon.formats.recordings import read_recording
-from recon.motion import Motion
-from recon.recording import MarkerRecording
-from recon.settings import FitSettings
-from recon.view.colours import GREY
+from recon.body.model import BodyModel
+from recon.core.motion import Motion
+from recon.fitting.clip import fit_clip
+from recon.fitting.completion import NAMED_NOISE, complete
+from recon.fitting.settings import FitSettings
+from recon.formats.mocap.reader import read_recording
+from recon.formats.mocap.recording import MarkerRecording
 from recon.view.frames import write_png
-from recon.view.scene import Figure, Points, Show
+from recon.view.show.colours import GREY
+from recon.view.show.scene import Figure, Points, Show
 
 RECORDINGS = {
     "cmu_c3d/02_01.c3d": "walk, training subject",

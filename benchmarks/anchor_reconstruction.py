@@ -26,11 +26,11 @@ from torch import Tensor
 from benchmarks.anchor import Ask, Cycles, asked, parser, surface, weights_name
 from benchmarks.anchor_baselines import COMPONENTS, LinearCycles
 from benchmarks.results import corpus_source, show, write
-from priors.anchor import AnchorFrames
-from priors.anchors import Anchors
-from priors.training.anchor_corpus import CycleBatch
-from recon.formats.files import replacing
-from recon.spread import spread_vertices
+from priors.anchor.frames import Anchors
+from priors.anchor.prior import AnchorFrames
+from priors.anchor.training.corpus import CycleBatch
+from recon.body.spread import spread_vertices
+from recon.formats.files.opening import replacing
 
 POINTS = 200
 _AT_ONCE = 50

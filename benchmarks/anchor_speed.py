@@ -26,10 +26,10 @@ from benchmarks.complete import COLUMNS, observe, together
 from benchmarks.cycles import chosen, found_cycles
 from benchmarks.results import corpus_source, show, write
 from benchmarks.scans import ScannedCycle, scanned_cycle
-from recon.body import BodyModel
-from recon.completion import Points, complete
-from recon.formats.observation import save_observation
-from recon.settings import FitSettings
+from recon.body.model import BodyModel
+from recon.fitting.completion import Points, complete
+from recon.fitting.settings import FitSettings
+from recon.formats.observations import save_observation
 
 _SINGLE = 4
 _COMMANDS = 2

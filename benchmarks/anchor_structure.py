@@ -21,10 +21,10 @@ from torch import Tensor
 from benchmarks.anchor import LABELS, Ask, Cycles, asked, parser, weights_name
 from benchmarks.anchor_baselines import LinearCycles
 from benchmarks.results import corpus_source, show, write
-from priors.anchor import AnchorFrames
+from priors.anchor.prior import AnchorFrames
 from priors.training.dataset import Part
-from recon.formats.files import replacing
-from recon.struct import concatenate
+from recon.core.struct import concatenate
+from recon.formats.files.opening import replacing
 
 MOST = 12
 """Cycles of an action."""

@@ -19,16 +19,16 @@ from torch import Tensor
 
 from benchmarks.anchor import asked, parser
 from benchmarks.results import corpus_source, write
-from priors.anchor_weights import load_weights
-from priors.anchors import Anchors
-from priors.training.anchor import train_on
-from priors.training.anchor_corpus import CycleCorpus
-from priors.training.anchor_export import export_learned
-from priors.training.anchor_losses import some_of
-from priors.training.anchor_run import AnchorTraining
-from recon.body import BodyModel
-from recon.formats.files import replacing
-from recon.spread import spread_vertices
+from priors.anchor.frames import Anchors
+from priors.anchor.training.corpus import CycleCorpus
+from priors.anchor.training.export import export_learned
+from priors.anchor.training.losses import some_of
+from priors.anchor.training.run import AnchorTraining
+from priors.anchor.training.train import train_on
+from priors.anchor.weights import load_weights
+from recon.body.model import BodyModel
+from recon.body.spread import spread_vertices
+from recon.formats.files.opening import replacing
 
 SIZES = (8, 16, 32, 64, 128, 256)
 KL = (1e-1, 1e-2, 1e-3, 1e-4)

@@ -30,20 +30,20 @@ from benchmarks.humor import evenly
 from benchmarks.results import corpus_source, write
 from benchmarks.scores import Columns, Row, Rows, by_subject, tables
 from benchmarks.windows import Windows, load_windows
-from observations.clouds import cloud_of
-from observations.first_guess import Seen
-from observations.images import keypoints_of
+from observations.files.clouds import cloud_of
+from observations.files.images import keypoints_of
+from observations.together.first_guess import Seen
 from priors.training.dataset import Splits
-from recon.body import BodyModel
-from recon.camera import Camera, depth_camera, full_hd_camera
-from recon.clip import fit_clip
-from recon.evaluation import evaluate, ground_errors
-from recon.motion import Motion
-from recon.settings import FitSettings
-from recon.simulate import Corruption
-from recon.simulate_depth import Surface, depth_points, without_pose
-from recon.simulate_images import dome, keypoints2d, orbiting
-from recon.struct import concatenate
+from recon.body.model import BodyModel
+from recon.core.camera import Camera, depth_camera, full_hd_camera
+from recon.core.motion import Motion
+from recon.core.struct import concatenate
+from recon.fitting.clip import fit_clip
+from recon.fitting.settings import FitSettings
+from recon.metrics.evaluation import evaluate, ground_errors
+from recon.simulation.depth import Surface, depth_points, without_pose
+from recon.simulation.images import dome, keypoints2d, orbiting
+from recon.simulation.points import Corruption
 
 SEED = 0
 FRAMES = 90

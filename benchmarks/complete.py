@@ -31,19 +31,19 @@ from benchmarks.scans import (
     thinned_points,
 )
 from observations.depth import PointCloud
-from observations.files import positions_of
+from observations.files.points import positions_of
 from observations.surfels import Surfels
-from priors.anchor_fit import AnchorFit, PublishedAnchorFit
-from priors.pose import PosePrior, PoseWeights
+from priors.anchor.fit import AnchorFit, PublishedAnchorFit
+from priors.pose.prior import PosePrior, PoseWeights
 from priors.training.dataset import Part, Splits
-from recon.body import BodyModel
-from recon.chamfer import chamfer_of_clip
-from recon.clip import fit_clip
-from recon.completion import NAMED_NOISE, Points, complete
-from recon.motion import Motion
-from recon.reconstruction import fit
-from recon.settings import FitSettings
-from recon.struct import concatenate
+from recon.body.model import BodyModel
+from recon.core.motion import Motion
+from recon.core.struct import concatenate
+from recon.fitting.clip import fit_clip
+from recon.fitting.completion import NAMED_NOISE, Points, complete
+from recon.fitting.settings import FitSettings
+from recon.method.reconstruction import fit
+from recon.metrics.chamfer import chamfer_of_clip
 
 READ = 512
 """Most points of a frame that the command keeps when it reads scans."""

@@ -14,9 +14,9 @@ import numpy as np
 
 from benchmarks.results import corpus_source, show, write
 from priors.training.dataset import SPLITS, Part, Splits, clip_files, is_flat
-from recon.cycles import RATE, Cycle, find_cycles, hip_flexion
-from recon.formats.amass import load_motion
-from recon.motion import Motion
+from recon.body.cycles import RATE, Cycle, find_cycles, hip_flexion
+from recon.core.motion import Motion
+from recon.formats.motions import load_motion
 
 FPS = 50.0
 _ACTIONS = (

@@ -27,9 +27,9 @@ from rich.table import Table
 
 from benchmarks.results import write
 from recon import cli
-from recon.formats.amass import load_motion
-from recon.simulate import Corruption
-from recon.simulate_files import simulate_file
+from recon.formats.motions import load_motion
+from recon.jobs.simulate import simulate_file
+from recon.simulation.points import Corruption
 
 Arrays = dict[str, np.ndarray]
 Random = np.random.Generator

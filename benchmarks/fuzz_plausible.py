@@ -1,4 +1,4 @@
-"""Whether what a reader gave lies within the ranges of `recon.limits`: asked of its own record."""
+"""Whether a reader's own record lies within the ranges of `recon.core.limits`."""
 
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
@@ -8,14 +8,14 @@ import numpy as np
 import torch
 
 from priors.checkpoints import Checkpoint
-from recon import limits
-from recon.formats.amass import MotionFile
-from recon.formats.calibration import Calibration
-from recon.formats.detections import Detections
-from recon.formats.observation import CameraArrays, KeypointsFile, PointsFile, PositionsFile
-from recon.formats.smpl import SmplArrays
-from recon.limits import Limit, check_camera, check_pose
-from recon.recording import MarkerRecording, SkeletonRecording
+from recon.core import limits
+from recon.core.limits import Limit, check_camera, check_pose
+from recon.formats.bodies.smpl import SmplArrays
+from recon.formats.calibration.cameras import Calibration
+from recon.formats.detections.records import Detections
+from recon.formats.mocap.recording import MarkerRecording, SkeletonRecording
+from recon.formats.motions import MotionFile
+from recon.formats.observations import CameraArrays, KeypointsFile, PointsFile, PositionsFile
 
 _RANGES: dict[type, dict[str, Limit]] = {
     SkeletonRecording: {

@@ -4,7 +4,7 @@
 
 Seeds are whole files of every format, real ones where there is a folder of recordings; each mutant
 is one of them, damaged in one to three ways. Asked of every one: a ValueError that names what is
-wrong, or a record whose numbers all lie within `recon.limits`; in 20 s of computing and 2 GB.
+wrong, or a record whose numbers all lie within `recon.core.limits`; in 20 s of computing and 2 GB.
 Mutants run in processes of their own, so that one that ends its process ends nothing else.
 """
 

@@ -24,8 +24,7 @@ from benchmarks.arguments import over_windows
 from benchmarks.results import corpus_source, write
 from benchmarks.scores import Columns, Row, Rows, by_subject, cell
 from benchmarks.windows import FPS, FRAMES, Windows, load_windows
-from priors.humor import Humor
-from priors.humor_generation import (
+from priors.humor.generation import (
     Landing,
     as_predicted,
     body_at_joints,
@@ -33,16 +32,18 @@ from priors.humor_generation import (
     roll_from,
     sample,
 )
-from priors.humor_state import Frame, State, states_of
+from priors.humor.prior import Humor
+from priors.humor.state import Frame, State, states_of
 from priors.training.dataset import Splits, clip_files
-from recon import generation_metrics, metrics
-from recon.body import BodyModel
-from recon.contacts import contact_labels, rest_heights
-from recon.formats.amass import load_motion
-from recon.generation_metrics import displacements, pairwise_distance
-from recon.motion import Motion
-from recon.skeleton import CONTACT_JOINTS, FEET, JOINTS
-from recon.struct import stack
+from recon.body.contacts import contact_labels, rest_heights
+from recon.body.model import BodyModel
+from recon.core.motion import Motion
+from recon.core.skeleton import CONTACT_JOINTS, FEET, JOINTS
+from recon.core.struct import stack
+from recon.formats.motions import load_motion
+from recon.metrics import errors as metrics
+from recon.metrics import generation as generation_metrics
+from recon.metrics.generation import displacements, pairwise_distance
 
 SEED = 0
 SAMPLES = 50

@@ -46,13 +46,13 @@ from benchmarks.stage12 import SEED, tune_smoothers
 from benchmarks.windows import FRAMES, Windows, load_windows, noisy_joints, occluded_points
 from observations.joints3d import Joints3D
 from observations.markers3d import Markers3D
-from priors.humor import Humor
-from priors.humor_collocation import Collocation
-from priors.humor_shooting import HumorWeights, Shooting
-from priors.pose import PosePrior, PoseWeights
+from priors.humor.collocation import Collocation
+from priors.humor.prior import Humor
+from priors.humor.shooting import HumorWeights, Shooting
+from priors.pose.prior import PosePrior, PoseWeights
 from priors.training.dataset import Splits
-from recon.body import BodyModel
-from recon.reconstruction import Method
+from recon.body.model import BodyModel
+from recon.method.reconstruction import Method
 
 _FEET_COLUMNS: Columns = {
     "joints_legs": ("legs", 100), "vertices": ("vertices", 100),

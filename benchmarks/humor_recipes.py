@@ -8,13 +8,13 @@ from collections.abc import Mapping
 
 from benchmarks.scores import Columns, Fitted, Rows, fit_windows, score
 from benchmarks.windows import FPS, Windows, noisy_joints, with_gap
-from priors.humor import Humor
-from priors.humor_collocation import Collocation
-from priors.pose import PosePrior, PoseWeights
-from recon.body import BodyModel
-from recon.motion import Motion
-from recon.reconstruction import Method
-from recon.skeleton import JOINTS, descendants, joint_index
+from priors.humor.collocation import Collocation
+from priors.humor.prior import Humor
+from priors.pose.prior import PosePrior, PoseWeights
+from recon.body.model import BodyModel
+from recon.core.motion import Motion
+from recon.core.skeleton import JOINTS, descendants, joint_index
+from recon.method.reconstruction import Method
 
 NOISE = 0.01
 GAP = round(1.0 * FPS)

@@ -21,17 +21,17 @@ from benchmarks.retarget import itself, measured
 from benchmarks.retarget_baselines import copied
 from benchmarks.retarget_clips import Job, load_jobs
 from benchmarks.retarget_shapes import reconstruction
-from priors.humos import Humos
+from priors.humos.prior import Humos
+from priors.humos.training.corpus import BodyCorpus
+from priors.humos.training.export import export_learned
+from priors.humos.training.run import HumosTraining
+from priors.humos.training.train import train_on
 from priors.training.dataset import Splits
-from priors.training.humos import train_on
-from priors.training.humos_corpus import BodyCorpus
-from priors.training.humos_export import export_learned
-from priors.training.humos_run import HumosTraining
-from recon.body import BodyModel
-from recon.physics_metrics import physics_metrics
-from recon.physics_samples import PhysicsSamples
-from recon.retargeting import proposed
-from recon.struct import concatenate
+from recon.body.model import BodyModel
+from recon.core.struct import concatenate
+from recon.fitting.retargeting import proposed
+from recon.physics.metrics import physics_metrics
+from recon.physics.samples import PhysicsSamples
 
 STEPS = 400
 _ONE_CODE = 320

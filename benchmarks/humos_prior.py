@@ -14,14 +14,14 @@ from benchmarks.results import corpus_source, write
 from benchmarks.scores import Rows, tables
 from benchmarks.stage12 import SEED
 from benchmarks.windows import load_windows, noisy_joints, occluded_points
-from priors.humor import Humor
-from priors.humor_collocation import Collocation
-from priors.humos import Humos
-from priors.humos_codes import CodesFit
-from priors.humos_collocation import HumosFit
-from priors.pose import PosePrior, PoseWeights
+from priors.humor.collocation import Collocation
+from priors.humor.prior import Humor
+from priors.humos.codes import CodesFit
+from priors.humos.collocation import HumosFit
+from priors.humos.prior import Humos
+from priors.pose.prior import PosePrior, PoseWeights
 from priors.training.dataset import Splits
-from recon.body import BodyModel
+from recon.body.model import BodyModel
 
 
 def main() -> None:

@@ -30,11 +30,11 @@ from torch import Tensor
 
 from benchmarks.results import corpus_source, write
 from priors.training.dataset import SPLITS, Splits, clip_files
-from recon import rotations as so3
-from recon.body import BodyModel
-from recon.formats.amass import load_motion
-from recon.motion import Motion
-from recon.skeleton import PARENTS
+from recon.body.model import BodyModel
+from recon.core import rotations as so3
+from recon.core.motion import Motion
+from recon.core.skeleton import PARENTS
+from recon.formats.motions import load_motion
 
 FPS = 10.0
 NEAR = 6.0

@@ -31,13 +31,13 @@ from benchmarks.arguments import over_windows
 from benchmarks.results import corpus_source, write
 from benchmarks.windows import FPS, noisy_joints
 from priors.training.dataset import Splits, clip_files
-from recon.body import BodyModel
-from recon.formats.amass import load_motion
-from recon.long import fit_long
-from recon.methods import method_of
-from recon.motion import Motion
-from recon.reconstruction import fit
-from recon.settings import FitSettings
+from recon.body.model import BodyModel
+from recon.core.motion import Motion
+from recon.fitting.long import fit_long
+from recon.fitting.methods import method_of
+from recon.fitting.settings import FitSettings
+from recon.formats.motions import load_motion
+from recon.method.reconstruction import fit
 
 SEED, NOISE = 0, 0.04
 SECONDS = (10, 20, 40, 60)

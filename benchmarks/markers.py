@@ -25,11 +25,11 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from benchmarks.results import recordings_source, write
-from recon.body import BodyModel
-from recon.formats.recordings import read_recording
-from recon.ingest.coverage import MarkerSet, full_body_markers
-from recon.ingest.markers import MarkerFit, fit_markers
-from recon.recording import MarkerRecording
+from recon.body.model import BodyModel
+from recon.formats.mocap.reader import read_recording
+from recon.formats.mocap.recording import MarkerRecording
+from recon.ingest.markers.coverage import MarkerSet, full_body_markers
+from recon.ingest.markers.fit import MarkerFit, fit_markers
 
 FOLDS = 5
 FRAMES = 200

@@ -21,17 +21,19 @@ from pathlib import Path
 from benchmarks.mutation import Mutant, mutant, places
 
 MODULES = {
-    "recon/robust.py": ("tests/recon/test_robust.py",),
-    "recon/scene.py": ("tests/recon/test_scene.py",),
-    "recon/camera.py": ("tests/recon/test_camera.py", "tests/observations/test_checks.py"),
-    "recon/formats/c3d.py": ("tests/recon/test_formats_markers.py",),
-    "recon/formats/observation.py": (
-        "tests/recon/test_formats_npz.py", "tests/recon/test_formats_keypoints.py",
-        "tests/recon/test_limits.py",
+    "recon/core/robust.py": ("tests/core/test_robust.py",),
+    "recon/core/scene.py": ("tests/core/test_scene.py",),
+    "recon/core/camera.py": ("tests/core/test_camera.py", "tests/observations/test_checks.py"),
+    "recon/formats/mocap/c3d.py": ("tests/formats/test_markers.py",),
+    "recon/formats/observations.py": (
+        "tests/formats/test_npz.py", "tests/formats/test_keypoints.py",
+        "tests/core/test_limits.py",
     ),
-    "recon/ingest/markers.py": ("tests/recon/test_ingest.py",),
-    "recon/line_search.py": ("tests/recon/test_line_search.py", "tests/recon/test_solver.py"),
-    "recon/solver.py": ("tests/recon/test_solver.py",),
+    "recon/ingest/markers/fit.py": ("tests/ingest/test_ingest.py",),
+    "recon/solver/line_search.py": (
+        "tests/solver/test_line_search.py", "tests/solver/test_lbfgs.py",
+    ),
+    "recon/solver/lbfgs.py": ("tests/solver/test_lbfgs.py",),
 }  # fmt: skip
 """Modules and the tests that answer for them."""
 _LIBRARIES = (

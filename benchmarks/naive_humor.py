@@ -15,15 +15,15 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from priors.humor import Humor, HumorVariables
-from priors.humor_nets import HumorNetworks
-from priors.humor_state import Frame, State, initial_features
-from priors.mixture import Mixture
-from recon.body import BodyModel, PosedBody
-from recon.motion import Motion
-from recon.protocols import REFERENCE_FPS, Decoded, Estimate
-from recon.scene import Scene
-from recon.skeleton import CONTACT_JOINTS, JOINTS
+from priors.humor.mixture import Mixture
+from priors.humor.networks import HumorNetworks
+from priors.humor.prior import Humor, HumorVariables
+from priors.humor.state import Frame, State, initial_features
+from recon.body.model import BodyModel, PosedBody
+from recon.core.motion import Motion
+from recon.core.scene import Scene
+from recon.core.skeleton import CONTACT_JOINTS, JOINTS
+from recon.method.protocols import REFERENCE_FPS, Decoded, Estimate
 
 _PARTS = (3, 3, 3, 3, 63, 66, 66, len(CONTACT_JOINTS))
 """Of a raw step: changes of translation, velocity, root, its velocity, pose, joints, theirs."""

@@ -15,20 +15,20 @@ import numpy as np
 import torch
 
 from benchmarks.results import demo_clip, show, write
-from observations.clouds import cloud_of
 from observations.depth import PointCloud, to_discs, to_vertices
+from observations.files.clouds import cloud_of
 from observations.surfels import SURFELS, Surfels
-from priors.humor import Humor
-from priors.humor_collocation import CollocatedHumor
-from priors.pose import PosePrior
-from recon.body import BodyModel
-from recon.camera import depth_camera
-from recon.motion import Motion
-from recon.protocols import Estimate
-from recon.scene import Scene
-from recon.simulate import Corruption
-from recon.simulate_depth import PERFECT, depth_points
-from recon.simulate_images import dome
+from priors.humor.collocation import CollocatedHumor
+from priors.humor.prior import Humor
+from priors.pose.prior import PosePrior
+from recon.body.model import BodyModel
+from recon.core.camera import depth_camera
+from recon.core.motion import Motion
+from recon.core.scene import Scene
+from recon.method.protocols import Estimate
+from recon.simulation.depth import PERFECT, depth_points
+from recon.simulation.images import dome
+from recon.simulation.points import Corruption
 
 FRAMES, SEED, REPEATS = 90, 0, 5
 """Of the bundled demo."""

@@ -7,7 +7,7 @@ Windows of 60 frames, two protocols of `benchmarks.humor`: noisy joints (4 cm pe
 occluded points (43 of the skin, those below 0.9 m hidden). `as many steps` has one more stage as
 physics has, but without its energies. `pen.` is how often toes penetrate the ground and `soles`
 how often the skin of the feet does, averaged over 0 to 15 cm of depth (HuMoR); `slip` is the speed
-of foot joints while the truth is in contact. The second table is `recon.physics_metrics` of all
+of foot joints while the truth is in contact. The second table is `recon.physics.metrics` of all
 windows together, at 20 Hz. Weights were chosen on ten validation windows.
 """
 
@@ -27,18 +27,18 @@ from benchmarks.results import corpus_source, write
 from benchmarks.scores import Columns, Fitted, Row, Rows, cell, fit_windows, score, tables
 from benchmarks.stage12 import SEED
 from benchmarks.windows import Windows, load_windows, noisy_joints, occluded_points
-from priors.humor import Humor
-from priors.humor_collocation import Collocation
+from priors.humor.collocation import Collocation
+from priors.humor.prior import Humor
 from priors.training.dataset import Splits
-from recon.body import BodyModel
-from recon.methods import WithPhysics, physics_terms
-from recon.motion import Motion
-from recon.physics_metrics import physics_metrics
-from recon.physics_samples import physics_samples
-from recon.reconstruction import Method
-from recon.stages import Stage
-from recon.struct import concatenate
-from recon.terms import Term
+from recon.body.model import BodyModel
+from recon.core.motion import Motion
+from recon.core.struct import concatenate
+from recon.fitting.methods import WithPhysics, physics_terms
+from recon.method.reconstruction import Method
+from recon.method.stages import Stage
+from recon.method.terms import Term
+from recon.physics.metrics import physics_metrics
+from recon.physics.samples import physics_samples
 
 PHYSICS_FPS = 20.0
 """Of HUMOS's metrics."""

@@ -25,13 +25,13 @@ from rich.table import Table
 from benchmarks.results import recordings_source, write
 from benchmarks.scores import Columns, Row, cell
 from observations.keypoints2d import Keypoints2D
-from recon import metrics
-from recon.body import BodyModel
-from recon.clip import ClipFit, fit_clip
-from recon.clip_files import load_clip
-from recon.motion import Motion
-from recon.plausibility import views_error
-from recon.settings import FitSettings
+from recon.body.model import BodyModel
+from recon.core.motion import Motion
+from recon.diagnosis.fits.plausibility import views_error
+from recon.fitting.clip import ClipFit, fit_clip
+from recon.fitting.clip_files import load_clip
+from recon.fitting.settings import FitSettings
+from recon.metrics import errors as metrics
 
 SEED = 0
 FPS = 60.0

@@ -17,17 +17,17 @@ import torch
 from benchmarks.results import recordings_source, write
 from observations.markers3d import Markers3D
 from observations.timing import at_observation_times
-from priors.humor import Humor
-from priors.humor_collocation import Collocation
-from priors.pose import PosePrior, PoseWeights
-from recon.body import BodyModel
-from recon.formats.recordings import read_recording
-from recon.ingest.coverage import full_body_markers
-from recon.reconstruction import Method, fit
-from recon.recording import MarkerRecording
-from recon.view.colours import GREY
+from priors.humor.collocation import Collocation
+from priors.humor.prior import Humor
+from priors.pose.prior import PosePrior, PoseWeights
+from recon.body.model import BodyModel
+from recon.formats.mocap.reader import read_recording
+from recon.formats.mocap.recording import MarkerRecording
+from recon.ingest.markers.coverage import full_body_markers
+from recon.method.reconstruction import Method, fit
 from recon.view.frames import write_png
-from recon.view.scene import Figure, Points, Show
+from recon.view.show.colours import GREY
+from recon.view.show.scene import Figure, Points, Show
 
 RECORDINGS = (
     "cmu_c3d/02_01.c3d",

@@ -14,14 +14,14 @@ from torch import Tensor
 
 from benchmarks.scans import observed_frames
 from observations.markers3d import Markers3D
-from recon.body import BodyModel
-from recon.cycles import find_cycles
-from recon.ingest.coverage import MarkerSet, full_body_markers, nominal_offsets
-from recon.ingest.markers import fit_markers
-from recon.motion import Motion
-from recon.recording import MarkerRecording
-from recon.struct import concatenate
-from recon.surface import LANDMARKS_16, landmark
+from recon.body.cycles import find_cycles
+from recon.body.landmarks import LANDMARKS_16, landmark
+from recon.body.model import BodyModel
+from recon.core.motion import Motion
+from recon.core.struct import concatenate
+from recon.formats.mocap.recording import MarkerRecording
+from recon.ingest.markers.coverage import MarkerSet, full_body_markers, nominal_offsets
+from recon.ingest.markers.fit import fit_markers
 
 RATE = 50
 """Frames per second that recordings are thinned to, or a little more."""

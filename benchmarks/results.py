@@ -19,10 +19,10 @@ from rich.table import Table
 
 import recon
 from recon import __version__
-from recon.checksums import files_checksum
-from recon.formats.amass import load_motion
-from recon.formats.files import replacing
-from recon.motion import Motion
+from recon.core.motion import Motion
+from recon.formats.files.checksums import files_checksum
+from recon.formats.files.opening import replacing
+from recon.formats.motions import load_motion
 
 ROOT = Path(__file__).parents[1]
 """The source checkout."""

@@ -37,18 +37,18 @@ from benchmarks.retarget_baselines import (
     soles_down,
 )
 from benchmarks.retarget_clips import SEED, Job, load_jobs
-from priors.humos import Humos
+from priors.humos.prior import Humos
 from priors.training.dataset import Splits
-from recon import rotations as so3
-from recon.body import BodyModel
-from recon.motion import Motion
-from recon.physics_metrics import physics_metrics
-from recon.physics_samples import PhysicsSamples, physics_samples
-from recon.retargeting import proposed, retarget
-from recon.struct import concatenate
-from recon.view.colours import CORAL
+from recon.body.model import BodyModel
+from recon.core import rotations as so3
+from recon.core.motion import Motion
+from recon.core.struct import concatenate
+from recon.fitting.retargeting import proposed, retarget
+from recon.physics.metrics import physics_metrics
+from recon.physics.samples import PhysicsSamples, physics_samples
 from recon.view.frames import write_png
-from recon.view.scene import Figure, Show
+from recon.view.show.colours import CORAL
+from recon.view.show.scene import Figure, Show
 
 Retargeter = Callable[[BodyModel, Motion, Float[Tensor, " shape"]], Motion]
 Row = dict[str, float | None]

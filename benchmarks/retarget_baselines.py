@@ -9,13 +9,13 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from benchmarks.retarget_clips import grounded
-from recon import reshape
-from recon import rotations as so3
-from recon.body import BodyModel, PosedBody
-from recon.grounding import flies
-from recon.grounding import grounded as obeying
-from recon.motion import Motion
-from recon.reshape import leg_length, with_shape
+from recon.body import reshape
+from recon.body.model import BodyModel, PosedBody
+from recon.body.reshape import leg_length, with_shape
+from recon.core import rotations as so3
+from recon.core.motion import Motion
+from recon.fitting.settling import flies
+from recon.fitting.settling import grounded as obeying
 
 LEGS = ((1, 4, 7, 10), (2, 5, 8, 11))
 """Hip, knee, ankle and toe joints of the left and the right leg."""

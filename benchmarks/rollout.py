@@ -25,15 +25,15 @@ import recon
 from benchmarks.naive_humor import NaiveHumor
 from benchmarks.results import write
 from benchmarks.windows import noisy_joints
-from priors.humor import Humor, HumorVariables
-from priors.humor_nets import HumorNetworks
-from priors.humor_shooting import Shooting
-from recon import rotations as so3
-from recon.formats.amass import load_motion
-from recon.protocols import Estimate
-from recon.scene import Scene
-from recon.struct import stack
-from recon.terms import Term
+from priors.humor.networks import HumorNetworks
+from priors.humor.prior import Humor, HumorVariables
+from priors.humor.shooting import Shooting
+from recon.core import rotations as so3
+from recon.core.scene import Scene
+from recon.core.struct import stack
+from recon.formats.motions import load_motion
+from recon.method.protocols import Estimate
+from recon.method.terms import Term
 
 WIDTHS, CLIPS, FRAMES = (1024, 512), (1, 16), 60
 LENGTHS = (30, 60, 120, 240)

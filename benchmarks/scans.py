@@ -11,14 +11,14 @@ import numpy as np
 import torch
 from jaxtyping import Int
 
-from recon.body import BodyModel
-from recon.formats.observation import PointsFile, PositionsFile
-from recon.motion import Motion
-from recon.reshape import with_shape
-from recon.simulate import Corruption, landmarks3d, visible_joints
-from recon.simulate_scans import scan_points
-from recon.surface import LANDMARKS_16
-from recon.surface_detail import clothed
+from recon.body.landmarks import LANDMARKS_16
+from recon.body.model import BodyModel
+from recon.body.reshape import with_shape
+from recon.core.motion import Motion
+from recon.formats.observations import PointsFile, PositionsFile
+from recon.simulation.clothes import clothed
+from recon.simulation.points import Corruption, landmarks3d, visible_joints
+from recon.simulation.scans import scan_points
 
 FPS = 50.0
 POINTS = 10_000

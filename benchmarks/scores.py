@@ -16,14 +16,14 @@ from torch import Tensor
 from benchmarks.windows import FPS, Windows
 from observations.joints3d import Joints3D
 from observations.markers3d import Markers3D
-from recon import metrics
-from recon.body import BodyModel
-from recon.contacts import contact_labels, rest_heights
-from recon.evaluation import ObservedPoints, evaluate, smoothness, sole_heights
-from recon.motion import Motion
-from recon.reconstruction import Method, fit
-from recon.skeleton import FEET, LEGS
-from recon.struct import concatenate
+from recon.body.contacts import contact_labels, rest_heights
+from recon.body.model import BodyModel
+from recon.core.motion import Motion
+from recon.core.skeleton import FEET, LEGS
+from recon.core.struct import concatenate
+from recon.method.reconstruction import Method, fit
+from recon.metrics import errors as metrics
+from recon.metrics.evaluation import ObservedPoints, evaluate, smoothness, sole_heights
 
 Row = dict[str, float | None]
 Rows = dict[str, Row]

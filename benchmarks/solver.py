@@ -21,7 +21,7 @@ import torch
 from torch import Tensor
 
 from benchmarks.results import write
-from recon.solver import LBFGS, Solution
+from recon.solver.lbfgs import LBFGS, Solution
 
 TOLERANCE_GRADIENT = 1e-6
 SOLVED = 1e-8

@@ -17,14 +17,14 @@ import torch
 
 from benchmarks.results import demo_clip, show, write
 from observations import Joints3D
-from priors.pose import PosePrior
-from recon import rotations as so3
-from recon import simulate
-from recon.body import BodyModel
-from recon.motion import Motion
-from recon.reconstruction import fit
-from recon.simulate import Corruption
-from recon.struct import stack
+from priors.pose.prior import PosePrior
+from recon.body.model import BodyModel
+from recon.core import rotations as so3
+from recon.core.motion import Motion
+from recon.core.struct import stack
+from recon.method.reconstruction import fit
+from recon.simulation import points as simulate
+from recon.simulation.points import Corruption
 
 FRAMES, SEED = 60, 0
 

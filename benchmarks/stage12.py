@@ -32,11 +32,11 @@ from benchmarks.scores import (
 )
 from benchmarks.smoothers import butterworth, whittaker
 from benchmarks.windows import FPS, Windows, load_windows, noisy_joints, occluded_points
-from priors.pose import PosePrior, PoseWeights
+from priors.pose.prior import PosePrior, PoseWeights
 from priors.training.dataset import Splits
-from recon.body import BodyModel
-from recon.protocols import Observation
-from recon.reconstruction import fit
+from recon.body.model import BodyModel
+from recon.method.protocols import Observation
+from recon.method.reconstruction import fit
 
 SEED = 0
 CUTOFFS = tuple(np.arange(2.0, 6.01, 0.25).tolist())

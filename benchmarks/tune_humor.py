@@ -15,11 +15,11 @@ from pathlib import Path
 from benchmarks.scores import subject_mean
 from benchmarks.stage12 import SEED
 from benchmarks.windows import load_windows, noisy_joints, occluded_points
-from priors.humor import Humor
-from priors.humor_collocation import Collocation, CollocationWeights
+from priors.humor.collocation import Collocation, CollocationWeights
+from priors.humor.prior import Humor
 from priors.training.dataset import SPLITS, Splits
-from recon.body import BodyModel
-from recon.reconstruction import fit
+from recon.body.model import BodyModel
+from recon.method.reconstruction import fit
 
 Error = Callable[[CollocationWeights], float]
 

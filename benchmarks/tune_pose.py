@@ -15,10 +15,10 @@ from pathlib import Path
 from benchmarks.scores import subject_mean
 from benchmarks.stage12 import SEED
 from benchmarks.windows import load_windows, noisy_joints, occluded_points
-from priors.pose import PosePrior, PoseWeights
+from priors.pose.prior import PosePrior, PoseWeights
 from priors.training.dataset import SPLITS, Splits
-from recon.body import BodyModel
-from recon.reconstruction import fit
+from recon.body.model import BodyModel
+from recon.method.reconstruction import fit
 
 Error = Callable[[PoseWeights], float]
 

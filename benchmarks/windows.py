@@ -11,14 +11,14 @@ from torch import Tensor
 from observations.joints3d import Joints3D
 from observations.markers3d import Markers3D
 from priors.training.dataset import Part, Splits, clip_files
-from recon.body import BodyModel
-from recon.contacts import contact_labels, rest_heights
-from recon.evaluation import nearest_labels
-from recon.formats.amass import MotionFile, load_motion
-from recon.motion import Motion
-from recon.skeleton import JOINTS, PARENTS
-from recon.struct import stack
-from recon.surface import KEYPOINTS_43, landmark
+from recon.body.contacts import contact_labels, rest_heights
+from recon.body.landmarks import KEYPOINTS_43, landmark
+from recon.body.model import BodyModel
+from recon.core.motion import Motion
+from recon.core.skeleton import JOINTS, PARENTS
+from recon.core.struct import stack
+from recon.formats.motions import MotionFile, load_motion
+from recon.metrics.evaluation import nearest_labels
 
 FPS = 30.0
 FRAMES = 60

@@ -12,7 +12,7 @@ import torch
 
 import recon
 from priors import PosePrior
-from recon.simulate import Corruption, joints3d
+from recon.simulation.points import Corruption, joints3d
 from recon.view import Figure, Show
 from recon.view.html import write_html
 

@@ -15,7 +15,7 @@ import torch
 import recon
 from observations import Joints3D
 from priors import PosePrior
-from recon.motion import Motion
+from recon.core.motion import Motion
 
 FPS, CHUNK = 30.0, 30
 

@@ -14,10 +14,10 @@ from torch import Tensor
 
 import recon
 from priors import PosePrior
-from recon.protocols import Estimate
-from recon.simulate import Corruption, joints3d
-from recon.skeleton import joint_index
-from recon.terms import Term
+from recon.core.skeleton import joint_index
+from recon.method.protocols import Estimate
+from recon.method.terms import Term
+from recon.simulation.points import Corruption, joints3d
 
 HEAD = joint_index("head")
 

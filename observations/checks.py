@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from recon.arrays import (
+from recon.core.arrays import (
     bool_tensor,
     finite,
     first_where,
@@ -20,8 +20,8 @@ from recon.arrays import (
     positive,
     require_shape,
 )
-from recon.camera import Camera
-from recon.limits import CONFIDENCE, FRAME_RATE, PIXEL, POSITION, TIME
+from recon.core.camera import Camera
+from recon.core.limits import CONFIDENCE, FRAME_RATE, PIXEL, POSITION, TIME
 
 FARTHEST = 5.0
 """Metres that the points of one moment lie from their middle, the median over points and moments.

@@ -7,10 +7,10 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from recon.body import BodyModel, PosedBody
-from recon.layouts import keypoint_names
-from recon.skeleton import JOINTS, joint_index
-from recon.surface import landmark
+from recon.body.landmarks import landmark
+from recon.body.model import BodyModel, PosedBody
+from recon.core.layouts import keypoint_names
+from recon.core.skeleton import JOINTS, joint_index
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ PLACES: Mapping[str, Place] = {
     "spine": Place(joints=("spine1", "spine2")),
     "thorax": Place(joints=("left_shoulder", "right_shoulder")),
 }
-"""Every keypoint of `recon.layouts` but those of `smpl22`, which are the joints themselves.
+"""Every keypoint of `recon.core.layouts` but those of `smpl22`, which are the joints themselves.
 
 Two places follow what detectors mean more than the words: the top of the head is found where the
 hair begins, the upper neck at its base (triangulated BODY_25B detections of a person at rest).

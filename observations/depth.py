@@ -8,17 +8,16 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from observations.checks import checked_clock, checked_positions, checked_view
-from observations.depth_start import depth_start
-from observations.nearest import nearest
+from observations.start.depth import depth_start
 from observations.surfels import Surfels
 from observations.timing import at_observation_times, moment_numbers, moments_between, padded
-from recon.arrays import Numbers
-from recon.body import BodyModel
-from recon.camera import Camera
-from recon.motion import Motion
-from recon.protocols import REFERENCE_FPS, Estimate
-from recon.residuals import Residuals
-from recon.robust import (
+from recon.body.model import BodyModel
+from recon.core.arrays import Numbers
+from recon.core.camera import Camera
+from recon.core.geometry.nearest import nearest
+from recon.core.motion import Motion
+from recon.core.residuals import Residuals
+from recon.core.robust import (
     NORMAL_MAD,
     TUNING,
     bisquare_weights,
@@ -26,7 +25,8 @@ from recon.robust import (
     lower_median,
     mad_scale,
 )
-from recon.struct import TensorStruct
+from recon.core.struct import TensorStruct
+from recon.method.protocols import REFERENCE_FPS, Estimate
 
 _FEW_POINTS, _FEW_SURFELS = 96, 500
 LEAST_SCALE = 0.005

@@ -8,16 +8,16 @@ from torch import Tensor
 
 from observations.checks import checked_clock, checked_places, checked_positions
 from observations.offsets import displaced
-from observations.rigid import rigid_start
+from observations.start.rigid import rigid_start
 from observations.timing import moments_between, point_misfit, point_residuals
-from recon.arrays import Numbers
-from recon.body import BodyModel
-from recon.motion import Motion
-from recon.protocols import Estimate
-from recon.residuals import Residuals
-from recon.robust import squared
-from recon.skeleton import JOINTS
-from recon.struct import TensorStruct
+from recon.body.model import BodyModel
+from recon.core.arrays import Numbers
+from recon.core.motion import Motion
+from recon.core.residuals import Residuals
+from recon.core.robust import squared
+from recon.core.skeleton import JOINTS
+from recon.core.struct import TensorStruct
+from recon.method.protocols import Estimate
 
 
 @dataclass(frozen=True, init=False)
@@ -32,7 +32,7 @@ class Joints3D(TensorStruct):
     fps: float
     start_time: float = 0.0
     kernel: Callable[[Tensor], Tensor] = squared
-    """How much a squared distance counts; see `recon.robust`."""
+    """How much a squared distance counts; see `recon.core.robust`."""
     ground_known: bool = True
     """Whether the ground is at z = 0."""
     offset_rows: tuple[int, int] | None = None

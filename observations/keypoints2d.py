@@ -8,17 +8,17 @@ from torch import Tensor
 
 from observations.checks import checked_clock, checked_pixels, checked_places, checked_view
 from observations.correspondences import BodyPoints
-from observations.image_start import image_start
 from observations.offsets import displaced
+from observations.start.images import image_start
 from observations.timing import at_observation_times, moment_numbers, moments_between, padded
-from recon.arrays import Numbers, positive
-from recon.body import BodyModel
-from recon.camera import Camera, Projection
-from recon.motion import Motion
-from recon.protocols import REFERENCE_FPS, Estimate
-from recon.residuals import Residuals
-from recon.robust import geman_mcclure
-from recon.struct import TensorStruct
+from recon.body.model import BodyModel
+from recon.core.arrays import Numbers, positive
+from recon.core.camera import Camera, Projection
+from recon.core.motion import Motion
+from recon.core.residuals import Residuals
+from recon.core.robust import geman_mcclure
+from recon.core.struct import TensorStruct
+from recon.method.protocols import REFERENCE_FPS, Estimate
 
 SIGMA = 100.0
 """Pixels; HuMoR's (section 6.9)."""

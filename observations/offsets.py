@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from jaxtyping import Float
 from torch import Tensor
 
-from recon.protocols import Estimate
+from recon.method.protocols import Estimate
 
 
 def displaced(

@@ -8,9 +8,9 @@ from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 from torch import Tensor
 
-from recon.body import BodyModel, PosedBody
-from recon.normals import vertex_normals
-from recon.spread import spread_vertices
+from recon.body.model import BodyModel, PosedBody
+from recon.body.spread import spread_vertices
+from recon.core.geometry.normals import vertex_normals
 
 SURFELS = 1500
 """Discs a body is covered with; some three centimetres apart on an adult."""

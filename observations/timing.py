@@ -7,9 +7,9 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from recon.motion import Motion
-from recon.protocols import REFERENCE_FPS
-from recon.residuals import Residuals, Unit
+from recon.core.motion import Motion
+from recon.core.residuals import Residuals, Unit
+from recon.method.protocols import REFERENCE_FPS
 
 _SAME_MOMENT = 1e-4
 """Frames; clocks closer than this are the same clock."""

@@ -9,7 +9,7 @@ if getattr(recon, "__distribution__", None) != "motion-recon":
         "`pip install --force-reinstall motion-recon`"
     )
 
-from priors.humor import Humor as Humor
-from priors.humor_collocation import Collocation as Collocation
-from priors.humor_shooting import Shooting as Shooting
-from priors.pose import PosePrior as PosePrior
+from priors.humor.collocation import Collocation as Collocation
+from priors.humor.prior import Humor as Humor
+from priors.humor.shooting import Shooting as Shooting
+from priors.pose.prior import PosePrior as PosePrior

@@ -13,9 +13,9 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from recon.formats.files import replacing
-from recon.limits import BINARY, NETWORK_WEIGHT
-from recon.weight_files import weights_path
+from recon.core.limits import BINARY, NETWORK_WEIGHT
+from recon.formats.files.opening import replacing
+from recon.formats.weight_files import weights_path
 
 _ABOUT = "recon"
 """The one key of the metadata: safetensors writes several in no fixed order."""

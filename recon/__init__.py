@@ -10,32 +10,32 @@ __version__ = "0.1.0"
 __distribution__ = "motion-recon"
 
 if TYPE_CHECKING:
-    from recon.body import BodyModel as BodyModel
-    from recon.evaluation import evaluate as evaluate
-    from recon.formats.amass import load_motion as load_motion
-    from recon.formats.amass import save_motion as save_motion
-    from recon.long import LongReconstruction as LongReconstruction
-    from recon.long import fit_long as fit_long
-    from recon.motion import Motion as Motion
-    from recon.motion_files import load_motion_of as load_motion_of
-    from recon.reconstruction import Reconstruction as Reconstruction
-    from recon.reconstruction import fit as fit
-    from recon.stages import Stage as Stage
-    from recon.terms import Term as Term
+    from recon.body.model import BodyModel as BodyModel
+    from recon.body.motion_files import load_motion_of as load_motion_of
+    from recon.core.motion import Motion as Motion
+    from recon.fitting.long import LongReconstruction as LongReconstruction
+    from recon.fitting.long import fit_long as fit_long
+    from recon.formats.motions import load_motion as load_motion
+    from recon.formats.motions import save_motion as save_motion
+    from recon.method.reconstruction import Reconstruction as Reconstruction
+    from recon.method.reconstruction import fit as fit
+    from recon.method.stages import Stage as Stage
+    from recon.method.terms import Term as Term
+    from recon.metrics.evaluation import evaluate as evaluate
 
 _HOMES = {
-    "BodyModel": "recon.body",
-    "evaluate": "recon.evaluation",
-    "load_motion": "recon.formats.amass",
-    "save_motion": "recon.formats.amass",
-    "LongReconstruction": "recon.long",
-    "fit_long": "recon.long",
-    "Motion": "recon.motion",
-    "load_motion_of": "recon.motion_files",
-    "Reconstruction": "recon.reconstruction",
-    "fit": "recon.reconstruction",
-    "Stage": "recon.stages",
-    "Term": "recon.terms",
+    "BodyModel": "recon.body.model",
+    "evaluate": "recon.metrics.evaluation",
+    "load_motion": "recon.formats.motions",
+    "save_motion": "recon.formats.motions",
+    "LongReconstruction": "recon.fitting.long",
+    "fit_long": "recon.fitting.long",
+    "Motion": "recon.core.motion",
+    "load_motion_of": "recon.body.motion_files",
+    "Reconstruction": "recon.method.reconstruction",
+    "fit": "recon.method.reconstruction",
+    "Stage": "recon.method.stages",
+    "Term": "recon.method.terms",
 }
 
 

@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from priors.training.dataset import SPLITS, Splits, clip_files
-from recon.formats.amass import load_motion
+from recon.formats.motions import load_motion
 
 FPS = 30.0
 SEED = 2021

@@ -11,7 +11,7 @@ import dataclasses
 from pathlib import Path
 
 import recon
-from recon.formats.amass import load_motion, save_motion
+from recon.formats.motions import load_motion, save_motion
 
 CLIP, SECONDS, FPS = "cmu/16_32.npz", 4.0, 30.0
 

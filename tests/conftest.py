@@ -11,7 +11,7 @@ install_import_hook(["recon", "priors", "observations"], "beartype.beartype")
 import numpy as np  # noqa: E402
 import torch  # noqa: E402
 
-from recon.body import BodyModel  # noqa: E402
+from recon.body.model import BodyModel  # noqa: E402
 from tests import perturbed  # noqa: E402
 
 GOLDEN = Path(__file__).parent / "golden"

@@ -5,15 +5,15 @@ from importlib import resources
 
 import torch
 
-from observations.images import keypoints_of
+from observations.files.images import keypoints_of
 from observations.keypoints2d import Keypoints2D
-from recon import rotations as so3
-from recon.body import BodyModel
-from recon.camera import Camera, full_hd_camera
-from recon.formats.amass import load_motion
-from recon.motion import Motion
-from recon.simulate import Corruption
-from recon.simulate_images import dome, keypoints2d
+from recon.body.model import BodyModel
+from recon.core import rotations as so3
+from recon.core.camera import Camera, full_hd_camera
+from recon.core.motion import Motion
+from recon.formats.motions import load_motion
+from recon.simulation.images import dome, keypoints2d
+from recon.simulation.points import Corruption
 
 NOISE = 3.0
 """Pixels."""

@@ -3,13 +3,13 @@
 import torch
 from torch import Tensor
 
-from recon import rotations as so3
-from recon.body import BodyModel
-from recon.free import FreeMotion
-from recon.motion import Motion
-from recon.protocols import Energy, Estimate, Prior
-from recon.scene import Scene
-from recon.struct import TensorStruct
+from recon.body.model import BodyModel
+from recon.core import rotations as so3
+from recon.core.motion import Motion
+from recon.core.scene import Scene
+from recon.core.struct import TensorStruct
+from recon.method.free import FreeMotion
+from recon.method.protocols import Energy, Estimate, Prior
 
 
 def a_motion(body: BodyModel, clips=2, frames=6, fps=30.0, seed=0) -> Motion:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from recon.body import BodyModel
+from recon.body.model import BodyModel
 
 _SEED = 0
 _BUNDLED = Path(__file__).parents[1] / "priors"
@@ -38,7 +38,7 @@ def moved_tensor(values: torch.Tensor, ulps: int, random: np.random.Generator) -
 def install(ulps: int) -> None:
     """From now on bodies, weights and arrays of files are moved; called before tests load."""
     from priors import checkpoints
-    from recon.formats import files
+    from recon.formats.files import opening as files
 
     load_body = BodyModel.load
 

@@ -3,6 +3,8 @@
 import ast
 import runpy
 import sys
+import tomllib
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -10,7 +12,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("recon", "priors", "observations")
 SOURCES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
-SURVIVES = ROOT / "recon" / "workers.py"
+SURVIVES = ROOT / "recon" / "jobs" / "many" / "workers.py"
 """The one file that catches everything: whatever goes wrong with one of many jobs is its own."""
 TREE = [
     *SOURCES,
@@ -54,3 +56,75 @@ def test_another_package_of_the_name_is_noticed(monkeypatch):
     monkeypatch.delitem(sys.modules, "observations", raising=False)
     with pytest.raises(ImportError, match="not motion-recon"):
         __import__("observations")
+
+
+def _children(folder: Path) -> list[str]:
+    """Modules and packages in a folder of a package."""
+    modules = [p.stem for p in folder.glob("*.py") if not p.stem.startswith("__")]
+    return modules + [p.name for p in folder.iterdir() if (p / "__init__.py").is_file()]
+
+
+FOLDERS = sorted({path.parent for path in SOURCES})
+
+
+@pytest.mark.parametrize("folder", FOLDERS, ids=lambda path: str(path.relative_to(ROOT)))
+def test_folders_list_about_a_dozen_entries(folder):
+    """`recon/` once listed 80 flat modules, which hid what belongs together."""
+    children = _children(folder)
+    assert len(children) <= 15, f"{folder}: {len(children)} entries; make rooms by idea"
+    assert len(set(children)) == len(children), f"{folder}: a module and a package of one name"
+    assert (folder / "__init__.py").is_file()
+
+
+def test_the_import_contract_is_the_list_of_rooms():
+    """It once named 72 modules, as the listing did not say which way imports go."""
+    with (ROOT / "pyproject.toml").open("rb") as file:
+        (contract,) = tomllib.load(file)["tool"]["importlinter"]["contracts"]
+    named = [room for line in contract["layers"] for room in line.split(" | ")]
+    rooms = {f"recon.{p.parent.name}" for p in (ROOT / "recon").glob("*/__init__.py")}
+    assert len(contract["layers"]) <= 15
+    assert sorted(named) == sorted({"priors", "observations"} | rooms)
+
+
+def _imported(path: Path) -> set[str]:
+    """Modules of ours that a file imports, those of type checking apart."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    apart = {
+        id(inside)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
+        for inside in ast.walk(node)
+    }
+    found = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and id(node) not in apart:
+            assert node.module is not None, f"{path}:{node.lineno}: imports are absolute"
+            names = [f"{node.module}.{alias.name}" for alias in node.names]
+            found |= {name if name in MODULES else node.module for name in names}
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+    return {name for name in found if name in MODULES}
+
+
+def _name(path: Path) -> str:
+    return ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+
+
+MODULES = {_name(path) for path in SOURCES}
+
+
+@pytest.mark.parametrize("folder", FOLDERS, ids=lambda path: str(path.relative_to(ROOT)))
+def test_no_entries_of_a_folder_import_each_other_in_a_circle(folder):
+    """Of every folder's modules and packages; six circles once held the rooms together."""
+    here = _name(folder / "__init__.py")
+    graph = {name: set() for name in _children(folder)}
+    for path in folder.rglob("*.py"):
+        if path.parent == folder and path.stem.startswith("__"):
+            continue
+        own = path.relative_to(folder).parts[0].removesuffix(".py")
+        inside = {name for name in _imported(path) if name.startswith(f"{here}.")}
+        graph[own] |= {name.removeprefix(f"{here}.").split(".")[0] for name in inside} - {own}
+    try:
+        tuple(TopologicalSorter(graph).static_order())
+    except CycleError as error:
+        pytest.fail(f"{here}: a circle of imports: {' <- '.join(error.args[1])}")

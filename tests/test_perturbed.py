@@ -1,7 +1,7 @@
 import numpy as np
 import torch
 
-from recon.body import BodyModel
+from recon.body.model import BodyModel
 from tests.perturbed import moved, moved_tensor
 
 

@@ -6,15 +6,15 @@ from pathlib import Path
 
 import torch
 
-from priors.anchor_basis import CycleBasis
-from priors.anchor_nets import AnchorNetworks
-from priors.anchor_weights import AnchorWeights, CodeSpread, save_weights
-from priors.anchors import Alignment, Anchors, rest_pelvis
-from recon import rotations as so3
-from recon.body import BodyModel
-from recon.cycles import Cycle, find_cycles
-from recon.formats.amass import load_motion
-from recon.motion import Motion
+from priors.anchor.basis import CycleBasis
+from priors.anchor.frames import Alignment, Anchors, rest_pelvis
+from priors.anchor.networks import AnchorNetworks
+from priors.anchor.weights import AnchorWeights, CodeSpread, save_weights
+from recon.body.cycles import Cycle, find_cycles
+from recon.body.model import BodyModel
+from recon.core import rotations as so3
+from recon.core.motion import Motion
+from recon.formats.motions import load_motion
 
 LATENT = 8
 

@@ -4,10 +4,10 @@ import math
 
 import torch
 
-from recon import rotations as so3
-from recon.body import BodyModel
-from recon.motion import Motion
-from recon.skeleton import joint_index
+from recon.body.model import BodyModel
+from recon.core import rotations as so3
+from recon.core.motion import Motion
+from recon.core.skeleton import joint_index
 
 
 def a_walk(body: BodyModel, seconds=1.0, period=1.0, fps=50.0, speed=1.2, pause=0.0) -> Motion:

@@ -45,8 +45,8 @@ from benchmarks.slips.table import (
     summary,
     totals,
 )
-from recon.body import BodyModel
-from recon.settings import FitSettings
+from recon.body.model import BodyModel
+from recon.fitting.settings import FitSettings
 
 CLIPS = 20
 

@@ -7,10 +7,10 @@ from torch import Tensor
 
 from benchmarks.slips.kinds import Measure, Slip
 from benchmarks.slips.recordings import Recording
-from recon import metrics
-from recon.clip import ClipFit
-from recon.motion import Motion
-from recon.skeleton import JOINTS, MIRROR, joint_index
+from recon.core.motion import Motion
+from recon.core.skeleton import JOINTS, MIRROR, joint_index
+from recon.fitting.clip import ClipFit
+from recon.metrics import errors as metrics
 
 Joints = Float[Tensor, "time 22 3"]
 Counted = Bool[Tensor, "time 22"]

@@ -25,14 +25,14 @@ from pathlib import Path
 from benchmarks.slips.recorded import VIEWS, cut, views
 from benchmarks.slips.recordings import Sensor, recording_of, windows_of
 from benchmarks.windows import Windows
-from observations.first_guess import Seen
+from observations.together.first_guess import Seen
 from priors.training.dataset import Part
-from recon.body import BodyModel
-from recon.findings import Code, Finding
-from recon.formats.recordings import read_recording
-from recon.ingest.coverage import full_body_markers
-from recon.recording import MarkerRecording
-from recon.simulate import Corruption
+from recon.body.model import BodyModel
+from recon.diagnosis.findings import Code, Finding
+from recon.formats.mocap.reader import read_recording
+from recon.formats.mocap.recording import MarkerRecording
+from recon.ingest.markers.coverage import full_body_markers
+from recon.simulation.points import Corruption
 
 LIST = Path(__file__).with_name("good_windows.json")
 SECONDS = 2.0

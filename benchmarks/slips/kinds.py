@@ -17,7 +17,7 @@ from typing import Literal
 
 from benchmarks.slips import mistakes as m
 from benchmarks.slips.recordings import Sensor
-from recon.findings import Code
+from recon.diagnosis.findings import Code
 
 Measure = Literal["world", "pelvis", "path", "posture", "speed"]
 """What a slip spoils.

@@ -12,8 +12,8 @@ from torch import Generator
 from benchmarks.slips import points, views
 from benchmarks.slips.points import Seen
 from benchmarks.slips.recordings import Recording, observed
-from recon.motion import Motion
-from recon.simulate_images import orbiting
+from recon.core.motion import Motion
+from recon.simulation.images import orbiting
 
 Spoil = Callable[[Recording, float], tuple[Seen, ...]]
 """The observations of a recording after a mistake of a size."""

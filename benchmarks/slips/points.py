@@ -6,12 +6,12 @@ import torch
 from jaxtyping import Float, Int
 from torch import Generator, Tensor
 
-from observations.first_guess import Seen
 from observations.joints3d import Joints3D
 from observations.keypoints2d import Keypoints2D
 from observations.markers3d import Markers3D
-from recon.skeleton import JOINTS
-from recon.surface import KEYPOINTS_43
+from observations.together.first_guess import Seen
+from recon.body.landmarks import KEYPOINTS_43
+from recon.core.skeleton import JOINTS
 
 Values = Float[Tensor, "clips time points dims"]
 _WILD = 0.5

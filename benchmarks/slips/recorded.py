@@ -7,14 +7,14 @@ from pathlib import Path
 import torch
 
 from benchmarks.windows import FPS, FRAMES
-from observations.first_guess import Seen
 from observations.markers3d import Markers3D
-from recon.body import BodyModel
-from recon.clip_files import load_clip
-from recon.formats.recordings import read_recording
-from recon.ingest.coverage import full_body_markers
-from recon.recording import MarkerRecording
-from recon.settings import FitSettings
+from observations.together.first_guess import Seen
+from recon.body.model import BodyModel
+from recon.fitting.clip_files import load_clip
+from recon.fitting.settings import FitSettings
+from recon.formats.mocap.reader import read_recording
+from recon.formats.mocap.recording import MarkerRecording
+from recon.ingest.markers.coverage import full_body_markers
 
 VIEWS = ".zip"
 """Detections of several cameras are packed in these."""

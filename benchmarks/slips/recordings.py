@@ -10,16 +10,16 @@ from jaxtyping import Float
 from torch import Tensor
 
 from benchmarks.windows import FRAMES, Windows, load_windows
-from observations.first_guess import Seen
-from observations.images import keypoints_of
+from observations.files.images import keypoints_of
 from observations.keypoints2d import Keypoints2D
+from observations.together.first_guess import Seen
 from priors.training.dataset import Part, Splits, clip_files
-from recon.body import BodyModel
-from recon.camera import Camera, full_hd_camera
-from recon.motion import Motion
-from recon.simulate import Corruption, joints3d, markers3d
-from recon.simulate_images import dome, keypoints2d
-from recon.struct import stack
+from recon.body.model import BodyModel
+from recon.core.camera import Camera, full_hd_camera
+from recon.core.motion import Motion
+from recon.core.struct import stack
+from recon.simulation.images import dome, keypoints2d
+from recon.simulation.points import Corruption, joints3d, markers3d
 
 Sensor = Literal["joints3d", "markers3d", "camera", "cameras"]
 """22 joints; 43 points of the skin; one camera of unknown pose; three calibrated cameras."""

@@ -22,11 +22,11 @@ from benchmarks.results import corpus_source, write
 from benchmarks.slips.errors import error, spoiled_samples
 from benchmarks.slips.kinds import SLIPS, Slip
 from benchmarks.slips.recordings import SENSORS, Recording, evenly, recording_of, windows_of
-from observations.first_guess import Seen
-from recon.body import BodyModel
-from recon.clip import ClipFit, fit_clip
-from recon.settings import FitSettings
-from recon.struct import concatenate
+from observations.together.first_guess import Seen
+from recon.body.model import BodyModel
+from recon.core.struct import concatenate
+from recon.fitting.clip import ClipFit, fit_clip
+from recon.fitting.settings import FitSettings
 
 SIZES = Path(__file__).parents[1] / "results" / "slip_sizes.json"
 ADDED = 0.05

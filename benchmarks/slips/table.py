@@ -12,10 +12,10 @@ from benchmarks.slips.kinds import Slip
 from benchmarks.slips.recordings import SENSORS, Recording, recording_of
 from benchmarks.slips.verdict import Verdict, verdict_of
 from benchmarks.windows import Windows
-from recon.body import BodyModel
-from recon.clip import ClipFit, fit_clip
-from recon.examination import fit_examined
-from recon.settings import FitSettings
+from recon.body.model import BodyModel
+from recon.diagnosis.examination import fit_examined
+from recon.fitting.clip import ClipFit, fit_clip
+from recon.fitting.settings import FitSettings
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from benchmarks.slips.kinds import Slip
-from recon.findings import Finding
+from recon.diagnosis.findings import Finding
 
 AS_GOOD = 1.2
 """A fit is repaired when its error is at most so many times that of the clean clip."""

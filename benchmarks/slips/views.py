@@ -7,10 +7,10 @@ from jaxtyping import Float
 from torch import Generator, Tensor
 
 from benchmarks.slips.points import edited, values_of, weights_of
-from observations.first_guess import Seen
 from observations.keypoints2d import Keypoints2D
-from recon import rotations as so3
-from recon.camera import Camera
+from observations.together.first_guess import Seen
+from recon.core import rotations as so3
+from recon.core.camera import Camera
 
 
 def mirrored(view: Seen) -> Seen:

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from recon.formats.files import replacing
+from recon.formats.files.opening import replacing
 
 
 def write_losses(

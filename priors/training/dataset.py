@@ -13,9 +13,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from recon.formats.amass import load_motion
-from recon.motion import Motion
-from recon.skeleton import MIRROR
+from recon.core.motion import Motion
+from recon.core.skeleton import MIRROR
+from recon.formats.motions import load_motion
 
 _LOG = logging.getLogger(__name__)
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from priors.training.dataset import clip_files
-from recon.checksums import file_checksum, files_checksum
+from recon.formats.files.checksums import file_checksum, files_checksum
 
 FREE = ("out", "threads", "save_every", "device")
 """Settings that may change while a run goes on: where it is written, and how fast it goes."""

@@ -45,7 +45,7 @@ def run(arguments: Sequence[str]) -> int:
 def _run(arguments: Sequence[str]) -> int:
     import tyro
 
-    from recon.cli import verbs
+    from recon.cli import listing as verbs
     from recon.cli.errors import Failed
 
     logging.basicConfig(stream=sys.stderr, level=logging.WARNING, format="%(message)s")

@@ -12,8 +12,8 @@ from typing import Annotated, Any, ParamSpec, TypeVar
 
 from tyro.conf import arg
 
-from recon.inputs import paths_in
-from recon.outputs import Kind, Output, check_outputs
+from recon.jobs.results.inputs import paths_in
+from recon.jobs.results.outputs import Kind, Output, check_outputs
 
 Overwrite = Annotated[bool, arg(help="Replace files that are there and recon did not write.")]
 """The option of every verb that writes."""

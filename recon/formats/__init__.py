@@ -1,1 +1,1 @@
-"""File formats, one module each."""
+"""What files hold: motions, observations, and a room for each kind of other."""

@@ -12,20 +12,20 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from recon.body import BodyModel
-from recon.contacts import contact_labels, rest_heights
-from recon.diagnosis.belt import belt_velocity, treadmill_finding
-from recon.diagnosis.pace import rate_finding
-from recon.diagnosis.support import support_findings
-from recon.findings import Finding
-from recon.formats.amass import MotionFile, save_motion
-from recon.ingest.solve import Solved, residual_names, solve
-from recon.ingest.subject import SubjectModel
-from recon.metrics import slip_speed
-from recon.motion import Motion
-from recon.recording import SkeletonRecording
-from recon.skeleton import FEET, JOINTS
-from recon.soles import Soles, Stance, levelling, turned
+from recon.body.contacts import contact_labels, rest_heights
+from recon.body.model import BodyModel
+from recon.body.soles import Soles, Stance, levelling, turned
+from recon.core.motion import Motion
+from recon.core.skeleton import FEET, JOINTS
+from recon.diagnosis.findings import Finding
+from recon.diagnosis.motions.belt import belt_velocity, treadmill_finding
+from recon.diagnosis.motions.pace import rate_finding
+from recon.diagnosis.motions.support import support_findings
+from recon.formats.mocap.recording import SkeletonRecording
+from recon.formats.motions import MotionFile, save_motion
+from recon.ingest.skeletons.solve import Solved, residual_names, solve
+from recon.ingest.skeletons.subject import SubjectModel
+from recon.metrics.errors import slip_speed
 
 GLITCH_SPEED = 20.0
 """Metres per second: no joint of a body moves so fast; between such frames it jumped."""

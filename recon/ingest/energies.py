@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from recon.protocols import REFERENCE_FPS, Estimate
-from recon.struct import TensorStruct
+from recon.core.struct import TensorStruct
+from recon.method.protocols import REFERENCE_FPS, Estimate
 
 
 @dataclass(frozen=True)

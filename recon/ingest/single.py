@@ -2,14 +2,14 @@
 
 from pathlib import Path
 
-from recon.body import BodyModel
-from recon.formats.recordings import read_recording
+from recon.body.model import BodyModel
+from recon.core.units import Axis
+from recon.formats.mocap.reader import read_recording
+from recon.formats.mocap.recording import MarkerRecording, SkeletonRecording, drop_lead_in
 from recon.ingest.conversion import Conversion, convert_skeletons, resampled
-from recon.ingest.marker_conversion import convert_markers
-from recon.ingest.skeletons import recognise
-from recon.ingest.subject import SubjectModel, calibrate
-from recon.recording import MarkerRecording, SkeletonRecording, drop_lead_in
-from recon.units import Axis
+from recon.ingest.markers.conversion import convert_markers
+from recon.ingest.skeletons.maps import recognise
+from recon.ingest.skeletons.subject import SubjectModel, calibrate
 
 
 def convert(

@@ -4,8 +4,8 @@ from collections.abc import Iterable
 from fractions import Fraction
 from pathlib import Path
 
-from recon.formats.files import replacing
-from recon.view.lettering import Picture
+from recon.formats.files.opening import replacing
+from recon.view.drawing.lettering import Picture
 
 
 def write_film(path: Path, pictures: Iterable[Picture], fps: float) -> None:

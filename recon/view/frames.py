@@ -5,10 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from recon.view.colours import CAMERA, INK
-from recon.view.film import write_film
-from recon.view.frusta import frustum
-from recon.view.lettering import (
+from recon.view.drawing.frusta import frustum
+from recon.view.drawing.lettering import (
     BOLD,
     Picture,
     join,
@@ -19,9 +17,11 @@ from recon.view.lettering import (
     text_size,
     write_line,
 )
-from recon.view.painter import paint
-from recon.view.scene import Show
-from recon.view.viewpoint import Viewpoint, viewpoints
+from recon.view.drawing.painter import paint
+from recon.view.film import write_film
+from recon.view.show.colours import CAMERA, INK
+from recon.view.show.scene import Show
+from recon.view.show.viewpoint import Viewpoint, viewpoints
 
 
 def write_png(

@@ -15,13 +15,13 @@ from jaxtyping import Float
 from torch import Tensor
 from viser import SceneApi, ViserServer
 
-from recon.formats.files import replacing
-from recon.skeleton import CONTACT_JOINTS
-from recon.view.colours import CAMERA, CLOUD, CONTACT, MISSING, VISIBLE, Colour
-from recon.view.scene import Figure, Points, Show
-from recon.view.stage import Plane
-from recon.view.viewpoint import Viewpoint, viewpoints
-from recon.view.views import View
+from recon.core.skeleton import CONTACT_JOINTS
+from recon.formats.files.opening import replacing
+from recon.view.drawing.stage import Plane
+from recon.view.show.colours import CAMERA, CLOUD, CONTACT, MISSING, VISIBLE, Colour
+from recon.view.show.scene import Figure, Points, Show
+from recon.view.show.viewpoint import Viewpoint, viewpoints
+from recon.view.show.views import View
 
 logger = logging.getLogger(__name__)
 

@@ -1,7 +1,8 @@
 """The skeleton the body is built for: names, tree and left-right pairs.
 
-It repeats `recon.skeleton` on purpose: the build runs in an environment of its own (with `anny`)
-and the asset names its joints, so that a change there cannot silently re-label a built body.
+It repeats `recon.core.skeleton` on purpose: the build runs in an environment of its own (with
+`anny`) and the asset names its joints, so that a change there cannot silently re-label a built
+body.
 """
 
 import numpy as np

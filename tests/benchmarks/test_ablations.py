@@ -18,10 +18,10 @@ from benchmarks.ablations import (
     output_of,
     step_to,
 )
-from priors.humor_nets import LATENT, HumorNetworks
-from priors.humor_state import Frame, State, compose, rest_pelvis, states_of
-from priors.humor_steps import explain
-from recon.body import BodyModel
+from priors.humor.networks import LATENT, HumorNetworks
+from priors.humor.state import Frame, State, compose, rest_pelvis, states_of
+from priors.humor.steps import explain
+from recon.body.model import BodyModel
 from tests.priors.test_humor_training import folder, settings_of
 from tests.priors.test_pose import swinging
 

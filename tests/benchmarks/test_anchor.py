@@ -9,11 +9,11 @@ from benchmarks.anchor_interpolation import monotone, supports
 from benchmarks.anchor_morphology import skinned
 from benchmarks.anchor_reconstruction import box
 from benchmarks.anchor_structure import clusters
-from priors.anchors import ANCHORS, Anchors
-from priors.training.anchor_corpus import CycleBatch
-from recon import rotations as so3
-from recon.body import BodyModel
-from recon.contacts import rest_heights, touching_heights
+from priors.anchor.frames import ANCHORS, Anchors
+from priors.anchor.training.corpus import CycleBatch
+from recon.body.contacts import rest_heights, touching_heights
+from recon.body.model import BodyModel
+from recon.core import rotations as so3
 
 
 def random_cycles(count, size=4, turn=0.3):

@@ -1,4 +1,4 @@
-"""Damaged files: refused by name, or read to numbers within `recon.limits`; nothing else."""
+"""Damaged files: refused by name, or read to numbers within `recon.core.limits`; nothing else."""
 
 import warnings
 from collections import Counter

@@ -7,11 +7,11 @@ import torch
 
 from benchmarks import generation
 from benchmarks.windows import load_windows
-from priors.humor_generation import as_predicted
-from priors.humor_state import states_of
+from priors.humor.generation import as_predicted
+from priors.humor.state import states_of
 from priors.training.dataset import Splits
-from recon.body import BodyModel
-from recon.formats.amass import save_motion
+from recon.body.model import BodyModel
+from recon.formats.motions import save_motion
 from tests.benchmarks.test_windows import turning
 from tests.priors.test_humor import humor
 

@@ -5,8 +5,8 @@ import torch
 
 from benchmarks.physics_fit import COLUMNS, PHYSICS_COLUMNS, compared, pooled, table
 from benchmarks.windows import noisy_joints
-from priors.pose import PosePrior
-from recon.body import BodyModel
+from priors.pose.prior import PosePrior
+from recon.body.model import BodyModel
 from tests.benchmarks.test_scores import standing
 
 

@@ -7,10 +7,10 @@ import torch
 
 from benchmarks.real_cycles import OFFSET_EVERY, RealCycle, divided, judged, sixteen, together
 from benchmarks.scans import observed_frames
-from recon.body import BodyModel
-from recon.formats.amass import load_motion
-from recon.ingest.coverage import MarkerSet
-from recon.surface import LANDMARKS_16, landmark
+from recon.body.landmarks import LANDMARKS_16, landmark
+from recon.body.model import BodyModel
+from recon.formats.motions import load_motion
+from recon.ingest.markers.coverage import MarkerSet
 
 FPS, FRAMES = 50.0, 31
 LEFT_OUT = ("left_heel", "c7")

@@ -14,10 +14,10 @@ from benchmarks.scans import (
     thinned_landmarks,
     thinned_points,
 )
-from recon.chamfer import chamfer_of_clip
-from recon.formats.amass import load_motion
-from recon.motion import Motion
-from recon.surface import landmark
+from recon.body.landmarks import landmark
+from recon.core.motion import Motion
+from recon.formats.motions import load_motion
+from recon.metrics.chamfer import chamfer_of_clip
 
 
 @pytest.fixture(scope="module")

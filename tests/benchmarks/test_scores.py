@@ -7,12 +7,12 @@ from benchmarks.humor import Entry, evenly, fitted_rows
 from benchmarks.humor_recipes import UPPER_BODY, interpolated
 from benchmarks.scores import WINDOWS, Fitted, constant_contacts, fit_windows, score, tables
 from benchmarks.windows import Windows, noisy_joints
-from priors.pose import PosePrior
-from recon.body import BodyModel
-from recon.contacts import rest_heights
-from recon.motion import Motion
-from recon.skeleton import FEET, JOINTS
-from recon.struct import stack
+from priors.pose.prior import PosePrior
+from recon.body.contacts import rest_heights
+from recon.body.model import BodyModel
+from recon.core.motion import Motion
+from recon.core.skeleton import FEET, JOINTS
+from recon.core.struct import stack
 from tests.benchmarks.test_windows import turning
 
 

@@ -24,11 +24,11 @@ from benchmarks.slips.recordings import CLEAN, Recording, Sensor, cameras_of, ob
 from benchmarks.slips.sizes import spoils
 from benchmarks.slips.table import Judged
 from benchmarks.slips.verdict import verdict_of
-from observations.first_guess import Seen
 from observations.keypoints2d import Keypoints2D
-from recon.body import BodyModel
-from recon.findings import Finding
-from recon.skeleton import JOINTS
+from observations.together.first_guess import Seen
+from recon.body.model import BodyModel
+from recon.core.skeleton import JOINTS
+from recon.diagnosis.findings import Finding
 
 FRAMES = 30
 BODY = BodyModel.load()

@@ -16,11 +16,11 @@ from benchmarks.windows import (
     with_gap,
 )
 from priors.training.dataset import Splits
-from recon import rotations as so3
-from recon.body import BodyModel
-from recon.formats.amass import MotionFile, save_motion
-from recon.motion import Motion
-from recon.struct import stack
+from recon.body.model import BodyModel
+from recon.core import rotations as so3
+from recon.core.motion import Motion
+from recon.core.struct import stack
+from recon.formats.motions import MotionFile, save_motion
 
 
 def turning(frames: int, fps: float) -> Motion:

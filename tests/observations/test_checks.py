@@ -9,10 +9,10 @@ from observations.correspondences import BodyPoints
 from observations.depth import PointCloud
 from observations.keypoints2d import Keypoints2D
 from observations.surfels import Surfels
-from recon.body import BodyModel
-from recon.camera import Camera, looking
-from recon.motion import Motion
-from recon.protocols import Estimate
+from recon.body.model import BodyModel
+from recon.core.camera import Camera, looking
+from recon.core.motion import Motion
+from recon.method.protocols import Estimate
 
 BODY = BodyModel.load()
 MATRIX = np.array([[1000.0, 0, 500], [0, 1000, 400], [0, 0, 1]])

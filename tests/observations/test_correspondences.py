@@ -4,9 +4,9 @@ import pytest
 import torch
 
 from observations.correspondences import PLACES, BodyPoints
-from recon.layouts import LAYOUTS, keypoint_names
-from recon.skeleton import JOINTS, joint_index
-from recon.surface import landmark
+from recon.body.landmarks import landmark
+from recon.core.layouts import LAYOUTS, keypoint_names
+from recon.core.skeleton import JOINTS, joint_index
 from tests import laws
 
 layouts = pytest.mark.parametrize("layout", LAYOUTS)

@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 import torch
 
-from observations.clouds import cloud_of
 from observations.depth import PointCloud, bounded, reweighted, to_discs, to_vertices, tukey
-from observations.nearest import nearest
+from observations.files.clouds import cloud_of
 from observations.surfels import Surfels
-from recon import rotations as so3
-from recon.camera import depth_camera
-from recon.scene import Scene, UnknownGround
-from recon.simulate import Corruption
-from recon.simulate_depth import PERFECT, DepthSensor, Surface, depth_points, without_pose
-from recon.simulate_scans import scan_points
-from recon.skeleton import joint_index
+from recon.core import rotations as so3
+from recon.core.camera import depth_camera
+from recon.core.geometry.nearest import nearest
+from recon.core.scene import Scene, UnknownGround
+from recon.core.skeleton import joint_index
+from recon.simulation.depth import PERFECT, DepthSensor, Surface, depth_points, without_pose
+from recon.simulation.points import Corruption
+from recon.simulation.scans import scan_points
 from tests import laws
 from tests.conftest import GOLDEN
 

@@ -4,9 +4,9 @@ import pytest
 import torch
 
 from observations import Joints3D
-from observations.first_guess import first_guess
-from observations.weighing import noise_of, pixel_size, weights_of
-from recon.simulate import Corruption, joints3d
+from observations.together.first_guess import first_guess
+from observations.together.weighing import noise_of, pixel_size, weights_of
+from recon.simulation.points import Corruption, joints3d
 from tests.filmed import NOISE, bundled, cameras, joint_error, view, walk
 
 pytestmark = pytest.mark.numerics

@@ -5,10 +5,10 @@ import math
 import pytest
 import torch
 
-from observations.image_start import bone_distance, image_start, smooth_path
 from observations.keypoints2d import Keypoints2D
-from recon import rotations as so3
-from recon.motion import Motion
+from observations.start.images import bone_distance, image_start, smooth_path
+from recon.core import rotations as so3
+from recon.core.motion import Motion
 from tests.filmed import bundled, cameras, turned, view, walk
 
 pytestmark = pytest.mark.numerics

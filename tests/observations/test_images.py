@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from observations.images import LEVEL_CAMERA, keypoints_of, pinhole, undistorted
-from recon.ground import Ground
-from recon.simulate import Corruption
-from recon.simulate_images import camera_arrays, keypoints2d
+from observations.files.images import LEVEL_CAMERA, keypoints_of, pinhole, undistorted
+from recon.core.ground import Ground
+from recon.simulation.images import camera_arrays, keypoints2d
+from recon.simulation.points import Corruption
 from tests.filmed import bundled, cameras, walk
 
 LENS = torch.tensor([-0.12, 0.05, 0.001, -0.002, 0.01])

@@ -6,9 +6,9 @@ import torch
 
 from observations.correspondences import BodyPoints
 from observations.keypoints2d import Keypoints2D
-from recon import rotations as so3
-from recon.camera import Camera, full_hd_camera, looking
-from recon.simulate_images import orbiting
+from recon.core import rotations as so3
+from recon.core.camera import Camera, full_hd_camera, looking
+from recon.simulation.images import orbiting
 from tests import laws
 from tests.conftest import GOLDEN
 

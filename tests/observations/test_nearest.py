@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from observations.nearest import _by_distances, nearest  # pyright: ignore[reportPrivateUsage]
+from recon.core.geometry.nearest import _by_distances, nearest  # pyright: ignore[reportPrivateUsage]
 
 
 @pytest.fixture

@@ -5,9 +5,9 @@ import pytest
 import torch
 
 from observations import Joints3D, Markers3D
-from recon import rotations as so3
-from recon.robust import geman_mcclure
-from recon.scene import Scene
+from recon.core import rotations as so3
+from recon.core.robust import geman_mcclure
+from recon.core.scene import Scene
 from tests import laws
 from tests.conftest import GOLDEN
 

@@ -2,8 +2,8 @@
 
 import torch
 
-from recon.findings import Finding, listed, spans, stretches
-from recon.residuals import Residuals
+from recon.core.residuals import Residuals
+from recon.diagnosis.findings import Finding, listed, spans, stretches
 
 
 def test_what_was_not_seen_has_no_residual():

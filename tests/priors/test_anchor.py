@@ -2,15 +2,15 @@ import numpy as np
 import pytest
 import torch
 
-from priors.anchor import AnchorFrames
-from priors.anchor_basis import CycleBasis
-from priors.anchor_nets import AnchorNetworks
-from priors.anchor_weights import AnchorWeights, CodeSpread, load_weights, save_weights
-from priors.anchors import Alignment, Anchors
+from priors.anchor.basis import CycleBasis
+from priors.anchor.frames import Alignment, Anchors
+from priors.anchor.networks import AnchorNetworks
+from priors.anchor.prior import AnchorFrames
+from priors.anchor.weights import AnchorWeights, CodeSpread, load_weights, save_weights
 from priors.cosines import cosines
-from recon.body import BodyModel
-from recon.motion import pad
-from recon.protocols import Prior
+from recon.body.model import BodyModel
+from recon.core.motion import pad
+from recon.method.protocols import Prior
 from tests.priors.tiny_anchor import LATENT, tiny_prior, tiny_weights, walks
 
 pytestmark = pytest.mark.numerics

@@ -7,19 +7,19 @@ from pathlib import Path
 import pytest
 import torch
 
-from priors.anchor import AnchorFrames
-from priors.anchors import Alignment, Anchors, rest_pelvis
-from priors.training import anchor as module
-from priors.training.anchor import train, train_on
-from priors.training.anchor_corpus import RECORDED, CycleCorpus, CycleVariation
-from priors.training.anchor_export import export_learned, export_weights
-from priors.training.anchor_losses import Reconstructed, some_of, surface_error
-from priors.training.anchor_run import AnchorRun, AnchorTraining
+from priors.anchor.frames import Alignment, Anchors, rest_pelvis
+from priors.anchor.prior import AnchorFrames
+from priors.anchor.training import train as module
+from priors.anchor.training.corpus import RECORDED, CycleCorpus, CycleVariation
+from priors.anchor.training.export import export_learned, export_weights
+from priors.anchor.training.losses import Reconstructed, some_of, surface_error
+from priors.anchor.training.run import AnchorRun, AnchorTraining
+from priors.anchor.training.train import train, train_on
 from priors.training.dataset import Splits
 from priors.training.gradnorm import LEAST, GradNorm
-from recon.body import BodyModel
-from recon.formats.amass import MotionFile, save_motion
-from recon.spread import spread_vertices
+from recon.body.model import BodyModel
+from recon.body.spread import spread_vertices
+from recon.formats.motions import MotionFile, save_motion
 from tests.priors.test_humor_training import SPLITS
 from tests.walking import a_walk
 

@@ -3,9 +3,9 @@ import math
 import pytest
 import torch
 
-from priors.anchors import ANCHORS, POSE, Alignment, Anchors, rest_pelvis
-from recon import rotations as so3
-from recon.body import BodyModel
+from priors.anchor.frames import ANCHORS, POSE, Alignment, Anchors, rest_pelvis
+from recon.body.model import BodyModel
+from recon.core import rotations as so3
 from tests.laws import a_motion
 from tests.walking import a_walk
 

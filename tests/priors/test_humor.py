@@ -8,10 +8,11 @@ import torch
 from torch import Tensor
 
 from priors.checkpoints import load_checkpoint, save_checkpoint
-from priors.humor import Humor
-from priors.humor_nets import HumorNetworks
-from priors.humor_rollout import FrozenDecoder, roll_out
-from priors.humor_state import (
+from priors.humor.decoder.rollout import FrozenDecoder, roll_out
+from priors.humor.mixture import Mixture
+from priors.humor.networks import HumorNetworks
+from priors.humor.prior import Humor
+from priors.humor.state import (
     Frame,
     canonical,
     distinct_features,
@@ -19,12 +20,11 @@ from priors.humor_state import (
     rest_pelvis,
     states_of,
 )
-from priors.humor_weights import save_weights
-from priors.mixture import Mixture
-from recon import rotations as so3
-from recon.body import BodyModel
-from recon.motion import Motion, pad
-from recon.protocols import Prior
+from priors.humor.weights import save_weights
+from recon.body.model import BodyModel
+from recon.core import rotations as so3
+from recon.core.motion import Motion, pad
+from recon.method.protocols import Prior
 from tests.laws import check_heading_invariance, check_prior
 from tests.priors.test_pose import swinging
 

@@ -4,10 +4,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from priors.humor_adjoint import unroll_given
-from priors.humor_loop import STATE_ORDER, FrozenDecoder, Unrolled, unroll
-from priors.humor_nets import HumorNetworks
-from recon import rotations as so3
+from priors.humor.decoder.adjoint import unroll_given
+from priors.humor.decoder.loop import STATE_ORDER, FrozenDecoder, Unrolled, unroll
+from priors.humor.networks import HumorNetworks
+from recon.core import rotations as so3
 from tests.priors.test_humor_nets import golden
 
 STEPS = 4

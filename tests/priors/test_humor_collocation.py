@@ -4,17 +4,17 @@ import pytest
 import torch
 
 from observations.joints3d import Joints3D
-from priors.humor import Humor
-from priors.humor_collocation import CollocatedHumor, Collocation
-from priors.humor_state import states_of
-from priors.humor_steps import error_whitening, explain
-from priors.pose import PosePrior
-from recon import rotations as so3
-from recon.body import BodyModel
-from recon.motion import Motion, pad
-from recon.protocols import Prior
-from recon.reconstruction import Method, fit
-from recon.terms import Term
+from priors.humor.collocation import CollocatedHumor, Collocation
+from priors.humor.prior import Humor
+from priors.humor.state import states_of
+from priors.humor.steps import error_whitening, explain
+from priors.pose.prior import PosePrior
+from recon.body.model import BodyModel
+from recon.core import rotations as so3
+from recon.core.motion import Motion, pad
+from recon.method.protocols import Prior
+from recon.method.reconstruction import Method, fit
+from recon.method.terms import Term
 from tests.priors.test_humor import humor, motions
 from tests.priors.test_pose import swinging
 
@@ -115,7 +115,7 @@ def test_a_noisy_motion_gets_better_than_by_the_pose_prior_alone(trained: Humor)
 def demo_clip() -> Motion:
     from importlib import resources
 
-    from recon.formats.amass import load_motion
+    from recon.formats.motions import load_motion
 
     with resources.as_file(resources.files("recon") / "assets" / "demo.npz") as path:
         return load_motion(path).motion.resample(30.0).window(0, 60)[None]

@@ -5,7 +5,8 @@ from dataclasses import replace
 import pytest
 import torch
 
-from priors.humor_generation import (
+from priors.humor.decoder.rollout import FrozenDecoder, roll_out
+from priors.humor.generation import (
     as_predicted,
     body_at_joints,
     joints_of_body,
@@ -13,8 +14,8 @@ from priors.humor_generation import (
     roll_from,
     sample,
 )
-from priors.humor_rollout import FrozenDecoder, roll_out
-from priors.humor_state import (
+from priors.humor.mixture import Mixture
+from priors.humor.state import (
     Frame,
     canonical,
     distinct_features,
@@ -22,10 +23,9 @@ from priors.humor_state import (
     rest_pelvis,
     states_of,
 )
-from priors.mixture import Mixture
-from recon.body import BodyModel
-from recon.motion import pad
-from recon.skeleton import CONTACT_JOINTS
+from recon.body.model import BodyModel
+from recon.core.motion import pad
+from recon.core.skeleton import CONTACT_JOINTS
 from tests.priors.test_humor import humor, motions
 from tests.priors.test_pose import swinging
 

@@ -5,8 +5,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from priors.humor_nets import HumorNetworks, width_of
-from priors.humor_state import State, compose
+from priors.humor.networks import HumorNetworks, width_of
+from priors.humor.state import State, compose
 from tests.conftest import GOLDEN
 
 

@@ -4,11 +4,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from priors.humor_nets import HumorNetworks
-from priors.humor_rollout import FrozenDecoder, Rollout, roll_on, roll_out
-from priors.humor_state import Frame, State, canonical, compose, rest_pelvis
-from recon import rotations as so3
-from recon.body import BodyModel
+from priors.humor.decoder.rollout import FrozenDecoder, Rollout, roll_on, roll_out
+from priors.humor.networks import HumorNetworks
+from priors.humor.state import Frame, State, canonical, compose, rest_pelvis
+from recon.body.model import BodyModel
+from recon.core import rotations as so3
 from tests.priors.test_humor_nets import golden, made_up_networks
 
 PARTS = ("trans", "trans_vel", "root_orient", "root_orient_vel", "pose_body", "joints")
@@ -127,7 +127,7 @@ def test_canonical_frames_are_undone_by_leaving_them() -> None:
 @pytest.mark.parametrize("from_body", [False, True])
 def test_the_loop_is_the_plain_recursion(body: BodyModel, from_body: bool) -> None:
     """With states as records, composed and canonicalised one by one."""
-    from recon.kinematics import forward_kinematics
+    from recon.body.kinematics import forward_kinematics
 
     torch.manual_seed(1)
     networks = HumorNetworks(64).double().requires_grad_(False)

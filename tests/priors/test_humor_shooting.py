@@ -6,14 +6,14 @@ import pytest
 import torch
 
 from observations.joints3d import Joints3D
-from priors.humor import HumorVariables
-from priors.humor_shooting import HumorWeights, Shooting
-from recon.body import BodyModel
-from recon.protocols import Estimate
-from recon.reconstruction import Method
-from recon.scene import Scene
-from recon.stages import evaluate_stage, run_stage
-from recon.terms import Term
+from priors.humor.prior import HumorVariables
+from priors.humor.shooting import HumorWeights, Shooting
+from recon.body.model import BodyModel
+from recon.core.scene import Scene
+from recon.method.protocols import Estimate
+from recon.method.reconstruction import Method
+from recon.method.stages import evaluate_stage, run_stage
+from recon.method.terms import Term
 from tests.priors.test_humor import humor, motions
 
 pytestmark = pytest.mark.numerics

@@ -3,12 +3,12 @@
 import pytest
 import torch
 
-from priors import humor_terms
-from priors.humor_terms import bone_length, contact_height, contact_velocity, joint_consistency
-from recon.body import BodyModel
-from recon.free import FreeMotion
-from recon.protocols import Decoded, Estimate
-from recon.scene import Scene
+from priors.humor import terms as humor_terms
+from priors.humor.terms import bone_length, contact_height, contact_velocity, joint_consistency
+from recon.body.model import BodyModel
+from recon.core.scene import Scene
+from recon.method.free import FreeMotion
+from recon.method.protocols import Decoded, Estimate
 from tests.laws import a_motion, estimate_of
 from tests.priors.test_humor_nets import golden
 

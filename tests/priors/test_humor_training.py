@@ -7,20 +7,20 @@ from pathlib import Path
 import pytest
 import torch
 
-from priors.humor import Humor
-from priors.humor_nets import HumorNetworks
-from priors.humor_state import rest_pelvis, states_of
+from priors.humor.networks import HumorNetworks
+from priors.humor.prior import Humor
+from priors.humor.state import rest_pelvis, states_of
+from priors.humor.training.corpus import Corpus, Variation, Windows
+from priors.humor.training.run import HumorTraining, LossWeights, Run, export_weights
+from priors.humor.training.scaling import ScaledNetworks, Scaling
+from priors.humor.training.train import loss_terms, total_loss, train, unroll
 from priors.training.dataset import Splits
-from priors.training.humor import loss_terms, total_loss, train, unroll
-from priors.training.humor_corpus import Corpus, Variation, Windows
-from priors.training.humor_run import HumorTraining, LossWeights, Run, export_weights
-from priors.training.humor_scaling import ScaledNetworks, Scaling
-from recon.body import BodyModel
-from recon.contacts import rest_heights
-from recon.formats.amass import MotionFile, save_motion
-from recon.kinematics import forward_kinematics
-from recon.motion import Motion
-from recon.skeleton import CONTACT_JOINTS, MIRROR
+from recon.body.contacts import rest_heights
+from recon.body.kinematics import forward_kinematics
+from recon.body.model import BodyModel
+from recon.core.motion import Motion
+from recon.core.skeleton import CONTACT_JOINTS, MIRROR
+from recon.formats.motions import MotionFile, save_motion
 from tests.priors.test_pose import swinging
 
 SPLITS = """
@@ -210,7 +210,7 @@ def test_a_run_that_was_interrupted_goes_on_exactly(folder: Path, tmp_path: Path
     class Interrupted(Exception):
         pass
 
-    from priors.training import humor_run
+    from priors.humor.training import run as humor_run
 
     save, saved = humor_run.Run.save, []
 

@@ -6,18 +6,18 @@ import pytest
 import torch
 
 from observations.joints3d import Joints3D
-from priors.humos import FPS, Humos
-from priors.humos_codes import CodesFit, HumosCodes
-from priors.humos_collocation import CollocatedHumos, HumosFit
-from priors.humos_frames import lowest_of
-from priors.humos_nets import ClipNetworks, WindowNetworks
-from priors.humos_weights import CodeDensity, load_weights, save_weights
-from priors.pose import PosePrior, PoseWeights
-from recon import rotations as so3
-from recon.body import BodyModel
-from recon.reconstruction import fit
-from recon.reshape import leg_length
-from recon.struct import stack
+from priors.humos.codes import CodesFit, HumosCodes
+from priors.humos.collocation import CollocatedHumos, HumosFit
+from priors.humos.frames import lowest_of
+from priors.humos.networks import ClipNetworks, WindowNetworks
+from priors.humos.prior import FPS, Humos
+from priors.humos.weights import CodeDensity, load_weights, save_weights
+from priors.pose.prior import PosePrior, PoseWeights
+from recon.body.model import BodyModel
+from recon.body.reshape import leg_length
+from recon.core import rotations as so3
+from recon.core.struct import stack
+from recon.method.reconstruction import fit
 from tests import laws
 from tests.priors.tiny_humos import tiny_prior, tiny_weights
 from tests.walking import a_walk

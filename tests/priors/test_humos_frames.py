@@ -5,12 +5,12 @@ import math
 import pytest
 import torch
 
-from priors.humos_basis import HOP, LappedBasis, windows_of
-from priors.humos_frames import NUMBERS, BodyFrames, levers, lowest_of
-from priors.training.humos_corpus import begun_anew, mirrored
-from recon import rotations as so3
-from recon.body import BodyModel
-from recon.reshape import leg_length, with_shape
+from priors.humos.basis import HOP, LappedBasis, windows_of
+from priors.humos.frames import NUMBERS, BodyFrames, levers, lowest_of
+from priors.humos.training.corpus import begun_anew, mirrored
+from recon.body.model import BodyModel
+from recon.body.reshape import leg_length, with_shape
+from recon.core import rotations as so3
 from tests.priors.tiny_humos import rows_of_walks
 from tests.walking import a_walk
 

@@ -7,19 +7,19 @@ from pathlib import Path
 import pytest
 import torch
 
-from priors.humos import Humos
-from priors.humos_basis import existing_windows
-from priors.humos_frames import BodyFrames
-from priors.training import humos as module
+from priors.humos.basis import existing_windows
+from priors.humos.frames import BodyFrames
+from priors.humos.prior import Humos
+from priors.humos.training import train as module
+from priors.humos.training.corpus import AS_RECORDED, BodyCorpus, BodyVariation
+from priors.humos.training.export import export_learned
+from priors.humos.training.losses import physics_losses, reconstruction
+from priors.humos.training.run import HumosTraining
+from priors.humos.training.train import train, train_on
 from priors.training.dataset import Licence, Part, Splits
-from priors.training.humos import train, train_on
-from priors.training.humos_corpus import AS_RECORDED, BodyCorpus, BodyVariation
-from priors.training.humos_export import export_learned
-from priors.training.humos_losses import physics_losses, reconstruction
-from priors.training.humos_run import HumosTraining
-from recon.body import BodyModel
-from recon.formats.amass import MotionFile, save_motion
-from recon.reshape import leg_length
+from recon.body.model import BodyModel
+from recon.body.reshape import leg_length
+from recon.formats.motions import MotionFile, save_motion
 from tests.priors.test_humor_training import SPLITS
 from tests.walking import a_walk
 

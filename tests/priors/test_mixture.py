@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from priors.mixture import Mixture
+from priors.humor.mixture import Mixture
 from tests.priors.test_humor_nets import golden
 
 

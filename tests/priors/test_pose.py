@@ -8,16 +8,16 @@ from torch import Tensor
 
 from observations.joints3d import Joints3D
 from priors.checkpoints import load_checkpoint, save_checkpoint
-from priors.pose import PosePrior, PoseWeights
-from priors.pose_density import fit_density
+from priors.pose.density import fit_density
+from priors.pose.prior import PosePrior, PoseWeights
+from priors.pose.training import PoseTraining, score, train
 from priors.training.dataset import Splits, load_clips, mirrored, mirrored_rotations, poses
-from priors.training.pose import PoseTraining, score, train
-from recon import rotations as so3
-from recon.body import BodyModel
-from recon.formats.amass import save_motion
-from recon.motion import Motion, pad
-from recon.protocols import Prior
-from recon.reconstruction import Method, fit
+from recon.body.model import BodyModel
+from recon.core import rotations as so3
+from recon.core.motion import Motion, pad
+from recon.formats.motions import save_motion
+from recon.method.protocols import Prior
+from recon.method.reconstruction import Method, fit
 from tests.laws import check_heading_invariance, check_prior
 
 pytestmark = pytest.mark.numerics
@@ -182,7 +182,7 @@ def test_a_checkpoint_fills_a_network_or_names_the_layer(tmp_path: Path) -> None
 
 
 def test_mirroring_shows_the_mirrored_body(body: BodyModel) -> None:
-    from recon.skeleton import MIRROR
+    from recon.core.skeleton import MIRROR
 
     motion = swinging(5, 9)[None]
     flip = torch.tensor([-1.0, 1.0, 1.0], dtype=torch.float64)

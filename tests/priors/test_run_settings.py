@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from priors.training.anchor_run import AnchorTraining
-from priors.training.humor_run import HumorTraining
-from priors.training.humos_run import HumosTraining
+from priors.anchor.training.run import AnchorTraining
+from priors.humor.training.run import HumorTraining
+from priors.humos.training.run import HumosTraining
 from priors.training.run_settings import FREE, identity, same_run
 
 KINDS = (AnchorTraining, HumorTraining, HumosTraining)

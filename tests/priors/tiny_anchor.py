@@ -2,13 +2,13 @@
 
 import torch
 
-from priors.anchor import AnchorFrames
-from priors.anchor_basis import CycleBasis
-from priors.anchor_nets import AnchorNetworks
-from priors.anchor_weights import AnchorWeights, CodeSpread
-from priors.anchors import Alignment, Anchors, rest_pelvis
-from recon.body import BodyModel
-from recon.motion import Motion
+from priors.anchor.basis import CycleBasis
+from priors.anchor.frames import Alignment, Anchors, rest_pelvis
+from priors.anchor.networks import AnchorNetworks
+from priors.anchor.prior import AnchorFrames
+from priors.anchor.weights import AnchorWeights, CodeSpread
+from recon.body.model import BodyModel
+from recon.core.motion import Motion
 from tests.walking import a_walk
 
 LATENT = 4

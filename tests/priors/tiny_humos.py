@@ -2,12 +2,12 @@
 
 import torch
 
-from priors.humos import Humos
-from priors.humos_basis import LappedBasis
-from priors.humos_frames import BodyFrames
-from priors.humos_nets import Networks, WindowNetworks
-from priors.humos_weights import CodeDensity, HumosWeights
-from recon.body import BodyModel
+from priors.humos.basis import LappedBasis
+from priors.humos.frames import BodyFrames
+from priors.humos.networks import Networks, WindowNetworks
+from priors.humos.prior import Humos
+from priors.humos.weights import CodeDensity, HumosWeights
+from recon.body.model import BodyModel
 from tests.walking import a_walk
 
 LATENT, FRAMES = 6, 40

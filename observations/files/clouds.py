@@ -1,0 +1,169 @@
+"""From a file of points to an observation: the recording's frame, the person alone, thinned."""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import torch
+from jaxtyping import Float
+
+from observations.depth import PointCloud
+from observations.surfels import Surfels
+from recon.body.model import BodyModel
+from recon.core.camera import Camera
+from recon.core.geometry.planes import FoundGround, above, find_ground, largest_cluster, spacing
+from recon.core.ground import Ground
+from recon.formats.observations import CameraArrays, PointsFile
+
+POINTS = 512
+"""Points fitted in a frame: the search for neighbours then takes a third of a fit's time."""
+_UP_IN_CAMERA = (0.0, -1.0, 0.0)
+_UP_IN_WORLD = (0.0, 0.0, 1.0)
+_KNOWN_GROUND = 0.1
+"""Metres by which a plane that is seen may miss z = 0 and still be the ground that is known."""
+_SEARCHED = 100_000
+"""Points of all frames in which the ground is searched."""
+_LEVEL = Ground.create(torch.tensor([0.0, 0.0, 1.0]).double(), torch.tensor(0.0).double())
+_LEAST = 20
+"""Points that make a frame worth having."""
+_REACH, _SPACINGS = 0.08, 2.0
+"""Steps that join points to one thing: metres, or where points are sparse so many times as far as
+they are from each other."""
+_MUCH = 0.1
+"""Share of the points above which other things than the largest are furniture, not noise."""
+_LOOKED_AT = 50
+"""Frames that tell how sparse points are."""
+
+
+@dataclass(frozen=True)
+class LoadedCloud:
+    """An observation and what was found out on the way."""
+
+    cloud: PointCloud
+    """Axes (1, moments, points)."""
+    ground: FoundGround
+    """The plane seen in the frame of the file, or why there is none."""
+    T_recording_file: Float[np.ndarray, "4 4"]
+    """Maps points of the file to the frame of the recording (z up), metres."""
+
+
+def cloud_of(
+    file: PointsFile,
+    body: BodyModel,
+    *,
+    points: int = POINTS,
+    seed: int = 0,
+    T_recording_camera: Float[np.ndarray, "4 4"] | None = None,
+) -> LoadedCloud:
+    """Points of one clip as an observation.
+
+    A camera without pose does not know where up is: its frame is turned so that the ground that
+    RANSAC finds in the points lies at z = 0; where none is found, the camera is taken as held
+    level, and the lowest points as being on the ground. `ground_known` is then false. Where a
+    ground is seen, it and what is not the largest thing on it are left out; of scans without a
+    ground as well, if that is much.
+
+    Args:
+        file: as read.
+        body: that is to be fitted.
+        points: most points kept of a frame, drawn at random.
+        seed: of the draw.
+        T_recording_camera: where a camera without pose is, if the ground is given.
+
+    Raises:
+        ValueError: when no frame has enough points of a person, or scans show a ground that is not
+            where it should be.
+    """
+    known = file.camera is None or file.camera.T_camera_world is not None
+    generator = np.random.default_rng(seed)
+    few = file.points
+    if len(few) > _SEARCHED:
+        few = few[generator.permutation(len(few))[:_SEARCHED]]
+    found = find_ground(few, np.array(_UP_IN_WORLD if known else _UP_IN_CAMERA))
+    T = np.eye(4)
+    if not known:
+        given = T_recording_camera
+        T = _levelling(file.points, found.ground) if given is None else given
+    turned = file.points @ T[:3, :3].T + T[:3, 3]
+    seen = found.ground is not None
+    if known and found.ground is not None:
+        seen = abs(float(found.ground.offset)) < _KNOWN_GROUND
+        if file.camera is None and not seen:
+            raise ValueError(
+                f"the points show a ground at z = {float(found.ground.offset):.2f} m, expected it "
+                "at z = 0: move the points there, or leave out what is no person"
+            )
+    frames = int(file.frame.max()) + 1
+    if file.truth_visible is not None:
+        frames = max(frames, len(file.truth_visible))
+    order = np.argsort(file.frame, kind="stable")
+    ends = np.searchsorted(file.frame[order], np.arange(frames + 1))
+    clouds = [turned[order[first:last]] for first, last in pairwise(ends)]
+    if seen:
+        clouds = [cloud[above(cloud, _LEVEL)] for cloud in clouds]
+    if seen or file.camera is None:
+        alone = _largest(clouds)
+        left_out = 1 - sum(map(len, alone)) / max(sum(map(len, clouds)), 1)
+        clouds = alone if seen or left_out > _MUCH else clouds
+    clouds = [
+        cloud[np.sort(generator.permutation(len(cloud))[:points])]
+        if len(cloud) > points
+        else cloud
+        for cloud in clouds
+    ]
+    most = max(map(len, clouds))
+    if most < _LEAST:
+        raise ValueError(
+            f"the fullest of {frames} frames has {most} points of a person; expected {_LEAST} or "
+            "more, so check unit, axes and mask"
+        )
+    padded, present = np.zeros((1, frames, most, 3)), np.zeros((1, frames, most), np.bool_)
+    for k, cloud in enumerate(clouds):
+        padded[0, k, : len(cloud)], present[0, k, : len(cloud)] = cloud, True
+    observation = PointCloud(
+        points=torch.from_numpy(padded).to(body.template),
+        present=torch.from_numpy(present).to(body.template.device),
+        surfels=Surfels.of(body),
+        fps=file.fps,
+        start_time=file.start_time,
+        camera=None if file.camera is None else _camera(file.camera, T, body),
+        ground_known=known,
+        ground_seen=found.ground is not None,
+    )
+    return LoadedCloud(observation, found, T)
+
+
+def _largest(clouds: list[np.ndarray]) -> list[np.ndarray]:
+    """The largest thing of every frame; how far its points are apart, all frames tell."""
+    shown = [cloud for cloud in clouds if len(cloud) > 1]
+    sparse = spacing(shown[:: max(1, len(shown) // _LOOKED_AT)])
+    reach = max(_REACH, _SPACINGS * sparse)
+    return [cloud[largest_cluster(cloud, reach)] for cloud in clouds]
+
+
+def _levelling(
+    points: Float[np.ndarray, "points 3"], ground: Ground | None
+) -> Float[np.ndarray, "4 4"]:
+    """T_recording_camera: z up, y the horizontal part of the view, the sensor above the origin."""
+    up = np.array(_UP_IN_CAMERA)
+    if ground is not None:
+        up = ground.normal.double().numpy()
+    ahead = np.array([0.0, 0.0, 1.0]) - up[2] * up
+    ahead = ahead / max(float(np.linalg.norm(ahead)), 1e-9)
+    T = np.eye(4)
+    T[:3, :3] = np.stack([np.cross(ahead, up), ahead, up])
+    lowest = np.percentile(points @ up, 1) if ground is None else float(ground.offset)
+    T[2, 3] = -lowest
+    return T
+
+
+def _camera(camera: CameraArrays, T: Float[np.ndarray, "4 4"], body: BodyModel) -> Camera:
+    """Axes (1, 1 or moments); its pose maps the recording to the camera."""
+    pose = camera.T_camera_world
+    poses = np.linalg.inv(T)[None] if pose is None else pose
+    return Camera.create(
+        torch.from_numpy(np.asarray(camera.camera_matrix, np.float64))[None, None],
+        camera.image_size,
+        None,
+        torch.from_numpy(np.asarray(poses, np.float64))[None],
+    ).to(device=body.template.device, dtype=body.template.dtype)

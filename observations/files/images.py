@@ -1,0 +1,100 @@
+"""2D keypoint files as an energy: lens distortion taken out, confidences kept."""
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Float
+
+from observations.correspondences import BodyPoints
+from observations.keypoints2d import SIGMA, Keypoints2D
+from recon.body.model import BodyModel
+from recon.core.camera import Camera
+from recon.core.ground import Ground, world_from_camera
+from recon.formats.observations import CameraArrays, KeypointsFile
+
+LEVEL_CAMERA = (0.0, -1.0, 0.0, -1.2)
+"""The ground that a camera of unknown pose is first taken to see: level, 1.2 m below it."""
+_FACING = ((-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0))
+"""A body that would look where the camera looks; its right is the image's."""
+
+
+def keypoints_of(
+    file: KeypointsFile,
+    body: BodyModel,
+    T_recording_camera: Float[np.ndarray, "4 4"] | None = None,
+    sigma: float = SIGMA,
+) -> Keypoints2D:
+    """The keypoints of one view as an observation of one clip, with a leading axis of length one.
+
+    Where the file does not tell the camera's pose, the ground is not known, and the recording's
+    frame is the given one; by default the world that a level camera would see.
+
+    Raises:
+        ValueError: when the layout is not known or has another number of points.
+    """
+    points = BodyPoints.of_layout(file.layout, body)
+    if len(points.known) != file.pixels.shape[1]:
+        raise ValueError(
+            f"layout {file.layout} has {len(points.known)} keypoints, got {file.pixels.shape[1]}"
+        )
+    camera = pinhole(file.camera, T_recording_camera)
+    pixels = torch.from_numpy(undistorted(file)).float()[None]
+    confidence = torch.from_numpy(file.confidence).float()[None] * points.known
+    return Keypoints2D(
+        pixels=torch.where(confidence[..., None] > 0, pixels, 0.0),
+        confidence=confidence,
+        points=points,
+        camera=camera.map(lambda t: t[None]),
+        fps=file.fps,
+        start_time=file.start_time,
+        sigma=sigma,
+        ground_known=file.camera.T_camera_world is not None,
+    )
+
+
+def camera_above(ground: tuple[float, float, float, float]) -> Float[np.ndarray, "4 4"]:
+    """T_recording_camera of a camera that sees the ground n·x = d; it stands above the origin.
+
+    Raises:
+        ValueError: when the normal is zero, or the camera is below the ground.
+    """
+    plane = Ground.create(torch.tensor(ground[:3]), torch.tensor(ground[3]))
+    if not float(plane.offset) < 0:
+        raise ValueError(
+            f"the ground {ground} is not below the camera: expected (nx, ny, nz, d) with the "
+            "normal up and d < 0, such as (0, -1, 0, -1.2) for a level camera 1.2 m above it"
+        )
+    return world_from_camera(plane, torch.tensor(_FACING), torch.zeros(3)).double().numpy()
+
+
+def undistorted(file: KeypointsFile) -> Float[np.ndarray, "time points 2"]:
+    """Pixels of the same camera with a perfect lens.
+
+    Exact zeros stay: nothing is ever seen just there, and diagnosis looks for them.
+    """
+    camera = file.camera
+    if camera.distortion is None:
+        return file.pixels
+    flat = file.pixels.reshape(-1, 1, 2)
+    straight = cv2.undistortPoints(
+        flat, camera.camera_matrix, camera.distortion, P=camera.camera_matrix
+    )
+    written = (file.pixels == 0).all(-1, keepdims=True)
+    return np.where(written, 0.0, straight.reshape(file.pixels.shape))
+
+
+def pinhole(
+    arrays: CameraArrays, T_recording_camera: Float[np.ndarray, "4 4"] | None = None
+) -> Camera:
+    """The camera without its distortion; matrix (1 3 3), poses (1 or time, 4 4)."""
+    poses = arrays.T_camera_world
+    if poses is None:
+        if T_recording_camera is None:
+            T_recording_camera = camera_above(LEVEL_CAMERA)
+        poses = np.linalg.inv(T_recording_camera)[None]
+    return Camera.create(
+        torch.from_numpy(np.asarray(arrays.camera_matrix)).float()[None],
+        arrays.image_size,
+        None,
+        torch.from_numpy(np.asarray(poses)).float(),
+    )

@@ -1,0 +1,264 @@
+"""Which tracks of several calibrated views are one person: those whose rays meet."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from observations.people.track_pairs import TrackPair, View, joint_errors, triangulated
+from observations.people.tracks import Track
+from recon.core.units import AXES, Axis, head_above_feet
+
+_CONSISTENT = 0.03
+"""Median reprojection error of one person's triangulated keypoints, in body sizes."""
+_JOINTLY = 0.05
+"""The same for points triangulated from all views, where errors along single rays show."""
+_CLEARLY = 2.0
+_MARGIN = 0.005
+"""A second track of a view that overlaps the first must fit so many times, and so much, worse."""
+_SEED = 0.2
+"""Tracks less complete than this share of their view's best do not make a person."""
+_EQUAL = 0.8
+"""As in `people`: of two persons with at least this ratio none is the most complete."""
+_DOUBTFUL = 0.5
+"""Share of the person's completeness from which somebody in one view alone is doubtful."""
+_TRUNK = (0.2, 0.9)
+"""Metres between shoulder and hip of a side: children to the tallest adults."""
+_UPRIGHT = 1.5
+"""The rise from feet to head along the up axis exceeds the others by this when standing."""
+
+
+def across_views(
+    views: Sequence[View], person: int | None, *, up_given: bool
+) -> tuple[list[Track | None], tuple[str, ...]]:
+    """The tracks of one person, one per view or None where it is not found, and the reasons.
+
+    For two tracks of two views, keypoints seen in both are triangulated; the tracks can be one
+    person when the median reprojection error is at most 3 % of the body's size in the image.
+    Parts of a track that was lost and found again are joined where the other views agree.
+
+    Args:
+        views: at least two, all with a camera pose.
+        person: number of a track of the first view; None for whoever is seen most completely.
+        up_given: whether the up axis of the world is known, so that a body that does not stand
+            along it is no reason to doubt it.
+
+    Raises:
+        ValueError: when no tracks of two views agree, several persons are seen about equally
+            well, or the triangulated body has no human size or does not stand along z.
+    """
+    pairs = _Pairs(views)
+    if person is not None and not 0 <= person < len(views[0].tracks):
+        raise ValueError(
+            f"{views[0].name}: there is no person {person}; there are {_listed(views[:1])}"
+        )
+    seeds = [(0, person)] if person is not None else _seeds(views)
+    groups = [group for group in (pairs.group(*seed) for seed in seeds) if len(group) > 1]
+    if len(groups) == 0:
+        raise ValueError(
+            "no person found in one view is found in another: rays of the same keypoints miss "
+            f"each other (least median error {pairs.least():.1%} of the body, at most "
+            f"{_CONSISTENT:.0%} expected). Does each view have its own camera, is the calibration "
+            f"of this recording, do the frames belong together? There are {_listed(views)}"
+        )
+    groups.sort(key=lambda group: -_completeness(views, group))
+    best = groups[0]
+    for other in groups[1:]:
+        same = any(set(best.get(v, ())) & set(other.get(v, ())) for v in other)
+        if not same and _completeness(views, other) >= _EQUAL * _completeness(views, best):
+            raise ValueError(
+                "two persons are seen about equally well; choose one with --person, by number in "
+                f"{views[0].name}. There are {_listed(views)}"
+            )
+    pairs.check_others(best)
+    error = pairs.check_body(best, up_given=up_given)
+    return _described(views, best, error)
+
+
+def _described(
+    views: Sequence[View], group: Mapping[int, tuple[int, ...]], error: float
+) -> tuple[list[Track | None], tuple[str, ...]]:
+    out: list[Track | None] = []
+    notes = [f"rays of the views meet: median error {error:.1%} of the body's size"]
+    for v, view in enumerate(views):
+        if v not in group:
+            out.append(None)
+            notes.append(f"{view.name}: left out, the person of the other views is not found")
+            continue
+        out.append(_joined([view.tracks[k] for k in group[v]]))
+        notes.append(f"{view.name}: " + " and ".join(str(view.tracks[k]) for k in group[v]))
+    return out, tuple(notes)
+
+
+class _Pairs:
+    """Triangulations of pairs of tracks, each made once."""
+
+    def __init__(self, views: Sequence[View]) -> None:
+        self.views = views
+        self._made: dict[tuple[int, int, int, int], TrackPair] = {}
+
+    def get(self, v: int, a: int, w: int, b: int) -> TrackPair:
+        """Of track a of view v with track b of view w."""
+        if v > w:
+            v, a, w, b = w, b, v, a
+        if (v, a, w, b) not in self._made:
+            self._made[v, a, w, b] = triangulated(self.views[v], a, self.views[w], b)
+        return self._made[v, a, w, b]
+
+    def least(self) -> float:
+        """The smallest error of any pair."""
+        return min((pair.error for pair in self._made.values()), default=float("inf"))
+
+    def group(self, v: int, a: int) -> dict[int, tuple[int, ...]]:
+        """Tracks of all views that agree with a track and with each other, by view."""
+        group: dict[int, tuple[int, ...]] = {v: (a,)}
+        for w, view in enumerate(self.views):
+            if w == v:
+                continue
+            chosen = _fitting(view, self._errors(group, w))
+            if chosen:
+                group[w] = chosen
+        if len(group) > 1:
+            others = {w: members for w, members in group.items() if w != v}
+            errors = self._errors(others, v) | {a: 0.0}
+            group[v] = (a, *(b for b in _fitting(self.views[v], errors) if b != a))
+        return group
+
+    def _errors(self, group: Mapping[int, tuple[int, ...]], w: int) -> dict[int, float]:
+        """How badly each track of a view fits a group: its largest error with any member view."""
+        return {
+            b: max(min(self.get(v, k, w, b).error for k in group[v]) for v in group)
+            for b in range(len(self.views[w].tracks))
+        }
+
+    def check_others(self, group: Mapping[int, tuple[int, ...]]) -> None:
+        """Refuse to leave out a view for anything but that it sees other people.
+
+        Raises:
+            ValueError: when it shows somebody, as completely as the others show the person, who
+                is in no other view: then its camera is doubtful.
+        """
+        enough = _DOUBTFUL * _completeness(self.views, group) / len(group)
+        for w, view in enumerate(self.views):
+            for b, track in enumerate(view.tracks):
+                if w in group or track.completeness < enough:
+                    continue
+                errors = [
+                    self.get(v, a, w, b).error
+                    for v, other in enumerate(self.views)
+                    for a in range(len(other.tracks))
+                    if v != w and a not in group.get(v, ())
+                ]
+                if min(errors, default=np.inf) > _CONSISTENT:
+                    raise ValueError(
+                        f"{view.name} does not agree with the other views: its person {b} is "
+                        "neither the one they see nor another of theirs. Is this its camera? Else "
+                        f"leave the view out. There are {_listed(self.views)}"
+                    )
+
+    def check_body(self, group: Mapping[int, tuple[int, ...]], *, up_given: bool) -> float:
+        """Median error of a group whose body has a human size and stands along z."""
+        members = [(v, tracks[0]) for v, tracks in group.items()]
+        made = [self.get(*one, *two) for k, one in enumerate(members) for two in members[k + 1 :]]
+        pair = min(made, key=lambda pair: pair.error)
+        chosen = [self.views[v] for v, _ in members]
+        errors = joint_errors(chosen, [number for _, number in members])
+        if max(errors) > _JOINTLY:
+            worst = ", ".join(f"{v.name} {e:.1%}" for v, e in zip(chosen, errors, strict=True))
+            raise ValueError(
+                "rays of the views meet by pairs, but not all in one place: points of all miss "
+                f"the keypoints by {worst} of the body (at most {_JOINTLY:.0%} expected). Does "
+                "each view have its own camera?"
+            )
+        trunk = _trunk(pair)
+        if trunk is not None and not _TRUNK[0] <= trunk <= _TRUNK[1]:
+            raise ValueError(
+                f"the calibration makes the body's trunk {trunk:.3g} m long, not {_TRUNK[0]} to "
+                f"{_TRUNK[1]} m; give its unit with --camera-unit"
+            )
+        rise = head_above_feet(pair.names, pair.points, pair.seen)
+        if rise is not None and not up_given:
+            best: Axis = AXES[int(np.argmax(np.abs(rise)))]
+            others = [abs(rise[k]) for k in range(3) if AXES[k] != best]
+            down = rise[AXES.index(best)] < 0
+            if abs(rise[AXES.index(best)]) >= _UPRIGHT * max(others) and (best != "z" or down):
+                raise ValueError(
+                    f"in the calibration's world the body stands along {'-' if down else ''}{best}"
+                    ", z was believed to point up; give --camera-up x, y or z (z also for "
+                    "somebody who lies); a world whose axis points down must be calibrated anew"
+                )
+        return float(np.median([pair.error for pair in made]))
+
+
+def _fitting(view: View, errors: Mapping[int, float]) -> tuple[int, ...]:
+    """The best track and those that continue it; short ones about equally good are left out.
+
+    Raises:
+        ValueError: when another that overlaps the best is about as good.
+    """
+    fit = [b for b, error in errors.items() if error <= _CONSISTENT]
+    chosen: list[int] = []
+    for b in sorted(fit, key=lambda b: -view.tracks[b].completeness):
+        rivals = [
+            c for c in chosen if np.intersect1d(view.tracks[b].frame, view.tracks[c].frame).size
+        ]
+        if not rivals:
+            chosen.append(b)
+            continue
+        rival = rivals[0]
+        if errors[b] * _CLEARLY + _MARGIN <= errors[rival]:
+            chosen[chosen.index(rival)] = b
+        elif errors[rival] * _CLEARLY + _MARGIN > errors[b] and (
+            view.tracks[b].completeness >= _SEED * view.tracks[rival].completeness
+        ):
+            if rival != chosen[0]:
+                chosen.remove(rival)
+                continue
+            raise ValueError(
+                f"{view.name}: persons {rival} and {b} fit the other views about equally well; "
+                f"give fewer views or files of one person. There are {_listed([view])}"
+            )
+    return tuple(chosen)
+
+
+def _seeds(views: Sequence[View]) -> list[tuple[int, int]]:
+    out: list[tuple[int, int]] = []
+    for v, view in enumerate(views):
+        most = max(track.completeness for track in view.tracks)
+        out += [
+            (v, a) for a, track in enumerate(view.tracks) if track.completeness >= _SEED * most
+        ]
+    # The first view first, so that persons are named by their number there.
+    return sorted(out, key=lambda seed: (seed[0], -views[seed[0]].tracks[seed[1]].completeness))
+
+
+def _completeness(views: Sequence[View], group: Mapping[int, tuple[int, ...]]) -> float:
+    return sum(views[v].tracks[k].completeness for v, members in group.items() for k in members)
+
+
+def _joined(tracks: list[Track]) -> Track:
+    frame = np.concatenate([track.frame for track in tracks])
+    order = np.argsort(frame)
+    return replace(
+        tracks[0],
+        frame=frame[order],
+        pixels=np.concatenate([track.pixels for track in tracks])[order],
+        confidence=np.concatenate([track.confidence for track in tracks])[order],
+        ended_by=None,
+    )
+
+
+def _listed(views: Sequence[View]) -> str:
+    return "; ".join(f"in {view.name}: " + ", ".join(map(str, view.tracks)) for view in views)
+
+
+def _trunk(pair: TrackPair) -> float | None:
+    lengths: list[np.ndarray] = []
+    for side in ("left", "right"):
+        if {f"{side}_shoulder", f"{side}_hip"} <= set(pair.names):
+            ends = [pair.names.index(f"{side}_{end}") for end in ("shoulder", "hip")]
+            both = pair.seen[:, ends].all(1)
+            joints = pair.points[both][:, ends]
+            lengths.append(np.linalg.norm(joints[:, 0] - joints[:, 1], axis=-1))
+    found = np.concatenate(lengths) if lengths else np.zeros(0)
+    return float(np.median(found)) if len(found) > 0 else None

@@ -1,0 +1,230 @@
+"""Files of 2D keypoints and a calibration to observations: one person, one file per view."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from observations.people.camera_names import expand, match_cameras, view_name
+from observations.people.same_person import across_views
+from observations.people.track_pairs import View
+from observations.people.tracks import Track, choose, follow
+from recon.core.limits import FRAME_RATE
+from recon.core.units import Axis
+from recon.formats.calibration.cameras import Calibration, CameraUnit, load_cameras
+from recon.formats.clocks.scan_times import crowded
+from recon.formats.detections.reader import read_keypoints
+from recon.formats.detections.records import Detections
+from recon.formats.observations import CameraArrays, KeypointsFile
+
+_OUTSIDE = 0.5
+"""Share of the keypoints outside the image from which something is wrong."""
+_SPARSE = 100
+"""Frame numbers may span this many times the number of frames, else they are no frame numbers."""
+
+
+@dataclass(frozen=True)
+class Views:
+    """One person as several cameras saw it."""
+
+    files: tuple[KeypointsFile, ...]
+    """One per view, all of the same frames; a frame without the person has confidence zero."""
+    names: tuple[str, ...]
+    """Of the cameras."""
+    first_frame: int
+    """Frame number of the first frame."""
+    decisions: tuple[str, ...]
+    """What was decided about files, cameras and persons, and why."""
+
+
+def load_views(
+    paths: Sequence[str | Path],
+    calibration: str | Path | Calibration | None,
+    *,
+    fps: float | None,
+    layout: str | None = None,
+    person: int | None = None,
+    names: Sequence[str] | None = None,
+    camera_unit: CameraUnit | None = None,
+    camera_up: Axis | None = None,
+    image_size: tuple[int, int] | None = None,
+) -> Views:
+    """Read the 2D keypoints of one person from one or more calibrated views.
+
+    Args:
+        paths: files or folders of `recon.formats.detections.reader`, one per view; a folder that
+            holds such folders, or a project of Pose2Sim or EasyMocap, stands for all its views.
+        calibration: file or folder of `recon.formats.calibration.cameras`, or what was read from
+            it.
+        fps: frames per second; no format of keypoints states it.
+        layout: which keypoints; None to tell it from the files.
+        person: number of a person in the first view, from 0 by first appearance; None for the
+            one that is seen most completely.
+        names: camera of every view; None to match them by name.
+        camera_unit: unit of the calibration, None to tell it.
+        camera_up: axis of the calibration's world that points up; None for z, checked.
+        image_size: width and height, pixels, for calibrations that do not state it.
+
+    Raises:
+        FileNotFoundError: when a file or folder is not there.
+        ValueError: when something is missing, damaged, ambiguous or does not fit together; the
+            message says what was expected and which option decides.
+    """
+    folders, notes = expand([Path(path) for path in paths])
+    if calibration is None:
+        raise ValueError("2D keypoints need a calibrated camera; give its file with --camera")
+    if fps is None or not FRAME_RATE.holds(fps):
+        raise ValueError(
+            f"files of 2D keypoints do not state the frame rate, and it was given as {fps}; give "
+            "frames per second with --frame-rate"
+        )
+    if not isinstance(calibration, Calibration):
+        calibration = load_cameras(
+            calibration, unit=camera_unit, up=camera_up, image_size=image_size
+        )
+    matched, matching = match_cameras(
+        [view_name(path) for path in folders], tuple(calibration.cameras), names
+    )
+    cameras = [calibration.cameras[name] for name in matched]
+    found = [
+        read_keypoints(path, layout=layout, image_size=camera.image_size)
+        for path, camera in zip(folders, cameras, strict=True)
+    ]
+    first, frames = _frame_range(found)
+    cameras = [
+        _timed(camera, first, frames, name) for camera, name in zip(cameras, matched, strict=True)
+    ]
+    seen = _Seen(tuple(found), tuple(matched), tuple(cameras), first)
+    tracks, who = _one_person(seen, person, up_given=camera_up is not None)
+    kept = [v for v, track in enumerate(tracks) if track is not None]
+    files = tuple(
+        _observation(found[v], tracks[v], cameras[v], first, frames, fps)  # type: ignore[arg-type]
+        for v in kept
+    )
+    layouts = [f"{one.name}: {'; '.join(one.decisions)}" for one in found]
+    return Views(
+        files=files,
+        names=tuple(matched[v] for v in kept),
+        first_frame=first,
+        decisions=(*notes, *calibration.decisions, *matching, *layouts, *who),
+    )
+
+
+@dataclass(frozen=True)
+class _Seen:
+    found: tuple[Detections, ...]
+    names: tuple[str, ...]
+    cameras: tuple[CameraArrays, ...]
+    first_frame: int
+
+
+def _one_person(
+    seen: _Seen, person: int | None, *, up_given: bool
+) -> tuple[list[Track | None], tuple[str, ...]]:
+    """The tracks of one person; several views decide together who it is."""
+    found, names, cameras = seen.found, seen.names, seen.cameras
+    tracks = [follow(one) for one in found]
+    for one, camera, everybody in zip(found, cameras, tracks, strict=True):
+        _check_pixels(one, camera)
+        if len(everybody) == 0:
+            choose(everybody, person, one.name)
+    if len(found) == 1:
+        track = choose(tracks[0], person, found[0].name)
+        who = "the only one" if len(tracks[0]) == 1 else "given" if person is not None else "most"
+        return [track], (f"{names[0]}: {track} ({who} of {len(tracks[0])} tracks)",)
+    if posed := [n for n, c in zip(names, cameras, strict=True) if c.T_camera_world is None]:
+        raise ValueError(
+            f"several views need the poses of their cameras; {', '.join(posed)} has none"
+        )
+    views = [
+        View(name, one.layout, camera, everybody, seen.first_frame)
+        for name, one, camera, everybody in zip(names, found, cameras, tracks, strict=True)
+    ]
+    return across_views(views, person, up_given=up_given)
+
+
+def _timed(camera: CameraArrays, first: int, frames: int, name: str) -> CameraArrays:
+    """A moving camera with the poses of these frames alone.
+
+    Raises:
+        ValueError: when its poses count neither from frame 0 nor from the first frame.
+    """
+    pose = camera.T_camera_world
+    if pose is None or len(pose) in (1, frames):
+        return camera
+    if len(pose) < first + frames:
+        raise ValueError(
+            f"camera {name}: expected 1 pose, or {frames} from frame {first} on, or more from "
+            f"frame 0 on, got {len(pose)}"
+        )
+    return replace(camera, T_camera_world=pose[first : first + frames])
+
+
+def _frame_range(found: Sequence[Detections]) -> tuple[int, int]:
+    """First frame number and number of frames of all views together.
+
+    Raises:
+        ValueError: when the views count frames differently, or numbers are no frame numbers.
+    """
+    spans = [(int(one.frame_numbers[0]), int(one.frame_numbers[-1])) for one in found]
+    first, last = min(a for a, _ in spans), max(b for _, b in spans)
+    most = max(len(one.frame_numbers) for one in found)
+    described = "; ".join(
+        f"{one.name} from {a} to {b}" for one, (a, b) in zip(found, spans, strict=True)
+    )
+    span = last - first + 1
+    if span > _SPARSE * most or not crowded(span, most):
+        raise ValueError(
+            f"expected frame numbers that count frames, got {described}, of which {most} have a "
+            "file; cut the recording at its gap, or number its frames one by one"
+        )
+    common = min(b for _, b in spans) - max(a for a, _ in spans) + 1
+    shortest = min(b - a + 1 for a, b in spans)
+    shifted = len(set(spans)) > 1 and len({b - a for a, b in spans}) == 1
+    if common < shortest / 2 or shifted:
+        raise ValueError(
+            f"the views count their frames differently: {described}; number the frames of all "
+            "views from the same moment"
+        )
+    return first, last - first + 1
+
+
+def _check_pixels(found: Detections, camera: CameraArrays) -> None:
+    """Refuse keypoints that are not in the pixels of this camera.
+
+    Raises:
+        ValueError: for fractions of an image, a swapped width and height, or another resolution.
+    """
+    places = found.pixels[found.confidence > 0]
+    width, height = camera.image_size
+    if len(places) == 0:
+        return
+    if np.abs(places).max() <= 2.0:
+        raise ValueError(
+            f"{found.name}: expected pixels, but all coordinates lie near [0, 1]; write them in "
+            "pixels (OpenPose: --keypoint_scale 0)"
+        )
+    outside = 1 - ((places >= 0) & (places <= (width, height))).all(-1).mean()
+    swapped = 1 - ((places >= 0) & (places <= (height, width))).all(-1).mean()
+    if outside <= _OUTSIDE:
+        return
+    reason = (
+        "width and height seem to be swapped in the calibration"
+        if swapped < 1 - _OUTSIDE
+        else "the keypoints seem to be of another camera or resolution"
+    )
+    raise ValueError(
+        f"{found.name}: {outside:.0%} of the keypoints lie outside the image of {width} x "
+        f"{height} pixels; {reason}"
+    )
+
+
+def _observation(
+    found: Detections, track: Track, camera: CameraArrays, first: int, frames: int, fps: float
+) -> KeypointsFile:
+    shape = (frames, track.confidence.shape[1])
+    pixels, confidence = np.zeros((*shape, 2)), np.zeros(shape)
+    pixels[track.frame - first] = track.pixels
+    confidence[track.frame - first] = track.confidence
+    return KeypointsFile(pixels, confidence, found.layout, float(fps), camera)

@@ -1,0 +1,1 @@
+"""What all observations of a clip say together: a first guess, their weights."""

@@ -1,0 +1,96 @@
+"""Where a fit begins, from all observations of a clip together."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from observations.depth import PointCloud
+from observations.joints3d import Joints3D
+from observations.keypoints2d import Keypoints2D
+from observations.markers3d import Markers3D
+from observations.timing import at_observation_times
+from observations.together.triangulation import views_start
+from recon.body.model import BodyModel
+from recon.core import rotations as so3
+from recon.core.motion import Motion
+
+Seen = Joints3D | Markers3D | Keypoints2D | PointCloud
+"""What a clip is observed by."""
+
+_OTHER_HEADINGS = (math.pi / 2, math.pi, 3 * math.pi / 2)
+
+
+@dataclass(frozen=True)
+class FirstGuess:
+    """A motion to begin with."""
+
+    motion: Motion
+    distance_known: bool
+    """Whether it is told where the body is, or only, by one camera, in which direction.
+
+    Placing the rest body better, stage 1, helps the first and spoils the second: it would trade
+    stretched limbs against distance.
+    """
+    others: tuple[Motion, ...] = ()
+    """What it may be as well; only a fit can tell."""
+
+
+def first_guess(observations: Sequence[Seen], body: BodyModel) -> FirstGuess:
+    """The rest body placed by the observations that tell most.
+
+    Points that are known by name come first, then what several cameras see, then what one camera
+    sees, at the distance of the depth where there is depth, and depth alone last.
+    """
+    named = [o for o in observations if isinstance(o, Joints3D | Markers3D)]
+    views = [o for o in observations if isinstance(o, Keypoints2D)]
+    clouds = [o for o in observations if isinstance(o, PointCloud)]
+    if named:
+        return FirstGuess(named[0].start(body), True)
+    if len(alike := one_clock(views)) > 1:
+        return FirstGuess(views_start(body, alike), True)
+    if views and clouds:
+        return FirstGuess(_at_cloud(views[0].start(body), clouds[0], body), True)
+    if clouds:
+        motion = clouds[0].start(body)
+        return FirstGuess(motion, True, tuple(_turned(motion, angle) for angle in _OTHER_HEADINGS))
+    return FirstGuess(views[0].start(body), False)
+
+
+def _turned(motion: Motion, angle: float) -> Motion:
+    """The same body in the same place, facing elsewhere; points do not tell headings well."""
+    about = so3.about_z(motion.translation.new_tensor(angle))
+    root = about @ motion.rotations[..., :1, :, :]
+    return motion.replace(rotations=torch.cat((root, motion.rotations[..., 1:, :, :]), -3))
+
+
+def one_clock(views: Sequence[Keypoints2D]) -> list[Keypoints2D]:
+    """The views that see the moments of the first."""
+
+    def clock(view: Keypoints2D) -> tuple[object, ...]:
+        return (view.fps, view.start_time, *view.pixels.shape[:-1])
+
+    return [view for view in views if clock(view) == clock(views[0])]
+
+
+def _at_cloud(motion: Motion, cloud: PointCloud, body: BodyModel) -> Motion:
+    """The motion moved, frame by frame, so that its pelvis is in the middle of the points.
+
+    The middle of the points is on the near side of the body, a few centimetres before the pelvis.
+    """
+    points = cloud.points.where(cloud.present[..., None], torch.nan)
+    middle = points.nanmedian(-2).values
+    pelvis = body.pose(motion).joints[..., :1, :]
+    there, seen = at_observation_times(
+        pelvis, motion, fps=cloud.fps, start_time=cloud.start_time, moments=cloud.points.shape[-3]
+    )
+    away = middle[..., seen, :] - there[..., 0, :]
+    return motion.replace(translation=motion.translation + _typical(away))
+
+
+def _typical(away: Float[Tensor, "batch seen 3"]) -> Float[Tensor, "batch 1 3"]:
+    """The median over the moments that have points; zero without any."""
+    return away.nanmedian(-2, keepdim=True).values.nan_to_num(0.0)

@@ -1,0 +1,132 @@
+"""How the anchor-frame prior is fitted: place, then the code, then the body, then details."""
+
+from dataclasses import dataclass, replace
+
+import torch
+
+from priors.anchor.frames import Alignment
+from priors.anchor.prior import AnchorFrames, AnchorVariables
+from recon.body.model import BodyModel
+from recon.core.scene import Scene
+from recon.method.protocols import Estimate
+from recon.method.stages import Stage
+from recon.method.terms import Term, prior_energy
+from recon.solver.lbfgs import LBFGS
+
+_PLACING = frozenset({"turn", "place"})
+_CYCLE = _PLACING | {"latent", "begin"}
+_BODY = _CYCLE | {"shape"}
+_DETAILS = _BODY | {"bend", "shift"}
+
+
+@dataclass(frozen=True)
+class AnchorFit:
+    """The method for observations whose coordinates are off by about `noise` metres.
+
+    Everything is a negative log-probability times noise², so that observations weigh one: codes,
+    shapes and details are normal with unit variance (spec of the variables), the ends of cycle
+    and recording are `ends` seconds apart.
+    """
+
+    prior: AnchorFrames
+    noise: float
+    """Metres."""
+    ends: float = 0.02
+    """Seconds."""
+    detailed: bool = True
+    """Whether data are dense enough to tell what no code has: adds a last stage."""
+
+    def __post_init__(self) -> None:
+        """Refuse what has no meaning."""
+        for name in ("noise", "ends"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} must be above 0, got {getattr(self, name)}")
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """What is known before anything is seen."""
+        variance = self.noise**2
+        terms = [
+            Term("latent", prior_energy("latent"), variance),
+            Term("shape", prior_energy("shape"), variance),
+            Term("ends", prior_energy("ends"), variance / self.ends**2),
+        ]
+        if self.prior.alignment is Alignment.YAW:
+            terms.append(Term("sink", prior_energy("sink"), variance))
+        return tuple(terms)
+
+    def adapted(
+        self, stage: Stage, body: BodyModel, variables: AnchorVariables, scene: Scene
+    ) -> Stage:
+        """The stage as it is run from here: weights follow from the noise and stay."""
+        del body, variables, scene
+        return stage
+
+    def search(self, data: tuple[Term, ...]) -> tuple[Stage, ...]:
+        """A quick fit that tells good beginnings from bad ones."""
+        return (
+            Stage("place", self.prior, (*data, *self.terms), _PLACING, LBFGS(12)),
+            Stage("rough", self.prior, (*data, *self.terms), _CYCLE, LBFGS(30)),
+        )
+
+    def stages(self, data: tuple[Term, ...]) -> tuple[Stage, ...]:
+        """From a cycle that is roughly right."""
+        return (*self.coded(data), *self.details(data))
+
+    def coded(self, data: tuple[Term, ...]) -> tuple[Stage, ...]:
+        """The code, then the body as well."""
+        terms = (*data, *self.terms)
+        return (
+            Stage("cycle", self.prior, terms, _CYCLE, LBFGS(30, tolerance_decrease=1e-4)),
+            Stage("body", self.prior, terms, _BODY, LBFGS(60, tolerance_decrease=1e-5)),
+        )
+
+    def details(self, data: tuple[Term, ...]) -> tuple[Stage, ...]:
+        """What no code has, where data are dense."""
+        if not self.detailed:
+            return ()
+        held = Term("details", prior_energy("details"), self.noise**2)
+        minimiser = LBFGS(60, tolerance_decrease=1e-5)
+        terms = (*data, *self.terms, held)
+        return (Stage("details", self.prior, terms, _DETAILS, minimiser),)
+
+
+@dataclass(frozen=True)
+class PublishedAnchorFit(AnchorFit):
+    """As published (section 5.3): no density of codes or shapes, weights that adapt to the data.
+
+    GradNorm with codes as the shared variables and equal rates (alpha = 0): at the start of every
+    stage each misfit gets the weight that makes all pull on the codes alike; then it stays, so
+    that a line search sees one objective. Clips of one batch share these weights.
+    """
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """Times alone; shapes keep a thousandth of their density, which bounds them."""
+        variance = self.noise**2
+        return (
+            Term("shape", prior_energy("shape"), 1e-3 * variance),
+            Term("ends", prior_energy("ends"), variance / self.ends**2),
+        )
+
+    def adapted(
+        self, stage: Stage, body: BodyModel, variables: AnchorVariables, scene: Scene
+    ) -> Stage:
+        """Equal pull of all misfits on the codes."""
+        latent = variables.latent.detach().requires_grad_()
+        decoded = self.prior.decode(variables.replace(latent=latent))
+        estimate = Estimate(decoded, body.pose(decoded.motion), scene)
+        held = stage.held(estimate)
+        pulls: dict[str, float] = {}
+        for term in held.terms:
+            if term.name.startswith("data") or term.name == "ends":
+                (pull,) = torch.autograd.grad(
+                    term.energy(estimate).sum(), latent, retain_graph=True, allow_unused=True
+                )
+                pulls[term.name] = 0.0 if pull is None else float(pull.norm(dim=-1).mean())
+        mean = sum(pulls.values()) / len(pulls)
+        terms = tuple(
+            replace(term, weight=mean / pulls[term.name]) if pulls.get(term.name) else term
+            for term in stage.terms
+        )
+        return replace(stage, terms=terms)

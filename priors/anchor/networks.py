@@ -1,0 +1,90 @@
+"""Networks of the anchor-frame VAE: a linear map of cycles, and what bends it."""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.nn import functional
+
+from priors.anchor.basis import CycleBasis
+
+_LOG_VARIANCE = (-10.0, 4.0)
+_SURE = -3.0
+"""Log-variance of the codes before training."""
+
+
+class AnchorNetworks(nn.Module):
+    """Encoder q(z | cycle), which does not see the body, and decoder D(z, shape).
+
+    The published layers are unknown. Ours start as principal component analysis: codes are the
+    first coefficients of a `CycleBasis`, and residual networks learn the rest. From a thousand
+    cycles, networks without the linear part learned to reconstruct the training people only.
+    """
+
+    def __init__(
+        self, basis: CycleBasis, latent: int, shape: int, width: int, dropout: float = 0.0
+    ) -> None:
+        """Untrained.
+
+        Args:
+            basis: of cycles; not learned.
+            latent: size of z.
+            shape: coefficients of the body that the decoder sees.
+            width: units of the hidden layers.
+            dropout: share of the hidden units left out while training.
+        """
+        super().__init__()
+        self.basis, self.latent, self.shape, self.width = basis, latent, shape, width
+        size = len(basis.deviation)
+        ratio = basis.whitening[:latent]
+        self.to_code = nn.Parameter(torch.eye(size)[:latent] * ratio[:, None])
+        self.from_code = nn.Parameter(torch.eye(size)[:, :latent] / ratio)
+        self.encoder = _residual(size, width, 2 * latent, dropout)
+        self.decoder = _residual(latent + shape, width, size, dropout)
+        with torch.no_grad():
+            last = self.encoder[-1]
+            assert isinstance(last, nn.Linear)
+            last.bias[latent:] = _SURE
+
+    def posterior(
+        self, rows: Float[Tensor, "*batch 100 124"]
+    ) -> tuple[Float[Tensor, "*batch latent"], Float[Tensor, "*batch latent"]]:
+        """Mean and log-variance of the code of aligned cycles (rows chi)."""
+        coefficients = self.basis.analyse(rows)
+        mean, log_variance = self.encoder(coefficients).chunk(2, -1)
+        return mean + coefficients @ self.to_code.mT, log_variance.clamp(*_LOG_VARIANCE)
+
+    def normalised(
+        self, latent: Float[Tensor, "*batch latent"], shape: Float[Tensor, "*batch shape"]
+    ) -> Float[Tensor, "*batch 100 124"]:
+        """Aligned cycles in the units of the losses."""
+        bent = self.decoder(torch.cat((latent, shape), -1))
+        return self.basis.synthesise(latent @ self.from_code.mT + bent)
+
+    def decode(
+        self, latent: Float[Tensor, "*batch latent"], shape: Float[Tensor, "*batch shape"]
+    ) -> Float[Tensor, "*batch 100 124"]:
+        """Aligned cycles as rows chi: metres, seconds."""
+        return self.basis.metric(self.normalised(latent, shape))
+
+
+class _Block(nn.Module):
+    """x + B silu(A norm(x))."""
+
+    def __init__(self, width: int, dropout: float) -> None:
+        super().__init__()
+        self.norm = nn.LayerNorm(width)
+        self.inner = nn.Linear(width, width)
+        self.drop = nn.Dropout(dropout)
+        self.outer = nn.Linear(width, width)
+
+    def forward(self, x: Float[Tensor, "*batch width"]) -> Float[Tensor, "*batch width"]:
+        return x + self.outer(self.drop(functional.silu(self.inner(self.norm(x)))))
+
+
+def _residual(inputs: int, width: int, outputs: int, dropout: float) -> nn.Sequential:
+    """Layers whose output is zero before training."""
+    last = nn.Linear(width, outputs)
+    nn.init.zeros_(last.weight)
+    nn.init.zeros_(last.bias)
+    blocks = [_Block(width, dropout), _Block(width, dropout)]
+    return nn.Sequential(nn.Linear(inputs, width), *blocks, last)

@@ -1,0 +1,231 @@
+"""The anchor-frame prior: a whole cycle of motion as one code (Marsot et al. 2022).
+
+A code and a shape decode to 100 anchors with their times; a rigid transform puts them into the
+world, and reading them at even moments gives the motion. So data at any times meet the prior, and
+what the duration of the cycle is, they tell as well.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from priors.anchor.frames import ANCHORS, POSED, Alignment, Anchors, rest_pelvis
+from priors.anchor.weights import AnchorWeights, load_weights
+from priors.cosines import cosines
+from recon.body.model import BodyModel
+from recon.core import rotations as so3
+from recon.core.motion import Motion
+from recon.core.struct import TensorStruct, stack
+from recon.method.protocols import Decoded
+
+MODES = 16
+"""Cosines of time that details may have."""
+TURN, PLACE, BEGIN = 0.2, 0.1, 0.05
+"""What a unit of these variables is: radians, metres, seconds."""
+_BEND, _SHIFT = 0.08, 0.02
+"""Standard deviations of the slowest details: radians per joint and axis, metres."""
+_FAST = 4
+"""Cosines beyond which details are ever less likely."""
+_SINK = 0.03
+"""Metres by which soles may be above or below the ground."""
+
+
+@dataclass(frozen=True)
+class AnchorVariables(TensorStruct):
+    """One cycle per clip."""
+
+    latent: Float[Tensor, "*batch latent"]
+    """Whitened: z = mean + root · latent."""
+    shape: Float[Tensor, "*batch shape"]
+    turn: Float[Tensor, "*batch turn"]
+    """Step of the cycle's orientation: about the vertical alone, or about three axes."""
+    place: Float[Tensor, "*batch 3"]
+    """Step of the cycle's place."""
+    begin: Float[Tensor, "*batch"]
+    """When the cycle begins after the first moment."""
+    bend: Float[Tensor, "*batch modes 60"]
+    """Details of the 20 joints that no code has, in scaled cosines of time."""
+    shift: Float[Tensor, "*batch modes 3"]
+    """The same of the translation."""
+    base: Float[Tensor, "*batch 4 4"]
+    """T_world_cycle before the steps, metres."""
+    valid: Bool[Tensor, "*batch time"]
+    fps: float
+    start_time: float
+
+    def carried(self, T: Float[Tensor, "*batch 4 4"], body: BodyModel) -> "AnchorVariables":
+        """Variables of the same motion after a rigid transform."""
+        del body
+        place = (T[..., :3, :3] @ self.place[..., None])[..., 0]
+        return self.replace(base=T @ self.base, place=place)
+
+
+@dataclass(frozen=True)
+class AnchorFrames:
+    """Codes are normal about those of recorded cycles; details beside them are small and slow."""
+
+    weights: AnchorWeights
+    body: BodyModel
+
+    @classmethod
+    def load(cls, weights: str = "open", body: BodyModel | None = None) -> "AnchorFrames":
+        """The bundled weights (`open`), those of a source checkout (`nc`), or a file.
+
+        Raises:
+            FileNotFoundError: when there is no such file.
+            ValueError: when it holds something else, or the body has other shape coefficients.
+        """
+        body = BodyModel.load() if body is None else body
+        found = load_weights(weights)
+        expected = found.networks.shape
+        if body.shape_size != expected:
+            raise ValueError(
+                f"the anchor weights know bodies of {expected} shape coefficients, "
+                f"{body.name!r} has {body.shape_size}; train weights for it"
+            )
+        return cls(found, body)
+
+    @property
+    def alignment(self) -> Alignment:
+        """What is not in the codes."""
+        return self.weights.alignment
+
+    def encode(self, motion: Motion) -> AnchorVariables:
+        """The code of each clip, taken as one cycle from its first to its last frame.
+
+        Details are what the decoder leaves out, as far as they are slow: of a recorded cycle
+        they are left at zero, since it is codes that are looked for.
+        """
+        clips = [
+            motion[row].window(0, int(count)) for row, count in enumerate(motion.valid.sum(-1))
+        ]
+        anchors = stack([Anchors.of(clip) for clip in clips])
+        pelvis = rest_pelvis(self.body, motion.shape)
+        aligned, T = anchors.aligned(self.alignment, pelvis)
+        with torch.no_grad():
+            mean, _ = self.weights.networks.posterior(aligned.pack())
+        return self.variables(mean, motion.shape, T, motion.valid, motion.fps, motion.start_time)
+
+    def variables(
+        self,
+        codes: Float[Tensor, "*batch latent"],
+        shape: Float[Tensor, "*batch shape"],
+        base: Float[Tensor, "*batch 4 4"],
+        valid: Bool[Tensor, "*batch time"],
+        fps: float,
+        start_time: float = 0.0,
+    ) -> AnchorVariables:
+        """Cycles of some codes, placed in the world, on a clock."""
+        spread = self.weights.spread
+        away = (codes - spread.mean)[..., None]
+        latent = torch.linalg.solve_triangular(spread.root, away, upper=False)[..., 0]
+        axes = 1 if self.alignment is Alignment.YAW else 3
+        like = latent[..., :1]
+        zero = torch.zeros_like(like)
+        return AnchorVariables(
+            latent=latent,
+            shape=shape,
+            turn=zero.repeat_interleave(axes, -1),
+            place=zero.repeat_interleave(3, -1),
+            begin=zero[..., 0],
+            bend=zero[..., None].expand(*zero.shape[:-1], MODES, 3 * len(POSED)).clone(),
+            shift=zero[..., None].expand(*zero.shape[:-1], MODES, 3).clone(),
+            base=base,
+            valid=valid,
+            fps=fps,
+            start_time=start_time,
+        )
+
+    def anchors(self, variables: AnchorVariables) -> Anchors:
+        """The decoded cycles in the world, without details."""
+        x = variables
+        anchors = Anchors.unpack(self.rows(x))
+        return anchors.carried(self._placing(x), rest_pelvis(self.body, x.shape))
+
+    def rows(self, variables: AnchorVariables) -> Float[Tensor, "*batch 100 124"]:
+        """Rows chi of the codes, in their own frame."""
+        spread = self.weights.spread
+        codes = spread.mean + variables.latent @ spread.root.mT
+        return self.weights.networks.decode(codes, variables.shape)
+
+    def decode(self, variables: AnchorVariables) -> Decoded:
+        """The motion at the clock's moments, and -log p in parts.
+
+        Moments before the cycle or after it have its first or last anchor. `latent`, `shape` and
+        `details` are half squared Mahalanobis distances; `ends` is half the squared time, in
+        seconds, by which cycle and observation begin and end apart; `sink` half the squared
+        height of the ground above the soles' own, over its variance.
+        """
+        x = variables
+        rows = self.rows(x)
+        at = _at_times(rows, self._moments(x, rows))
+        anchors = Anchors.unpack(at)
+        if any(detail.requires_grad or bool(detail.any()) for detail in (x.bend, x.shift)):
+            anchors = detailed(anchors, x.bend, x.shift)
+        placed = anchors.carried(self._placing(x), rest_pelvis(self.body, x.shape))
+        motion = Motion(
+            translation=placed.translation,
+            rotations=placed.full_rotations,
+            shape=x.shape,
+            valid=x.valid,
+            fps=x.fps,
+            start_time=x.start_time,
+        )
+        observed = (x.valid.sum(-1) - 1) / x.fps
+        late = BEGIN * x.begin
+        over = late + rows[..., -1, -1] - observed
+        energies = {
+            "latent": 0.5 * x.latent.square().sum(-1),
+            "shape": 0.5 * x.shape.square().sum(-1),
+            "ends": 0.5 * (late.square() + over.square()),
+            "details": 0.5 * (x.bend.square().sum((-1, -2)) + x.shift.square().sum((-1, -2))),
+            "sink": 0.5 * (PLACE / _SINK * x.place[..., 2]).square(),
+        }
+        return Decoded(motion, energies)
+
+    def _moments(
+        self, x: AnchorVariables, rows: Float[Tensor, "*batch 100 124"]
+    ) -> Float[Tensor, "*batch time"]:
+        """Place of every frame among the anchors, from 0 to 99."""
+        clock = torch.arange(x.valid.shape[-1], dtype=rows.dtype, device=rows.device) / x.fps
+        since = clock - BEGIN * x.begin[..., None]
+        return since / rows[..., -1, -1:].clamp(min=1e-3) * (ANCHORS - 1)
+
+    def _placing(self, x: AnchorVariables) -> Float[Tensor, "*batch 4 4"]:
+        vector = TURN * x.turn
+        if vector.shape[-1] == 1:
+            vector = torch.nn.functional.pad(vector, (2, 0))
+        turn = x.base[..., :3, :3] @ so3.exp(vector)
+        return so3.rigid(turn, x.base[..., :3, 3] + PLACE * x.place)
+
+
+def detailed(
+    anchors: Anchors,
+    bend: Float[Tensor, "*batch modes 60"],
+    shift: Float[Tensor, "*batch modes 3"],
+) -> Anchors:
+    """Poses and places with details in cosines of time, each as large as its rate may be."""
+    frames, modes = anchors.translation.shape[-2], bend.shape[-2]
+    waves = torch.zeros(frames, modes, dtype=torch.float64)
+    count = min(frames, modes)
+    waves[:, :count] = cosines(frames, count) * frames**0.5
+    waves = (waves / (1 + (torch.arange(modes) / _FAST) ** 2)).to(bend)
+    turns = so3.exp(_BEND * (waves @ bend).unflatten(-1, (len(POSED), 3)))
+    return anchors.replace(
+        rotations=anchors.rotations @ turns,
+        translation=anchors.translation + _SHIFT * (waves @ shift),
+    )
+
+
+def _at_times(
+    rows: Float[Tensor, "*batch 100 124"], place: Float[Tensor, "*batch time"]
+) -> Float[Tensor, "*batch time 124"]:
+    """Rows between the anchors, linearly; neighbouring anchors are some milliseconds apart."""
+    place = place.clamp(0, ANCHORS - 1)
+    before = place.detach().floor().long().clamp(max=ANCHORS - 2)
+    fraction = (place - before)[..., None]
+    pick = before[..., None].expand(*before.shape, rows.shape[-1])
+    first, second = rows.gather(-2, pick), rows.gather(-2, pick + 1)
+    return first + fraction * (second - first)

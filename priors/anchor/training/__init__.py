@@ -1,0 +1,1 @@
+"""How the weights of the anchor-frame prior are made."""

@@ -1,0 +1,155 @@
+"""Training the anchor-frame VAE: cycles of the corpus, first their parameters, then the surface.
+
+Marsot et al., section 4.2, counted in steps. What differs: networks that start as principal
+component analysis, varied cycles (a few minutes of gait are little), points of the surface in
+place of all vertices, an average of the weights over time as the result.
+"""
+
+import logging
+import time
+from pathlib import Path
+
+import torch
+
+from priors.anchor.frames import Anchors
+from priors.anchor.training.corpus import CycleBatch, CycleCorpus
+from priors.anchor.training.losses import (
+    divergence,
+    parameter_losses,
+    reconstruct,
+    surface_error,
+)
+from priors.anchor.training.run import AnchorRun, AnchorTraining
+from priors.training.dataset import Splits
+from priors.training.descent import cosine, descend
+from priors.training.gradnorm import LEAST
+from priors.training.logfile import logged_to
+from recon.body.model import BodyModel
+from recon.body.spread import spread_vertices
+
+_LOG = logging.getLogger("priors.anchor.training.train")
+
+POINTS = 200
+"""Points of the surface, evenly spread, that the second phase compares."""
+_STRIDE = 4
+"""Every so many anchors are compared, from a random one on."""
+_WARM = 100
+"""Steps over which the learning rate rises."""
+
+
+def train(settings: AnchorTraining) -> Path:
+    """Train, or go on training; the checkpoint's path.
+
+    Raises:
+        FileNotFoundError: when there is no corpus or splits file.
+        ValueError: when there is no cycle to learn from, or the folder holds another run.
+    """
+    settings.out.mkdir(parents=True, exist_ok=True)
+    with logged_to(settings.out / "train.log", "a"):
+        body, splits = BodyModel.load(), Splits.load(settings.splits)
+        learned, held_out = (
+            CycleCorpus.load(settings.corpus, splits, part, settings.data, body)
+            for part in ("train", "validation")
+        )
+        return train_on(settings, learned, held_out.every(settings.alignment))
+
+
+def train_on(settings: AnchorTraining, learned: CycleCorpus, checked: CycleBatch) -> Path:
+    """Train on cycles that are loaded already; the checkpoint's path."""
+    torch.set_num_threads(settings.threads)
+    run = AnchorRun.start(settings, learned)
+    _LOG.info("settings: %s", settings)
+    _LOG.info("from step %d; %d validation cycles", run.step, len(checked.shape))
+    vertices = spread_vertices(learned.body, POINTS)
+    saved = time.monotonic()
+    total = 0.0
+    while run.step < settings.steps + settings.surface_steps:
+        if run.step == settings.steps:
+            run.begin_surface(surface_scale(run, learned, vertices))
+        total += training_step(run, learned, vertices)
+        last = run.step == settings.steps + settings.surface_steps
+        if run.step % settings.validate_every == 0 or last:
+            row = {"train_total": total / settings.validate_every}
+            row |= validate(run, checked, learned.body, vertices)
+            run.note(row)
+            shown = ", ".join(f"{name} {value:.4g}" for name, value in row.items())
+            weights = ", ".join(f"{k} {w:.2f}" for k, w in run.weights.weights.items())
+            _LOG.info("step %d: %s; weights %s", run.step, shown, weights)
+            total = 0.0
+        if time.monotonic() - saved > settings.save_every or last:
+            run.save()
+            saved = time.monotonic()
+    return settings.out / "checkpoint.pt"
+
+
+def training_step(run: AnchorRun, learned: CycleCorpus, vertices: torch.Tensor) -> float:
+    """One step of the optimiser; its loss."""
+    settings = run.settings
+    surface = run.step >= settings.steps
+    count = settings.surface_cycles if surface else settings.cycles
+    batch = learned.draw(count, settings.variation, settings.alignment, run.random)
+    rows = batch.anchors.pack()
+    found = reconstruct(run.networks.train(), rows, batch.shape, run.random)
+    losses = parameter_losses(run.networks, found, rows)
+    if surface:
+        first = int(torch.randint(_STRIDE, (1,), generator=run.random))
+        anchors = torch.arange(first, rows.shape[1], _STRIDE)
+        error = surface_error(run.networks, found, batch, learned.body, vertices, anchors)
+        losses["surface"] = run.surface_scale * error.mean()
+    run.weights.update(losses, found.latent)
+    total = run.weights.total(losses) + settings.kl * divergence(found).mean()
+    descend(run, total, _rate(settings, run.step), settings.clip, settings.average)
+    return total.item()
+
+
+def surface_scale(run: AnchorRun, learned: CycleCorpus, vertices: torch.Tensor) -> float:
+    """What a squared metre must count for codes to stay as sure of themselves as they are.
+
+    Codes are as blurred as the losses let them be. So the scale is what the blur costs in
+    parameters over what it costs on the surface: |D(z + e) - D(z)|² in the one over the other.
+    """
+    settings, networks = run.settings, run.networks.eval()
+    batch = learned.draw(256, settings.variation, settings.alignment, run.random)
+    rows = batch.anchors.pack()
+    with torch.no_grad():
+        sharp = reconstruct(networks, rows, batch.shape, None)
+        blurred = reconstruct(networks, rows, batch.shape, run.random)
+        made = networks.basis.metric(sharp.normalised)
+        parameters = run.weights.total(parameter_losses(networks, blurred, made))
+        anchors = torch.arange(0, rows.shape[1], _STRIDE)
+        own = batch.replace(anchors=Anchors.unpack(made))
+        surface = surface_error(networks, blurred, own, learned.body, vertices, anchors).mean()
+    scale = (parameters / surface).item() / LEAST  # times are learned: GradNorm gives them most
+    _LOG.info("step %d: a squared metre of the surface counts %.3f", run.step, scale)
+    return scale
+
+
+def validate(
+    run: AnchorRun, checked: CycleBatch, body: BodyModel, vertices: torch.Tensor
+) -> dict[str, float]:
+    """Errors on cycles of other people: with mean codes and with drawn ones; and of codes."""
+    random = torch.Generator().manual_seed(0)
+    rows = checked.anchors.pack()
+    anchors = torch.arange(0, rows.shape[1], _STRIDE)
+    row: dict[str, float] = {}
+    with torch.no_grad():
+        for name, generator in (("", None), ("sampled_", random)):
+            found = reconstruct(run.averaged, rows, checked.shape, generator)
+            error = surface_error(run.averaged, found, checked, body, vertices, anchors)
+            row[f"{name}vertex_cm"] = 100 * error.sqrt().mean().item()
+            losses = parameter_losses(run.averaged, found, rows)
+            row |= {f"{name}{key}": value.item() for key, value in losses.items()}
+        row["kl_nats"] = divergence(found).sum(-1).mean().item()
+        row["active"] = float((found.mean.var(0) > 0.01).sum())
+    row["score"] = row["vertex_cm"] + row["sampled_vertex_cm"]
+    return row
+
+
+def _rate(settings: AnchorTraining, step: int) -> float:
+    """Each phase warms up and falls along a cosine."""
+    first = step < settings.steps
+    most = settings.rate if first else settings.surface_rate
+    here, length = (
+        (step, settings.steps) if first else (step - settings.steps, settings.surface_steps)
+    )
+    return most * cosine(here / length) * min(1.0, (here + 1) / _WARM)

@@ -1,0 +1,1 @@
+"""HuMoR: every step from pose to pose (Rempe et al. 2021)."""

@@ -1,0 +1,163 @@
+"""HuMoR fitted to all steps of a motion at once (direct collocation): our default.
+
+Single shooting moves a first state and latents and lets the decoder unroll the motion: an early
+latent moves every later frame, errors of the network add up, and all steps wait for each other.
+Here the motion itself is moved, in the well-scaled variables of the pose prior, and every pair of
+its neighbouring states is judged by the same networks: how surprising is the latent that explains
+the step, and how far from the step does the decoder land with it. Both together are the bound on
+-log p(x_t | x_(t-1)) that HuMoR is trained by (section 3.2). Frames depend on their neighbours
+only, so a network sees all steps of all clips as one batch.
+"""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from priors.humor.prior import Humor
+from priors.humor.state import Frame, contact_probabilities, initial_features, states_of
+from priors.humor.steps import explain
+from priors.humor.terms import contact_velocity
+from priors.pose.prior import PosePrior, PoseVariables, PoseWeights
+from recon.core.motion import Motion
+from recon.method.protocols import REFERENCE_FPS, Decoded
+from recon.method.stages import Stage
+from recon.method.terms import Term, joint_acceleration, prior_energy, shape
+from recon.solver.lbfgs import LBFGS
+
+_ERROR, _SURPRISE = 100.0, 20.0
+"""Nats of one step beyond which it counts ever less: a step that nobody in the corpus ever made
+says nothing against itself, and the data should tell it."""
+
+
+@dataclass(frozen=True)
+class CollocationWeights:
+    """Multipliers of the unweighted energies, for an observation of weight one."""
+
+    pose: PoseWeights
+    """Of the pose density, the shape and what is left of plain smoothness."""
+    step: float
+    """Of the decoder's error, nats."""
+    latents: float
+    """Of the latents' surprise, nats."""
+    contact_velocity: float
+    """Of ½ c |step|² of joints in contact, metres²."""
+
+    @classmethod
+    def for_noise(cls, noise: float) -> "CollocationWeights":
+        """For observations whose coordinates are off by about `noise` metres.
+
+        Chosen on validation subjects (`benchmarks.tune_humor`). A calibrated bound would have
+        multipliers of noise² for both of its parts; errors of neighbouring steps repeat each
+        other, so less is better. Where points are exact, 14 mm remain: nobody moves just like
+        the people of the corpus.
+        """
+        pose = PoseWeights.for_noise(noise)
+        variance = max(noise, 0.014) ** 2
+        return cls(
+            pose=PoseWeights(0.5 * pose.pose, pose.shape, acceleration=0.15 * pose.acceleration),
+            step=0.1 * variance,
+            latents=0.3 * variance,
+            contact_velocity=2e4 * max(noise, 0.008) ** 2,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class CollocatedHumor:
+    """As a prior: a motion in the pose prior's variables, judged by all its steps."""
+
+    humor: Humor
+    poses: PosePrior
+
+    def encode(self, motion: Motion) -> PoseVariables:
+        """The motion at 30 Hz; exact but for the resampling.
+
+        Raises:
+            ValueError: when it has fewer than two frames.
+        """
+        motion = motion.resample(REFERENCE_FPS)
+        if bool((motion.valid.sum(-1) < 2).any()):
+            raise ValueError(
+                "HuMoR judges steps between frames: expected at least two at 30 Hz, got one; "
+                "take the pose prior for single frames"
+            )
+        return self.poses.encode(motion)
+
+    def decode(self, variables: PoseVariables) -> Decoded:
+        """The motion, what the networks think of its steps, and where feet touch.
+
+        `energies` in nats: "pose" as the pose prior's, "step" Σ ρ(½ eᵀ C⁻¹ e) of the decoder's
+        errors with their covariance C over the training corpus, "latents" Σ ρ(KL), "initial"
+        -log p(x_0); ρ(x) = s log(1 + x / s) has heavy tails, as a Student t has.
+        """
+        decoded = self.poses.decode(variables)
+        motion, humor = decoded.motion, self.humor.like(variables.translation)
+        states = states_of(motion, humor.body)
+        pelvis = humor.pelvis(motion.shape)
+        found = explain(humor.networks, states, pelvis)
+        exists = motion.valid[:, 1:]
+        first = states.map(lambda tensor: tensor[:, 0])
+        error = 0.5 * (found.error @ humor.error_whitening).square().sum(-1)
+        energies = {
+            "step": _heavy_tailed(error, _ERROR).where(exists, 0.0).sum(-1),
+            "latents": _heavy_tailed(found.surprise, _SURPRISE).where(exists, 0.0).sum(-1),
+            "initial": humor.initial.energy(
+                initial_features(Frame.of(first).enter(first, pelvis))
+            ),
+        }
+        return Decoded(
+            motion=motion,
+            energies={**decoded.energies, **energies},
+            contacts=contact_probabilities(found.contacts),
+            joints=torch.cat((first.joints[:, None], found.landed.joints), 1),
+        )
+
+
+def _heavy_tailed(nats: Tensor, scale: float) -> Tensor:
+    return scale * torch.log1p(nats / scale)
+
+
+@dataclass(frozen=True, eq=False)
+class Collocation:
+    """As a method: stages 1 and 2 under the pose prior, then all steps under HuMoR."""
+
+    humor: Humor
+    weights: CollocationWeights = field(default_factory=lambda: CollocationWeights.for_noise(0.04))
+    start: PoseWeights = field(default_factory=PoseWeights.tuned_joints)
+    """Of stages 1 and 2."""
+
+    @classmethod
+    def for_noise(cls, humor: Humor, noise: float) -> "Collocation":
+        """For observations whose coordinates are off by about `noise` metres."""
+        return cls(humor, CollocationWeights.for_noise(noise), PoseWeights.for_noise(noise))
+
+    @cached_property
+    def _poses(self) -> PosePrior:
+        device = self.humor.body.template.device
+        return PosePrior.load(weights=self.start).to(device=device)
+
+    def stages(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
+        """Root; poses, smoothly; poses whose steps HuMoR finds likely; then feet held, too.
+
+        Feet come last: those of a first guess that stand wrongly would be held there.
+        """
+        w = self.weights
+        steps = (
+            *data,
+            Term("pose", prior_energy("pose"), w.pose.pose),
+            Term("shape", shape, w.pose.shape),
+            Term("acceleration", joint_acceleration, w.pose.acceleration),
+            Term("step", prior_energy("step"), w.step),
+            Term("latents", prior_energy("latents"), w.latents),
+        )
+        held = Term("contact velocity", contact_velocity, w.contact_velocity)
+        prior = CollocatedHumor(self.humor, self._poses)
+        free = frozenset({"translation", "root", "pose", "shape"})
+        minimiser = LBFGS(max_iterations=60, tolerance_decrease=1e-5)
+        return (
+            *self._poses.stages(data),
+            Stage("steps", prior, steps, free, minimiser),
+            Stage("contacts", prior, (*steps, held), free, minimiser),
+        )

@@ -1,0 +1,1 @@
+"""HuMoR's decoder, rolled out over time, and its derivative."""

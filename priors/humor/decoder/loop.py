@@ -1,0 +1,228 @@
+"""HuMoR's decoder, step after step, with as little between two steps as can be.
+
+In the loop a canonical state is 337 numbers. The horizontal place, which is zero, is left out;
+joints are seen from where the pelvis is at rest and, after a step, from where the translation
+has come to. So a state is brought to its own heading by turning 46 vectors and the root, no more;
+what the changes of origin would do is part of the weights. In order: x of all vectors, y, z; the
+height of the translation; 22 rotations.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import pi
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.nn import functional
+
+from priors.humor.networks import LATENT, RAW, STATE, Perceptron
+from recon.core.skeleton import JOINTS
+
+VECTORS = 2 + 2 * len(JOINTS)
+"""Velocity of the translation, of the root's turning, joints, velocities of joints."""
+
+JOINTS_OF_VECTORS = slice(2, 2 + len(JOINTS))
+
+LEVEL = 2 * VECTORS
+"""Numbers of the vectors' horizontal parts."""
+
+MOVED = 3 * VECTORS + 1
+"""Numbers that a step adds to: vectors and height."""
+
+SPIN = 3 * len(JOINTS)
+
+_UPRIGHT = 1e-12
+"""Added to the right side's x, so that a body lying on its side has a heading: none."""
+
+
+def _starts(velocity: int, spin: int, joints: int) -> list[int]:
+    """Where the vectors begin in a state or a raw step."""
+    return [velocity, spin, *range(joints, joints + 6 * len(JOINTS), 3)]
+
+
+def _order(starts: list[int], height: int, *others: range) -> list[int]:
+    order = [start + axis for axis in range(3) for start in starts]
+    return [*order, height, *(place for places in others for place in places)]
+
+
+_STATE_STARTS, _RAW_STARTS = _starts(3, 15, 207), _starts(3, 9, 75)
+
+STATE_ORDER = torch.tensor(_order(_STATE_STARTS, 2, range(6, 15), range(18, 207)))
+"""Where a packed state has the loop's numbers."""
+
+_RAW_ORDER = torch.tensor(
+    _order(_RAW_STARTS, 2, range(6, 9), range(12, 75), range(2), range(207, RAW))
+)
+
+
+@dataclass(frozen=True)
+class FrozenDecoder:
+    """The decoder's weights, transposed, with inputs and outputs in the loop's layout.
+
+    Its outputs: what is added to vectors and height; half of each rotation vector; the horizontal
+    move of the translation; contact logits.
+    """
+
+    layers: tuple[Float[Tensor, "_ _"], ...]
+    """From the state or the units before."""
+    given: Float[Tensor, "50 all_outputs"]
+    """From the latent and the pelvis's place to all layers' outputs side by side."""
+    bias: Float[Tensor, " all_outputs"]
+    norms: tuple[tuple[Float[Tensor, " _"], Float[Tensor, " _"]], ...]
+    """Scale and shift of the units."""
+    groups: int
+    epsilon: float
+    """Added to the variance of a group."""
+
+    @classmethod
+    def of(cls, decoder: Perceptron) -> "FrozenDecoder":
+        """A copy of a network's weights, cut from it."""
+        linear = [m for m in decoder.net if isinstance(m, nn.Linear)]
+        norms = [m for m in decoder.net if isinstance(m, nn.GroupNorm)]
+        weights = [m.weight.detach() for m in linear]
+        biases = [m.bias.detach() for m in linear]
+        weights[-1], biases[-1] = _looped(weights[-1]), _looped(biases[-1])
+        inputs = [w[:, : w.shape[1] - LATENT].mT.clone() for w in weights]
+        latent = torch.cat([w[:, w.shape[1] - LATENT :].mT for w in weights], 1)
+        place = latent.new_zeros(2, latent.shape[1])
+        joints = torch.tensor(_STATE_STARTS[JOINTS_OF_VECTORS])
+        for axis in range(2):
+            place[axis, : len(biases[0])] = inputs[0][joints + axis].sum(0)
+        return cls(
+            layers=(inputs[0][STATE_ORDER], *inputs[1:]),
+            given=torch.cat((latent, place)),
+            bias=torch.cat(biases),
+            norms=tuple((m.weight.detach().clone(), m.bias.detach().clone()) for m in norms),
+            groups=norms[0].num_groups,
+            epsilon=norms[0].eps,
+        )
+
+    def add(
+        self, latents: Float[Tensor, "*batch 48"], pelvis: Float[Tensor, "*#batch 3"]
+    ) -> Float[Tensor, "*batch all_outputs"]:
+        """What latents, the pelvis's place and the biases add to each layer, side by side."""
+        place = pelvis[..., :2].expand(*latents.shape[:-1], 2)
+        return torch.cat((latents, place), -1) @ self.given + self.bias
+
+    def split(self, added: Float[Tensor, "*batch all_outputs"]) -> tuple[Tensor, ...]:
+        """Layer by layer."""
+        return added.split([weight.shape[1] for weight in self.layers], -1)
+
+    def grouped(self, units: Float[Tensor, "*batch units"]) -> Float[Tensor, "*batch groups _"]:
+        """Those that are normalised together."""
+        return units.view(*units.shape[:-1], self.groups, -1)
+
+    def __call__(
+        self, x: Float[Tensor, "batch 337"], added: tuple[Tensor, ...]
+    ) -> tuple[Tensor, ...]:
+        """What every layer gives; the last is the raw step."""
+        units: list[Tensor] = []
+        for weight, bias, norm in zip(self.layers[:-1], added[:-1], self.norms, strict=True):
+            units.append(torch.addmm(bias, x, weight))
+            groups = self.grouped(units[-1])
+            normal = functional.layer_norm(groups, groups.shape[2:], eps=self.epsilon)
+            x = torch.addcmul(norm[1], normal.flatten(1), norm[0]).relu_()
+        return (*units, torch.addmm(added[-1], x, self.layers[-1]))
+
+
+def _looped(rows: Float[Tensor, "outputs ..."]) -> Float[Tensor, "outputs ..."]:
+    """The last layer's rows: joints seen from the translation, rotation vectors halved."""
+    looped = rows[_RAW_ORDER]
+    for axis in range(2):
+        joints = slice(VECTORS * axis + 2, VECTORS * axis + 2 + len(JOINTS))
+        looped[joints] -= rows[axis]
+    looped[MOVED : MOVED + SPIN] /= 2
+    return looped
+
+
+@dataclass(frozen=True)
+class Turn:
+    """A state's turn about the vertical to its own heading: the body's right side along +x."""
+
+    upright: Float[Tensor, " 2"]
+    quarters: Float[Tensor, "2 4"]
+    """From (c, s) to c, s, -s, c."""
+
+    @classmethod
+    def like(cls, tensor: Tensor) -> "Turn":
+        """In a tensor's precision and on its device."""
+        quarters = [[1.0, 0.0, 0.0, 1.0], [0.0, 1.0, -1.0, 0.0]]
+        return cls(tensor.new_tensor([_UPRIGHT, 0.0]), tensor.new_tensor(quarters))
+
+    def side(self, turns: Float[Tensor, "*batch 22 3 3"]) -> Float[Tensor, "*batch 2"]:
+        """Horizontal part of the body's right side, not of unit length."""
+        return self.upright - turns[..., 0, :2, 0]
+
+    def right(self, turns: Float[Tensor, "*batch 22 3 3"]) -> Float[Tensor, "*batch 2"]:
+        """The heading's (c, s): unit vector to the right of the body."""
+        side = self.side(turns)
+        return side / torch.linalg.vector_norm(side, dim=-1, keepdim=True)
+
+    def __call__(self, turns: Float[Tensor, "*batch 22 3 3"]) -> Float[Tensor, "*batch 2 2"]:
+        """[[c, s], [-s, c]], for the horizontal parts of vectors."""
+        return (self.right(turns) @ self.quarters).unflatten(-1, (2, 2))
+
+
+@dataclass(frozen=True)
+class Unrolled:
+    """Steps one after the other, each in the canonical frame of the state it starts from."""
+
+    inputs: Float[Tensor, "steps batch 337"]
+    """Where each step starts."""
+    vectors: Float[Tensor, "steps batch 139"]
+    """Where it leads: vectors and height."""
+    turns: Float[Tensor, "steps batch 22 3 3"]
+    rest: Float[Tensor, "steps batch 77"]
+    """Half of the rotation vectors, the translation's horizontal move, contact logits."""
+
+
+def unroll(
+    decoder: FrozenDecoder,
+    start: Float[Tensor, "batch 337"],
+    steps: int,
+    add: Callable[[int, Tensor], tuple[Tensor, ...]],
+    adjust: Callable[[Tensor, Tensor], Tensor] | None = None,
+) -> tuple[Unrolled, list[Float[Tensor, "steps batch _"]]]:
+    """So many steps, and what the hidden layers gave at each.
+
+    Args:
+        decoder: frozen weights.
+        start: canonical state.
+        steps: one or more.
+        add: what is added to each layer, given the step's number and the state it starts from.
+        adjust: the vectors that the next step starts from, given those reached and the turns.
+    """
+    turn = Turn.like(start)
+    x = start
+    records: list[tuple[Tensor, ...]] = []
+    for step in range(steps):
+        *units, raw = decoder(x, add(step, x))
+        change, rest = raw[:, :MOVED], raw[:, MOVED:]
+        before, matrices = x[:, :MOVED], x[:, MOVED:].view(-1, len(JOINTS), 3, 3)
+        vectors = before + change
+        turns = _turned(rest[:, :SPIN].view(-1, len(JOINTS), 3), matrices)
+        records.append((x, vectors, turns, rest, *units))
+        if adjust is not None:
+            vectors = adjust(vectors, turns)
+        to_own = turn(turns)
+        level = torch.bmm(to_own, vectors[:, :LEVEL].view(-1, 2, VECTORS))
+        root = torch.bmm(to_own, turns[:, 0, :2])
+        parts = (level.flatten(1), vectors[:, LEVEL:], root.flatten(1), turns.flatten(1)[:, 6:])
+        x = torch.cat(parts, 1)
+    inputs, vectors, turns, rest, *units = (torch.stack(r) for r in zip(*records, strict=True))
+    return Unrolled(inputs, vectors, turns, rest), units
+
+
+def _turned(
+    half: Float[Tensor, "batch 22 3"], matrix: Float[Tensor, "batch 22 3 3"]
+) -> Float[Tensor, "batch 22 3 3"]:
+    """Exp(2 half) matrix, by the unit quaternion (c, q): m + 2 q × (c m + q × m)."""
+    angle = torch.linalg.vector_norm(half, dim=-1, keepdim=True)
+    c, q = angle.cos()[..., None], (torch.sinc(angle / pi) * half)[..., None]
+    once = torch.linalg.cross(q, matrix, dim=-2)
+    twice = torch.linalg.cross(q, torch.addcmul(once, c, matrix), dim=-2)
+    return torch.add(matrix, twice, alpha=2)
+
+
+assert len(STATE_ORDER) == STATE - 2

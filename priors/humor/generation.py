@@ -1,0 +1,162 @@
+"""New motions from HuMoR: latents drawn from the conditional prior, step after step."""
+
+from collections.abc import Callable
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from priors.humor.first import first_states
+from priors.humor.prior import Humor
+from priors.humor.state import Frame, State, compose, contact_probabilities, states_of
+from recon.body.kinematics import forward_kinematics
+from recon.core.motion import Motion
+from recon.core.struct import stack
+from recon.method.protocols import REFERENCE_FPS, Decoded
+
+Landing = Callable[[State, Float[Tensor, "clips 22 3"]], State]
+"""What becomes of a predicted state, given the unposed joints of its body."""
+
+
+def as_predicted(state: State, _: Float[Tensor, "clips 22 3"]) -> State:
+    """HuMoR: the next step starts from all that the network says.
+
+    It says twice where the body is, by joints and by translation and rotations, and with time the
+    two part: the joints stay on the ground, the body does not.
+    """
+    return state
+
+
+def joints_of_body(state: State, rest: Float[Tensor, "clips 22 3"]) -> State:
+    """HuMoR-Qual: the next step starts from the joints that the body has."""
+    return state.replace(joints=posed_joints(state, rest))
+
+
+def body_at_joints(state: State, rest: Float[Tensor, "clips 22 3"]) -> State:
+    """The body is moved to where the predicted joints are on average; its joints are the state's.
+
+    The network knows best by its joints how high a body is.
+    """
+    joints = posed_joints(state, rest)
+    shift = (state.joints - joints).mean(-2)
+    return state.replace(
+        translation=state.translation + shift, joints=joints + shift[..., None, :]
+    )
+
+
+def posed_joints(state: State, rest: Float[Tensor, "clips 22 3"]) -> Float[Tensor, "clips 22 3"]:
+    """Where the joints of the body are, by its translation and rotations."""
+    rotations = torch.cat((state.root[:, None], state.pose), 1)[:, None]
+    return forward_kinematics(rotations, rest)[1][:, 0] + state.translation[:, None]
+
+
+@torch.no_grad()
+def roll_from(
+    humor: Humor,
+    first: State,
+    shape: Float[Tensor, "clips shape"],
+    frames: int,
+    random: torch.Generator | None,
+    *,
+    temperature: float = 1.0,
+    landing: Landing = body_at_joints,
+    start_time: float = 0.0,
+) -> Decoded:
+    """What may follow given states; axes (clips, frames), 30 Hz, the states themselves first.
+
+    Args:
+        humor: in the states' precision and on their device.
+        first: in the world, axis (clips).
+        shape: of the bodies.
+        frames: the first included.
+        random: of the latents; None takes the prior's mean at every step.
+        temperature: factor on the prior's standard deviations; above 1 draws more varied motions.
+        landing: what becomes of every step's state before the next one starts from it.
+        start_time: of the first frame, seconds.
+
+    Raises:
+        ValueError: when fewer than two frames are asked for.
+    """
+    if frames < 2:
+        raise ValueError(f"a motion from HuMoR has two frames at least, asked for {frames}")
+    networks, pelvis, rest = humor.networks, humor.pelvis(shape), humor.body.rest_joints(shape)
+    states, logits = [first], []
+    for _ in range(frames - 1):
+        frame = Frame.of(states[-1])
+        here = frame.enter(states[-1], pelvis)
+        packed = here.pack()
+        latent, log_variance = networks.prior(packed)
+        if random is not None:
+            noise = torch.randn(latent.shape, generator=random).to(latent)
+            latent = latent + temperature * noise * (0.5 * log_variance).exp()
+        reached, touching = compose(here, networks.decode(packed, latent))
+        states.append(frame.leave(landing(reached, rest), pelvis))
+        logits.append(touching)
+
+    found = stack(states).map(lambda tensor: tensor.transpose(0, 1))
+    contacts = contact_probabilities(torch.stack(logits, 1))
+    motion = Motion.create(
+        translation=found.translation,
+        rotations=torch.cat((found.root[:, :, None], found.pose), 2),
+        shape=shape,
+        fps=REFERENCE_FPS,
+        start_time=start_time,
+    )
+    return Decoded(motion, contacts=contacts, joints=found.joints)
+
+
+@torch.no_grad()
+def predict(
+    humor: Humor,
+    motion: Motion,
+    frames: int,
+    samples: int,
+    random: torch.Generator | None,
+    *,
+    temperature: float = 1.0,
+) -> Decoded:
+    """What may follow the last frame of motions; axes (samples · clips, frames), 30 Hz.
+
+    The first frame is the motion's last. All clips of the first sample come first.
+
+    Args:
+        humor: the prior.
+        motion: axes (clips, time) at any rate; its last two frames tell where to start and how
+            fast.
+        frames: to come, the first included.
+        samples: continuations of every clip.
+        random: of the latents; None takes the prior's mean at every step.
+        temperature: as of `roll_from`.
+
+    Raises:
+        ValueError: when a clip is padded or shorter than two frames.
+    """
+    if not bool(motion.valid.all()):
+        raise ValueError("expected clips that exist to their last frame; predict each alone")
+    humor = humor.like(motion.translation)
+    end = motion.window(max(motion.frames - 2, 0), motion.frames)
+    first = states_of(end, humor.body)[:, -1]
+
+    def repeated(tensor: Tensor) -> Tensor:
+        return tensor.expand(samples, *tensor.shape).flatten(0, 1)
+
+    last = motion.start_time + (motion.frames - 1) / motion.fps
+    shape = repeated(motion.shape)
+    return roll_from(
+        humor, first.map(repeated), shape, frames, random, temperature=temperature, start_time=last
+    )
+
+
+@torch.no_grad()
+def sample(
+    humor: Humor, frames: int, samples: int, random: torch.Generator, *, temperature: float = 1.0
+) -> Decoded:
+    """Motions from nothing: first states from the mixture, latents from the prior.
+
+    Axes (samples, frames), 30 Hz; the bodies are those that the first states ask for.
+
+    Raises:
+        ValueError: when the mixture is a released one, over numbers that repeat each other.
+    """
+    first, shape = first_states(humor.initial, humor.body, samples, random)
+    return roll_from(humor, first, shape, frames, random, temperature=temperature)

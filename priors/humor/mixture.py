@@ -1,0 +1,122 @@
+"""How likely an initial state is: a mixture of Gaussians over what does not repeat itself."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from recon.core.struct import TensorStruct
+from recon.formats.files.opening import load_arrays
+
+
+@dataclass(frozen=True)
+class Mixture(TensorStruct):
+    """p(x) = Σ_k w_k N(x; m_k, C_k) over some of the numbers of x.
+
+    Numbers that follow from others make covariances singular: an energy that punishes a
+    mismatch of a millimetre by hundreds of nats, and stops a minimiser. They are left out by
+    `features`. What is kept of C_k is the Cholesky factor of its inverse, found in double
+    precision.
+    """
+
+    features: Int[Tensor, " features"]
+    """Which numbers of x count."""
+    log_weights: Float[Tensor, " components"]
+    means: Float[Tensor, "components features"]
+    whitening: Float[Tensor, "components features features"]
+    """U with C⁻¹ = U Uᵀ: y = (x - m) U has unit covariance."""
+
+    @classmethod
+    def create(
+        cls,
+        weights: Float[Tensor, " components"],
+        means: Float[Tensor, "components features"],
+        covariances: Float[Tensor, "components features features"],
+        features: Int[Tensor, " features"] | None = None,
+    ) -> "Mixture":
+        """From the usual parameters, in double precision.
+
+        Raises:
+            ValueError: when a covariance is not positive definite.
+        """
+        factor, failed = torch.linalg.cholesky_ex(covariances.double())
+        if bool(failed.any()):
+            bad = failed.nonzero()[:, 0].tolist()
+            raise ValueError(
+                f"expected positive definite covariances, but those of components {bad} are not; "
+                "leave out numbers that follow from others, or regularise more"
+            )
+        identity = torch.eye(means.shape[1], dtype=torch.float64, device=means.device)
+        whitening = torch.linalg.solve_triangular(factor, identity.expand_as(factor), upper=False)
+        if features is None:
+            features = torch.arange(means.shape[1], device=means.device)
+        return cls(features, weights.double().log(), means.double(), whitening.mT.contiguous())
+
+    @classmethod
+    def fit(
+        cls,
+        samples: Float[Tensor, "samples numbers"],
+        features: Int[Tensor, " features"],
+        components: int = 12,
+        regularisation: float = 1e-4,
+        seed: int = 0,
+    ) -> "Mixture":
+        """By expectation maximisation from k-means (scikit-learn), as HuMoR's section 4.
+
+        Args:
+            samples: rows of all numbers.
+            features: those to model.
+            components: Gaussians.
+            regularisation: added to every variance; 1e-4 is a centimetre, or 1 cm/s, squared.
+            seed: of the k-means start.
+        """
+        from sklearn.mixture import GaussianMixture
+
+        mixture = GaussianMixture(
+            components, reg_covar=regularisation, max_iter=200, random_state=seed
+        )
+        mixture.fit(samples[:, features].double().cpu().numpy())
+        return cls.create(
+            torch.from_numpy(mixture.weights_),
+            torch.from_numpy(mixture.means_),
+            torch.from_numpy(mixture.covariances_),
+            features,
+        )
+
+    @classmethod
+    def load(cls, path: str | Path) -> "Mixture":
+        """HuMoR's released file: weights, means and covariances of all 138 numbers.
+
+        Raises:
+            FileNotFoundError: when there is no such file.
+            ValueError: when it holds something else.
+        """
+        arrays = load_arrays(Path(path))
+        names = ("weights", "means", "covariances")
+        if missing := [name for name in names if name not in arrays]:
+            raise ValueError(
+                f"{path}: expected a mixture with {', '.join(names)}; missing {missing}, found "
+                f"{sorted(arrays)}"
+            )
+        return cls.create(*(torch.from_numpy(arrays[name]).double() for name in names))
+
+    def energy(self, x: Float[Tensor, "*batch numbers"]) -> Float[Tensor, "*batch"]:
+        """-log p(x), nats."""
+        away = x[..., None, self.features] - self.means
+        white = torch.einsum("...kd,kde->...ke", away, self.whitening)
+        log_volume = self.whitening.diagonal(dim1=-2, dim2=-1).log().sum(-1)
+        constant = self.log_weights + log_volume - 0.5 * len(self.features) * math.log(2 * math.pi)
+        return -(constant - 0.5 * white.square().sum(-1)).logsumexp(-1)
+
+    def sample(self, count: int, random: torch.Generator) -> Float[Tensor, "count features"]:
+        """Draws of the numbers in `features`."""
+        chance = self.log_weights.exp().cpu()
+        which = torch.multinomial(chance, count, replacement=True, generator=random)
+        white = torch.randn(count, len(self.features), generator=random).to(self.means)
+        which = which.to(self.means.device)
+        lower = self.whitening[which].mT  # Uᵀ (x - m) = y is solved for x
+        away = torch.linalg.solve_triangular(lower, white[..., None], upper=False)
+        return self.means[which] + away[..., 0]

@@ -1,0 +1,124 @@
+"""HuMoR's three networks, layer by layer as in the released checkpoint (Rempe et al. 2021).
+
+A conditional variational autoencoder of one transition of a canonical state x: the encoder sees
+both ends, the prior only where the step starts, the decoder makes the step from there.
+"""
+
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.nn import functional
+
+STATE = 339
+"""Numbers of a state (see `priors.humor.state`)."""
+
+RAW = 216
+"""Numbers the decoder gives: changes, rotation vectors and contact logits."""
+
+LATENT = 48
+
+PUBLISHED_WIDTH = 1024
+
+_GROUPS = 16
+
+
+class GroupNorm(nn.GroupNorm):
+    """`nn.GroupNorm` of rows, as the normalisation of each group alone: two times as fast."""
+
+    def forward(self, input: Float[Tensor, "rows units"]) -> Float[Tensor, "rows units"]:
+        """Each group of units of a row to mean zero and variance one; then scale and shift."""
+        groups = input.unflatten(1, (self.num_groups, -1))
+        normal = functional.layer_norm(groups, groups.shape[2:], eps=self.eps).flatten(1)
+        return torch.addcmul(self.bias, normal, self.weight)
+
+
+class Perceptron(nn.Module):
+    """Linear, then GroupNorm, ReLU and Linear for every further layer.
+
+    With `skip`, so many numbers at the end of the input are given to every later layer again.
+    """
+
+    def __init__(self, sizes: Sequence[int], skip: int = 0) -> None:
+        super().__init__()
+        layers: list[nn.Module] = [nn.Linear(sizes[0], sizes[1])]
+        for size, following in pairwise(sizes[1:]):
+            layers += [GroupNorm(_GROUPS, size), nn.ReLU(), nn.Linear(size + skip, following)]
+        self.net = nn.ModuleList(layers)
+        self.skip = skip
+
+    def forward(self, x: Float[Tensor, "rows inputs"]) -> Float[Tensor, "rows outputs"]:
+        """The last layer has neither normalisation nor nonlinearity."""
+        again = x[:, x.shape[1] - self.skip :]
+        for k, layer in enumerate(self.net):
+            repeats = k > 0 and self.skip > 0 and isinstance(layer, nn.Linear)
+            x = layer(torch.cat((x, again), 1) if repeats else x)
+        return x
+
+
+class HumorNetworks(nn.Module):
+    """Prior p(z | x), encoder q(z | x, x') and decoder of the step from x to x'.
+
+    Args:
+        width: units of the hidden layers; the decoder's last one has half. 1024 is published.
+    """
+
+    def __init__(self, width: int = PUBLISHED_WIDTH) -> None:
+        super().__init__()
+        if width < 64 or width % 32 != 0:
+            raise ValueError(
+                f"width must be a multiple of 32 from 64 on, for groups of units; got {width}"
+            )
+        hidden = [width] * 4
+        self.encoder = Perceptron([2 * STATE, *hidden, 2 * LATENT])
+        self.decoder = Perceptron([STATE + LATENT, width, width, width // 2, RAW], skip=LATENT)
+        self.prior_net = Perceptron([STATE, *hidden, 2 * LATENT])
+
+    @property
+    def width(self) -> int:
+        """Units of the hidden layers."""
+        return width_of(self.state_dict())
+
+    def prior(
+        self, state: Float[Tensor, "*batch 339"]
+    ) -> tuple[Float[Tensor, "*batch 48"], Float[Tensor, "*batch 48"]]:
+        """Mean and log-variance of the latent of the step that starts at a state."""
+        return _head(self.prior_net, state)
+
+    def posterior(
+        self, state: Float[Tensor, "*batch 339"], following: Float[Tensor, "*batch 339"]
+    ) -> tuple[Float[Tensor, "*batch 48"], Float[Tensor, "*batch 48"]]:
+        """Mean and log-variance of the latent that makes the step from one state to the next.
+
+        Both are in the frame of the first.
+        """
+        return _head(self.encoder, torch.cat((state, following), -1))
+
+    def decode(
+        self, state: Float[Tensor, "*batch 339"], latent: Float[Tensor, "*batch 48"]
+    ) -> Float[Tensor, "*batch 216"]:
+        """The raw step; `priors.humor.state.compose` applies it."""
+        x = torch.cat((state, latent), -1)
+        return self.decoder(x.flatten(0, -2)).unflatten(0, x.shape[:-1])
+
+
+def width_of(tensors: Mapping[str, Tensor]) -> int:
+    """Width of the networks whose weights these are.
+
+    Raises:
+        ValueError: when the prior's first layer is not among them.
+    """
+    first = tensors.get("prior_net.net.0.weight")
+    if first is None:
+        raise ValueError(
+            "expected HuMoR's weights with a layer prior_net.net.0.weight; there are "
+            f"{', '.join(sorted(tensors)[:4])}, ..."
+        )
+    return len(first)
+
+
+def _head(network: Perceptron, x: Float[Tensor, "*batch inputs"]) -> tuple[Tensor, Tensor]:
+    out = network(x.flatten(0, -2)).unflatten(0, x.shape[:-1])
+    return out[..., :LATENT], out[..., LATENT:]

@@ -1,0 +1,222 @@
+"""HuMoR's state of a body at one moment, its canonical frame, and a step to the next."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from priors.humor.networks import STATE
+from recon.body.model import BodyModel
+from recon.core import rotations as so3
+from recon.core.motion import Motion
+from recon.core.skeleton import CONTACT_JOINTS, JOINTS
+from recon.core.struct import TensorStruct
+
+_SIZES = (3, 3, 9, 3, 189, 66, 66)
+"""Of the parts of a packed state, in the order of `State`'s fields."""
+
+_RAW_SIZES = (3, 3, 3, 3, 63, 66, 66, len(CONTACT_JOINTS))
+
+assert sum(_SIZES) == STATE
+
+
+@dataclass(frozen=True)
+class State(TensorStruct):
+    """Where a body is and how it moves; z up, metres and seconds."""
+
+    translation: Float[Tensor, "*batch 3"]
+    """SMPL translation: the pelvis is at translation + rest pelvis."""
+    velocity: Float[Tensor, "*batch 3"]
+    """Of the translation, m/s; the pelvis joint has the same."""
+    root: Float[Tensor, "*batch 3 3"]
+    angular_velocity: Float[Tensor, "*batch 3"]
+    """Of the root, in the frame of the translation, rad/s."""
+    pose: Float[Tensor, "*batch 21 3 3"]
+    """Rotations of the body joints relative to their parents."""
+    joints: Float[Tensor, "*batch 22 3"]
+    joint_velocities: Float[Tensor, "*batch 22 3"]
+
+    def pack(self) -> Float[Tensor, "*batch 339"]:
+        """What the networks see: all parts in their order, matrices by rows."""
+        batch = self.translation.shape[:-1]
+        parts = (t.reshape(*batch, -1) for t in self.tensors().values())
+        return torch.cat(tuple(parts), -1)
+
+    @classmethod
+    def unpack(cls, packed: Float[Tensor, "*batch 339"]) -> "State":
+        """The inverse of `pack`."""
+        parts = packed.split(_SIZES, -1)
+        return cls(
+            translation=parts[0],
+            velocity=parts[1],
+            root=parts[2].unflatten(-1, (3, 3)),
+            angular_velocity=parts[3],
+            pose=parts[4].unflatten(-1, (len(JOINTS) - 1, 3, 3)),
+            joints=parts[5].unflatten(-1, (len(JOINTS), 3)),
+            joint_velocities=parts[6].unflatten(-1, (len(JOINTS), 3)),
+        )
+
+
+@dataclass(frozen=True)
+class Frame(TensorStruct):
+    """The canonical frame of a state: the body above the origin, its right side along +x."""
+
+    turn: Float[Tensor, "*batch 3 3"]
+    """From the outer frame to this one, about the vertical."""
+    origin: Float[Tensor, "*batch 3"]
+    """In the outer frame; on the ground."""
+
+    @classmethod
+    def of(cls, state: State) -> "Frame":
+        """The frame of one's own heading and horizontal translation."""
+        level = state.translation.new_tensor([1.0, 1.0, 0.0])
+        return cls(so3.heading(state.root), state.translation * level)
+
+    def enter(self, state: State, pelvis: Float[Tensor, "*#batch 3"]) -> State:
+        """A state of the outer frame, seen from this one.
+
+        Args:
+            state: in the outer frame.
+            pelvis: of the body at rest, horizontally (`rest_pelvis`). The pelvis is beside the
+                translation by it whatever the rotation, so joints turn about it, not the origin.
+        """
+        turn = self.turn
+        moved = state.translation - self.origin
+        joints = state.joints - (self.origin + pelvis)[..., None, :]
+        return State(
+            translation=_turned(turn, moved),
+            velocity=_turned(turn, state.velocity),
+            root=turn @ state.root,
+            angular_velocity=_turned(turn, state.angular_velocity),
+            pose=state.pose,
+            joints=joints @ turn.mT + pelvis[..., None, :],
+            joint_velocities=state.joint_velocities @ turn.mT,
+        )
+
+    def leave(self, state: State, pelvis: Float[Tensor, "*#batch 3"]) -> State:
+        """A state of this frame, seen from the outer one; the inverse of `enter`."""
+        back = self.turn.mT
+        joints = (state.joints - pelvis[..., None, :]) @ self.turn
+        return State(
+            translation=_turned(back, state.translation) + self.origin,
+            velocity=_turned(back, state.velocity),
+            root=back @ state.root,
+            angular_velocity=_turned(back, state.angular_velocity),
+            pose=state.pose,
+            joints=joints + (self.origin + pelvis)[..., None, :],
+            joint_velocities=state.joint_velocities @ self.turn,
+        )
+
+
+def rest_pelvis(state: State) -> Float[Tensor, "*batch 3"]:
+    """Horizontal offset of the pelvis from the translation, constant for a body; z is zero."""
+    level = state.translation.new_tensor([1.0, 1.0, 0.0])
+    return (state.joints[..., 0, :] - state.translation) * level
+
+
+def canonical(state: State, pelvis: Float[Tensor, "*#batch 3"]) -> State:
+    """The state in its own canonical frame."""
+    return Frame.of(state).enter(state, pelvis)
+
+
+def compose(
+    state: State, raw: Float[Tensor, "*batch 216"]
+) -> tuple[State, Float[Tensor, "*batch 9"]]:
+    """The decoder's step applied: vectors are added, rotations R' = Exp(w) R; and contact logits.
+
+    The new state is in the frame of the old one.
+    """
+    parts = raw.split(_RAW_SIZES, -1)
+    after = State(
+        translation=state.translation + parts[0],
+        velocity=state.velocity + parts[1],
+        root=so3.exp(parts[2]) @ state.root,
+        angular_velocity=state.angular_velocity + parts[3],
+        pose=so3.exp(parts[4].unflatten(-1, (-1, 3))) @ state.pose,
+        joints=state.joints + parts[5].unflatten(-1, (-1, 3)),
+        joint_velocities=state.joint_velocities + parts[6].unflatten(-1, (-1, 3)),
+    )
+    return after, parts[7]
+
+
+def contact_probabilities(
+    logits: Float[Tensor, "clips steps 9"],
+) -> Float[Tensor, "clips time 22"]:
+    """Of all joints in all frames; no step leads to the first frame, which has its successor's."""
+    probability = logits.sigmoid()
+    contacts = probability.new_zeros(*probability.shape[:2], len(JOINTS))
+    contacts[..., list(CONTACT_JOINTS)] = probability
+    return torch.cat((contacts[:, :1], contacts), 1)
+
+
+def step_between(before: State, after: State) -> Float[Tensor, "*batch 207"]:
+    """What `compose` adds to reach a state from another, of the same frame; no contact logits.
+
+    Turns are axes times sines of angles: those of a step are small.
+    """
+    pairs = zip(before.tensors().values(), after.tensors().values(), strict=True)
+    turns = {2, 4}
+    parts = [so3.axis_sine(b @ a.mT) if k in turns else b - a for k, (a, b) in enumerate(pairs)]
+    batch = before.translation.shape[:-1]
+    return torch.cat([part.reshape(*batch, -1) for part in parts], -1)
+
+
+def _turned(turn: Float[Tensor, "*batch 3 3"], vector: Float[Tensor, "*batch 3"]) -> Tensor:
+    return (turn @ vector[..., None])[..., 0]
+
+
+def states_of(motion: Motion, body: BodyModel) -> State:
+    """States along a motion, axes (clips, time), with velocities by finite differences.
+
+    Central differences inside, one-sided at both ends of what exists (HuMoR, section 1.5, at
+    the motion's own rate).
+
+    Raises:
+        ValueError: when a clip has fewer than two frames.
+    """
+    if bool((motion.valid.sum(-1) < 2).any()):
+        raise ValueError("velocities need at least two frames of every clip; got one")
+    joints = body.pose(motion).joints
+    roots = motion.rotations[..., 0, :, :]
+    spin = so3.log(roots[..., 1:, :, :] @ roots[..., :-1, :, :].mT)
+    return State(
+        translation=motion.translation,
+        velocity=_rate(motion.translation.diff(dim=-2), motion),
+        root=roots,
+        angular_velocity=_rate(spin, motion),
+        pose=motion.rotations[..., 1:, :, :],
+        joints=joints,
+        joint_velocities=_rate(joints.diff(dim=-3).flatten(-2), motion).unflatten(-1, (-1, 3)),
+    )
+
+
+def _rate(steps: Float[Tensor, "*batch steps numbers"], motion: Motion) -> Tensor:
+    """Mean of the steps before and after each frame, of those that exist, per second."""
+    exists = (motion.valid[..., 1:] & motion.valid[..., :-1])[..., None].to(steps)
+    end = torch.zeros_like(exists[..., :1, :])
+    after, before = torch.cat((exists, end), -2), torch.cat((end, exists), -2)
+    none = torch.zeros_like(steps[..., :1, :])
+    total = torch.cat((steps * exists, none), -2) + torch.cat((none, steps * exists), -2)
+    return total / (after + before).clamp(min=1) * motion.fps
+
+
+def initial_features(state: State) -> Float[Tensor, "*batch 138"]:
+    """What the mixture of initial states is over: joints and all velocities (HuMoR, section 4)."""
+    parts = (
+        state.joints.flatten(-2),
+        state.joint_velocities.flatten(-2),
+        state.velocity,
+        state.angular_velocity,
+    )
+    return torch.cat(parts, -1)
+
+
+def distinct_features() -> Int[Tensor, " features"]:
+    """Those of `initial_features` that do not follow from others.
+
+    The pelvis is where the rest pelvis is, horizontally, and moves as the translation does.
+    """
+    joints = 3 * len(JOINTS)
+    repeated = {0, 1, joints, joints + 1, joints + 2}
+    return torch.tensor([k for k in range(2 * joints + 6) if k not in repeated])

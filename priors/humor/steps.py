@@ -1,0 +1,77 @@
+"""What HuMoR's networks make of the steps of given motions: all at once, nothing is rolled out."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from priors.humor.networks import HumorNetworks
+from priors.humor.state import Frame, State, compose, step_between
+from recon.core.struct import TensorStruct
+
+_SHRINKAGE = 0.05
+"""Share by which variances are raised, so that what repeats itself does not count without end."""
+
+
+@dataclass(frozen=True)
+class Explained(TensorStruct):
+    """What the networks say of the steps of motions; axes (clips, steps)."""
+
+    error: Float[Tensor, "clips steps 207"]
+    """The raw step from where the decoder lands to where the motion went."""
+    surprise: Float[Tensor, "clips steps"]
+    """KL(q(z | x_(t-1), x_t) ‖ p(z | x_(t-1))), nats."""
+    contacts: Float[Tensor, "clips steps 9"]
+    """Logits."""
+    landed: State
+    """Where the decoder lands, in the frame that the motion is given in."""
+
+
+def explain(networks: HumorNetworks, states: State, pelvis: Float[Tensor, "clips 3"]) -> Explained:
+    """Every step, by the posterior's mean latent.
+
+    Args:
+        networks: in the states' precision.
+        states: of motions at 30 Hz, axes (clips, time).
+        pelvis: of the bodies at rest, horizontally.
+    """
+    offset = pelvis[:, None]
+    past, future = states.map(lambda t: t[:, :-1]), states.map(lambda t: t[:, 1:])
+    frame = Frame.of(past)
+    start, target = frame.enter(past, offset), frame.enter(future, offset)
+    x = start.pack()
+    mean, log_variance = networks.posterior(x, target.pack())
+    prior_mean, prior_log_variance = networks.prior(x)
+    after, contacts = compose(start, networks.decode(x, mean))
+    return Explained(
+        error=step_between(after, target),
+        surprise=divergence(mean, log_variance, prior_mean, prior_log_variance),
+        contacts=contacts,
+        landed=frame.leave(after, offset),
+    )
+
+
+def divergence(
+    mean: Float[Tensor, "*batch 48"],
+    log_variance: Float[Tensor, "*batch 48"],
+    prior_mean: Float[Tensor, "*batch 48"],
+    prior_log_variance: Float[Tensor, "*batch 48"],
+) -> Float[Tensor, "*batch"]:
+    """KL(q ‖ p) of two Gaussians with independent numbers, nats."""
+    ratio = log_variance - prior_log_variance
+    away = (mean - prior_mean).square() * (-prior_log_variance).exp()
+    return 0.5 * (ratio.exp() + away - 1 - ratio).sum(-1)
+
+
+def error_whitening(
+    networks: HumorNetworks, states: State, pelvis: Float[Tensor, "clips 3"]
+) -> Float[Tensor, "207 207"]:
+    """U with C⁻¹ = U Uᵀ for the covariance C (about zero) of the decoder's errors on motions."""
+    with torch.no_grad():
+        errors = explain(networks, states, pelvis).error.flatten(0, 1).double()
+    covariance = errors.mT @ errors / len(errors)
+    covariance = covariance + _SHRINKAGE * torch.diag(covariance.diagonal() + 1e-9)
+    factor = torch.linalg.cholesky(covariance)
+    identity = torch.eye(len(factor), dtype=factor.dtype)
+    return torch.linalg.solve_triangular(factor, identity, upper=False).mT.contiguous()

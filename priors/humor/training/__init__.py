@@ -1,0 +1,1 @@
+"""How HuMoR's weights are made."""

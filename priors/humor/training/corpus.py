@@ -1,0 +1,328 @@
+"""The corpus as HuMoR's training windows: states at 30 Hz, cut at any moment, varied as drawn.
+
+All recordings stay in memory as rotations at 120 Hz. A window is taken at any of their frames,
+mirrored, played faster or slower, and put on another body, and only then turned into joints and
+velocities; so positions, rotations and velocities agree whatever was drawn.
+"""
+
+import logging
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from priors.humor.state import State
+from priors.training.dataset import (
+    Licence,
+    Part,
+    Splits,
+    clip_files,
+    is_flat,
+    mirrored_rotations,
+)
+from recon.body.kinematics import forward_kinematics
+from recon.body.model import BodyModel
+from recon.core import rotations as so3
+from recon.core.skeleton import CONTACT_JOINTS, MIRROR, TOES
+from recon.core.struct import TensorStruct
+from recon.formats.motions import MotionFile, load_motion
+from recon.method.protocols import REFERENCE_FPS
+
+_LOG = logging.getLogger(__name__)
+
+RATE = 120
+"""Frames per second kept in memory; slower recordings are brought to it by cubic splines."""
+
+STRIDE = RATE // int(REFERENCE_FPS)
+
+_FASTEST = 15.0
+_FASTEST_TURN = 120.0
+"""Metres and radians per second: where a joint of `CONTACT_JOINTS` or any rotation is faster, the
+recording jumps, and clips are cut."""
+
+_MIRRORED_CONTACTS = [CONTACT_JOINTS.index(MIRROR[j]) for j in CONTACT_JOINTS]
+
+
+@dataclass(frozen=True)
+class Windows(TensorStruct):
+    """Consecutive states at 30 Hz in the world, and what is known of them."""
+
+    states: State
+    """Axes (windows, frames)."""
+    contacts: Float[Tensor, "windows frames 9"]
+    """One where a joint of `CONTACT_JOINTS` carries weight."""
+    trusted: Bool[Tensor, " windows"]
+    """Feet stand where they should; elsewhere nothing may be learned about contact."""
+    rest: Float[Tensor, "windows 22 3"]
+    """Joints of the unposed bodies."""
+
+
+@dataclass(frozen=True)
+class Variation:
+    """How windows are varied; zeros leave them as recorded."""
+
+    mirror: float = 0.5
+    """Chance of being mirrored."""
+    reverse: float = 0.2
+    """Chance of being played backwards: few people were recorded walking so."""
+    speed: float = 0.15
+    """Played up to this fraction faster or slower."""
+    shape: float = 0.5
+    """Standard deviation by which each shape coefficient is moved."""
+
+
+@dataclass(frozen=True)
+class Corpus(TensorStruct):
+    """All clips of one part end to end."""
+
+    translation: Float[Tensor, "frames 3"]
+    rotations: Float[Tensor, "frames 22 3 3"]
+    contacts: Bool[Tensor, "frames 9"]
+    start: Int[Tensor, " clips"]
+    """First frame of every clip."""
+    count: Int[Tensor, " clips"]
+    """Number of its frames."""
+    shape: Float[Tensor, "clips shape"]
+    trusted: Bool[Tensor, " clips"]
+    body: BodyModel
+    soles: Int[Tensor, " soles"]
+    """Vertices of which one is the lowest of any unposed body."""
+    names: tuple[str, ...]
+
+    @classmethod
+    def load(
+        cls,
+        folder: str | Path,
+        splits: Splits,
+        part: Part,
+        licence: Licence,
+        body: BodyModel,
+        shortest: float = 0.6,
+    ) -> "Corpus":
+        """All clips of one part on flat ground.
+
+        Args:
+            folder: written by `recon convert --all`.
+            splits: who is held out.
+            part: which part.
+            licence: `open` leaves out clips for non-commercial use.
+            body: whose shape coefficients the clips have.
+            shortest: seconds; shorter clips, and pieces between jumps, are left out.
+
+        Raises:
+            ValueError: when no clip remains.
+        """
+        files = clip_files(folder)
+        clips: list[MotionFile] = []
+        names: list[str] = []
+        for name, own in splits.parts(list(files)).items():
+            if own != part or (licence == "open" and not splits.is_open(name)):
+                continue
+            if not is_flat(files[name]):
+                continue
+            for piece in _between_jumps(load_motion(files[name])):
+                if piece.motion.frames >= shortest * piece.motion.fps:
+                    clips.append(_at_rate(piece))
+                    names.append(name)
+        if len(clips) == 0:
+            raise ValueError(f"{folder}: no {part} clip on flat ground there ({licence})")
+        count = torch.tensor([c.motion.frames for c in clips])
+        _LOG.info("%d %s clips, %.1f min", len(clips), part, count.sum().item() / RATE / 60)
+        return cls(
+            translation=torch.cat([c.motion.translation for c in clips]),
+            rotations=torch.cat([c.motion.rotations for c in clips]),
+            contacts=torch.cat([_contacts(c) for c in clips]),
+            start=count.cumsum(0) - count,
+            count=count,
+            shape=torch.stack([c.motion.shape for c in clips]),
+            trusted=torch.tensor([c.contacts is not None for c in clips]),
+            body=body,
+            soles=(body.template[:, 1] < body.joint_template[list(TOES), 1].min()).nonzero()[:, 0],
+            names=tuple(names),
+        )
+
+    def draw(
+        self, windows: int, frames: int, variation: Variation, random: torch.Generator
+    ) -> Windows:
+        """Random windows; a clip is drawn as often as the square root of its length says.
+
+        Uniformly by length, one long dance would be all that is learned; uniformly by clip, the
+        shortest clips would be learned by heart.
+        """
+
+        def uniform(*size: int) -> Tensor:
+            return torch.rand(*size, generator=random).to(self.translation.device)
+
+        speed = ((2 * uniform(windows) - 1) * np.log1p(variation.speed)).exp()
+        chance = self.count.float().sqrt() * (self.count > self._span(frames, 1 + variation.speed))
+        clip = torch.multinomial(chance.cpu(), windows, replacement=True, generator=random)
+        clip = clip.to(self.start.device)
+        room = self.count[clip] - self._span(frames, speed)
+        first = self.start[clip] + 1 + (uniform(windows) * room).long()
+        normal = torch.randn(windows, self.shape.shape[1], generator=random)
+        return self._cut(
+            clip,
+            first,
+            speed,
+            frames,
+            mirror=uniform(windows) < variation.mirror,
+            reverse=uniform(windows) < variation.reverse,
+            shape=self.shape[clip] + variation.shape * normal.to(self.shape),
+        )
+
+    def every(self, frames: int) -> Windows:
+        """All windows one after the other, as recorded."""
+        clip: list[int] = []
+        first: list[int] = []
+        for k, (start, count) in enumerate(
+            zip(self.start.tolist(), self.count.tolist(), strict=True)
+        ):
+            last = start + count - int(self._span(frames, 1.0))
+            places = range(start + 1, last + 1, frames * STRIDE)
+            clip += [k] * len(places)
+            first += places
+        if len(clip) == 0:
+            raise ValueError(f"no clip is {frames} frames long at {REFERENCE_FPS:g} Hz")
+        rows = torch.tensor(clip, device=self.start.device)
+        one = torch.ones(len(rows), device=self.start.device)
+        places = torch.tensor(first, device=self.start.device)
+        return self._cut(rows, places, one, frames, one < 0, one < 0, self.shape[rows])
+
+    @staticmethod
+    def _span(frames: int, speed: Tensor | float) -> Tensor | float:
+        """Frames in memory that a window needs, with one more on each side and for rounding."""
+        return (frames - 1) * STRIDE * speed + 4
+
+    def _cut(
+        self,
+        clip: Int[Tensor, " windows"],
+        first: Int[Tensor, " windows"],
+        speed: Float[Tensor, " windows"],
+        frames: int,
+        mirror: Bool[Tensor, " windows"],
+        reverse: Bool[Tensor, " windows"],
+        shape: Float[Tensor, "windows shape"],
+    ) -> Windows:
+        steps = torch.arange(frames, device=first.device)
+        place = first[:, None] + STRIDE * speed[:, None] * steps
+        place = torch.where(reverse[:, None], place.flip(1), place)
+        ahead = torch.where(reverse, -1, 1)[:, None]
+        moments = torch.stack((place - ahead, place, place + ahead), -1)
+        before = moments.floor().long()
+        part = (moments - before)[..., None]
+        translation = self.translation[before].lerp(self.translation[before + 1], part)
+        rotations = self.rotations.flatten(1)
+        rotations = rotations[before].lerp(rotations[before + 1], part).unflatten(-1, (22, 3, 3))
+        rotations = _orthonormal(rotations)
+        contacts = self.contacts[place.round().long()]
+
+        flip = translation.new_tensor([-1.0, 1.0, 1.0])
+        m = mirror[:, None, None]
+        translation = torch.where(m[..., None], translation * flip, translation)
+        rotations = torch.where(m[..., None, None, None], mirrored_rotations(rotations), rotations)
+        contacts = torch.where(m, contacts[..., _MIRRORED_CONTACTS], contacts)
+
+        rest = self.body.rest_joints(shape)
+        translation = self._rescaled(translation, self.shape[clip], shape)
+        # the three moments of a frame are one axis of the kinematics' batch
+        flat = rotations.flatten(1, 2)
+        joints = forward_kinematics(flat, rest)[1] + translation.flatten(1, 2)[:, :, None]
+        joints = joints.unflatten(1, (frames, 3))
+        rate = (RATE / 2) * speed[:, None, None]
+        spin = rotations[:, :, 2, 0] @ rotations[:, :, 0, 0].mT
+        states = State(
+            translation=translation[:, :, 1],
+            velocity=(translation[:, :, 2] - translation[:, :, 0]) * rate,
+            root=rotations[:, :, 1, 0],
+            angular_velocity=so3.axis_sine(spin) * rate,
+            pose=rotations[:, :, 1, 1:],
+            joints=joints[:, :, 1],
+            joint_velocities=(joints[:, :, 2] - joints[:, :, 0]) * rate[..., None],
+        )
+        return Windows(states, contacts.to(joints), self.trusted[clip], rest)
+
+    def _rescaled(
+        self,
+        translation: Float[Tensor, "windows frames moments 3"],
+        old: Float[Tensor, "windows shape"],
+        new: Float[Tensor, "windows shape"],
+    ) -> Float[Tensor, "windows frames moments 3"]:
+        """Translations with which a new body does the same and its feet stay on the ground.
+
+        The pelvis' path scales with the legs, measured from the level of the toe joints, which
+        becomes that of the new toes: where legs keep their proportions, no foot slips or rises.
+        """
+        before, toes_before = self._standing(old)
+        after, toes_after = self._standing(new)
+        legs = (after - toes_after)[:, 2:] / (before - toes_before)[:, 2:]
+        shift = toes_after - self.body.rest_joints(new)[:, 0]
+        path = translation + (self.body.rest_joints(old)[:, 0] - toes_before)[:, None, None]
+        return path * legs[:, None, None] + shift[:, None, None]
+
+    def _standing(
+        self, shape: Float[Tensor, "windows shape"]
+    ) -> tuple[Float[Tensor, "windows 3"], Float[Tensor, "windows 3"]]:
+        """Heights above the sole of a body at rest, as vertical vectors: pelvis, toe joints."""
+        up = shape.new_tensor([0.0, 0.0, 1.0])
+        rest = self.body.rest_joints(shape)[..., 1]
+        sole = self.body.rest_vertices(shape, self.soles)[..., 1].amin(-1)
+        toes = rest[:, list(TOES)].mean(-1)
+        return (rest[:, 0] - sole)[:, None] * up, (toes - sole)[:, None] * up
+
+
+def _between_jumps(clip: MotionFile) -> list[MotionFile]:
+    """The runs of a clip in which it moves as a body can, with their contacts only."""
+    motion, contacts = clip.motion, clip.contacts
+    turn = motion.rotations.diff(dim=0).flatten(-2).norm(dim=-1) / 2**0.5
+    jump = (turn * motion.fps > _FASTEST_TURN).any(-1)
+    if clip.joints is not None:
+        step = clip.joints[:, list(CONTACT_JOINTS)].diff(dim=0).norm(dim=-1)
+        jump = jump | (step * motion.fps > _FASTEST).any(-1)
+    edges = [0, *((jump.nonzero()[:, 0] + 1).tolist()), motion.frames]
+    return [
+        MotionFile(motion.window(a, b), contacts=None if contacts is None else contacts[a:b])
+        for a, b in pairwise(edges)
+    ]
+
+
+def _contacts(clip: MotionFile) -> Bool[Tensor, "frames 9"]:
+    if clip.contacts is None:
+        return torch.zeros(clip.motion.frames, len(CONTACT_JOINTS), dtype=torch.bool)
+    return clip.contacts[:, list(CONTACT_JOINTS)] > 0.5
+
+
+def _at_rate(clip: MotionFile) -> MotionFile:
+    """A clip at `RATE`, by cubic splines through its entries; labels are those nearest in time."""
+    motion = clip.motion
+    if motion.fps == RATE:
+        return clip
+    from scipy.interpolate import CubicSpline
+
+    known = np.arange(motion.frames) / motion.fps
+    count = int((motion.frames - 1) * RATE / motion.fps + 1e-6) + 1
+    wanted = np.arange(count) / RATE
+    entries = torch.cat((motion.translation, motion.rotations.flatten(1)), 1).double().numpy()
+    made = torch.from_numpy(CubicSpline(known, entries)(wanted))
+    rotations = made[:, 3:].unflatten(-1, (22, 3, 3))
+    for _ in range(4):
+        rotations = _orthonormal(rotations)
+    nearest = torch.from_numpy((wanted * motion.fps).round()).long().clamp(max=motion.frames - 1)
+    return MotionFile(
+        motion=motion.replace(
+            translation=made[:, :3].to(motion.translation),
+            rotations=rotations.to(motion.rotations),
+            valid=torch.ones(count, dtype=torch.bool),
+            fps=float(RATE),
+        ),
+        contacts=None if clip.contacts is None else clip.contacts[nearest],
+    )
+
+
+def _orthonormal(matrix: Float[Tensor, "*shape 3 3"]) -> Float[Tensor, "*shape 3 3"]:
+    """A nearly orthonormal matrix made much more so: one Newton-Schulz step R (3 - RᵀR) / 2."""
+    a = matrix.reshape(-1, 3, 3)
+    return torch.baddbmm(a, a, a.mT @ a, beta=1.5, alpha=-0.5).view(matrix.shape)

@@ -1,0 +1,236 @@
+"""A training run of HuMoR on disk: settings, checkpoints, losses and the weights in the end."""
+
+import logging
+from copy import deepcopy
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import torch
+
+from priors.humor.mixture import Mixture
+from priors.humor.networks import HumorNetworks
+from priors.humor.state import canonical, distinct_features, initial_features, rest_pelvis
+from priors.humor.steps import error_whitening
+from priors.humor.training.corpus import Corpus, Variation
+from priors.humor.training.scaling import ScaledNetworks
+from priors.humor.weights import networks_from, read_weights, save_weights
+from priors.training.curves import write_losses
+from priors.training.dataset import SPLITS, Licence, Splits
+from priors.training.run_settings import identity, plain, same_run
+from recon.body.model import BodyModel
+from recon.formats.files.opening import replacing
+
+_LOG = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class LossWeights:
+    """Multipliers of the losses; those of velocities, contacts and KL are the published ones.
+
+    Published are ones for all positions and rotations too. But in m² and (m/s)² an error of 5 mm
+    weighs 900 times less than the error of velocity that makes it within a step, and steps were
+    then learned to 2 cm only.
+    """
+
+    translation: float = 100.0
+    joints: float = 100.0
+    posed_joints: float = 100.0
+    consistency: float = 100.0
+    root: float = 30.0
+    pose: float = 30.0
+    kl: float = 4e-4
+    contacts: float = 0.01
+    contact_velocity: float = 0.01
+
+
+@dataclass(frozen=True)
+class HumorTraining:
+    """Settings of a run."""
+
+    corpus: Path
+    """Folder of converted motions (`recon convert --all`)."""
+    out: Path
+    """Folder of the run: checkpoint.pt, best.pt, losses.csv, losses.png, train.log. A run that was
+    interrupted goes on from its checkpoint."""
+    data: Licence = "open"
+    """`open`: clips whose weights may be shipped; `nc`: the non-commercial ones too."""
+    splits: Path = SPLITS
+    """Who is held out."""
+    width: int = 512
+    """Units of the hidden layers; 1024 is published."""
+    steps: int = 20_000
+    """Steps of the optimiser."""
+    windows: int = 200
+    """Windows per step (published)."""
+    frames: int = 11
+    """Frames per window: ten transitions (published)."""
+    rate: float = 1e-3
+    """Learning rate of AdamW at the start; it falls to a hundredth along a cosine."""
+    decay: float = 0.1
+    """Weight decay."""
+    noise: float = 0.1
+    """Standard deviation of what blurs the states that the networks see, in their own ones."""
+    start: Path | None = None
+    """Weights to begin with, of the same width; then `kl_until`, `own_from` and `own_until` may
+    be zero."""
+    clip: float = 5.0
+    """Longest gradient."""
+    average: float = 0.999
+    """Share of the averaged weights kept in every step."""
+    kl_until: float = 0.25
+    """Share of the run over which the KL weight rises from zero (published)."""
+    own_from: float = 0.05
+    own_until: float = 0.1
+    """Shares of the run between which inputs change from true states to own predictions
+    (published)."""
+    losses: LossWeights = field(default_factory=LossWeights)
+    """What is learned."""
+    variation: Variation = field(default_factory=Variation)
+    """How windows are varied."""
+    validate_every: int = 500
+    """Steps."""
+    save_every: float = 180.0
+    """Seconds."""
+    precision: Literal["float32", "bfloat16"] = "bfloat16"
+    """Of the networks' products while training; weights and all else are in float32. The lower
+    one takes half the time."""
+    seed: int = 0
+    threads: int = 1
+    device: str = "cpu"
+
+
+@dataclass
+class Run:
+    """All that a run needs to go on exactly where it was."""
+
+    settings: HumorTraining
+    networks: ScaledNetworks
+    averaged: ScaledNetworks
+    optimiser: torch.optim.Optimizer
+    random: torch.Generator
+    identity: dict[str, Any]
+    """What the run learns and from which contents; a checkpoint of another is refused."""
+    step: int = 0
+    rows: list[dict[str, float]] = field(default_factory=list)
+    sums: dict[str, float] = field(default_factory=dict)
+    """Of the losses since the last row."""
+
+    @classmethod
+    def start(
+        cls,
+        settings: HumorTraining,
+        corpus: Corpus,
+        kind: type[ScaledNetworks] = ScaledNetworks,
+    ) -> "Run":
+        """A new run, or the one whose checkpoint is in the folder."""
+        random = torch.Generator().manual_seed(settings.seed)
+        torch.manual_seed(settings.seed)
+        windows = corpus.draw(_SCALED_BY, 2, settings.variation, random)
+        scaling = kind.scaling_of(windows.states, rest_pelvis(windows.states[:, 0]))
+        core = HumorNetworks(settings.width).to(settings.device)
+        networks = kind(core, scaling, settings.noise)
+        if settings.start is not None:
+            learned = networks_from(read_weights(settings.start)).to(settings.device)
+            networks = kind.around(learned, scaling, settings.noise)
+        averaged = deepcopy(networks).requires_grad_(False).eval()
+        optimiser = torch.optim.AdamW(
+            networks.parameters(),
+            lr=settings.rate,
+            weight_decay=settings.decay,
+            betas=(0.9, 0.99),
+            fused=True,
+        )
+        run = cls(settings, networks, averaged, optimiser, random, identity(settings))
+        path = settings.out / "checkpoint.pt"
+        if path.is_file():
+            run._resume(path)
+        return run
+
+    def _resume(self, path: Path) -> None:
+        state: dict[str, Any] = torch.load(path, weights_only=True, map_location="cpu")
+        same_run(path, self.identity, state.get("identity"))
+        self.networks.load_state_dict(state["networks"])
+        self.averaged.load_state_dict(state["averaged"])
+        self.optimiser.load_state_dict(state["optimiser"])
+        self.random.set_state(state["random"])
+        torch.set_rng_state(state["blur"])
+        self.step, self.rows = state["step"], state["rows"]
+        self.sums = state.get("sums", {})
+
+    def note(self, row: dict[str, float]) -> None:
+        """Remember losses, write them as a table and as curves; keep the best networks."""
+        self.rows.append({"step": float(self.step), **row})
+        if row["score"] == min(r["score"] for r in self.rows):
+            best = {"average": self.averaged.plain().state_dict(), "step": self.step}
+            with replacing(self.settings.out / "best.pt") as beside:
+                torch.save(best, beside)
+        write_losses(self.settings.out, self.rows, _PANELS)
+
+    def save(self) -> None:
+        """Write the checkpoint in one step."""
+        state = {
+            "settings": plain(self.settings),
+            "identity": self.identity,
+            "networks": self.networks.state_dict(),
+            "averaged": self.averaged.state_dict(),
+            "optimiser": self.optimiser.state_dict(),
+            "random": self.random.get_state(),
+            "blur": torch.get_rng_state(),
+            "step": self.step,
+            "rows": self.rows,
+            "sums": self.sums,
+        }
+        with replacing(self.settings.out / "checkpoint.pt") as beside:
+            torch.save(state, beside)
+
+
+_PANELS = (
+    ("train_total", "one_total", "own_total"),
+    ("train_kl", "one_kl", "own_kl"),
+    ("drift_cm", "own_feet_right"),
+)
+"""Losses drawn together."""
+
+_SCALED_BY = 20_000
+"""Windows from which the scales of inputs and outputs are taken."""
+
+
+def export_weights(
+    settings: HumorTraining,
+    path: Path,
+    samples: int = 20_000,
+    kind: type[HumorNetworks] = HumorNetworks,
+) -> Path:
+    """Write the best networks of a run, with the mixture of initial states of its corpus.
+
+    Args:
+        settings: of the run.
+        path: weights to write (.safetensors).
+        samples: windows from which the mixture and the decoder's errors are learned.
+        kind: what the networks are once they have learned.
+
+    Raises:
+        FileNotFoundError: when the run has not validated yet, or there is no corpus.
+    """
+    best = settings.out / "best.pt"
+    if not best.is_file():
+        raise FileNotFoundError(f"{best}: no networks there yet; train first")
+    found: dict[str, Any] = torch.load(best, weights_only=True, map_location="cpu")
+    networks = kind(settings.width)
+    networks.load_state_dict(found["average"])
+
+    body = BodyModel.load()
+    splits = Splits.load(settings.splits)
+    learned = Corpus.load(settings.corpus, splits, "train", settings.data, body)
+    random = torch.Generator().manual_seed(settings.seed)
+    windows = learned.draw(samples, 2, settings.variation, random)
+    states = windows.states[:, 0]
+    features = initial_features(canonical(states, rest_pelvis(states)))
+    initial = Mixture.fit(features, distinct_features(), seed=settings.seed)
+    whitening = error_whitening(networks, windows.states, rest_pelvis(states))
+
+    about = {k: v for k, v in plain(settings).items() if k not in ("corpus", "out", "splits")}
+    save_weights(path, networks, initial, whitening, about | {"step": found["step"]})
+    _LOG.info("wrote the networks of step %d as %s", found["step"], path)
+    return path

@@ -1,0 +1,117 @@
+"""HuMoR's weights on disk: ours, in safetensors with the mixture, and the authors' checkpoint."""
+
+import pickle
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from priors.checkpoints import Checkpoint, named_checkpoint, save_checkpoint
+from priors.humor.mixture import Mixture
+from priors.humor.networks import HumorNetworks, width_of
+
+_INITIAL = "initial."
+"""What names of the mixture's tensors begin with."""
+
+_WHITENING = "error_whitening"
+"""Name of the tensor that says how far the decoder's steps are off."""
+
+_DAMAGED = (pickle.UnpicklingError, RuntimeError, EOFError, LookupError, TypeError, ValueError)
+"""What reading bytes that are no checkpoint ends in."""
+
+
+def bundled_weights() -> Checkpoint:
+    """Those in the package."""
+    return named_checkpoint("open", "humor")
+
+
+def read_weights(path: str | Path) -> Checkpoint:
+    """Ours (.safetensors), or a PyTorch checkpoint of the authors or of a run (.pth, .pt).
+
+    Args:
+        path: a file; or `open` for the weights in the package, `nc` for those of a source
+            checkout that may not be used commercially.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+        ValueError: when it holds something else.
+    """
+    if path in ("open", "nc") or Path(path).suffix == ".safetensors":
+        return named_checkpoint(path, "humor")
+    return _pytorch(Path(path))
+
+
+def save_weights(
+    path: str | Path,
+    networks: HumorNetworks,
+    initial: Mixture,
+    whitening: Float[Tensor, "207 207"],
+    settings: Mapping[str, Any],
+) -> None:
+    """Write networks in half precision, their first layers and the mixture in single.
+
+    The first layers see states: small differences of large numbers.
+    """
+    tensors = {
+        name: tensor.float() if name.endswith("net.0.weight") else tensor.half()
+        for name, tensor in networks.state_dict().items()
+    }
+    for name, tensor in initial.tensors().items():
+        tensors[_INITIAL + name] = tensor.float() if tensor.is_floating_point() else tensor
+    tensors[_WHITENING] = whitening.float()
+    save_checkpoint(path, "humor", tensors, {"width": networks.width, **settings})
+
+
+def networks_from(weights: Checkpoint) -> HumorNetworks:
+    """Networks of the width that the weights have."""
+    others = (_INITIAL, _WHITENING)
+    own = {k: v.float() for k, v in weights.tensors.items() if not k.startswith(others)}
+    networks = HumorNetworks(width_of(own))
+    replace(weights, tensors=own).into(networks)
+    return networks
+
+
+def mixture_from(weights: Checkpoint) -> Mixture | None:
+    """The mixture beside the networks, if there is one."""
+    own = {
+        k.removeprefix(_INITIAL): v for k, v in weights.tensors.items() if k.startswith(_INITIAL)
+    }
+    if len(own) == 0:
+        return None
+    count, size = own["means"].shape if "means" in own else (12, 138)
+    shapes = {
+        "features": (size,),
+        "log_weights": (count,),
+        "means": (count, size),
+        "whitening": (count, size, size),
+    }
+    return Mixture(**replace(weights, tensors=own).require(shapes))
+
+
+def whitening_from(weights: Checkpoint) -> Float[Tensor, "207 207"] | None:
+    """What whitens the decoder's errors, if it is there."""
+    found = weights.tensors.get(_WHITENING)
+    if found is None:
+        return None
+    return replace(weights, tensors={_WHITENING: found}).require({_WHITENING: (207, 207)})[
+        _WHITENING
+    ]
+
+
+def _pytorch(path: Path) -> Checkpoint:
+    """Read without running code from it."""
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such weights file; expected HuMoR weights there")
+    try:
+        found = torch.load(path, map_location="cpu", weights_only=True)
+    except _DAMAGED as error:
+        raise ValueError(f"{path}: expected a PyTorch checkpoint, got {error}") from error
+    for name in ("average", "model"):
+        own = found.get(name) if isinstance(found, dict) else None
+        if isinstance(own, dict) and all(isinstance(t, Tensor) for t in own.values()):
+            return Checkpoint(path, own, {})
+    raise ValueError(f"{path}: expected a checkpoint with the networks' weights under 'model'")

@@ -1,0 +1,1 @@
+"""The HUMOS prior: stretches of motion as codes, for the body that moves."""

@@ -1,0 +1,149 @@
+"""The HUMOS prior fitted to a motion as a whole (collocation): the default of `--prior humos`.
+
+The motion itself is moved, in the well-scaled variables of the pose prior, and judged by the
+networks: how surprising are its codes, and how far from it do they decode. Both together bound
+-log p(motion), as in training. Moving codes instead (`priors.humos.codes`) converges slowly.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from priors.humos.frames import BodyFrames
+from priors.humos.prior import FPS, Humos, frames_at_rate
+from priors.pose.prior import PosePrior, PoseVariables, PoseWeights
+from recon.core.motion import Motion
+from recon.method.protocols import Decoded
+from recon.method.stages import Stage
+from recon.method.terms import Term, joint_acceleration, prior_energy, shape
+from recon.physics import energies as physics
+from recon.solver.lbfgs import LBFGS
+
+_ERROR = 0.02
+"""Metres by which codes miss a number of a frame."""
+_DEPTH, _STEP = 0.002, 0.003
+"""Metres by which bodies sink, and soles slide in 1/30 s."""
+_FREE = frozenset({"translation", "root", "pose", "shape"})
+
+
+@dataclass(frozen=True)
+class WholeWeights:
+    """Multipliers of the unweighted energies, for an observation of weight one."""
+
+    pose: PoseWeights
+    """Of the pose density, the shape and plain smoothness."""
+    codes: float
+    """Of codes that follow each other, nats."""
+    error: float
+    """Of ½ Σ |error|² / (2 cm)² of what they decode to, nats."""
+    physics: float
+    """Of penetration and slide, nats."""
+
+    @classmethod
+    def for_noise(cls, noise: float) -> "WholeWeights":
+        """For observations whose coordinates are off by about `noise` metres.
+
+        Chosen on eight validation windows among thirteen settings; a calibrated bound would have
+        noise² for all. Errors of neighbouring frames repeat each other, so less is better, and
+        codes of 0.4 s do not see trembling: smoothness keeps its weight of stages 1 and 2.
+        """
+        variance = max(noise, 0.014) ** 2
+        return cls(
+            pose=PoseWeights.for_noise(noise),
+            codes=0.3 * variance,
+            error=0.1 * variance,
+            physics=max(noise, 0.008) ** 2,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class CollocatedHumos:
+    """As a prior: a motion in the pose prior's variables, judged as a whole."""
+
+    humos: Humos
+    poses: PosePrior
+
+    def encode(self, motion: Motion) -> PoseVariables:
+        """The motion itself; exact."""
+        return self.poses.encode(motion)
+
+    def decode(self, variables: PoseVariables) -> Decoded:
+        """The motion and what the networks think of it.
+
+        `energies` in nats: those of the pose prior, "codes" -log p of the mean codes, "error"
+        ½ Σ |x - D(E(x))|² / (2 cm)² over the numbers of all frames at 20 Hz.
+        """
+        decoded, humos = self.poses.decode(variables), self.humos
+        motion = decoded.motion
+        rows = BodyFrames.of(motion, humos.body)[0].pack()
+        between = _linear(motion.frames, motion.fps).to(rows)
+        coarse = between @ rows
+        exists = humos.exists(motion.valid, motion.fps)
+        networks, density = humos.weights.networks, humos.weights.density
+        codes, _ = networks.posterior(coarse, motion.shape, exists)
+        back = networks.decode(codes, motion.shape, exists, coarse.shape[-2])
+        known = between @ motion.valid.to(rows)[..., None] > 0.5
+        error = ((back - coarse) / _ERROR).square().where(known, 0.0)
+        energies = {
+            "codes": density.energy(density.white(codes), exists),
+            "error": 0.5 * error.sum((-1, -2)),
+        }
+        return Decoded(motion, {**decoded.energies, **energies})
+
+
+@dataclass(frozen=True, eq=False)
+class HumosFit:
+    """As a method: stages 1 and 2 under the pose prior, the motion as a whole, then the ground."""
+
+    humos: Humos
+    weights: WholeWeights
+    start: PoseWeights
+    """Of stages 1 and 2."""
+
+    @classmethod
+    def for_noise(cls, humos: Humos, noise: float) -> "HumosFit":
+        """For observations whose coordinates are off by about `noise` metres."""
+        return cls(humos, WholeWeights.for_noise(noise), PoseWeights.for_noise(noise))
+
+    @cached_property
+    def _poses(self) -> PosePrior:
+        return PosePrior.load(weights=self.start)
+
+    def stages(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
+        """Root; poses, smoothly; all as one motion; feet held, too."""
+        w, prior = self.weights, CollocatedHumos(self.humos, self._poses)
+        whole = (
+            *data,
+            Term("pose", prior_energy("pose"), w.pose.pose),
+            Term("shape", shape, w.pose.shape),
+            Term("acceleration", joint_acceleration, w.pose.acceleration),
+            Term("codes", prior_energy("codes"), w.codes),
+            Term("error", prior_energy("error"), w.error),
+        )
+        held = (
+            Term("penetration", physics.penetration, w.physics / _DEPTH**2),
+            Term("slide", physics.slide, w.physics / _STEP**2),
+        )
+        minimiser = LBFGS(max_iterations=60, tolerance_decrease=1e-5)
+        return (
+            *self._poses.stages(data),
+            Stage("whole", prior, whole, _FREE, minimiser),
+            Stage("ground", prior, (*whole, *held), _FREE, minimiser),
+        )
+
+
+@lru_cache(maxsize=16)
+def _linear(frames: int, fps: float) -> Float[Tensor, "coarse frames"]:
+    """Matrix from rows at a rate to rows at 20 Hz, linearly; the last one is held."""
+    coarse = frames_at_rate(frames, fps)
+    place = (torch.arange(coarse) * (fps / FPS)).clamp(max=frames - 1)
+    before = place.floor().long().clamp(max=max(frames - 2, 0))
+    share = place - before
+    rows, count = torch.zeros(coarse, frames), torch.arange(coarse)
+    rows[count, before] = 1 - share
+    rows[count, (before + 1).clamp(max=frames - 1)] += share
+    return rows

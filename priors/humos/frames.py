@@ -1,0 +1,193 @@
+"""A motion in numbers that hardly know whose body it is: what the HUMOS prior encodes.
+
+Per frame: which way the body faces, the orientation of every bone seen from there, the place of
+the pelvis in lengths of leg, and how high the lowest point of the body is. HUMOS has the height
+of the pelvis in place of that; ours puts feet on the ground whatever the length of the legs.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.nn.functional import conv1d, pad
+
+from recon.body.model import BodyModel, PosedBody
+from recon.body.reshape import leg_length
+from recon.body.sampled_surface import SampledSurface
+from recon.core import rotations as so3
+from recon.core.motion import Motion
+from recon.core.skeleton import LEGS, PARENTS
+from recon.core.struct import TensorStruct
+from recon.physics.energies import lowest_point
+
+BONES = 22
+NUMBERS = 6 * BONES + 5
+"""Numbers of a frame: 6D orientations, direction (2), place (2), clearance."""
+
+_LEVER_OF_DIRECTION = 0.4
+_LEVER_OF_PLACE = 0.85
+_LEVER_OF_CLEARANCE = 2.0
+_LEAST_LEVER = 0.08
+"""Metres by which an error of one moves what hangs from a bone, about; twice for the ground."""
+_LEGS = 1.5
+"""How much more bones of the legs count: feet must not slip."""
+_SMOOTHING = 4.0
+"""Frames (20 Hz) over which the direction is averaged: it is undefined for who lies on a side."""
+
+
+@dataclass(frozen=True)
+class BodyFrames(TensorStruct):
+    """Frames of a motion, about the place of the pelvis and the heading of the first frame."""
+
+    orientations: Float[Tensor, "*batch time 22 3 3"]
+    """Of every bone from the rest pose, seen by who faces as the body does."""
+    direction: Float[Tensor, "*batch time 2"]
+    """Cosine and sine of the heading, counted from that of the first frame."""
+    place: Float[Tensor, "*batch time 2"]
+    """Of the pelvis on the ground, in lengths of leg."""
+    clearance: Float[Tensor, "*batch time"]
+    """Height of the body's lowest point, in lengths of leg."""
+
+    @classmethod
+    def of(
+        cls, motion: Motion, body: BodyModel
+    ) -> tuple["BodyFrames", Float[Tensor, "*batch 4 4"]]:
+        """The frames of a motion, and T_world_frames: where and how it starts."""
+        posed = body.pose(motion)
+        heading = _headings(motion)
+        turn = turn_of(heading)
+        seen = turn.mT[..., None, :, :] @ posed.orientations
+        first = turn[..., 0, :, :]
+        pelvis = posed.joints[..., 0, :]
+        start = pelvis[..., :1, :] * pelvis.new_tensor([1.0, 1.0, 0.0])
+        legs = leg_length(body, motion.shape)[..., None]
+        relative = (heading[..., None, :] @ first[..., None, :2, :2])[..., 0, :]
+        frames = cls(
+            orientations=seen,
+            direction=relative,
+            place=((pelvis - start) @ first)[..., :2] / legs[..., None],
+            clearance=lowest_of(posed) / legs,
+        )
+        return frames, so3.rigid(first, start[..., 0, :])
+
+    def motion(
+        self,
+        shape: Float[Tensor, "*batch shape"],
+        body: BodyModel,
+        fps: float,
+        base: Float[Tensor, "*batch 4 4"],
+    ) -> Motion:
+        """The frames as a body of this shape performs them, from where `base` puts them."""
+        turn = base[..., None, :3, :3] @ turn_of(self.direction)
+        world = turn[..., None, :, :] @ self.orientations
+        local = world[..., list(PARENTS[1:]), :, :].mT @ world[..., 1:, :, :]
+        rotations = torch.cat((world[..., :1, :, :], local), -3)
+        legs = leg_length(body, shape)[..., None]
+        place = pad(self.place * legs[..., None], (0, 1))
+        pelvis = place @ base[..., :3, :3].mT + base[..., None, :3, 3]
+        flat = pelvis * pelvis.new_tensor([1.0, 1.0, 0.0])
+        rest = body.rest_joints(shape)[..., None, 0, :]
+        down = Motion.create(flat - rest, rotations, shape, fps)
+        height = self.clearance * legs - lowest_of(body.pose(down)) + base[..., None, 2, 3]
+        return down.replace(translation=down.translation + pad(height[..., None], (2, 0)))
+
+    def joints(
+        self, shape: Float[Tensor, "*batch shape"], body: BodyModel
+    ) -> Float[Tensor, "*batch time 22 3"]:
+        """Joints about the level of the pelvis and the first frame's place, metres.
+
+        Orientations are those of bones, not of joints beside their parents: what hangs from a
+        joint does not turn with its error.
+        """
+        rest = body.rest_joints(shape)
+        bones = rest[..., 1:, :] - rest[..., PARENTS[1:], :]
+        turned = self.orientations[..., list(PARENTS[1:]), :, :] @ bones[..., None, :, :, None]
+        from_pelvis = _chains().to(rest) @ turned[..., 0]
+        world = from_pelvis @ turn_of(self.direction).mT
+        legs = leg_length(body, shape)[..., None, None]
+        return world + pad(self.place * legs, (0, 1))[..., None, :]
+
+    def pack(self) -> Float[Tensor, "*batch time numbers"]:
+        """One row per frame, in metres: everything times the length that it moves."""
+        columns = so3.to_6d(self.orientations).flatten(-2)
+        rest = torch.cat((self.direction, self.place, self.clearance[..., None]), -1)
+        return torch.cat((columns, rest), -1) * _worth().to(columns)
+
+    @classmethod
+    def unpack(cls, rows: Float[Tensor, "*batch time numbers"]) -> "BodyFrames":
+        """The inverse of `pack`; what is no rotation or direction is made one."""
+        rows = rows / _worth().to(rows)
+        angle = rows[..., -5:-3]
+        length = angle.square().sum(-1, keepdim=True).clamp(min=1e-6).sqrt()
+        return cls(
+            orientations=so3.from_6d(rows[..., :-5].unflatten(-1, (BONES, 6))),
+            direction=angle / length,
+            place=rows[..., -3:-1],
+            clearance=rows[..., -1],
+        )
+
+
+def lowest_of(posed: PosedBody) -> Float[Tensor, "*batch time"]:
+    """Height of the lowest point of the body in every frame, metres."""
+    vertices = SampledSurface.of(posed.model).vertices
+    return lowest_point(posed.points(vertices)[..., 2])
+
+
+def _headings(motion: Motion) -> Float[Tensor, "*batch time 2"]:
+    """Cosine and sine of the direction the body faces (0: +y), averaged over a fifth of a second.
+
+    Padding counts as its last frame; who turns somersaults keeps the direction of before.
+    """
+    right = -motion.rotations[..., 0, :2, 0]
+    width = max(1.0, _SMOOTHING * motion.fps / 20)
+    reach = int(2 * width)
+    steps = torch.arange(-reach, reach + 1, dtype=right.dtype, device=right.device)
+    window = (-0.5 * (steps / width).square()).exp()
+    rows = right.reshape(-1, motion.frames, 2).mT.reshape(-1, 1, motion.frames)
+    padded = pad(rows, (reach, reach), mode="replicate")
+    mean = conv1d(padded, (window / window.sum())[None, None])
+    mean = mean.reshape(-1, 2, motion.frames).mT.reshape(right.shape)
+    length = mean.square().sum(-1, keepdim=True).sqrt()
+    fallback = mean.new_tensor([1.0, 0.0])
+    return torch.where(length > 1e-6, mean / length.clamp(min=1e-6), fallback)
+
+
+def turn_of(direction: Float[Tensor, "*shape 2"]) -> Float[Tensor, "*shape 3 3"]:
+    """The turn about the vertical of this cosine and sine."""
+    c, s = direction.unbind(-1)
+    zero, one = torch.zeros_like(c), torch.ones_like(c)
+    return torch.stack((c, -s, zero, s, c, zero, zero, zero, one), -1).unflatten(-1, (3, 3))
+
+
+@lru_cache(maxsize=1)
+def _chains() -> Float[Tensor, "22 21"]:
+    """One where the bone to joint k + 1 lies on the way from the pelvis to a joint."""
+    rows = torch.zeros(BONES, BONES - 1)
+    for joint in range(1, BONES):
+        rows[joint] = rows[PARENTS[joint]]
+        rows[joint, joint - 1] = 1
+    return rows
+
+
+@lru_cache(maxsize=1)
+def levers() -> Float[Tensor, " 22"]:
+    """Metres that a bone moves what hangs from it when it turns by one: its length, about.
+
+    Of the average body; bones of the legs count half as much again, and none less than 8 cm.
+    """
+    rest = BodyModel.load().joint_template
+    length = torch.full((BONES,), _LEAST_LEVER)
+    for joint in range(1, BONES):
+        parent = PARENTS[joint]
+        length[parent] = length[parent].maximum((rest[joint] - rest[parent]).norm())
+    length[[1, 2, *LEGS]] *= _LEGS
+    return length
+
+
+@lru_cache(maxsize=1)
+def _worth() -> Float[Tensor, " numbers"]:
+    """Metres that one unit of every number of a frame moves."""
+    places = [_LEVER_OF_DIRECTION] * 2 + [_LEVER_OF_PLACE] * 2 + [_LEVER_OF_CLEARANCE]
+    return torch.cat((levers().repeat_interleave(6), torch.tensor(places)))

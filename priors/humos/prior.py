@@ -1,0 +1,259 @@
+"""HUMOS: motions as codes, and the body that performs them beside (Tripathi et al. 2024).
+
+Codes and a shape decode to frames at 20 Hz that stand on the ground whoever performs them; beside
+the codes there are details, which the codes leave out. Encoding is exact, so another shape in the
+variables of a motion is the same motion as another body performs it.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from priors.cosines import cosines
+from priors.humos.basis import existing_windows, windows_of
+from priors.humos.frames import BodyFrames, levers, lowest_of, turn_of
+from priors.humos.weights import HumosWeights, load_weights
+from recon.body.model import BodyModel
+from recon.body.reshape import leg_length
+from recon.core import rotations as so3
+from recon.core.motion import Motion
+from recon.core.struct import TensorStruct
+from recon.method.protocols import Decoded
+
+FPS = 20.0
+"""Frames per second of the codes."""
+TURN, PLACE = 0.2, 0.1
+"""What a unit of these variables is: radians, metres."""
+_BEND, _SHIFT, _LIFT = 0.015, 0.01, 0.006
+"""Standard deviations of details: metres at the end of a bone per axis; of the place and of the
+clearance, in lengths of leg."""
+_SLOW = 4.0
+"""Hz from which on details are ever less likely."""
+
+
+@dataclass(frozen=True)
+class HumosVariables(TensorStruct):
+    """One motion per clip."""
+
+    latent: Float[Tensor, "*batch memory latent"]
+    """Whitened codes, 0.4 s apart, or one."""
+    shape: Float[Tensor, "*batch shape"]
+    turn: Float[Tensor, "*batch"]
+    """Step of the heading."""
+    place: Float[Tensor, "*batch 2"]
+    """Step of the place on the ground."""
+    bend: Float[Tensor, "*batch time 22 3"]
+    """Details of the orientations, in scaled cosines of time."""
+    shift: Float[Tensor, "*batch time 3"]
+    """The same of the place on the ground and of the height."""
+    base: Float[Tensor, "*batch 4 4"]
+    """T_world_frames before the steps, metres."""
+    valid: Bool[Tensor, "*batch time"]
+    fps: float
+    start_time: float
+
+    def carried(self, T: Float[Tensor, "*batch 4 4"], body: BodyModel) -> "HumosVariables":
+        """Variables of the same motion after a rigid transform that keeps the vertical."""
+        del body
+        ahead = torch.nn.functional.pad(self.place, (0, 1))
+        place = (T[..., :3, :3] @ ahead[..., None])[..., :2, 0]
+        return self.replace(base=T @ self.base, place=place)
+
+
+@dataclass(frozen=True)
+class Humos:
+    """Codes follow each other as those of recorded motions; details are small and slow."""
+
+    weights: HumosWeights
+    body: BodyModel
+
+    @classmethod
+    def load(cls, weights: str = "open", body: BodyModel | None = None) -> "Humos":
+        """The bundled weights (`open`), those of a source checkout (`nc`), or a file.
+
+        Raises:
+            FileNotFoundError: when there is no such file.
+            ValueError: when it holds something else, or the body is not the bundled one.
+        """
+        body = BodyModel.load() if body is None else body
+        found = load_weights(weights)
+        if body.checksum != BodyModel.load().checksum:
+            raise ValueError(
+                f"the HUMOS weights know the bundled body alone, got {body.name!r}; fit a motion "
+                "of the bundled body first, or take the prior `humor`"
+            )
+        return cls(found, body)
+
+    def encode(self, motion: Motion) -> HumosVariables:
+        """Mean codes of each clip, and as details all that they leave out: exact.
+
+        Raises:
+            ValueError: when the clips are longer than networks of one code per clip know.
+        """
+        coarse = at_rate(motion)
+        self._known(coarse.frames)
+        frames, base = BodyFrames.of(coarse, self.body)
+        exists = self.exists(motion.valid, motion.fps)
+        with torch.no_grad():
+            codes, _ = self.weights.networks.posterior(frames.pack(), motion.shape, exists)
+        zero = torch.zeros_like(motion.rotations[..., 0])
+        plain = HumosVariables(
+            latent=self.weights.density.white(codes),
+            shape=motion.shape,
+            turn=zero[..., 0, 0, 0],
+            place=zero[..., 0, 0, :2],
+            bend=zero,
+            shift=zero[..., 0, :],
+            base=base,
+            valid=motion.valid,
+            fps=motion.fps,
+            start_time=motion.start_time,
+        )
+        return self._with_details(plain, motion)
+
+    def decode(self, variables: HumosVariables) -> Decoded:
+        """The motion at the clip's own rate, and -log p in parts.
+
+        `latent` is that of codes following each other, `shape` and `details` are half squared
+        Mahalanobis distances.
+        """
+        x = variables
+        made = self.frames(x)
+        waves = _waves(made.clearance.shape[-1], x.fps).rows.to(x.bend)
+        steps = (waves @ x.bend.flatten(-2)).unflatten(-1, (-1, 3))
+        shift = waves @ x.shift
+        detailed = made.replace(
+            orientations=made.orientations @ so3.exp(_bends().to(steps) * steps),
+            place=made.place + _SHIFT * shift[..., :2],
+            clearance=made.clearance + _LIFT * shift[..., 2],
+        )
+        motion = detailed.motion(x.shape, self.body, x.fps, self._base(x))
+        energies = {
+            "latent": self.weights.density.energy(x.latent, self.exists(x.valid, x.fps)),
+            "shape": 0.5 * x.shape.square().sum(-1),
+            "details": 0.5 * (x.bend.square().sum((-1, -2, -3)) + x.shift.square().sum((-1, -2))),
+        }
+        return Decoded(motion.replace(valid=x.valid, start_time=x.start_time), energies)
+
+    def frames(self, variables: HumosVariables) -> BodyFrames:
+        """What the codes alone say, at the clip's rate, about its own beginning."""
+        x = variables
+        count = x.valid.shape[-1]
+        codes = self.weights.density.codes(x.latent)
+        coarse = frames_at_rate(count, x.fps)
+        exists = self.exists(x.valid, x.fps)
+        rows = self.weights.networks.decode(codes, x.shape, exists, coarse)
+        return BodyFrames.unpack(spline(coarse, count, x.fps).to(rows) @ rows)
+
+    def sample(
+        self, shape: Float[Tensor, "clips shape"], seconds: float, generator: torch.Generator
+    ) -> Motion:
+        """Motions of these bodies out of nothing, at 20 Hz, from the origin on.
+
+        Raises:
+            ValueError: when they would be shorter than a second, or longer than clips that
+                networks of one code per clip know.
+        """
+        if not 1 <= seconds < float("inf"):
+            raise ValueError(f"expected at least 1 second, got {seconds:g}; ask for more")
+        frames = round(seconds * FPS) + 1
+        self._known(frames)
+        memory = 1 if self.weights.one_code else windows_of(frames)
+        codes = self.weights.density.drawn(len(shape), memory, generator)
+        exists = torch.ones(len(shape), windows_of(frames), dtype=torch.bool)
+        with torch.no_grad():
+            rows = self.weights.networks.decode(codes, shape, exists, frames)
+        base = torch.eye(4).expand(len(shape), 4, 4)
+        made = BodyFrames.unpack(rows)
+        return made.motion(shape, self.body, FPS, base)
+
+    @property
+    def longest(self) -> float:
+        """Seconds that a clip may last."""
+        return self.weights.frames / FPS if self.weights.one_code else float("inf")
+
+    def _known(self, frames: int) -> None:
+        if frames > self.longest * FPS:
+            raise ValueError(
+                f"these weights know clips of {self.longest:g} s, got {frames / FPS:g} s; cut it, "
+                "or take weights with a code per window"
+            )
+
+    def _with_details(self, x: HumosVariables, motion: Motion) -> HumosVariables:
+        """Details with which the variables decode to a motion."""
+        made, posed, base = self.frames(x), self.body.pose(motion), self._base(x)
+        turn = base[..., None, :3, :3] @ turn_of(made.direction)
+        own = (turn[..., None, :, :] @ made.orientations).mT
+        steps = so3.log(own @ posed.orientations) / _bends().to(posed.joints)
+        legs = leg_length(self.body, motion.shape)[..., None]
+        pelvis = (posed.joints[..., 0, :] - base[..., None, :3, 3]) @ base[..., :3, :3]
+        place = (pelvis[..., :2] / legs[..., None] - made.place) / _SHIFT
+        lift = (lowest_of(posed) / legs - made.clearance)[..., None] / _LIFT
+        inverse = _waves(motion.frames, x.fps).inverse.to(x.bend)
+        return x.replace(
+            bend=(inverse @ steps.flatten(-2)).unflatten(-1, (-1, 3)),
+            shift=inverse @ torch.cat((place, lift), -1),
+        )
+
+    def _base(self, x: HumosVariables) -> Float[Tensor, "*batch 4 4"]:
+        turn = x.base[..., :3, :3] @ so3.about_z(TURN * x.turn)
+        ahead = torch.nn.functional.pad(PLACE * x.place, (0, 1))
+        return so3.rigid(turn, x.base[..., :3, 3] + ahead)
+
+    def exists(
+        self, valid: Bool[Tensor, "*batch time"], fps: float
+    ) -> Bool[Tensor, "*batch windows"]:
+        """Windows that hold a frame that exists."""
+        count = ((valid.sum(-1, keepdim=True) - 1) * (FPS / fps)).ceil().long() + 1
+        return existing_windows(count, frames_at_rate(valid.shape[-1], fps))
+
+
+@lru_cache(maxsize=1)
+def _bends() -> Float[Tensor, "22 1"]:
+    """Radians that details turn every bone by, about."""
+    return _BEND / levers()[:, None]
+
+
+def frames_at_rate(frames: int, fps: float) -> int:
+    """Frames at 20 Hz that cover so many at another rate."""
+    return int(np.ceil((frames - 1) * FPS / fps - 1e-6)) + 1
+
+
+def at_rate(motion: Motion) -> Motion:
+    """The motion at 20 Hz, its last frame held as long as it takes."""
+    count = frames_at_rate(motion.frames, motion.fps)
+    times = motion.start_time + torch.arange(count, dtype=torch.float64) / FPS
+    return motion.at(times.clamp(max=float(motion.times[-1])), FPS)
+
+
+@lru_cache(maxsize=16)
+def spline(coarse: int, frames: int, fps: float) -> Float[Tensor, "frames coarse"]:
+    """Matrix from rows at 20 Hz to rows at another rate: the natural cubic spline through them."""
+    if fps == FPS:
+        return torch.eye(coarse)[:frames]
+    from scipy.interpolate import CubicSpline
+
+    through = CubicSpline(np.arange(coarse) / FPS, np.eye(coarse), bc_type="natural")
+    return torch.from_numpy(through(np.arange(frames) / fps)).float()
+
+
+@dataclass(frozen=True)
+class _Waves:
+    """Cosines over a clip, each as large as details of its rate may be, and back."""
+
+    rows: Float[Tensor, "frames frames"]
+    inverse: Float[Tensor, "frames frames"]
+
+
+@lru_cache(maxsize=16)
+def _waves(frames: int, fps: float) -> _Waves:
+    """All cosines; together they have unit variance in every frame."""
+    waves = cosines(frames, frames)
+    hertz = torch.arange(frames) * fps / (2 * frames)
+    size = 1 / (1 + (hertz / _SLOW) ** 2)
+    size = size * frames**0.5 / size.norm()
+    return _Waves((waves * size).float(), (waves / size).mT.float())

@@ -1,0 +1,1 @@
+"""How the weights of the HUMOS prior are made."""

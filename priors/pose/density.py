@@ -1,0 +1,92 @@
+"""How likely a pose is: a Gaussian over the 21 body rotations, about their mean."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from recon.body.kinematics import forward_kinematics
+from recon.body.model import BodyModel
+from recon.core import rotations as so3
+from recon.core.struct import TensorStruct
+
+ROTATIONS = 21
+"""Body joints: all but the root."""
+
+COORDINATES = 3 * ROTATIONS
+
+
+@dataclass(frozen=True)
+class PoseDensity(TensorStruct):
+    """Poses as R_j = M_j Exp(v_j) with v = B z and z ~ N(0, I).
+
+    Tangent vectors about the mean rotation of every joint stay far from half a turn, unlike those
+    about the rest pose. The whole covariance B Bᵀ is kept, so joints that move together hold each
+    other in place where the data sees only some of them. Every pose has coordinates, and exact
+    ones: nothing is lost in a code narrower than the data.
+    """
+
+    mean: Float[Tensor, "21 3 3"]
+    """M: the Fréchet mean of each joint's rotation."""
+    basis: Float[Tensor, "63 63"]
+    """B: eigenvectors of the covariance, each as long as its standard deviation in radians."""
+    stiffness: Float[Tensor, "66 66"]
+    """Σ (∂p/∂x)ᵀ (∂p/∂x) over the 22 joints p of the mean pose, metres², where x is the turn of
+    the root (radians) and z. Scales the variables of a fit; no energy depends on it."""
+
+    def coordinates(self, rotations: Float[Tensor, "*shape 21 3 3"]) -> Float[Tensor, "*shape 63"]:
+        """Z of a pose; |z|² is its squared Mahalanobis distance from the mean pose."""
+        steps = so3.log(self.mean.mT @ rotations).flatten(-2)
+        return steps @ torch.linalg.inv(self.basis).mT
+
+    def rotations(self, coordinates: Float[Tensor, "*shape 63"]) -> Float[Tensor, "*shape 21 3 3"]:
+        """The pose at z; the inverse of `coordinates`."""
+        steps = (coordinates @ self.basis.mT).unflatten(-1, (ROTATIONS, 3))
+        return self.mean @ so3.exp(steps)
+
+
+def frechet_mean(
+    rotations: Float[Tensor, "poses 21 3 3"], rounds: int = 10
+) -> Float[Tensor, "21 3 3"]:
+    """The rotation of each joint about which the tangent vectors of all poses average to zero."""
+    mean = so3.nearest(rotations.mean(0))
+    for _ in range(rounds):
+        mean = mean @ so3.exp(so3.log(mean.mT @ rotations).mean(0))
+    return mean
+
+
+def fit_density(
+    rotations: Float[Tensor, "poses 21 3 3"], floor: float, body: BodyModel
+) -> PoseDensity:
+    """The density of the given poses, all weighing the same.
+
+    Args:
+        rotations: of the 21 body joints, each relative to its parent.
+        floor: standard deviation in radians added to every direction; without it, directions in
+            which the recorded skeletons cannot move would be forbidden to everybody.
+        body: whose joints the stiffness is of.
+    """
+    rotations = rotations.double()
+    mean = frechet_mean(rotations)
+    steps = so3.log(mean.mT @ rotations).flatten(-2)
+    covariance = steps.mT @ steps / len(steps)
+    covariance = covariance + floor**2 * torch.eye(COORDINATES, dtype=covariance.dtype)
+    variances, directions = torch.linalg.eigh(covariance)
+    basis = directions * variances.sqrt()
+    return PoseDensity(mean, basis, _stiffness(mean, basis, body))
+
+
+def _stiffness(
+    mean: Float[Tensor, "21 3 3"], basis: Float[Tensor, "63 63"], body: BodyModel
+) -> Float[Tensor, "66 66"]:
+    rest = body.joint_template.to(mean)
+
+    def joints(x: Tensor) -> Tensor:
+        root = so3.exp(x[:3])[None]
+        pose = mean @ so3.exp((basis @ x[3:]).unflatten(0, (ROTATIONS, 3)))
+        return forward_kinematics(torch.cat((root, pose))[None], rest)[1].flatten()
+
+    jacobian = torch.autograd.functional.jacobian(joints, basis.new_zeros(3 + COORDINATES))
+    assert isinstance(jacobian, Tensor)
+    return jacobian.mT @ jacobian

@@ -1,0 +1,264 @@
+"""The pose prior and the method of HuMoR's stages 1 and 2 built on it."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from priors.checkpoints import named_checkpoint
+from priors.pose.density import COORDINATES, ROTATIONS, PoseDensity
+from recon.body.model import BodyModel
+from recon.core import rotations as so3
+from recon.core.motion import Motion, carried_translation
+from recon.core.skeleton import JOINTS
+from recon.core.struct import TensorStruct
+from recon.method.free import FreeMotion
+from recon.method.protocols import REFERENCE_FPS, Decoded
+from recon.method.stages import Stage
+from recon.method.terms import Term, joint_acceleration, joint_velocity, prior_energy, shape
+from recon.solver.lbfgs import LBFGS
+
+_SHAPES = {
+    "mean": (ROTATIONS, 3, 3),
+    "basis": (COORDINATES, COORDINATES),
+    "stiffness": (3 + COORDINATES, 3 + COORDINATES),
+}
+
+_SOFTEST = 0.02
+"""Stiffness below which directions of pose space are not scaled up further, metres². Where neither
+data nor prior hold a direction, a unit of its variable would be many standard deviations, and the
+first steps of a fit would twist the body into knots."""
+
+
+@dataclass(frozen=True)
+class PoseWeights:
+    """Multipliers of the unweighted energies, for an observation of weight one.
+
+    An observation counts ½ |error|² in metres²; so for errors of standard deviation s per
+    coordinate, a weight is s² times the one that a negative log-probability would have.
+    """
+
+    pose: float
+    """Of |z|², the squared Mahalanobis distance of every pose, summed over frames."""
+    shape: float
+    """Of |betas|² times the number of frames."""
+    velocity: float = 0.0
+    """Of ½ |step|² of the 22 joints from frame to frame, metres²."""
+    acceleration: float = 0.0
+    """Of ½ |second difference|² of the 22 joints, metres². Unlike `velocity` it does not slow
+    motion down."""
+
+    def __post_init__(self) -> None:
+        """Refuse weights that reward what they should punish."""
+        for name in ("pose", "shape", "velocity", "acceleration"):
+            if not getattr(self, name) >= 0:
+                raise ValueError(f"weight {name} must be at least 0, got {getattr(self, name)}")
+
+    @classmethod
+    def published_joints(cls) -> "PoseWeights":
+        """HuMoR's for noisy joints (fit_amass_joints.cfg, stage 2; noise of 4 cm)."""
+        return cls(pose=2e-4, shape=1.67e-4, velocity=10.0)
+
+    @classmethod
+    def published_points(cls) -> "PoseWeights":
+        """HuMoR's for points on the surface, partly hidden (fit_amass_keypts.cfg, stage 2)."""
+        return cls(pose=2e-4, shape=1.67e-4, velocity=0.1)
+
+    @classmethod
+    def for_noise(cls, noise: float) -> "PoseWeights":
+        """For observations whose coordinates are off by about `noise` metres.
+
+        Both tuned presets lie on this curve: pose and acceleration weights grow with the square
+        of the noise, the shape's matters little. Even perfect points need the 8 mm by which a
+        body differs from its model.
+        """
+        variance = max(noise, 0.008) ** 2
+        return cls(pose=0.125 * variance, shape=5e-6, acceleration=9400.0 * variance)
+
+    @classmethod
+    def tuned_joints(cls) -> "PoseWeights":
+        """Chosen on validation subjects for joints with 4 cm of noise."""
+        return cls.for_noise(0.04)
+
+    @classmethod
+    def tuned_points(cls) -> "PoseWeights":
+        """Chosen on validation subjects for accurate points, many of them hidden."""
+        return cls.for_noise(0.0)
+
+
+@dataclass(frozen=True)
+class PoseVariables(TensorStruct):
+    """A motion as steps away from a start, in scaled cosines of time.
+
+    Every step is a sum of cosines over the clip, slow ones first, each divided by the square root
+    of how strongly the smoothness term holds it; and the directions of pose space are turned and
+    divided likewise by how far they move the joints. In these variables all directions are about
+    equally stiff, which is what a first-order minimiser needs: it takes tens of iterations where
+    it takes many hundreds in joint angles frame by frame.
+    """
+
+    translation: Float[Tensor, "*batch time 3"]
+    root: Float[Tensor, "*batch time 3"]
+    pose: Float[Tensor, "*batch time 63"]
+    shape: Float[Tensor, "*batch shape"]
+    start_translation: Float[Tensor, "*batch time 3"]
+    """Metres."""
+    start_root: Float[Tensor, "*batch time 3 3"]
+    start_pose: Float[Tensor, "*batch time 63"]
+    """Coordinates z of `PoseDensity`."""
+    synthesis: Float[Tensor, "*batch time time"]
+    """Column k: the k-th scaled cosine at every frame."""
+    valid: Bool[Tensor, "*batch time"]
+    fps: float
+    start_time: float
+
+    def carried(self, T: Float[Tensor, "*batch 4 4"], body: BodyModel) -> "PoseVariables":
+        """Variables of the same motion after a rigid transform."""
+        turn, pelvis = T[..., None, :3, :3], body.rest_joints(self.shape)[..., 0, :]
+        return self.replace(
+            translation=self.translation @ T[..., :3, :3].mT,
+            start_translation=carried_translation(self.start_translation, T, pelvis),
+            start_root=turn @ self.start_root,
+        )
+
+
+@dataclass(frozen=True)
+class PosePrior(TensorStruct):
+    """Poses are Gaussian, frame by frame; motion is smooth. HuMoR's stages 1 and 2 ("VPoser-t").
+
+    As a prior it is an exact change of variables: every motion has variables, `decode(encode(m))`
+    is m. As a method it fits translation and root first, then everything.
+    """
+
+    density: PoseDensity
+    weights: PoseWeights
+
+    @classmethod
+    def load(
+        cls, path: str | Path | None = None, weights: PoseWeights | None = None
+    ) -> "PosePrior":
+        """The bundled density, or one trained by `recon train pose`; by default for noisy joints.
+
+        Raises:
+            FileNotFoundError: when there is no such file.
+            ValueError: when it holds no pose density; the message names the layer.
+        """
+        weights = PoseWeights.tuned_joints() if weights is None else weights
+        tensors = named_checkpoint("open" if path is None else path, "pose").require(_SHAPES)
+        return cls(PoseDensity(**tensors), weights)
+
+    def encode(self, motion: Motion) -> PoseVariables:
+        """Steps of zero about the motion; exact."""
+        density = self.density.to(dtype=torch.float64, device=motion.translation.device)
+        start = density.coordinates(motion.rotations[..., 1:, :, :].double())
+        zero = torch.zeros_like(motion.translation)
+        return PoseVariables(
+            translation=zero,
+            root=zero,
+            pose=torch.zeros_like(start).to(zero),
+            shape=motion.shape,
+            start_translation=motion.translation,
+            start_root=motion.rotations[..., 0, :, :],
+            start_pose=start.to(zero),
+            synthesis=self._synthesis(motion.valid, motion.fps).to(zero),
+            valid=motion.valid,
+            fps=motion.fps,
+            start_time=motion.start_time,
+        )
+
+    def decode(self, variables: PoseVariables) -> Decoded:
+        """Apply the steps; `energies["pose"]` is Σ |z|² over frames, at 30 Hz."""
+        x, like = variables, variables.pose
+        density, scales = (
+            self.density.to(dtype=like.dtype, device=like.device),
+            self._scales.to(dtype=like.dtype, device=like.device),
+        )
+        coordinates = x.start_pose + x.synthesis @ x.pose @ scales.pose
+        root = x.start_root @ so3.exp(x.synthesis @ x.root @ scales.root)
+        distance = coordinates.square().sum(-1).where(x.valid, 0.0).sum(-1)
+        motion = Motion(
+            translation=x.start_translation + x.synthesis @ x.translation * scales.translation,
+            rotations=torch.cat((root[..., None, :, :], density.rotations(coordinates)), -3),
+            shape=x.shape,
+            valid=x.valid,
+            fps=x.fps,
+            start_time=x.start_time,
+        )
+        return Decoded(motion, {"pose": distance * (REFERENCE_FPS / x.fps)})
+
+    def stages(self, data: tuple[Term, ...]) -> tuple[Stage, ...]:
+        """Root first, from the data alone; then all, under the pose density and smoothness."""
+        w = self.weights
+        smooth = (
+            Term("velocity", joint_velocity, w.velocity),
+            Term("acceleration", joint_acceleration, w.acceleration),
+        )
+        prior = (Term("pose", prior_energy("pose"), w.pose), Term("shape", shape, w.shape))
+        return (
+            Stage(
+                name="root",
+                prior=FreeMotion(),
+                terms=data,
+                free=frozenset({"translation", "root"}),
+                minimiser=LBFGS(max_iterations=30, tolerance_decrease=1e-4),
+            ),
+            Stage(
+                name="pose",
+                prior=self,
+                terms=(*data, *prior, *(term for term in smooth if term.weight > 0)),
+                free=frozenset({"translation", "root", "pose", "shape"}),
+                minimiser=LBFGS(max_iterations=120, tolerance_decrease=1e-5),
+            ),
+        )
+
+    @cached_property
+    def _scales(self) -> "_Scales":
+        """Inverse square roots of the stiffness of the data, with the prior's own added."""
+        stiffness = self.density.stiffness.double()
+        pose = stiffness[3:, 3:] + max(2 * self.weights.pose, _SOFTEST) * torch.eye(
+            COORDINATES, dtype=torch.float64, device=stiffness.device
+        )
+        return _Scales(
+            translation=stiffness.new_tensor(len(JOINTS) ** -0.5),
+            root=_inverse_root(stiffness[:3, :3]),
+            pose=_inverse_root(pose),
+        )
+
+    def _synthesis(
+        self, valid: Bool[Tensor, "*batch time"], fps: float
+    ) -> Float[Tensor, "*batch time time"]:
+        """Orthonormal cosines (DCT-II) over the frames that exist, each over its stiffness's root.
+
+        A step that varies as cos(w t) has second differences b = 2 - 2 cos w as large, so beside
+        data of stiffness one, smoothness adds velocity b + acceleration b².
+        Frames that do not exist keep variables of their own, so that padding changes nothing.
+        """
+        frames = valid.shape[-1]
+        count = valid.sum(-1)[..., None, None].double()
+        index = torch.arange(frames, dtype=torch.float64, device=valid.device)
+        t, k = index[:, None], index
+        inside = (t < count) & (k < count)
+        amplitude = torch.where(k == 0, 1.0, 2.0).sqrt() / count.clamp(min=1).sqrt()
+        cosine = amplitude * (torch.pi * (t + 0.5) * k / count.clamp(min=1)).cos()
+        rate = fps / REFERENCE_FPS
+        bend = (2 - 2 * (torch.pi * k / count.clamp(min=1)).cos()) * rate**2
+        w = self.weights
+        stiffness = 1 + w.velocity * bend + w.acceleration * bend.square()
+        return torch.where(inside, cosine / stiffness.sqrt(), (t == k).double())
+
+
+@dataclass(frozen=True)
+class _Scales(TensorStruct):
+    """What one unit of each variable is."""
+
+    translation: Float[Tensor, ""]
+    root: Float[Tensor, "3 3"]
+    pose: Float[Tensor, "63 63"]
+
+
+def _inverse_root(matrix: Float[Tensor, "n n"]) -> Float[Tensor, "n n"]:
+    values, vectors = torch.linalg.eigh(matrix)
+    return (vectors * values.rsqrt()) @ vectors.mT

@@ -1,0 +1,68 @@
+"""Contact labels from motion: a joint that rests near the ground carries weight."""
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from recon.body.model import BodyModel
+from recon.core.skeleton import CONTACT_JOINTS, FEET, JOINTS, TOES
+
+MAXIMUM_SPEED = 0.25
+"""A joint in contact moves more slowly than this, m/s, at any frame rate."""
+
+TOE_REACH = 0.04
+LIMB_REACH = 0.08
+"""Metres a toe, or an ankle, knee or wrist, may be above the height at which it touches
+(HuMoR's data processing)."""
+
+
+def rest_heights(
+    body: BodyModel, shape: Float[Tensor, "*batch shape"]
+) -> Float[Tensor, "*batch 22"]:
+    """Height of every joint above the sole when the body stands in its rest pose, metres."""
+    sole = body.rest_vertices(shape)[..., 1].amin(-1)
+    return body.rest_joints(shape)[..., 1] - sole[..., None]
+
+
+def touching_heights(rest_height: Float[Tensor, "*batch 22"]) -> Float[Tensor, "*batch 22"]:
+    """Height of each joint above the ground while its part of the body lies on it, metres.
+
+    Ankles and toes touch at their rest height. Knees and wrists touch when the flesh around
+    them does, not at standing height: they are measured from the level of the toe joints, as in
+    HuMoR, and so is everything else.
+    """
+    toes = rest_height[..., list(TOES)].mean(-1, keepdim=True)
+    feet = torch.tensor([j in FEET for j in range(len(JOINTS))], device=rest_height.device)
+    return torch.where(feet, rest_height, toes)
+
+
+def contact_labels(
+    joints: Float[Tensor, "*batch time 22 3"],
+    rest_height: Float[Tensor, "*batch 22"],
+    fps: float,
+) -> Bool[Tensor, "*batch time 22"]:
+    """Joints in contact with the ground z = 0: slow (< 0.25 m/s) and within reach of it.
+
+    Toes reach 4 cm, ankles, knees and wrists 8 cm above the height at which they touch; no other
+    joint is ever in contact. Speeds are central differences at the motion's own rate (one-sided
+    at the ends), so a motion played backwards has the same labels.
+
+    Args:
+        joints: World frame, z up, metres.
+        rest_height: Of every joint above the sole (see `rest_heights`), metres.
+        fps: Frames per second.
+    """
+    limits = [TOE_REACH if j in TOES else LIMB_REACH for j in range(len(JOINTS))]
+    may_touch = [j in CONTACT_JOINTS and JOINTS[j] != "pelvis" for j in range(len(JOINTS))]
+    height = joints[..., 2] - touching_heights(rest_height)[..., None, :]
+    near = height < height.new_tensor(limits)
+    slow = speeds(joints, fps) < MAXIMUM_SPEED
+    return near & slow & torch.tensor(may_touch, device=joints.device)
+
+
+def speeds(joints: Tensor, fps: float) -> Tensor:
+    """Speed of every joint in every frame, m/s; a single frame stands still."""
+    if joints.shape[-3] < 2:
+        return torch.zeros_like(joints[..., 0])
+    (velocity,) = torch.gradient(joints, spacing=1 / fps, dim=-3)
+    return velocity.norm(dim=-1)

@@ -1,0 +1,248 @@
+"""Bodies as people ask for them: a height, a weight, a few words, somebody's own; as shapes."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from recon.body.model import BodyModel
+from recon.body.motion_files import load_motion_of
+from recon.body.parts import Parts, part_volumes
+
+DENSITY = 1010.0
+"""kg/m³ of a living person, lungs half full."""
+SHORTEST, TALLEST = 1.42, 1.96
+"""Metres; body models know adults alone, of whom one in a hundred is smaller or taller."""
+ODDEST = 4.0
+"""Standard deviations that no coefficient of a real person's shape is away from the mean."""
+ONE_IN_TWENTY = 1.645
+"""Standard deviations beyond which one person in twenty lies, on one side; what `tall` means."""
+
+FORMS = (
+    "coefficients (0.5,-1,2), measures (height=1.80,weight=75; metres, kilograms), words (man or "
+    "woman, tall or short, heavy or slim), words and measures (woman,height=1.65), or a motion "
+    "file (.npz) of somebody"
+)
+"""What `identity` takes."""
+
+
+class Lean(Enum):
+    """On which side of the average."""
+
+    LESS = -1
+    MORE = 1
+
+
+_WORDS = {
+    "man": ("sex", Lean.MORE), "woman": ("sex", Lean.LESS),
+    "tall": ("height", Lean.MORE), "short": ("height", Lean.LESS),
+    "heavy": ("weight", Lean.MORE), "slim": ("weight", Lean.LESS),
+}  # fmt: skip
+_LIMITS = {"height": (1.0, 2.5, "metres"), "weight": (20.0, 250.0, "kilograms")}
+"""Beyond these a unit is wrong."""
+_STEPS = 60
+_CLOSE = 1e-5
+"""Metres and kilograms."""
+_FAR = 40.0
+"""Standard deviations from which on a search has gone astray."""
+
+Measure = Callable[[Float[Tensor, " shape"]], Float[Tensor, ""]]
+
+
+@dataclass(frozen=True)
+class _Wishes:
+    """What somebody asked for: a side, a number (metres, kilograms), or nothing."""
+
+    sex: Lean | None = None
+    """More is a man."""
+    height: Lean | float | None = None
+    weight: Lean | float | None = None
+
+
+def identity(spec: str, body: BodyModel) -> Float[Tensor, " shape"]:
+    """Shape coefficients of the body that somebody asked for; see `FORMS`.
+
+    Measures alone are those of the shape nearest to the average with them (|shape| least); beside
+    `man` or `woman`, nearest to the average of that sex among shapes that differ from it in
+    nothing that tells sexes apart. A measure that is not given goes with the other: taller
+    people are heavier. `tall` is the height that one in twenty people (men, women) exceeds,
+    `heavy` what one in twenty of the same height exceeds.
+
+    Raises:
+        FileNotFoundError: when there is no such motion file.
+        ValueError: when this is nothing that is understood, is not a body's height or weight, or
+            no shape has it.
+    """
+    words = [word.strip() for word in spec.split(",")]
+    if _numbers(words):
+        return _coefficients(spec, words, body)
+    if spec.strip().endswith(".npz") or Path(spec).is_file():
+        return load_motion_of(Path(spec.strip()), body).motion.shape
+    return _person(_wishes(spec, words), body)
+
+
+def height(body: BodyModel, shape: Float[Tensor, "*batch shape"]) -> Float[Tensor, "*batch"]:
+    """From the soles to the crown of the unposed body, metres."""
+    level = body.rest_vertices(shape)[..., 1]
+    return level.amax(-1) - level.amin(-1)
+
+
+def weight(body: BodyModel, shape: Float[Tensor, "*batch shape"]) -> Float[Tensor, "*batch"]:
+    """Volume of the unposed body times the density of people, kg."""
+    return DENSITY * part_volumes(body.rest_vertices(shape), Parts.of(body)).sum(-1)
+
+
+def doubts(body: BodyModel, shape: Float[Tensor, " shape"]) -> list[str]:
+    """Why a shape is nobody's, in words; empty where it may well be somebody's."""
+    tall, odd = float(height(body, shape)), float(shape.abs().max())
+    found: list[str] = []
+    if not SHORTEST < tall < TALLEST:
+        found.append(
+            f"the body is {tall:.2f} m tall; adults are {SHORTEST} to {TALLEST} m, and the body "
+            "model knows no others"
+        )
+    if odd > ODDEST:
+        found.append(
+            f"the body's shape is {odd:.1f} standard deviations from the average; people are "
+            f"within {ODDEST:g}"
+        )
+    return found
+
+
+def nearest_shape(
+    base: Float[Tensor, " shape"],
+    measures: Sequence[Measure],
+    asked: Sequence[float],
+    free: Float[Tensor, "shape shape"],
+) -> Float[Tensor, " shape"]:
+    """The shape nearest to `base` whose measures are those asked for.
+
+    min |s - s0|² with c(s) = c, by s ← s0 + Jᵀ (J Jᵀ)⁻¹ (c - c(s) + J (s - s0)): heights are
+    linear in the shape and volumes nearly so.
+
+    Args:
+        base: s0.
+        measures: c(s), metres or kilograms.
+        asked: c.
+        free: projection onto the directions in which the shape may change.
+
+    Raises:
+        ValueError: when no shape is found that has them.
+    """
+    goal, shape = base.new_tensor(asked), base
+    for _ in range(_STEPS):
+        values, slopes = _linear(shape, measures, free)
+        if bool(((goal - values).abs() < _CLOSE).all()):
+            return shape
+        wanted = goal - values + slopes @ (shape - base)
+        away = slopes.mT @ torch.linalg.solve(slopes @ slopes.mT, wanted)
+        if not float(away.norm()) < _FAR:
+            break
+        shape = base + away
+    raise ValueError("no body of this model has these measures; ask for milder ones")
+
+
+def _numbers(words: list[str]) -> bool:
+    try:
+        return bool([float(word) for word in words])
+    except ValueError:
+        return False
+
+
+def _coefficients(spec: str, words: list[str], body: BodyModel) -> Tensor:
+    values = [float(word) for word in words]
+    if len(values) > body.shape_size:
+        raise ValueError(
+            f"--shape {spec}: the body {body.name!r} has {body.shape_size} coefficients, got "
+            f"{len(values)}"
+        )
+    if not all(map(math.isfinite, values)):
+        raise ValueError(f"--shape {spec}: coefficients are finite numbers")
+    return body.template.new_tensor(values + [0.0] * (body.shape_size - len(values)))
+
+
+def _wishes(spec: str, words: list[str]) -> _Wishes:
+    """What the words and measures say."""
+    found: dict[str, Any] = {}
+    for word in words:
+        name, equals, value = (part.strip() for part in word.partition("="))
+        if equals and name in _LIMITS:
+            slot, wish = name, _measure(spec, name, value)
+        elif not equals and name in _WORDS:
+            slot, wish = _WORDS[name]
+        else:
+            raise ValueError(f"--shape {spec}: {word or 'nothing'!r} is not known; give {FORMS}")
+        if slot in found:
+            raise ValueError(f"--shape {spec}: says the {slot} twice")
+        found[slot] = wish
+    return _Wishes(**found)
+
+
+def _measure(spec: str, name: str, value: str) -> float:
+    least, most, unit = _LIMITS[name]
+    try:
+        number = float(value)
+    except ValueError:
+        raise ValueError(
+            f"--shape {spec}: expected a number of {unit} for the {name}, got {value!r}"
+        ) from None
+    if not least <= number <= most:
+        raise ValueError(
+            f"--shape {spec}: expected a {name} of {least:g} to {most:g} {unit}, got {value}"
+        )
+    return number
+
+
+def _person(wishes: _Wishes, body: BodyModel) -> Tensor:
+    exact = body.to(dtype=torch.float64)
+    base, free = _sex(wishes.sex, exact)
+    tall, heavy = partial(height, exact), partial(weight, exact)
+    metres, kilograms = wishes.height, wishes.weight
+    if isinstance(metres, Lean):
+        # one standard deviation of a linear measure is the length of its gradient
+        values, slopes = _linear(base, (tall,), free)
+        metres = float(values[0] + metres.value * ONE_IN_TWENTY * slopes[0].norm())
+    if isinstance(kilograms, Lean):
+        # for this height
+        goal = float(tall(base)) if metres is None else metres
+        shape = nearest_shape(base, (tall,), (goal,), free)
+        _, slopes = _linear(shape, (tall, heavy), free)
+        up = slopes[0] / slopes[0].norm()
+        wide = slopes[1] - (slopes[1] @ up) * up
+        return (shape + kilograms.value * ONE_IN_TWENTY * wide / wide.norm()).to(body.template)
+    pairs = [(of, x) for of, x in ((tall, metres), (heavy, kilograms)) if x is not None]
+    if pairs:
+        base = nearest_shape(base, [of for of, _ in pairs], [x for _, x in pairs], free)
+    return base.to(body.template)
+
+
+def _sex(wish: Lean | None, body: BodyModel) -> tuple[Tensor, Tensor]:
+    """The average of a sex, and the projection that leaves what makes it one."""
+    free = torch.eye(body.shape_size).to(body.male)
+    if wish is None:
+        return torch.zeros_like(body.male), free
+    between = body.male - body.female
+    if not bool((between != 0).any()):
+        raise ValueError(
+            f"the body {body.name!r} knows one sex only: give height and weight, or coefficients"
+        )
+    axis = between / between.norm()
+    mean = body.male if wish is Lean.MORE else body.female
+    return mean, free - axis[:, None] * axis
+
+
+def _linear(
+    shape: Tensor, measures: Sequence[Measure], free: Tensor
+) -> tuple[Float[Tensor, " measures"], Float[Tensor, "measures shape"]]:
+    """Values of the measures, and their gradients as far as the shape may follow them."""
+    at = shape.detach().requires_grad_()
+    values = [of(at) for of in measures]
+    slopes = torch.stack([torch.autograd.grad(value, at)[0] for value in values])
+    return torch.stack(values).detach(), slopes @ free

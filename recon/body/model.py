@@ -1,0 +1,211 @@
+"""Body models: a shape space, 22 joints and linear blend skinning; vertices only on demand."""
+
+import hashlib
+import io
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from recon.body.kinematics import forward_kinematics
+from recon.core.motion import Motion
+from recon.core.skeleton import JOINTS
+from recon.core.struct import TensorStruct
+from recon.formats.bodies.smpl import SmplArrays, load_smpl
+
+
+@dataclass(frozen=True)
+class BodyModel(TensorStruct):
+    """A linear body of the SMPL family, reduced to its 22 body joints.
+
+    rest vertices = template + shape_directions · shape; the rest pose has y up, faces z, and
+    the body's left is +x. Weights of further joints (hands, jaw, eyes) are added to their
+    nearest body ancestor, which is exact while those joints keep their rest rotation.
+    """
+
+    name: str
+    checksum: str
+    """First 16 hexadecimal digits of the file's SHA-256."""
+    template: Float[Tensor, "vertices 3"]
+    shape_directions: Float[Tensor, "vertices 3 shape"]
+    pose_directions: Float[Tensor, "features vertices 3"] | None
+    """Vertex offsets per entry of the 21 body rotations minus identity, row-major (SMPL)."""
+    joint_template: Float[Tensor, "22 3"]
+    joint_directions: Float[Tensor, "22 3 shape"]
+    weights: Float[Tensor, "vertices 22"]
+    faces: Int[Tensor, "faces 3"]
+    male: Float[Tensor, " shape"]
+    """Shape of the average man (zero where a file holds one sex)."""
+    female: Float[Tensor, " shape"]
+
+    @classmethod
+    def load(cls, path: str | Path | None = None) -> "BodyModel":
+        """The bundled body, or a SMPL, SMPL-H or SMPL-X file of one's own (.npz or .pkl).
+
+        Raises:
+            FileNotFoundError: when there is no such file.
+            ValueError: when the file is no body model; the message says what is missing.
+        """
+        if path is None:
+            return _bundled()
+        return _from_smpl(load_smpl(Path(path)), Path(path))
+
+    @property
+    def shape_size(self) -> int:
+        """Number of shape coefficients the body has."""
+        return self.shape_directions.shape[-1]
+
+    def rest_joints(self, shape: Float[Tensor, "*batch shape"]) -> Float[Tensor, "*batch 22 3"]:
+        """Joints of the unposed body, metres; missing trailing coefficients are zero."""
+        directions = self.joint_directions[..., : self._size(shape)].flatten(0, 1)
+        return self.joint_template + (shape @ directions.mT).unflatten(-1, (-1, 3))
+
+    def rest_vertices(
+        self,
+        shape: Float[Tensor, "*batch shape"],
+        vertices: Int[Tensor, " points"] | None = None,
+    ) -> Float[Tensor, "*batch points 3"]:
+        """Surface of the unposed body, or some of its vertices, metres."""
+        template, directions = self.template, self.shape_directions
+        if vertices is not None:
+            template, directions = template[vertices], directions[vertices]
+        return template + torch.einsum(
+            "vdk,...k->...vd", directions[..., : self._size(shape)], shape
+        )
+
+    def pose(self, motion: Motion) -> "PosedBody":
+        """The body in every frame of a motion; only joints are computed here."""
+        rest = self.rest_joints(motion.shape)
+        orientations, joints = forward_kinematics(motion.rotations, rest)
+        return PosedBody(
+            model=self,
+            shape=motion.shape,
+            rest=rest,
+            local=motion.rotations,
+            joints=joints + motion.translation[..., None, :],
+            orientations=orientations,
+        )
+
+    def _size(self, shape: Tensor) -> int:
+        if shape.shape[-1] > self.shape_size:
+            raise ValueError(
+                f"body {self.name!r} has {self.shape_size} shape coefficients, "
+                f"got {shape.shape[-1]}; fit the shape to this body first"
+            )
+        return shape.shape[-1]
+
+
+@dataclass(frozen=True)
+class PosedBody:
+    """A body in a motion; surface points are skinned when asked for."""
+
+    model: BodyModel
+    shape: Float[Tensor, "*batch shape"]
+    rest: Float[Tensor, "*batch 22 3"]
+    local: Float[Tensor, "*batch time 22 3 3"]
+    joints: Float[Tensor, "*batch time 22 3"]
+    """World frame, metres."""
+    orientations: Float[Tensor, "*batch time 22 3 3"]
+    """Rotation of every bone from the rest pose to the world."""
+
+    @cached_property
+    def vertices(self) -> Float[Tensor, "*batch time vertices 3"]:
+        """The whole surface, metres; computed on first use and kept."""
+        return self.points(torch.arange(len(self.model.template), device=self.joints.device))
+
+    @property
+    def bones(self) -> Float[Tensor, "*batch time 22 4 3"]:
+        """Where every bone takes points (x, 1) of the unposed surface: rows R_jᵀ, then t_j."""
+        shift = self.joints - (self.orientations @ self.rest[..., None, :, :, None])[..., 0]
+        return torch.cat((self.orientations.transpose(-1, -2), shift[..., None, :]), -2)
+
+    def points(self, vertices: Int[Tensor, " points"]) -> Float[Tensor, "*batch time points 3"]:
+        """Some vertices of the surface, metres; no other vertex is touched.
+
+        A shape is shared by all frames of a clip, so skinning is one matrix product:
+        v = [w_vj (x_v, 1)] [R_j ; t_j], points x 4·22 times 4·22 x 3·time (body study, part 4).
+        """
+        weights = self.model.weights[vertices]
+        unposed = self.model.rest_vertices(self.shape, vertices)
+        homogeneous = torch.cat((unposed, torch.ones_like(unposed[..., :1])), -1)
+        left = (weights[:, :, None] * homogeneous[..., :, None, :]).flatten(-2)
+        # (*batch time joints 4 3) -> (*batch joints·4 time·3)
+        right = self.bones.movedim(-4, -2).flatten(-4, -3).flatten(-2)
+        skinned = (left @ right).unflatten(-1, (self.joints.shape[-3], 3)).movedim(-2, -3)
+        if self.model.pose_directions is None:
+            return skinned
+        return skinned + self._corrective(vertices, weights)
+
+    def _corrective(self, vertices: Tensor, weights: Tensor) -> Tensor:
+        """Pose-dependent offsets (SMPL), turned by the blended rotation of each vertex."""
+        directions = self.model.pose_directions
+        assert directions is not None
+        identity = torch.eye(3, dtype=self.local.dtype, device=self.local.device)
+        features = (self.local[..., 1:, :, :] - identity).flatten(-3)
+        offsets = torch.einsum("fvd,...f->...vd", directions[:, vertices], features)
+        turns = torch.einsum("vj,...jab->...vab", weights, self.orientations)
+        return (turns @ offsets[..., None])[..., 0]
+
+
+@lru_cache(maxsize=1)
+def _bundled() -> BodyModel:
+    data = (resources.files("recon") / "assets" / "body.npz").read_bytes()
+    with np.load(io.BytesIO(data), allow_pickle=False) as file:
+        arrays = {key: file[key] for key in file.files}
+    weights = np.zeros((len(arrays["template"]), len(JOINTS)))
+    rows = np.arange(len(weights))[:, None]
+    np.add.at(weights, (rows, arrays["weight_index"].astype(int)), arrays["weight_value"])
+    return BodyModel(
+        name="recon",
+        checksum=_checksum(data),
+        template=_tensor(arrays["template"]),
+        shape_directions=_tensor(arrays["shape_directions"]),
+        pose_directions=None,
+        joint_template=_tensor(arrays["joint_template"]),
+        joint_directions=_tensor(arrays["joint_directions"]),
+        weights=_tensor(weights / weights.sum(1, keepdims=True)),
+        faces=torch.from_numpy(arrays["faces"].astype(np.int64)),
+        male=_tensor(arrays["male"]),
+        female=_tensor(arrays["female"]),
+    )
+
+
+def _from_smpl(arrays: SmplArrays, path: Path) -> BodyModel:
+    """Reduce a licensed body to 22 joints; its joints regressed from the shaped surface."""
+    count = len(JOINTS)
+    ancestor = list(range(len(arrays.parents)))
+    for joint in range(count, len(ancestor)):
+        ancestor[joint] = ancestor[int(arrays.parents[joint])]
+    weights = np.zeros((len(arrays.template), count))
+    np.add.at(weights.T, ancestor, arrays.weights.T)
+    regressor = arrays.joint_regressor[:count]
+    poses = arrays.pose_directions
+    nobody = np.zeros(arrays.shape_directions.shape[-1])
+    return BodyModel(
+        name=path.stem,
+        checksum=_checksum(path.read_bytes()),
+        template=_tensor(arrays.template),
+        shape_directions=_tensor(arrays.shape_directions),
+        pose_directions=None
+        if poses is None
+        else _tensor(poses[..., : 9 * (count - 1)].transpose(2, 0, 1)),
+        joint_template=_tensor(regressor @ arrays.template),
+        joint_directions=_tensor(np.einsum("jv,vdk->jdk", regressor, arrays.shape_directions)),
+        weights=_tensor(weights),
+        faces=torch.from_numpy(arrays.faces.astype(np.int64)),
+        male=_tensor(nobody),
+        female=_tensor(nobody),
+    )
+
+
+def _checksum(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()[:16]
+
+
+def _tensor(array: np.ndarray) -> Tensor:
+    return torch.from_numpy(np.ascontiguousarray(array, np.float32))

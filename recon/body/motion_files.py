@@ -1,0 +1,50 @@
+"""Motion files of one body."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+
+from recon.body.model import BodyModel
+from recon.formats.motions import MotionFile, load_motion
+
+WITH_BODY = "give the file of its body with --body"
+"""What to do about a motion of another body, in commands that take one."""
+
+
+def load_motion_of(path: Path, body: BodyModel, remedy: str = WITH_BODY) -> MotionFile:
+    """Read a motion of a body, with all of the body's shape coefficients; those missing are zero.
+
+    Shape coefficients mean nothing on another body, so a motion of one is refused: a file that
+    names another body, or one of another program (AMASS) beside the bundled body, as its betas
+    are of a body of the SMPL family. Beside a body of one's own such a file is taken for its.
+
+    Args:
+        path: motion file.
+        body: whose motion it must be; in its precision the motion is read.
+        remedy: what to do about a motion of another body, for the message.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+        ValueError: when it is damaged, or made with another body.
+    """
+    file = load_motion(path, body.template.dtype)
+    bundled = body.checksum == BodyModel.load().checksum
+    if file.checksum is None and file.format_version == 0 and bundled:
+        raise ValueError(
+            f"{path}: does not name its body, as files of AMASS do not: its betas are shape "
+            f"coefficients of a SMPL-family body, which mean nothing on the bundled one; {remedy}"
+        )
+    if file.checksum not in (None, body.checksum):
+        raise ValueError(
+            f"{path}: made with the body {file.body} ({file.checksum}), not with {body.name} "
+            f"({body.checksum}); {remedy}"
+        )
+    missing = body.shape_size - file.motion.shape.shape[-1]
+    if missing < 0:
+        raise ValueError(
+            f"{path}: has {file.motion.shape.shape[-1]} shape coefficients, the body "
+            f"{body.name!r} {body.shape_size}; {remedy}"
+        )
+    shape = torch.nn.functional.pad(file.motion.shape, (0, missing))
+    return replace(file, motion=file.motion.replace(shape=shape))

@@ -1,0 +1,36 @@
+"""True human motion from noisy, partial observations."""
+
+from recon.cli.verbs.batch import batch
+from recon.cli.verbs.complete import complete
+from recon.cli.verbs.convert import convert
+from recon.cli.verbs.demo import demo
+from recon.cli.verbs.evaluate import evaluate
+from recon.cli.verbs.export import export
+from recon.cli.verbs.fit import fit
+from recon.cli.verbs.info import info
+from recon.cli.verbs.interpolate import interpolate
+from recon.cli.verbs.predict import predict
+from recon.cli.verbs.retarget import retarget
+from recon.cli.verbs.sample import sample
+from recon.cli.verbs.simulate import simulate
+from recon.cli.verbs.train import train
+from recon.cli.verbs.view import view
+
+ALL = (
+    demo,
+    fit,
+    complete,
+    batch,
+    convert,
+    sample,
+    predict,
+    interpolate,
+    retarget,
+    simulate,
+    evaluate,
+    view,
+    export,
+    info,
+    train,
+)
+"""The verbs, in the order of `recon --help`."""

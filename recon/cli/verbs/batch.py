@@ -1,0 +1,81 @@
+"""`recon batch`: many clips at once."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from tyro.conf import OmitArgPrefixes, Positional
+
+from recon.cli.errors import Failed
+from recon.cli.places import Arguments, Overwrite, Place, writes
+from recon.fitting.settings import DEFAULTS, FitSettings
+from recon.jobs.results.outputs import Kind, Output
+
+
+def _is_former(folder: Path) -> bool:
+    """Whether a folder has the log of a batch; one that was cut at once has no whole line yet."""
+    from recon.jobs.many.worklog import read_log
+
+    logs = list(folder.glob("log*.jsonl"))
+    return any(b"\n" not in log.read_bytes() or read_log(log) for log in logs)
+
+
+def _results(out: Path, _: Arguments) -> tuple[Output, ...]:
+    return (Output(out, Kind.CONTINUED, is_former=_is_former),)
+
+
+def _observations(given: Arguments) -> Iterator[Path]:
+    from recon.jobs.many.batch import read_manifest
+
+    if given["manifest"].is_file():
+        for clip in read_manifest(given["manifest"]):
+            yield from clip.observations
+
+
+@writes(Place("out", _results), reads=_observations)
+def batch(
+    manifest: Positional[Path],
+    out: Path,
+    settings: OmitArgPrefixes[FitSettings] = DEFAULTS,
+    processes: int = 2,
+    shard: str = "0/1",
+    overwrite: Overwrite = False,
+) -> None:
+    """Fit every clip of a manifest; run it again to go on where it stopped.
+
+    The manifest has one JSON object per line: {"id": "clip", "observations": ["clip.npz"]}.
+    Results are OUT/ID.npz; OUT/log.jsonl says what became of each clip. A clip is fitted again
+    when the contents of its files, of the calibration, body, masks or weights, or the settings
+    are others than before. Exit code 1 says that some clip has no result; see the log for why.
+
+    Args:
+        manifest: JSON lines; paths are relative to it.
+        out: folder for the results.
+        settings: how to fit.
+        processes: clips at a time, one thread each.
+        shard: I/N fits the I-th of N equal parts: one part per machine or job of a cluster.
+        overwrite: replace files that are there and recon did not write.
+    """
+    from rich.progress import Progress
+
+    from recon.cli import console
+    from recon.jobs.many.batch import fit_all, read_manifest
+    from recon.jobs.many.batch import shard as part
+
+    index, slash, count = shard.partition("/")
+    if not (slash and index.isdigit() and count.isdigit()):
+        raise ValueError(f"--shard is I/N, for example 0/4; got {shard!r}")
+    clips = part(read_manifest(manifest), int(index), int(count))
+    out.mkdir(parents=True, exist_ok=True)
+    log = out / ("log.jsonl" if shard == "0/1" else f"log-{index}-{count}.jsonl")
+    counts: dict[str, int] = {}
+    with Progress(console=console.stderr, transient=True) as bar:
+        task = bar.add_task("clips", total=len(clips))
+        for record in fit_all(clips, out, settings, processes, log, overwrite=overwrite):
+            counts[record["status"]] = counts.get(record["status"], 0) + 1
+            if "error" in record:
+                console.say(f"{record['id']}: {record['status']}: {record['error']}")
+            bar.advance(task)
+    console.answer({"clips": len(clips), **counts, "log": str(log)})
+    if any(status not in ("ok", "skipped") for status in counts):
+        bad = sum(n for status, n in counts.items() if status not in ("ok", "skipped"))
+        raise Failed(f"{bad} of {len(clips)} clips were not fitted; {log} says why")

@@ -1,0 +1,24 @@
+"""`recon demo`: see it work."""
+
+from pathlib import Path
+
+from recon.cli.places import Overwrite, Place, folder, writes
+
+
+@writes(Place("out", folder))
+def demo(out: Path = Path("demo"), overwrite: Overwrite = False) -> None:
+    """Spoil a real recording in two ways and give it back.
+
+    Writes demo.json (all metrics), demo.html and noisy.html (pages to play), demo.png and the
+    motions.
+
+    Args:
+        out: folder to write into.
+        overwrite: replace files that are there and recon did not write.
+    """
+    from recon.cli import console
+    from recon.jobs import demo as work
+
+    table = work.demo(out, overwrite=overwrite)
+    console.table("mean errors of the reconstruction, centimetres", work.summary(table))
+    console.say(f"open {out / 'demo.html'} in a browser; the picture is {out / 'demo.png'}")

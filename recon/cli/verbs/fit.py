@@ -1,0 +1,80 @@
+"""`recon fit`: observation files in, a motion out."""
+
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import OmitArgPrefixes, Positional, arg
+
+from recon.cli.errors import Failed
+from recon.cli.places import Overwrite, Place, writes
+from recon.fitting.settings import DEFAULTS, FitSettings
+
+
+@writes(Place("out"))
+def fit(
+    observations: Positional[tuple[Path, ...]],
+    out: Path,
+    settings: OmitArgPrefixes[FitSettings] = DEFAULTS,
+    json: Annotated[bool, arg(help="Print the report as JSON on stdout.")] = False,
+    overwrite: Overwrite = False,
+) -> None:
+    """Reconstruct the motion behind what was recorded of one clip.
+
+    Several observations add up. Of each kind there may be any number, in any order:
+    observation files (.npz) of 3D joints, markers, 2D keypoints or points; with --camera
+    and --frame-rate, 2D detections of OpenPose, MMPose, AlphaPose, MediaPipe,
+    DeepLabCut, EasyMocap or Pose2Sim (a folder or file per view, or a folder of views);
+    a folder of scans (.ply, .pcd); a folder of 16-bit depth images (.png, with --camera).
+
+    Writes OUT (AMASS .npz with joints, contacts and ground) and OUT.json (what happened).
+
+    Args:
+        observations: files and folders of one clip.
+        out: motion file to write.
+        settings: how to fit.
+        json: print the report as JSON on stdout.
+        overwrite: replace files that are there and recon did not write.
+    """
+    fit_and_say(observations, out, settings, json=json, overwrite=overwrite)
+
+
+def fit_and_say(
+    observations: tuple[Path, ...],
+    out: Path,
+    settings: FitSettings,
+    *,
+    json: bool,
+    overwrite: bool,
+) -> None:
+    """Fit, and tell what a person at the terminal should know.
+
+    Raises:
+        Failed: when the fit met nan or inf.
+        FileNotFoundError, ValueError: for bad input.
+    """
+    from recon.cli import console
+    from recon.jobs.fit import fit_files
+
+    with console.fitting({}) as watch:
+        report = fit_files(observations, out, settings, watch, overwrite=overwrite)
+    for line in report["read"]:
+        console.note(line)
+    for stage in report["stages"]:
+        console.say(
+            f"{stage['name']:<9} {stage['iterations']:>4} iterations {stage['seconds']:>7.2f} s, "
+            f"total {sum(stage['energies'].values()):.4g}: {stage['termination']}"
+        )
+    if cycle := report.get("cycle"):
+        residuals = ", ".join(f"{mm:.0f}" for mm in cycle["residual_mm"] if mm is not None)
+        console.say(
+            f"one cycle of {cycle['seconds']:.2f} s, seen at {cycle['moments_seen']} moments, "
+            f"code distance {cycle['code_distance']:.2f}, "
+            f"residual {residuals} mm"
+        )
+    console.findings(report)
+    console.say(str(out))
+    if json:
+        console.answer(report)
+    if report["failed"]:
+        reasons = "; ".join(s["termination"] for s in report["stages"])
+        raise Failed(f"{out}: {reasons}")

@@ -1,0 +1,251 @@
+"""Pinhole cameras with OpenCV's lens distortion: world points to pixels and back."""
+
+from dataclasses import dataclass
+from typing import cast
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from recon.core.arrays import Numbers, float_tensor, index_tuple, require_shape
+from recon.core.limits import check_camera, check_pose
+from recon.core.struct import TensorStruct
+
+NEAREST = 0.01
+"""Points closer to the image plane than this, or behind it, are not seen; metres."""
+
+COEFFICIENT_COUNTS = (4, 5, 8)
+"""OpenCV's k1 k2 p1 p2 [k3 [k4 k5 k6]]."""
+
+_UNDISTORT_STEPS = 30
+
+
+@dataclass(frozen=True)
+class Projection(TensorStruct):
+    """Where points fall in an image; finite also where they are not seen."""
+
+    pixels: Float[Tensor, "*batch points 2"]
+    """u to the right, v down. Meaningless, and without gradient, where not `in_front`."""
+    depth: Float[Tensor, "*batch points"]
+    """Distance along the viewing axis, metres."""
+
+    @property
+    def in_front(self) -> Bool[Tensor, "*batch points"]:
+        """Points the camera can see; beware that they may still lie outside the image."""
+        return self.depth > NEAREST
+
+
+@dataclass(frozen=True)
+class Camera(TensorStruct):
+    """A calibrated camera: x right, y down, z forward (OpenCV); fixed or moving.
+
+    The leading axes of the three tensors broadcast against those of the points: none for a fixed
+    camera, (time,) for a moving one, (batch, time or 1) for a batch of clips.
+    """
+
+    camera_matrix: Float[Tensor, "*#frames 3 3"]
+    """Focal lengths, skew and principal point, pixels."""
+    image_size: tuple[int, int]
+    """Width and height, pixels."""
+    distortion: Float[Tensor, "*#frames coefficients"] | None
+    """k1 k2 p1 p2 [k3 [k4 k5 k6]] in OpenCV's order, or None for a perfect lens."""
+    T_camera_world: Float[Tensor, "*#frames 4 4"]
+    """Maps world points to the camera frame, metres."""
+
+    def __post_init__(self) -> None:
+        focal = self.camera_matrix[..., [0, 1], [0, 1]]
+        if not bool((focal > 0).all()):
+            raise ValueError(
+                f"focal lengths must be positive pixels, got {focal.tolist()}; "
+                "expected a camera matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]"
+            )
+        if len(self.image_size) != 2 or min(self.image_size) <= 0:
+            raise ValueError(f"image size must be positive (width, height), got {self.image_size}")
+        lens = self.distortion
+        if lens is not None and lens.shape[-1] not in COEFFICIENT_COUNTS:
+            raise ValueError(
+                f"expected {' or '.join(map(str, COEFFICIENT_COUNTS))} distortion coefficients "
+                f"(k1 k2 p1 p2 [k3 [k4 k5 k6]]), got {lens.shape[-1]}"
+            )
+        self._check_ranges()
+
+    def _check_ranges(self) -> None:
+        """Refuse intrinsics that no camera has, and poses that are no rigid transforms."""
+        check_pose(self.T_camera_world.detach().cpu(), "Camera", "T_camera_world")
+        lenses = [None] if self.distortion is None else self._different(self.distortion)
+        for matrix in self._different(self.camera_matrix.flatten(-2)):
+            for lens in lenses:
+                check_camera(matrix.reshape(3, 3), self.image_size, lens, "Camera")
+
+    @staticmethod
+    def _different(rows: Tensor) -> list[Tensor]:
+        """The rows that differ from each other: cameras seldom change their lens."""
+        return list(rows.detach().cpu().double().reshape(-1, rows.shape[-1]).unique(dim=0))
+
+    @classmethod
+    def create(
+        cls,
+        camera_matrix: Numbers,
+        image_size: tuple[int, int],
+        distortion: Numbers | None = None,
+        T_camera_world: Numbers | None = None,
+    ) -> "Camera":
+        """A camera; without a pose its frame is the world.
+
+        Arrays of numpy become tensors in single precision.
+
+        Raises:
+            ValueError: naming the array, what was expected and what came.
+        """
+        matrix = float_tensor(camera_matrix, "Camera.camera_matrix")
+        require_shape(matrix, "Camera.camera_matrix", (3, 3))
+        size = index_tuple(image_size, "Camera.image_size")
+        lens = None if distortion is None else float_tensor(distortion, "Camera.distortion")
+        if lens is not None:
+            require_shape(lens, "Camera.distortion", ("coefficients",))
+        pose = float_tensor(
+            np.eye(4) if T_camera_world is None else T_camera_world, "Camera.T_camera_world"
+        )
+        require_shape(pose, "Camera.T_camera_world", (4, 4))
+        lens = None if lens is None else lens.to(matrix)
+        return cls(matrix, cast(tuple[int, int], size), lens, pose.to(matrix))
+
+    @property
+    def T_world_camera(self) -> Float[Tensor, "*#frames 4 4"]:
+        """Maps points of the camera frame to the world."""
+        turn = self.T_camera_world[..., :3, :3].mT
+        place = -turn @ self.T_camera_world[..., :3, 3:]
+        return torch.cat((torch.cat((turn, place), -1), self.T_camera_world[..., 3:, :]), -2)
+
+    def at(self, moments: range) -> "Camera":
+        """The camera at some moments of its own clock; beyond its poses it stands still.
+
+        Its poses have an axis of frames, of length one for a fixed camera.
+        """
+        poses = self.T_camera_world
+        if poses.shape[-3] == 1:
+            return self
+        held = torch.tensor(moments, device=poses.device).clamp(0, poses.shape[-3] - 1)
+        return self.derived(T_camera_world=poses[..., held, :, :])
+
+    def to_camera(
+        self, points: Float[Tensor, "*batch points 3"]
+    ) -> Float[Tensor, "*all points 3"]:
+        """World points in the camera frame, metres."""
+        return transform(self.T_camera_world, points)
+
+    def to_world(self, points: Float[Tensor, "*batch points 3"]) -> Float[Tensor, "*all points 3"]:
+        """Points of the camera frame in the world, metres."""
+        return transform(self.T_world_camera, points)
+
+    def project(self, points: Float[Tensor, "*batch points 3"]) -> Projection:
+        """Pixels and depths of world points; differentiable, finite behind the camera too."""
+        seen = self.to_camera(points)
+        depth = seen[..., 2]
+        in_front = (depth > NEAREST)[..., None]
+        # Choosing before dividing keeps the gradient of the unseen finite: it is zero.
+        plane = torch.where(in_front, seen[..., :2], 0.0)
+        rays = plane / torch.where(in_front, depth[..., None], 1.0)
+        if self.distortion is not None:
+            rays = distort(rays, self.distortion[..., None, :])
+        pixels = rays @ self.camera_matrix[..., :2, :2].mT + self.camera_matrix[..., None, :2, 2]
+        return Projection(pixels, depth)
+
+    def unproject(
+        self, pixels: Float[Tensor, "*batch points 2"], depth: Float[Tensor, "*batch points"]
+    ) -> Float[Tensor, "*all points 3"]:
+        """World points seen at these pixels and depths (metres along the viewing axis)."""
+        centred = (pixels - self.camera_matrix[..., None, :2, 2]).mT
+        rays = torch.linalg.solve(self.camera_matrix[..., :2, :2], centred).mT
+        if self.distortion is not None:
+            rays = undistort(rays, self.distortion[..., None, :])
+        rays = torch.cat((rays, torch.ones_like(rays[..., :1])), -1)
+        return self.to_world(rays * depth[..., None])
+
+    def in_image(self, pixels: Float[Tensor, "*batch points 2"]) -> Bool[Tensor, "*batch points"]:
+        """Pixels that lie inside the image."""
+        size = pixels.new_tensor(self.image_size)
+        return ((pixels >= 0) & (pixels < size)).all(-1)
+
+    def placed(self, position: Float[Tensor, "3"], target: Float[Tensor, "3"]) -> "Camera":
+        """The same camera, fixed at a place of the world (z up) and looking at a target.
+
+        Raises:
+            ValueError: when it would look straight up or down.
+        """
+        return self.replace(T_camera_world=looking(position, target))
+
+
+def transform(
+    T: Float[Tensor, "*frames 4 4"], points: Float[Tensor, "*batch points 3"]
+) -> Float[Tensor, "*all points 3"]:
+    """Points after a rigid transform; leading axes broadcast."""
+    return points @ T[..., :3, :3].mT + T[..., None, :3, 3]
+
+
+def looking(position: Float[Tensor, "3"], target: Float[Tensor, "3"]) -> Float[Tensor, "4 4"]:
+    """T_camera_world of an upright camera at `position` whose viewing axis meets `target`.
+
+    Raises:
+        ValueError: when the viewing axis is vertical, which leaves the image's up undefined.
+    """
+    forward = torch.nn.functional.normalize(target - position, dim=0)
+    right = torch.linalg.cross(forward, forward.new_tensor([0.0, 0.0, 1.0]))
+    if not right.norm() > 1e-6:
+        raise ValueError(
+            f"a camera at {position.tolist()} that looks at {target.tolist()} has no upright "
+            "image; move either one sideways"
+        )
+    right = right / right.norm()
+    turn = torch.stack((right, torch.linalg.cross(forward, right), forward))
+    pose = torch.eye(4, dtype=position.dtype, device=position.device)
+    pose[:3, :3], pose[:3, 3] = turn, -turn @ position
+    return pose
+
+
+def distort(
+    rays: Float[Tensor, "*shape 2"], coefficients: Float[Tensor, "*#shape coefficients"]
+) -> Float[Tensor, "*shape 2"]:
+    """Ideal image coordinates x/z, y/z as the lens bends them (Brown; OpenCV's equations)."""
+    radial, shift = _lens(rays, coefficients)
+    return rays * radial + shift
+
+
+def undistort(
+    rays: Float[Tensor, "*shape 2"], coefficients: Float[Tensor, "*#shape coefficients"]
+) -> Float[Tensor, "*shape 2"]:
+    """The inverse of `distort`, by fixed-point iteration (lenses whose distortion is monotone)."""
+    straight = rays
+    for _ in range(_UNDISTORT_STEPS):
+        radial, shift = _lens(straight, coefficients)
+        straight = (rays - shift) / radial
+    return straight
+
+
+def _lens(rays: Tensor, coefficients: Tensor) -> tuple[Tensor, Tensor]:
+    """Radial factor and tangential shift at given ideal coordinates."""
+    missing = COEFFICIENT_COUNTS[-1] - coefficients.shape[-1]
+    padded = torch.nn.functional.pad(coefficients, (0, missing))[..., None]
+    k1, k2, p1, p2, k3, k4, k5, k6 = padded.unbind(-2)
+    x, y = rays[..., :1], rays[..., 1:]
+    r2 = x.square() + y.square()
+    radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
+    shift_x = 2 * p1 * x * y + p2 * (r2 + 2 * x.square())
+    shift_y = p1 * (r2 + 2 * y.square()) + 2 * p2 * x * y
+    return radial, torch.cat((shift_x, shift_y), -1)
+
+
+def _intrinsics(focal: float, width: int, height: int) -> Camera:
+    rows = [[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]]
+    return Camera.create(torch.tensor(rows), (width, height))
+
+
+def full_hd_camera() -> Camera:
+    """A phone's main camera filming 1920 x 1080 across 65 degrees, at the origin."""
+    return _intrinsics(1500.0, 1920, 1080)
+
+
+def depth_camera() -> Camera:
+    """A time-of-flight sensor of 512 x 424 pixels across 70 degrees, at the origin."""
+    return _intrinsics(365.0, 512, 424)

@@ -1,0 +1,1 @@
+"""Geometry without people: planes, normals, neighbours, triangles to pixels."""

@@ -1,0 +1,159 @@
+"""The ground as the sensor sees it: a plane through many points of a cloud, and what is not it."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
+
+from recon.core.ground import Ground
+
+_CANDIDATES = 4
+"""Planes looked at: the largest, the largest of what it leaves, ..."""
+_SAMPLE = 20_000
+"""Points that planes are counted on."""
+_REFINEMENTS = 5
+_WIDTH = 0.8
+"""Metres that a ground extends over across its length: more than somebody lying on it."""
+
+
+@dataclass(frozen=True)
+class FoundGround:
+    """A plane that may be the ground, or why none was found."""
+
+    ground: Ground | None
+    """Normal up, in the frame of the points; None when there is no such plane."""
+    reason: str
+
+
+def find_ground(
+    points: Float[np.ndarray, "points 3"],
+    up: Float[np.ndarray, "3"],
+    *,
+    tolerance: float = 0.03,
+    tilt: float = math.radians(40),
+    least: float = 0.05,
+    seed: int = 0,
+) -> FoundGround:
+    """The largest roughly level plane that has few points below it.
+
+    Planes are found by RANSAC (Fischler & Bolles 1981) and refined by least squares on their
+    inliers, the largest first. A table is level, too, but the floor around it lies below.
+
+    Args:
+        points: of a whole scene, metres.
+        up: roughly upwards; (0, -1, 0) in the frame of a camera held level.
+        tolerance: distance within which a point belongs to a plane, metres.
+        tilt: most the normal may differ from `up`, radians.
+        least: share of the points a plane must have.
+        seed: of the random samples.
+    """
+    up = np.asarray(up, np.float64) / max(float(np.linalg.norm(up)), 1e-12)
+    if not np.isfinite(points).all():
+        raise ValueError("a cloud to find the ground in holds NaN or infinity; leave those out")
+    generator = np.random.default_rng(seed)
+    cloud = points
+    if len(cloud) > _SAMPLE:
+        cloud = cloud[generator.permutation(len(cloud))[:_SAMPLE]]
+    left, rejected = cloud, "no plane"
+    for _ in range(_CANDIDATES):
+        found = largest_plane(left, tolerance=tolerance, generator=generator)
+        if found is None or found[2].sum() < least * len(cloud):
+            break
+        normal, offset, inliers = found
+        if normal @ up < 0:
+            normal, offset = -normal, -offset
+        points_of_plane, left = left[inliers], left[~inliers]
+        if normal @ up < math.cos(tilt):
+            rejected = f"a plane {math.degrees(math.acos(normal @ up)):.0f} degrees from level"
+            continue
+        if _width(points_of_plane, normal) < _WIDTH:
+            rejected = "a level plane no wider than a body"
+            continue
+        below = float((cloud @ normal < offset - 2 * tolerance).mean())
+        share = float(inliers.sum() / len(cloud))
+        if below > max(0.05, share / 2):
+            rejected = f"a level plane with {below:.0%} of the points below it"
+            continue
+        ground = Ground.create(torch.from_numpy(normal), torch.tensor(offset).double())
+        return FoundGround(ground, f"a plane with {share:.0%} of the points")
+    return FoundGround(None, f"no ground: found {rejected}")
+
+
+def _width(points: Float[np.ndarray, "points 3"], normal: Float[np.ndarray, "3"]) -> float:
+    """Extent along the second axis of points of a plane, without a tenth at either end, metres."""
+    centred = points - points.mean(0)
+    across = np.cross(normal, np.linalg.eigh(centred.T @ centred)[1][:, 2]) @ centred.T
+    return float(np.subtract(*np.percentile(across, (90, 10))) / 0.8)
+
+
+def largest_plane(
+    points: Float[np.ndarray, "points 3"],
+    *,
+    tolerance: float,
+    generator: np.random.Generator,
+    trials: int = 300,
+) -> tuple[Float[np.ndarray, "3"], float, Bool[np.ndarray, " points"]] | None:
+    """Unit normal n, offset n·x = d and inliers of the plane with most points; None if none."""
+    if len(points) < 3:
+        return None
+    corners = points[generator.integers(0, len(points), (trials, 3))]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(normals, axis=1)
+    proper = length > 1e-9
+    if not proper.any():
+        return None
+    normals = normals[proper] / length[proper, None]
+    offsets = np.einsum("nk,nk->n", normals, corners[proper, 0])
+    few = points[:: max(1, len(points) // 4000)]
+    counts = (np.abs(few @ normals.T - offsets) < tolerance).sum(0)
+    best = int(counts.argmax())
+    normal, offset = normals[best], float(offsets[best])
+    for _ in range(_REFINEMENTS):
+        inliers = np.abs(points @ normal - offset) < tolerance
+        if inliers.sum() < 3:
+            return None
+        middle = points[inliers].mean(0)
+        centred = points[inliers] - middle
+        normal = np.linalg.eigh(centred.T @ centred)[1][:, 0]
+        offset = float(normal @ middle)
+    return normal, offset, np.abs(points @ normal - offset) < tolerance
+
+
+def above(
+    points: Float[np.ndarray, "points 3"], ground: Ground, least: float = 0.04
+) -> Bool[np.ndarray, " points"]:
+    """Points higher than `least` above the ground, metres."""
+    return ground.heights(torch.from_numpy(points).to(ground.normal)).numpy() > least
+
+
+def spacing(clouds: Sequence[np.ndarray]) -> float:
+    """Median distance of a point from the nearest other one of its cloud, metres; zero if none.
+
+    Clouds have axes (points, 3), each its own number of points.
+    """
+    nearest = [KDTree(cloud).query(cloud, 2)[0][:, 1] for cloud in clouds if len(cloud) > 1]
+    return float(np.median(np.concatenate(nearest))) if nearest else 0.0
+
+
+def largest_cluster(
+    points: Float[np.ndarray, "points 3"], reach: float = 0.08
+) -> Bool[np.ndarray, " points"]:
+    """The biggest heap of points joined by steps of at most `reach`, metres.
+
+    Points are first gathered into cells of that size, so that any number of them is quick.
+    """
+    if len(points) == 0:
+        return np.zeros(0, np.bool_)
+    whole = np.floor(points / reach).astype(np.int64)
+    cells, member = np.unique(whole, axis=0, return_inverse=True)
+    member = member.reshape(-1)
+    pairs: Int[np.ndarray, "pairs 2"] = KDTree(cells).query_pairs(1.8, output_type="ndarray")
+    links = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(cells), len(cells)))
+    label = connected_components(links, directed=False)[1][member]
+    return label == np.bincount(label).argmax()

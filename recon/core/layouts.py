@@ -1,0 +1,69 @@
+"""Which keypoints 2D detectors find, in the order in which each writes them.
+
+Left and right are the person's own. One name means one place in every layout (COCO's annotators'
+hip is that of Halpe), except in `smpl22`, whose points are the joints of the body model.
+"""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+from recon.core.skeleton import JOINTS
+
+
+def _pairs(*names: str) -> tuple[str, ...]:
+    """left_a, right_a, left_b, right_b, ..."""
+    return tuple(f"{side}_{name}" for name in names for side in ("left", "right"))
+
+
+def _side(side: str, *names: str) -> tuple[str, ...]:
+    return tuple(f"{side}_{name}" for name in names)
+
+
+_COCO = (
+    "nose", *_pairs("eye", "ear", "shoulder", "elbow", "wrist", "hip", "knee", "ankle"),
+)  # fmt: skip
+_FOOT = ("big_toe", "small_toe", "heel")
+
+LAYOUTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "openpose25": (
+            "nose", "neck", *_side("right", "shoulder", "elbow", "wrist"),
+            *_side("left", "shoulder", "elbow", "wrist"), "mid_hip",
+            *_side("right", "hip", "knee", "ankle"), *_side("left", "hip", "knee", "ankle"),
+            "right_eye", "left_eye", "right_ear", "left_ear",
+            *_side("left", *_FOOT), *_side("right", *_FOOT),
+        ),
+        "openpose25b": (
+            *_COCO, "upper_neck", "head_top", *_side("left", *_FOOT), *_side("right", *_FOOT),
+        ),
+        "coco17": _COCO,
+        "coco133": (*_COCO, *_side("left", *_FOOT), *_side("right", *_FOOT)),
+        "halpe26": (*_COCO, "head_top", "neck", "mid_hip", *_pairs(*_FOOT)),
+        "mediapipe33": (
+            "nose", *_side("left", "eye_inner", "eye", "eye_outer"),
+            *_side("right", "eye_inner", "eye", "eye_outer"), *_pairs("ear", "mouth"),
+            *_pairs("shoulder", "elbow", "wrist", "pinky", "index", "thumb"),
+            *_pairs("hip", "knee", "ankle", "heel", "big_toe"),
+        ),
+        "h36m17": (
+            "mid_hip", *_side("right", "hip", "knee", "ankle"),
+            *_side("left", "hip", "knee", "ankle"), "spine", "thorax", "nose",
+            "head_top", *_side("left", "shoulder", "elbow", "wrist"),
+            *_side("right", "shoulder", "elbow", "wrist"),
+        ),
+        "smpl22": JOINTS,
+    }
+)  # fmt: skip
+"""Names of the keypoints of every layout. `coco133` is its body part, the first 23 of 133."""
+
+
+def keypoint_names(layout: str) -> tuple[str, ...]:
+    """The keypoints of a layout, in order.
+
+    Raises:
+        ValueError: when there is no such layout.
+    """
+    try:
+        return LAYOUTS[layout]
+    except KeyError:
+        raise ValueError(f"no layout {layout!r}; there are {', '.join(LAYOUTS)}") from None

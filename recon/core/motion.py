@@ -1,0 +1,160 @@
+"""Motion: the value being reconstructed."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from recon.core import rotations as so3
+from recon.core.struct import TensorStruct
+
+
+@dataclass(frozen=True)
+class Motion(TensorStruct):
+    """One body moving through the world (z up, the ground at z = 0), sampled evenly in time."""
+
+    translation: Float[Tensor, "*batch time 3"]
+    """SMPL translation in metres: the pelvis is at translation + rest pelvis (never rotated)."""
+    rotations: Float[Tensor, "*batch time 22 3 3"]
+    """Rotation of every joint relative to its parent; the first is the root in the world."""
+    shape: Float[Tensor, "*batch shape"]
+    """Coefficients of the body's shape directions, unit variance."""
+    valid: Bool[Tensor, "*batch time"]
+    """Frames that exist; clips shorter than their batch-mates are padded at the end."""
+    fps: float
+    """Frames per second."""
+    start_time: float = 0.0
+    """Time of the first frame, in seconds of the recording's clock."""
+
+    @classmethod
+    def create(
+        cls,
+        translation: Float[Tensor, "*batch time 3"],
+        rotations: Float[Tensor, "*batch time 22 3 3"],
+        shape: Float[Tensor, "*batch shape"],
+        fps: float,
+        start_time: float = 0.0,
+    ) -> "Motion":
+        """A motion of which every frame exists."""
+        valid = torch.ones(translation.shape[:-1], dtype=torch.bool, device=translation.device)
+        return cls(translation, rotations, shape, valid, float(fps), float(start_time))
+
+    @property
+    def frames(self) -> int:
+        """Number of frames, padding included."""
+        return self.translation.shape[-2]
+
+    def inner(self, step: int = 1) -> Bool[Tensor, "*batch inner"]:
+        """Frames that exist together with those `step` before and after; none at the ends."""
+        stop = max(self.frames - step, step)
+        before, after = self.valid[..., : stop - step], self.valid[..., 2 * step :]
+        return before & self.valid[..., step:stop] & after
+
+    @property
+    def times(self) -> Float[Tensor, " time"]:
+        """Time of every frame, seconds."""
+        count = torch.arange(self.frames, dtype=torch.float64, device=self.translation.device)
+        return self.start_time + count / self.fps
+
+    def window(self, start: int, stop: int) -> "Motion":
+        """Frames start, ..., stop - 1; the clock goes on."""
+        return self.replace(
+            translation=self.translation[..., start:stop, :],
+            rotations=self.rotations[..., start:stop, :, :, :],
+            valid=self.valid[..., start:stop],
+            start_time=self.start_time + start / self.fps,
+        )
+
+    def at(self, times: Float[Tensor, " moments"], fps: float) -> "Motion":
+        """The motion at other moments: positions linearly, rotations along the shortest arc.
+
+        A moment between an existing and a padded frame does not exist.
+
+        Raises:
+            ValueError: when a moment lies outside the motion by more than a microsecond.
+        """
+        start, last = self.start_time, self.frames - 1
+        place = (times.double() - start) * self.fps
+        slack = 1e-6 * self.fps
+        if len(times) > 0 and (place.min() < -slack or place.max() > last + slack):
+            raise ValueError(
+                f"the motion lasts from {start:.4f} s to {start + last / self.fps:.4f} s, but was "
+                f"asked for {times.min():.4f} s to {times.max():.4f} s; cut the request first"
+            )
+        place = torch.where((place - place.round()).abs() < slack, place.round(), place)
+        place = place.clamp(0, last)
+        before = place.floor().long().clamp(max=max(last - 1, 0))
+        after = (before + 1).clamp(max=last)
+        fraction = (place - before).to(self.translation)
+        a, b = self.rotations[..., before, :, :, :], self.rotations[..., after, :, :, :]
+        exists_after = self.valid[..., after] | (fraction == 0)
+        return Motion(
+            translation=self.translation[..., before, :].lerp(
+                self.translation[..., after, :], fraction[:, None]
+            ),
+            rotations=so3.interpolate(a, b, fraction[:, None].expand(len(times), a.shape[-3])),
+            shape=self.shape,
+            valid=self.valid[..., before] & exists_after,
+            fps=fps,
+            start_time=float(times[0]) if len(times) > 0 else start,
+        )
+
+    def carried(
+        self, T: Float[Tensor, "*batch 4 4"], pelvis: Float[Tensor, "*batch 3"]
+    ) -> "Motion":
+        """The same motion after a rigid transform, given the pelvis of the unposed body."""
+        root = T[..., None, None, :3, :3] @ self.rotations[..., :1, :, :]
+        return self.replace(
+            translation=carried_translation(self.translation, T, pelvis),
+            rotations=torch.cat((root, self.rotations[..., 1:, :, :]), -3),
+        )
+
+    def resample(self, fps: float) -> "Motion":
+        """The same motion at another rate, from the same first moment."""
+        if fps == self.fps:
+            return self
+        count = int((self.frames - 1) / self.fps * fps + 1e-6) + 1
+        steps = torch.arange(count, dtype=torch.float64, device=self.translation.device)
+        return self.at(self.start_time + steps / fps, fps)
+
+
+def carried_translation(
+    translation: Float[Tensor, "*batch time 3"],
+    T: Float[Tensor, "*batch 4 4"],
+    pelvis: Float[Tensor, "*batch 3"],
+) -> Float[Tensor, "*batch time 3"]:
+    """R (t + p) + s - p: a body's translation does not turn its rest pelvis p."""
+    rest = pelvis[..., None, :]
+    return (translation + rest) @ T[..., :3, :3].mT + T[..., None, :3, 3] - rest
+
+
+def pad(motions: list[Motion]) -> Motion:
+    """Several clips as one batch; the shorter ones repeat their last frame, marked not valid.
+
+    Raises:
+        ValueError: when rates differ (resample first) or there is no clip.
+    """
+    rates = {m.fps for m in motions}
+    if len(rates) != 1:
+        raise ValueError(f"clips of one batch need one frame rate, got {sorted(rates)}")
+    longest = max(m.frames for m in motions)
+
+    def lengthen(m: Motion) -> Motion:
+        index = torch.arange(longest, device=m.translation.device)
+        held = index.clamp(max=m.frames - 1)
+        return m.replace(
+            translation=m.translation[held],
+            rotations=m.rotations[held],
+            valid=m.valid[held] & (index < m.frames),
+        ).map(lambda tensor: tensor[None])
+
+    rows = [lengthen(m) for m in motions]
+    return Motion(
+        translation=torch.cat([r.translation for r in rows]),
+        rotations=torch.cat([r.rotations for r in rows]),
+        shape=torch.cat([r.shape for r in rows]),
+        valid=torch.cat([r.valid for r in rows]),
+        fps=motions[0].fps,
+        start_time=motions[0].start_time,
+    )

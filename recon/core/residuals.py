@@ -1,0 +1,40 @@
+"""Residuals: what was observed less what an estimate predicts, by moment and by point."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from recon.core.struct import TensorStruct
+
+Unit = Literal["metres", "pixels"]
+
+
+@dataclass(frozen=True)
+class Residuals(TensorStruct):
+    """Observed minus predicted, at the moments of the observation; zero where nothing was seen.
+
+    Energies, noise, diagnosis and warnings all follow from these.
+    """
+
+    values: Float[Tensor, "*batch moments points dims"]
+    """In `unit`: three coordinates in the frame of the recording, or two in the image."""
+    weights: Float[Tensor, "*batch moments points"]
+    """How much a point counts: 0 where it was not seen or the estimate does not cover its moment,
+    the confidence of a detection, 1 for a measured point."""
+    unit: Unit
+
+    @property
+    def seen(self) -> Bool[Tensor, "*batch moments points"]:
+        """Points that were observed at moments that the estimate covers."""
+        return self.weights > 0
+
+    @property
+    def distances(self) -> Float[Tensor, "*batch moments points"]:
+        """Length of every residual, in `unit`; zero where nothing was seen."""
+        return self.values.norm(dim=-1)
+
+    def present(self) -> Float[Tensor, " samples"]:
+        """Lengths of the residuals of all points that were seen, in one row."""
+        return self.distances[self.seen]

@@ -1,0 +1,95 @@
+"""What surrounds the motion and belongs to no prior."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from recon.core import rotations as so3
+from recon.core.ground import Ground
+from recon.core.struct import TensorStruct
+
+TILT = 0.2
+"""Radians that one unit of `UnknownGround.tilt` turns the ground by."""
+
+OFFSETS = frozenset({"scene.offsets"})
+"""What a stage moves to find where tracked points are."""
+HEIGHT = frozenset({"scene.ground.lift"})
+"""What a stage moves to find the height of the ground."""
+GROUND = frozenset({"scene.ground.tilt", "scene.ground.lift"})
+"""What a stage moves to find the ground."""
+
+
+@dataclass(frozen=True)
+class UnknownGround(TensorStruct):
+    """How the world (z up, the ground at z = 0) lies in the frame of the recording.
+
+    The recording's frame is a first guess of the world. The world follows from it by a small turn
+    about a horizontal axis through a point near the body and a lift: x_world = R (x - p) + p + l z
+    Observations do not see either, only what knows of gravity and ground does; so the variables
+    of the motion stay in the recording's frame, where a better ground leaves the data explained.
+    """
+
+    tilt: Float[Tensor, "*batch 2"]
+    """Turn about the recording's x and y axes, in units of `TILT`."""
+    lift: Float[Tensor, "*batch"]
+    """Height of the recording's z = 0 above the ground at the pivot, metres."""
+    pivot: Float[Tensor, "*batch 3"]
+    """Where turning moves nothing, recording, metres."""
+
+    @classmethod
+    def create(cls, pivot: Float[Tensor, "*batch 3"]) -> "UnknownGround":
+        """The recording's own z = 0 for a start."""
+        return cls(torch.zeros_like(pivot[..., :2]), torch.zeros_like(pivot[..., 0]), pivot)
+
+    @property
+    def T_world_recording(self) -> Float[Tensor, "*batch 4 4"]:
+        """Maps points of the recording to the world, metres."""
+        vector = torch.nn.functional.pad(TILT * self.tilt, (0, 1))
+        turn = so3.exp(vector)
+        up = torch.nn.functional.pad(self.lift[..., None], (2, 0))
+        shift = self.pivot - (turn @ self.pivot[..., None])[..., 0] + up
+        return so3.rigid(turn, shift)
+
+    @property
+    def plane(self) -> Ground:
+        """The ground in the recording's frame."""
+        T = self.T_world_recording
+        return Ground(T[..., 2, :3], -T[..., 2, 3])
+
+
+@dataclass(frozen=True)
+class Scene(TensorStruct):
+    """Unknowns shared by all frames of a clip, optimised beside the prior's variables."""
+
+    offsets: Float[Tensor, "*batch offsets 3"]
+    """Where tracked points sit away from their place on the model, in the frame of their bone.
+
+    Metres. Markers stand off the skin and joints of another skeleton lie elsewhere; an
+    observation that allows for that names its rows here (MoSh's latent markers).
+    """
+    ground: UnknownGround | None = None
+    """How the ground lies in the recording; None where the recording's z = 0 is the ground."""
+
+    @classmethod
+    def create(cls, clips: int, offsets: int = 0, *, like: Tensor) -> "Scene":
+        """A scene in which everything sits where the model says, on a ground that is known."""
+        return cls(offsets=torch.zeros(clips, offsets, 3, dtype=like.dtype, device=like.device))
+
+    def to_recording(
+        self, points: Float[Tensor, "*batch time points 3"]
+    ) -> Float[Tensor, "*batch time points 3"]:
+        """World points in the frame that observations are given in, metres."""
+        if self.ground is None:
+            return points
+        T = self.ground.T_world_recording[..., None, :, :]
+        return (points - T[..., None, :3, 3]) @ T[..., :3, :3]
+
+    def to_recording_directions(
+        self, directions: Float[Tensor, "*batch time points 3"]
+    ) -> Float[Tensor, "*batch time points 3"]:
+        """World directions, such as normals, in the frame that observations are given in."""
+        if self.ground is None:
+            return directions
+        return directions @ self.ground.T_world_recording[..., None, :3, :3]

@@ -1,0 +1,187 @@
+"""A fit of one clip whose data are checked before it, and whose result is checked after it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from observations.joints3d import Joints3D
+from observations.keypoints2d import Keypoints2D
+from observations.markers3d import Markers3D
+from observations.together.first_guess import Seen
+from recon.body.model import BodyModel
+from recon.core.motion import Motion
+from recon.diagnosis.findings import Finding
+from recon.diagnosis.fits.agreement import agreement_warnings
+from recon.diagnosis.fits.plausibility import body_warnings, mirror_warnings
+from recon.diagnosis.fits.seen_joints import observed_joints, unseen_findings
+from recon.diagnosis.fits.summaries import ResidualSummary, summarise
+from recon.diagnosis.motions.belt import treadmill_finding
+from recon.diagnosis.motions.carried import carried_finding
+from recon.diagnosis.motions.pace import rate_finding
+from recon.diagnosis.motions.support import support_findings
+from recon.diagnosis.motions.treadmill import with_belt
+from recon.diagnosis.points.screening import screen_points
+from recon.diagnosis.views.screening import screen_views
+from recon.fitting.clip import ClipFit, fit_clip
+from recon.fitting.completion import complete
+from recon.fitting.settings import FitSettings
+from recon.method.protocols import Estimate
+from recon.method.stages import Watch
+
+_NO_SPEED = frozenset({"identity change", "frame order"})
+"""Findings after which the speed of the motion says nothing about its rate."""
+
+
+@dataclass(frozen=True)
+class Examined:
+    """A fit, and what is known about the data and the result."""
+
+    fit: ClipFit
+    residuals: tuple[ResidualSummary, ...]
+    """Of every sensor, in the order of the observations."""
+    diagnosis: tuple[Finding, ...]
+    """What is worth knowing but is no fault: limbs and frames that were inferred, feet at several
+    heights, rests on something else than feet."""
+    repairs: tuple[Finding, ...]
+    """What was wrong with the data and was put right before the fit."""
+    warnings: tuple[Finding, ...]
+    """What should be read before the result is used."""
+    observed: Bool[np.ndarray, "time 22"]
+    """False where a joint of the fitted motion was inferred rather than seen."""
+    belt: Float[Tensor, " 2"] | None = None
+    """Velocity of the treadmill in the recording, m/s; the fit is in the frame that moves with
+    it. None where feet stand in the room."""
+
+    def observed_at(self, motion: Motion) -> Bool[np.ndarray, "time 22"]:
+        """`observed` at the frames of the fitted motion resampled to another rate."""
+        fitted = self.fit.result.motion
+        times = motion.start_time + np.arange(motion.frames) / motion.fps
+        frames = np.rint((times - fitted.start_time) * fitted.fps).astype(int)
+        return self.observed[np.clip(frames, 0, len(self.observed) - 1)]
+
+
+def fit_examined(
+    observations: Sequence[Seen],
+    names: Sequence[str],
+    settings: FitSettings,
+    body: BodyModel,
+    watch: Watch | None = None,
+) -> Examined:
+    """Fit one clip's observations, checked before and after.
+
+    Args:
+        observations: sensors of one clip that share a frame; a batch axis of length one.
+        names: of the sensors, for messages.
+        settings: how to fit; `repair` says whether faults are put right.
+        body: whose motion it is.
+        watch: told about every iteration.
+
+    Raises:
+        ValueError: as `recon.fitting.clip.fit_clip` and `recon.fitting.completion.complete` do.
+    """
+    screened = screen(observations, names, settings, body)
+    completes = settings.prior == "anchor"
+    found = (complete if completes else fit_clip)(screened.observations, settings, body, watch)
+    return examine(found, names, screened)
+
+
+@dataclass(frozen=True)
+class ScreenedClip:
+    """A clip's observations as they should be fitted, and what was found."""
+
+    observations: tuple[Seen, ...]
+    repairs: tuple[Finding, ...] = ()
+    warnings: tuple[Finding, ...] = ()
+    belt: Float[Tensor, " 2"] | None = None
+    """Velocity of the treadmill that the observations were freed from, m/s."""
+
+
+def screen(
+    observations: Sequence[Seen], names: Sequence[str], settings: FitSettings, body: BodyModel
+) -> ScreenedClip:
+    """Check all sensors of a clip before the fit; without `settings.repair` nothing is done."""
+    if not settings.repair:
+        return ScreenedClip(tuple(observations))
+    kept = list(observations)
+    rows = [k for k, one in enumerate(observations) if isinstance(one, Keypoints2D)]
+    views = [one for one in observations if isinstance(one, Keypoints2D)]
+    checked, repairs, warnings = screen_views(views, [names[k] for k in rows], body)
+    for row, view in zip(rows, checked, strict=True):
+        kept[row] = view
+    belts: list[Float[Tensor, " 2"]] = []
+    for row, one in enumerate(observations):
+        if isinstance(one, Joints3D | Markers3D):
+            found = screen_points(one, body)
+            kept[row] = found.points
+            repairs += [_of(names[row], finding) for finding in found.repairs]
+            warnings += [_of(names[row], finding) for finding in found.warnings]
+            belts += [] if found.belt is None else [found.belt]
+    clip = ScreenedClip(tuple(kept), tuple(repairs), tuple(warnings))
+    points = [one for one in kept if isinstance(one, Joints3D | Markers3D)]
+    if not belts:
+        return clip
+    if len(points) < len(kept) or settings.prior == "anchor":  # these stay in the room
+        return replace(
+            clip,
+            repairs=tuple(one for one in clip.repairs if one.code != "treadmill"),
+            warnings=(*clip.warnings, treadmill_finding(belts[0])),
+        )
+    carried = tuple(with_belt(one, belts[0]) for one in points)
+    return replace(clip, observations=carried, belt=belts[0])
+
+
+def examine(found: ClipFit, names: Sequence[str], screened: ScreenedClip) -> Examined:
+    """What residuals and the fitted body say about a fit that is done."""
+    estimate = found.result.estimate
+    body = estimate.body.model.to(device="cpu")
+    here = Estimate(estimate.decoded, estimate.body, estimate.scene.detach())
+    sensors = list(zip(names, found.observations, found.noises, strict=True))
+    summaries = tuple(summarise(name, seen, noise, here) for name, seen, noise in sensors)
+    views = [seen for seen in found.observations if isinstance(seen, Keypoints2D)]
+    observed = observed_joints(found.observations, here)
+    motion = found.result.clip(0).detach().to(device="cpu")
+    seen = torch.from_numpy(observed[: motion.frames])
+    broken = any(finding.code in _NO_SPEED for finding in screened.warnings)
+    sizes = body_warnings(found)
+    # cameras whose ground and person do not fit together measure in no metres
+    unmeasured = len(views) > 0 and any(finding.code == "floor" for finding in sizes)
+    rate = None if broken or unmeasured else rate_finding(motion, body, seen)
+    carried = None if broken else _carried(names, found.observations, motion, body, seen)
+    after = [
+        *([] if carried is None else [carried]),
+        *agreement_warnings(summaries, found.observations, here),
+        *sizes,
+        *mirror_warnings(views),
+        *([] if rate is None else [rate]),
+    ]
+    return Examined(
+        fit=found,
+        residuals=summaries,
+        diagnosis=(*unseen_findings(observed), *support_findings(motion, body, seen)),
+        repairs=screened.repairs,
+        warnings=(*screened.warnings, *after),
+        observed=observed,
+        belt=screened.belt,
+    )
+
+
+def _carried(
+    names: Sequence[str],
+    observations: Sequence[Seen],
+    motion: Motion,
+    body: BodyModel,
+    observed: Bool[Tensor, "time 22"],
+) -> Finding | None:
+    """Whether a camera turned that alone has seen the clip, and that is declared fixed."""
+    if len(observations) > 1 or not isinstance(seen := observations[0], Keypoints2D):
+        return None
+    fixed = seen.camera.T_camera_world.shape[-3] == 1
+    return carried_finding(names[0], motion, body, observed) if fixed else None
+
+
+def _of(name: str, finding: Finding) -> Finding:
+    return replace(finding, message=f"{name}: {finding.message}")

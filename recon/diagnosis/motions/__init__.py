@@ -1,0 +1,1 @@
+"""What laws of movement say: gravity, gait, treadmills, what carries the feet."""

@@ -1,0 +1,101 @@
+"""What carries a body: feet on one level, on several, or something else, as in sitting."""
+
+import numpy as np
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from recon.body.model import BodyModel
+from recon.core.motion import Motion
+from recon.diagnosis.findings import Finding, spans, stretches
+from recon.diagnosis.motions.gravity import outside
+from recon.diagnosis.motions.movement import Movement
+
+_STILL = 0.2
+"""Metres per second below which a foot or the centre of mass stands."""
+_LEVELS = 0.08
+"""Metres between two levels; soles of one floor differ less."""
+_LEAST_SECONDS = 0.3
+"""That a foot must stand on another level."""
+_SHARE = 0.1
+"""Of the time that feet stand, likewise."""
+_BESIDE = 0.12
+"""Metres by which the centre of mass may lie beside the feet while a body stands still."""
+_LEAST_REST = 0.8
+"""Seconds of rest beside the feet that make it sitting, lying or leaning."""
+_LEAST_FRAMES = 10
+
+
+def support_findings(
+    motion: Motion, body: BodyModel, observed: Bool[Tensor, "time 22"] | None = None
+) -> list[Finding]:
+    """Feet that stand at several heights, and rests that feet alone cannot carry.
+
+    Args:
+        motion: one clip, z up, without a batch axis.
+        body: whose motion it is.
+        observed: joints that the data shows; None means all.
+    """
+    movement = Movement.of(motion, body, observed)
+    if movement.frames < _LEAST_FRAMES:
+        return []
+    return [*_uneven(movement), *_carried(movement)]
+
+
+def standing_heights(movement: Movement) -> Float[np.ndarray, " time"]:
+    """Height of the lower sole where it stands below the body, metres; NaN elsewhere."""
+    lower = movement.sole_heights.argmin(1)
+    rows = np.arange(movement.frames)
+    speed = np.linalg.norm(np.gradient(movement.toes, axis=0), axis=-1) * movement.fps
+    ankle = np.linalg.norm(np.gradient(movement.ankles, axis=0), axis=-1) * movement.fps
+    height = movement.sole_heights[rows, lower]
+    still = np.minimum(speed, ankle)[rows, lower] < _STILL
+    below = movement.joints[:, 0, 2] > height + 0.3 * movement.leg
+    return np.where(still & below, height, np.nan)
+
+
+def _uneven(movement: Movement) -> list[Finding]:
+    heights = standing_heights(movement)
+    known = np.isfinite(heights)
+    if known.sum() < _LEAST_FRAMES:
+        return []
+    floor = float(np.quantile(heights[known], 0.1))
+    above = known & (np.nan_to_num(heights, nan=-np.inf) > floor + _LEVELS)
+    long = max((last - first + 1 for first, last in stretches(above)), default=0)
+    if above.sum() < _SHARE * known.sum() or long < _LEAST_SECONDS * movement.fps:
+        return []
+    most = float(np.quantile(heights[above], 0.9)) - floor
+    return [
+        Finding(
+            "uneven ground",
+            f"feet stand at several heights, up to {most:.2f} m above the lowest: contacts are "
+            "told on the level z = 0 only",
+            value=most,
+        )
+    ]
+
+
+def _carried(movement: Movement) -> list[Finding]:
+    """Rests in which the centre of mass lies beside the feet: something else carries the body."""
+    speed = np.linalg.norm(np.gradient(movement.centre, axis=0), axis=-1) * movement.fps
+    corners = movement.soles[..., :2].reshape(movement.frames, 4, 2)
+    beside = outside(movement.centre[:, :2], corners) > _BESIDE
+    resting = beside & (speed < _STILL)
+    frames = tuple(
+        (first, last)
+        for first, last in stretches(resting)
+        if last - first + 1 > _LEAST_REST * movement.fps
+    )
+    if not frames:
+        return []
+    seconds = sum(last - first + 1 for first, last in frames) / movement.fps
+    return [
+        Finding(
+            "uneven ground",
+            f"for {seconds:.1f} s the body rests beside its feet ({spans(frames)}), sitting, "
+            "lying or leaning on something: contacts are told of feet, knees and hands with z = 0 "
+            "only",
+            (),
+            frames,
+            seconds,
+        )
+    ]

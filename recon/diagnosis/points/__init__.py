@@ -1,0 +1,1 @@
+"""Checks of points in space before a fit, and the repairs that are sure."""

@@ -1,0 +1,129 @@
+"""Facts that need no model: points at exactly zero, points and frames that repeat bit for bit.
+
+Sensors have noise, so no measured coordinate repeats exactly; software that fills what it has
+lost writes zeros, the last value, or the last frame again.
+"""
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from recon.core.skeleton import FEET
+from recon.diagnosis.findings import Finding, listed, spans, stretches
+from recon.diagnosis.points.named_points import NamedPoints
+from recon.diagnosis.points.tracks import temporal_noise
+
+_REPEATS = 3
+"""Moments in a row at which a point must not move before it counts as held; two equal values
+may be rounding in a file with few digits."""
+_MOVES = 1e-4
+"""Metres per moment that other points must move meanwhile: a recording of a statue repeats."""
+_NOISELESS = 3e-4
+"""Metres of noise below which positions are computed rather than measured; animated feet then
+stand exactly still, and that is no fault."""
+_NEAR = 1.0
+"""Metres: in a root-relative recording the body lies about the origin, and a point that is always
+exactly there is the root."""
+
+
+def repaired_exact(points: NamedPoints) -> tuple[NamedPoints, list[Finding]]:
+    """The points with zeros, held points and repeated frames taken out, and what was found."""
+    found: list[Finding] = []
+    for repair in (_zeros, _repeated_frames, _held_points):
+        hidden, finding = repair(points)
+        if finding is not None:
+            points = points.without(hidden)
+            found.append(finding)
+    return points, found
+
+
+Found = tuple[Bool[np.ndarray, "moments points"], Finding | None]
+
+
+def _zeros(points: NamedPoints) -> Found:
+    """Points at the origin that are marked as visible, but for a root that is always there."""
+    zero = points.visible & (points.positions == 0).all(-1)
+    root = zero.any(0) & (zero | ~points.visible).all(0)
+    if root.sum() == 1 and _about_origin(points, zero):
+        zero[:, root] = False
+    if not zero.any():
+        return zero, None
+    joints = tuple(n for n, some in zip(points.names, zero.any(0), strict=True) if some)
+    share = float(zero.sum() / points.visible.sum())
+    return zero, Finding(
+        "zeros",
+        f"{100 * share:.3g} % of the visible positions are exactly (0, 0, 0), which is how "
+        f"missing points are often written ({listed(joints)}); they were taken as not visible. "
+        "Mark missing points in `visible`",
+        joints,
+        stretches(zero.any(1)),
+        share,
+    )
+
+
+def _about_origin(points: NamedPoints, zero: Bool[np.ndarray, "moments points"]) -> bool:
+    """Whether the other points surround the origin in every frame, as about a root."""
+    others = points.without(zero).centre
+    return bool((np.linalg.norm(others[np.isfinite(others[:, 0])], axis=-1) < _NEAR).all())
+
+
+def _repeated_frames(points: NamedPoints) -> Found:
+    """Frames in which every visible point stands bit for bit where it stood one frame before."""
+    same = _unchanged(points)
+    whole = (same | ~points.visible).all(1) & (same.sum(1) >= 2)
+    hidden = np.zeros_like(points.visible)
+    if not whole.any() or whole[1:].all():
+        return hidden, None
+    hidden[whole] = True
+    share = float(whole.mean())
+    return hidden, Finding(
+        "repeated frames",
+        f"{int(whole.sum())} frames repeat the frame before them exactly "
+        f"({spans(stretches(whole))}), which no moving person does; they were taken as not seen. "
+        "If frames were repeated to reach a higher rate, give the true one",
+        (),
+        stretches(whole),
+        share,
+    )
+
+
+def _held_points(points: NamedPoints) -> Found:
+    """Points that keep one value for several moments while others move."""
+    same = _unchanged(points)
+    moved = _step(points).max(1) > _MOVES
+    hidden = np.zeros_like(same)
+    computed = temporal_noise(points) < _NOISELESS
+    for point in range(same.shape[1]):
+        if computed and points.bones[point] in FEET:
+            continue
+        for first, last in stretches(same[:, point]):
+            held = slice(first, last + 1)
+            if last - first + 2 >= _REPEATS and moved[held].mean() > 0.5:
+                hidden[held, point] = True
+    if not hidden.any():
+        return hidden, None
+    joints = tuple(n for n, some in zip(points.names, np.any(hidden, axis=0), strict=True) if some)
+    frames = stretches(np.any(hidden, axis=1))
+    return hidden, Finding(
+        "constant point",
+        f"{listed(joints)} {'keeps' if len(joints) == 1 else 'keep'} exactly one position while "
+        f"the body moves ({spans(frames)}); the repeated values were taken as not visible",
+        joints,
+        frames,
+        float(hidden.sum() / points.visible.sum()),
+    )
+
+
+def _unchanged(points: NamedPoints) -> Bool[np.ndarray, "moments points"]:
+    """Points that are visible at this moment and the one before, at exactly the same place."""
+    same = np.zeros_like(points.visible)
+    both = points.visible[1:] & points.visible[:-1]
+    same[1:] = both & (points.positions[1:] == points.positions[:-1]).all(-1)
+    return same
+
+
+def _step(points: NamedPoints) -> Float[np.ndarray, "moments points"]:
+    """Metres by which every point moved since the moment before; zero where it was not seen."""
+    step = np.zeros(points.visible.shape)
+    both = points.visible[1:] & points.visible[:-1]
+    step[1:] = np.linalg.norm(np.diff(points.positions, axis=0), axis=-1) * both
+    return step

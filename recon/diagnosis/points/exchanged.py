@@ -1,0 +1,106 @@
+"""Two points that carry each other's name, throughout or in a stretch."""
+
+from itertools import combinations
+
+import numpy as np
+from jaxtyping import Bool
+
+from recon.diagnosis.findings import stretches
+from recon.diagnosis.points.bone_lengths import distances, joint_pairs, rest_length, size
+from recon.diagnosis.points.named_points import NamedPoints
+from recon.diagnosis.points.predicted import Predicted
+
+_BETTER = 0.5
+"""Share of the distance that may remain when two points exchange their names."""
+_SAVED = 0.08
+"""Metres by which bones must become more like a person's by it."""
+_NEARER = 0.15
+"""Metres by which both points together must come nearer to their places in a frame."""
+_NOISES = 6.0
+"""The same in standard deviations of a coordinate."""
+_GAP, _SHORTEST = 2, 2
+"""Frames between exchanged frames that are exchanged, too; and frames of the shortest stretch."""
+
+
+def exchanged_throughout(points: NamedPoints) -> tuple[int, int] | None:
+    """The two joints whose exchange makes bones most like a person's, if it clearly does.
+
+    A body may cross its legs to reach exchanged ankles, but it cannot change its bones.
+    """
+    if not points.are_joints:
+        return None
+    spans, ratio = joint_pairs(points), size(points) or 1.0
+    best, pair = 0.0, None
+    for a, b in combinations(range(len(points.bones)), 2):
+        touched = [one for one in spans if a in one or b in one]
+        if (a, b) in spans or (b, a) in spans or not touched:
+            continue
+        swap = {a: b, b: a}
+        other = [(swap.get(k, k), swap.get(j, j)) for k, j in touched]
+        own = sum(
+            _misfit(points, got, want, ratio) for got, want in zip(touched, touched, strict=True)
+        )
+        new = sum(
+            _misfit(points, got, want, ratio) for got, want in zip(other, touched, strict=True)
+        )
+        if own - new > max(best, _SAVED) and new < _BETTER * own:
+            best, pair = own - new, (a, b)
+    return pair
+
+
+def exchanged_moments(
+    predicted: Predicted, noise: float
+) -> list[tuple[tuple[int, int], Bool[np.ndarray, " moments"]]]:
+    """Pairs of points that lie in each other's place on the body, and when."""
+    points = predicted.points
+    away = np.linalg.norm(points.positions[:, :, None] - predicted.positions[:, None], axis=-1)
+    nearer = max(_NEARER, _NOISES * noise)
+    found: list[tuple[float, tuple[int, int], Bool[np.ndarray, " moments"]]] = []
+    for a, b in combinations(range(len(points.names)), 2):
+        own, other = away[:, a, a] + away[:, b, b], away[:, a, b] + away[:, b, a]
+        both = points.visible[:, a] & points.visible[:, b]
+        surely = both & (own - other > nearer) & (other < _BETTER * own)
+        moments = _runs(_grown(surely, both & (own - other > noise)))
+        if moments.any():
+            found.append((float((own - other)[moments].sum()), (a, b), moments & both))
+    taken: set[int] = set()
+    kept: list[tuple[tuple[int, int], Bool[np.ndarray, " moments"]]] = []
+    for _, pair, moments in sorted(found, key=lambda one: -one[0]):
+        if not taken & set(pair):
+            taken |= set(pair)
+            kept.append((pair, moments))
+    return kept
+
+
+def _grown(
+    surely: Bool[np.ndarray, " moments"], likely: Bool[np.ndarray, " moments"]
+) -> Bool[np.ndarray, " moments"]:
+    """The stretches of likely moments that hold a sure one.
+
+    Limbs that pass each other come too near to tell for a moment within an exchanged stretch.
+    """
+    grown = surely.copy()
+    for first, last in stretches(likely):
+        grown[first : last + 1] |= surely[first : last + 1].any()
+    return grown
+
+
+def _runs(flags: Bool[np.ndarray, " moments"]) -> Bool[np.ndarray, " moments"]:
+    """Flags with short gaps closed and short runs left out."""
+    closed = flags.copy()
+    for first, last in stretches(~flags):
+        if first > 0 and last < len(flags) - 1 and last - first < _GAP:
+            closed[first : last + 1] = True
+    for first, last in stretches(closed):
+        if last - first + 1 < _SHORTEST:
+            closed[first : last + 1] = False
+    return closed
+
+
+def _misfit(
+    points: NamedPoints, got: tuple[int, int], want: tuple[int, int], ratio: float
+) -> float:
+    """Median difference of a distance from the length of a bone, metres; zero if never seen."""
+    lengths = distances(points, *got)
+    rest = ratio * rest_length(points, *want)
+    return float(np.median(np.abs(lengths - rest))) if len(lengths) else 0.0

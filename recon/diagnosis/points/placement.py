@@ -1,0 +1,57 @@
+"""Where and how large the body is: a floor at another height, everything scaled by one factor."""
+
+from recon.body.model import BodyModel
+from recon.core.motion import Motion
+from recon.core.skeleton import FEET
+from recon.diagnosis.findings import Finding
+from recon.diagnosis.points.bone_lengths import size
+from recon.diagnosis.points.named_points import NamedPoints
+from recon.fitting.ground import sole_heights
+
+_FLOOR_JOINTS, _FLOOR_MARKERS = (-0.065, 0.036), (-0.055, 0.07)
+"""Metres by which standing soles may lie below and above the ground of a recording that knows it.
+The body's soles reach a centimetre lower than recorded feet; shoes and carpets lift, and shoes
+lift markers once more."""
+_FLOOR_NOISE = 1.0
+"""Times the noise of a coordinate, likewise."""
+_SMALLEST, _LARGEST = 0.72, 1.25
+"""Sizes against the average body, about 1.70 m tall, that grown people and older children have."""
+_FEWEST_FEET = 0.3
+"""Share of moments at which a foot must be seen for its height to count."""
+
+
+def floor_height(points: NamedPoints, motion: Motion, body: BodyModel, noise: float) -> float:
+    """Height of the ground below a quick fit, metres; zero where it is at z = 0 or feet hid."""
+    feet = [k for k, bone in enumerate(points.bones) if bone in FEET]
+    if not feet or points.visible[:, feet].any(1).mean() < _FEWEST_FEET:
+        return 0.0
+    height = float(sole_heights(motion, body)[0])
+    low, high = _FLOOR_JOINTS if points.are_joints else _FLOOR_MARKERS
+    noise *= _FLOOR_NOISE
+    return 0.0 if min(low, -noise) <= height <= max(high, noise) else height
+
+
+def floor_finding(height: float) -> Finding:
+    """What is said where the ground was moved."""
+    return Finding(
+        "floor",
+        f"the soles stand {100 * abs(height):.0f} cm {'above' if height > 0 else 'below'} the "
+        "recording's ground at z = 0; the height of the ground was estimated instead. If the "
+        "person stands on something, give --no-repair",
+        value=height,
+    )
+
+
+def scale_findings(points: NamedPoints) -> list[Finding]:
+    """Whether everything is larger or smaller than people are by one factor."""
+    ratio = size(points)
+    if ratio is None or _SMALLEST < ratio < _LARGEST:
+        return []
+    return [
+        Finding(
+            "scale",
+            f"the body is {ratio:.2f} times as large as an average person ({1.7 * ratio:.2f} m "
+            "tall); check the unit and the scale of the recording (--unit)",
+            value=ratio,
+        )
+    ]

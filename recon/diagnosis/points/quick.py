@@ -1,0 +1,106 @@
+"""A quick robust fit under the pose prior, to see what contradicts a body before the real fit."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+from observations.noise import estimate_noise
+from priors.pose.prior import PosePrior, PoseWeights
+from recon.body.model import BodyModel
+from recon.core.motion import Motion
+from recon.core.robust import geman_mcclure
+from recon.core.scene import Scene
+from recon.core.struct import concatenate
+from recon.diagnosis.points.cleaning import smoothed
+from recon.diagnosis.points.named_points import NamedPoints, Points
+from recon.fitting.long import fit_long
+from recon.method.protocols import Decoded, Estimate
+from recon.method.reconstruction import fit
+from recon.method.stages import Stage
+from recon.method.terms import Term
+from recon.solver.lbfgs import LBFGS
+
+SIGMA = 0.15
+"""Metres beyond which a point counts ever less: several times what the pose prior misses good
+points by, and less than the distance of two points that are confused."""
+_EXCERPT = 6.0
+"""Seconds of a recording that are enough to tell which of two versions is a body."""
+_SHAPE = 1e-4
+"""Weight of the shape: unlike in a fit, an odd body must not explain a misplaced point away."""
+_ITERATIONS = (12, 40)
+"""Of the two stages at most."""
+
+
+@dataclass(frozen=True)
+class QuickFit:
+    """One version of a clip's points, and how a body agrees with it."""
+
+    points: Points
+    estimate: Estimate
+    """The motion that most of the points agree on, one clip."""
+    cost: float
+    """Objective per visible point, metres²; of an excerpt where the recording is long."""
+
+
+def quick_fits(versions: Sequence[Points], body: BodyModel) -> list[QuickFit]:
+    """Fit versions of one clip's points with robust residuals under the pose prior.
+
+    Costs may be compared, as all versions see the same moments. Of a long recording only the
+    version of the least cost is fitted whole, and only that one is returned.
+    """
+    excerpts = [_excerpt(one) for one in versions]
+    robust = concatenate(excerpts).replace(kernel=partial(geman_mcclure, sigma=SIGMA))
+    method = _Quick(versions[0])
+    starts = [smoothed(NamedPoints.of(one, body)).into(one).start(body) for one in excerpts]
+    result = fit([robust], method, body, start=concatenate(starts))
+    value = result.reports[-1].solution.value / robust.visible.sum((-2, -1)).clamp(min=1)
+    if excerpts[0] is versions[0]:
+        return [
+            QuickFit(one, _estimate(result.motion[[row]], body), float(value[row]))
+            for row, one in enumerate(versions)
+        ]
+    best = int(value.argmin())
+    whole = versions[best].replace(kernel=partial(geman_mcclure, sigma=SIGMA))
+    start = smoothed(NamedPoints.of(whole, body)).into(whole).start(body)
+    motion = fit_long([whole], method, body, start=start).motion
+    return [QuickFit(versions[best], _estimate(motion, body), float(value[best]))]
+
+
+@dataclass(frozen=True)
+class _Quick:
+    """The pose prior's stages with few iterations: a centimetre more or less decides nothing."""
+
+    points: Points
+
+    def stages(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
+        """Root, then poses."""
+        noise = estimate_noise(self.points.positions, self.points.visible)
+        weights = replace(PoseWeights.for_noise(noise), shape=_SHAPE)
+        prior = PosePrior.load(weights=weights)
+        return tuple(
+            replace(stage, minimiser=LBFGS(max_iterations=most, tolerance_decrease=1e-3))
+            for stage, most in zip(prior.stages(data), _ITERATIONS, strict=True)
+        )
+
+
+def _estimate(motion: Motion, body: BodyModel) -> Estimate:
+    motion = motion.detach()
+    return Estimate(Decoded(motion), body.pose(motion), Scene.create(1, like=motion.translation))
+
+
+def _excerpt(points: Points) -> Points:
+    """The seconds around the moment in the middle of all that was seen."""
+    length = round(_EXCERPT * points.fps) + 1
+    moments = points.positions.shape[-3]
+    if moments <= length:
+        return points
+    counts = points.visible[0].sum(-1).double().cumsum(0)
+    middle = int((counts < counts[-1] / 2).sum())
+    first = min(max(middle - length // 2, 0), moments - length)
+    cut = slice(first, first + length)
+    return points.replace(
+        positions=points.positions[:, cut],
+        visible=points.visible[:, cut],
+        start_time=points.start_time + first / points.fps,
+    )

@@ -1,0 +1,225 @@
+"""What the order of frames tells: noise in time against noise along bones, jumps of the body."""
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from scipy.stats import chi
+
+from observations.noise import estimate_noise
+from recon.core.robust import NORMAL_MAD
+from recon.diagnosis.findings import Finding, spans, stretches
+from recon.diagnosis.points.bone_lengths import distances, joint_pairs
+from recon.diagnosis.points.cleaning import plausible
+from recon.diagnosis.points.named_points import NamedPoints
+
+_DIFFERENCE = 2.2
+"""Typical distance of two measurements of one place, in standard deviations of a coordinate."""
+_DISORDER = 2.0
+"""Times by which points must move more between two frames than their noise along bones makes
+them; bones keep their lengths in any order."""
+_LEAST_DISORDER = 0.05
+"""Metres between two frames below which order hardly matters."""
+_LAGS = (3, 6, 10)
+"""Frames after which a body that moves is farther away than after one frame."""
+_GROWTH = 1.5
+"""Factor by which it must be farther then; a body in motion reaches more than two."""
+_SEAMS = 4
+"""Sudden changes of the whole body's velocity from which on frames are out of order; a change of
+person or of names has at most two."""
+_SEAM_SPEED = 0.8
+"""Metres per second by which half of the points change their velocity there. A kick or a landing
+changes it by at most 0.5 within a frame of 1/30 s."""
+_SEAM_NOISE = 1.4
+"""Factor by which noise alone makes the largest such changes exceed the typical one."""
+_SEAM_DIFFERENCE = 5**0.5
+"""Standard deviation of such a change, in standard deviations of a coordinate: squares of 1/2,
+3/2, 3/2 and 1/2 summed."""
+_SEAM_POINTS = 8
+"""Points that must be seen around a moment."""
+_WILD = 0.08
+"""Share of the points that may lie where no body is."""
+_JUMP = 0.12
+"""Metres beyond its neighbours' steps by which the middle of all points may step between two
+moments of one recording."""
+_DISORDERLY = 3
+"""Jumps from which on frames are out of order rather than somebody else's."""
+_JUMP_SPEED = 4.0
+"""Metres per second that a jump must amount to: a change of speed by this much within a frame is
+more than ten times gravity."""
+
+
+def temporal_noise(points: NamedPoints) -> float:
+    """Standard deviation of one coordinate, metres, told by third differences in time.
+
+    Zero where nothing tells it.
+    """
+    positions, visible = torch.from_numpy(points.positions), torch.from_numpy(points.visible)
+    noise = estimate_noise(positions, visible, (0.0, torch.inf))
+    return noise if noise < torch.inf else 0.0
+
+
+def bone_noise(points: NamedPoints) -> float | None:
+    """Standard deviation of one coordinate, metres, told by the lengths of bones.
+
+    Points on one bone, and joints at its two ends, keep their distance whatever the order of the
+    frames. None where there are no such pairs.
+    """
+    spreads: list[float] = []
+    for a, b in _rigid_pairs(points):
+        length = distances(points, a, b)
+        if len(length) < 8:
+            continue
+        spreads.append(float(np.median(np.abs(length - np.median(length)))))
+    return float(np.median(spreads)) / NORMAL_MAD / 2**0.5 if spreads else None
+
+
+def frame_order(points: NamedPoints) -> list[Finding]:
+    """Whether frames are out of order: the body leaps about, but its bones keep their lengths."""
+    if found := _seams(points):
+        return found
+    along, near = bone_noise(points), _travelled(points, 1)
+    far = [way for lag in _LAGS if (way := _travelled(points, lag)) is not None]
+    if along is None or near is None or not far or near < _LEAST_DISORDER:
+        return []
+    if near < _DISORDER * _DIFFERENCE * along or float(np.median(far)) > _GROWTH * near:
+        return []
+    return [
+        Finding(
+            "frame order",
+            f"from frame to frame points move by {100 * near:.0f} cm, which is no less than they "
+            f"move in {_LAGS[-1]} frames, but bones keep their lengths to {100 * along:.1f} cm: "
+            "the frames do not seem to be in the order of time; sort them by their time stamps",
+            value=near / max(float(np.median(far)), 1e-6),
+        )
+    ]
+
+
+def _seams(points: NamedPoints) -> list[Finding]:
+    """Whether the whole body goes on from another place many times.
+
+    That is so between blocks of frames which were put together in a wrong order.
+    """
+    kept = plausible(points)
+    if kept.visible.sum() < (1 - _WILD) * points.visible.sum():
+        return []  # where many points are outliers, half of them may change together by chance
+    change = _velocity_changes(kept)
+    noise = _SEAM_NOISE * _SEAM_DIFFERENCE * (bone_noise(points) or 0.0)
+    limit = float(np.hypot(noise, _SEAM_SPEED / points.fps))
+    before, after = np.append(0.0, change[:-1]), np.append(change[1:], 0.0)
+    seams = (change > limit) & (change >= before) & (change >= after)
+    if seams.sum() < _SEAMS:
+        return []
+    frames = stretches(np.concatenate(([False, False], seams, [False])))
+    speed = float(np.median(change[seams])) * points.fps
+    return [
+        Finding(
+            "frame order",
+            f"the whole body changes its velocity by about {speed:.1f} m/s within one frame, "
+            f"{int(seams.sum())} times ({spans(frames)}), which no person can: the frames do not "
+            "seem to be in the order of time; sort them by their time stamps",
+            (),
+            frames,
+            speed,
+        )
+    ]
+
+
+def _velocity_changes(points: NamedPoints) -> Float[np.ndarray, " seams"]:
+    """Length in metres by which a frame's step differs from the mean of its neighbours' steps.
+
+    Row k is of the step from moment k + 1 to k + 2. It is the median over the points, divided by
+    what the median is for normal noise of one metre in each coordinate of the difference; zero
+    where too few points are seen in all four moments.
+    """
+    steps = np.diff(points.positions, axis=0)
+    both = points.visible[1:] & points.visible[:-1]
+    known = both[:-2] & both[1:-1] & both[2:]
+    length = np.linalg.norm(steps[1:-1] - (steps[:-2] + steps[2:]) / 2, axis=-1)
+    enough = known.sum(1) >= _SEAM_POINTS
+    out = np.zeros(len(length))
+    for row in np.flatnonzero(enough):
+        out[row] = np.median(length[row, known[row]])
+    return out / float(chi.median(3))
+
+
+def identity_changes(points: NamedPoints) -> list[Finding]:
+    """Frames at which the whole body jumps, as where a tracker goes on with somebody else."""
+    step, elapsed = _middle_step(points)
+    jumps = _jumps(step, elapsed, temporal_noise(points))
+    if not jumps.any():
+        return []
+    frames, most = stretches(jumps), float(step[jumps].max())
+    if jumps.sum() >= _DISORDERLY:
+        return [
+            Finding(
+                "frame order",
+                f"all points jump together by up to {most:.2f} m and back, again and again "
+                f"({spans(frames)}): the frames there do not seem to be in the order of time; "
+                "sort them by their time stamps",
+                (),
+                frames,
+                most,
+            )
+        ]
+    return [
+        Finding(
+            "identity change",
+            f"all points jump together by up to {most:.2f} m in one frame ({spans(frames)}): "
+            "probably another person was tracked from there on; cut the recording there "
+            "(--between) or correct the identities",
+            (),
+            frames,
+            most,
+        )
+    ]
+
+
+def _jumps(
+    step: Float[np.ndarray, " moments"], elapsed: Float[np.ndarray, " moments"], noise: float
+) -> Bool[np.ndarray, " moments"]:
+    """Moments to which the middle of the points steps unlike it does before and after."""
+    known = np.isfinite(step)
+    usual = np.zeros(len(step))
+    for t in np.flatnonzero(known):
+        beside = [k for k in range(t - 3, t + 4) if k != t and 0 <= k < len(step) and known[k]]
+        speeds = step[beside] / elapsed[beside]
+        usual[t] = float(np.median(speeds)) * elapsed[t] if beside else 0.0
+    beyond = np.where(known, step - usual, 0.0)
+    return (beyond > _JUMP + 3 * min(noise, 0.1)) & (beyond > _JUMP_SPEED * elapsed)
+
+
+def _middle_step(
+    points: NamedPoints,
+) -> tuple[Float[np.ndarray, " moments"], Float[np.ndarray, " moments"]]:
+    """Length of the median displacement since the last moment with the same points, and seconds.
+
+    NaN where fewer than three points are common to both moments.
+    """
+    moments = len(points.visible)
+    step, elapsed = np.full(moments, np.nan), np.full(moments, 1 / points.fps)
+    last = -1
+    for t in range(moments):
+        if not points.visible[t].any():
+            continue
+        common = points.visible[t] & points.visible[last] if last >= 0 else np.zeros(1, bool)
+        if common.sum() >= 3:
+            moved = points.positions[t, common] - points.positions[last, common]
+            step[t] = np.linalg.norm(np.median(moved, axis=0))
+            elapsed[t] = (t - last) / points.fps
+        last = t
+    return step, elapsed
+
+
+def _travelled(points: NamedPoints, lag: int) -> float | None:
+    """Median distance of points from where they were so many frames ago, metres."""
+    both = points.visible[lag:] & points.visible[:-lag]
+    away = np.linalg.norm(points.positions[lag:] - points.positions[:-lag], axis=-1)[both]
+    return float(np.median(away)) if away.size else None
+
+
+def _rigid_pairs(points: NamedPoints) -> list[tuple[int, int]]:
+    """Numbers of points whose distance no pose changes: on one bone, or the joints at its ends."""
+    if points.are_joints:
+        return joint_pairs(points)
+    bones, count = points.bones, range(len(points.bones))
+    return [(a, b) for a in count for b in count if a < b and bones[a] == bones[b]]

@@ -1,0 +1,291 @@
+"""One view at odds with the others: which one, the likeliest cause, and what can be undone.
+
+Points that the other views see are compared with the rays of the view. An explanation that
+brings the view back to the noise of the keypoints is sure, and undone. What no explanation brings
+back is left out where the other views agree, and warned of otherwise.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+
+from observations.noise import estimate_noise
+from recon.diagnosis.findings import Code, Finding, spans, stretches
+from recon.diagnosis.views.explanations import Cause, Explained, Odd, mirrored, shifted
+from recon.diagnosis.views.images import Images
+from recon.diagnosis.views.rays import Rays
+
+_FLOOR = 2.2
+"""Times the noise of keypoints by which rays of a good view miss the points of two others, at
+most; validation windows have 1.4 to 2.1."""
+_PAIR_FLOOR = 0.8
+"""The same for two views whose points are triangulated from both; validation windows have 0.5."""
+_ALL_FLOOR = 1.2
+"""The same for all of three or more views; validation windows have 0.8."""
+_WORSE = 1.3
+"""Times that floor from which on a view is looked into."""
+_AT_ODDS = 0.095
+"""Metres from which on a view is called at odds whatever its noise: real recordings with a
+usable calibration (Pose2Sim's) stay below 0.087."""
+_PAIR_AT_ODDS = 0.06
+"""Metres by which rays of two views miss their common points, likewise; 0.032 there."""
+_AWAY = 0.2
+"""Metres by which a view must miss the others for a stretch to be left out."""
+_STRETCH = 0.15
+"""Seconds that such a stretch lasts at least."""
+_SIMPLER = 1.15
+"""Times the least remainder within which the simplest explanation is preferred."""
+_CLEARLY = 0.6
+"""Mirrored images must fit together with less than this share of the error."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """All views after what was sure was undone."""
+
+    images: Images
+    repairs: tuple[Finding, ...] = ()
+    warnings: tuple[Finding, ...] = ()
+
+    def then(self, other: "Outcome") -> "Outcome":
+        """This one's findings before another's."""
+        return Outcome(
+            other.images, (*self.repairs, *other.repairs), (*self.warnings, *other.warnings)
+        )
+
+
+def noise_of_views(images: Images) -> float:
+    """Standard deviation of keypoints at the body, metres: the median over the views."""
+    pixels, seen = torch.from_numpy(images.pixels), torch.from_numpy(images.seen)
+    own = [
+        estimate_noise(pixels[v], seen[v], (0.0, np.inf)) / float(np.median(images.scale[v]))
+        for v in range(len(images.names))
+        if images.seen[v].any()
+    ]
+    return float(np.median(own)) if own and np.isfinite(own).all() else 0.0
+
+
+def common_miss(images: Images) -> float:
+    """Median distance of all rays from the points that they see in common, metres."""
+    rays = Rays.of(images)
+    points, exists = rays.meet()
+    there = exists & (rays.weight > 0)
+    return float(np.median(rays.miss(points)[there])) if there.any() else 0.0
+
+
+def checked_together(images: Images) -> Outcome:
+    """Views of one moment compared: one at odds, one out of step, one mirrored."""
+    if len(images.names) < 2:
+        return Outcome(images)
+    noise = noise_of_views(images)
+    if len(images.names) == 2:
+        return _two_views(images, noise)
+    outcome = _one_explained(images, noise, tuple(_CODES))
+    return outcome.then(_one_left_out(outcome.images, noise))
+
+
+def all_mirrored(images: Images) -> Outcome:
+    """Images that fit together only when mirrored, as front cameras of phones write them.
+
+    One view alone cannot tell: it shows what the mirrored person would have done.
+    """
+    if len(images.names) < 2:
+        return Outcome(images)
+    noise = noise_of_views(images)
+    floor = (_PAIR_FLOOR if len(images.names) == 2 else _ALL_FLOOR) * noise
+    given = common_miss(images)
+    if given < max(floor, 0.002):
+        return Outcome(images)
+    turned = mirrored(images, list(range(len(images.names))))
+    other = common_miss(turned)
+    if other > _CLEARLY * given:
+        return Outcome(images)
+    said = (
+        f"the images seem to be mirrored: their rays miss each other by {100 * given:.1f} cm, and "
+        f"by {100 * other:.1f} cm when left and right of all images are exchanged"
+    )
+    if other <= floor:
+        done = f"{said}; they were mirrored back. Give the videos as they were filmed"
+        return Outcome(turned, (Finding("mirrored", done, value=given),))
+    todo = f"{said}; mirror the videos back before keypoints are detected"
+    return Outcome(images, warnings=(Finding("mirrored", todo, value=given),))
+
+
+def another_image(images: Images) -> Outcome:
+    """One view that fits the others only when it is mirrored or scaled.
+
+    Looked for before names are, as wrong pixels make names look wrong.
+    """
+    if len(images.names) < 3:
+        return Outcome(images)
+    return _one_explained(images, noise_of_views(images), ("mirrored", "sized"))
+
+
+def _one_explained(images: Images, noise: float, causes: tuple[Cause, ...]) -> Outcome:
+    """The view that a cause brings back to the noise, with the others at the noise."""
+    floor = _FLOOR * noise
+    best: tuple[float, int, float, Explained] | None = None
+    for v in range(len(images.names)):
+        odd = Odd.of(images, v)
+        before = odd.miss()
+        if before < _WORSE * floor or floor == 0:
+            continue
+        rest = common_miss(images.view([k for k in range(len(images.names)) if k != v]))
+        chosen = _simplest(odd.explained(causes))
+        total = rest + chosen.remains
+        if rest <= floor and chosen.remains <= floor and (best is None or total < best[0]):
+            best = (total, v, before, chosen)
+    if best is None:
+        return Outcome(images)
+    _, v, before, chosen = best
+    return Outcome(chosen.images, (_explained_finding(images.names[v], before, chosen),))
+
+
+def _simplest(options: list[Explained]) -> Explained:
+    least = min(option.remains for option in options)
+    return next(option for option in options if option.remains <= _SIMPLER * least)
+
+
+_CODES: dict[Cause, Code] = {
+    "mirrored": "mirrored",
+    "sized": "view at odds",
+    "clock": "views out of step",
+    "turned": "view at odds",
+    "placed": "view at odds",
+    "moving": "camera moves",
+}
+
+
+def _explained_finding(name: str, before: float, found: Explained) -> Finding:
+    value = found.value
+    late = "late" if value > 0 else "early"
+    cause = {
+        "mirrored": "its images are mirrored; they were mirrored back",
+        "clock": f"its clock is {1000 * abs(value):.0f} ms {late}; its keypoints were moved in "
+        "time. Number the frames of all cameras from the same moment",
+        "turned": f"its camera is turned by {value:.1f} degrees against the calibration; the pose "
+        "was corrected. Calibrate anew",
+        "sized": f"its keypoints are {value:.2f} times as large as its calibration's image; they "
+        "were scaled. Give keypoints and calibration of one resolution",
+        "placed": f"its camera stands {value:.2f} m from where the calibration has it; the pose "
+        "was corrected. Calibrate anew",
+        "moving": f"its camera, declared fixed, turns by {value:.1f} degrees during the clip; its "
+        "poses were estimated. Fix the camera, or give a pose for every frame",
+    }[found.cause]
+    return Finding(
+        _CODES[found.cause],
+        f"{name} contradicts the other views by {100 * before:.1f} cm, and by "
+        f"{100 * found.remains:.1f} cm if {cause}",
+        value=value if value else before,
+    )
+
+
+def _one_left_out(images: Images, noise: float) -> Outcome:
+    """A view that stays at odds: left out where the others agree, else warned of."""
+    views = range(len(images.names))
+    rest = [common_miss(images.view([k for k in views if k != v])) for v in views]
+    v = int(np.argmin(rest))
+    odd = Odd.of(images, v)
+    before = odd.miss()
+    name = images.names[v]
+    agree = 0 < rest[v] <= _FLOOR * noise
+    if before <= _AT_ODDS:
+        return _stretches_left_out(images, odd, agree=agree)
+    least = _simplest(odd.explained(tuple(_CODES)))
+    hint = _HINTS[least.cause] if least.remains < _CLEARLY * before else _SOMEBODY
+    said = f"{name} contradicts the other views: its rays miss their points by {before:.2f} m"
+    if agree:
+        hidden = np.zeros_like(images.seen)
+        hidden[v] = True
+        text = f"{said}, while they agree with each other; it was left out. {hint}"
+        return Outcome(images.without(hidden), (Finding("view at odds", text, value=before),))
+    return Outcome(images, warnings=(Finding("view at odds", f"{said}. {hint}", value=before),))
+
+
+_SOMEBODY = (
+    "Likeliest it shows another person, or the files and cameras of two views are mixed up; check "
+    "who is followed (--person) and which calibration belongs to which view"
+)
+_HINTS: dict[Cause, str] = {
+    "mirrored": "Its images seem to be mirrored; mirror them back before keypoints are detected",
+    "clock": "Its clock seems to be off; number the frames of all cameras from the same moment",
+    "turned": "Its camera seems to be turned; calibrate anew",
+    "sized": "Its keypoints seem to be of another image size; give those of the calibration's",
+    "placed": _SOMEBODY,
+    "moving": _SOMEBODY,
+}
+
+
+def _stretches_left_out(images: Images, odd: Odd, *, agree: bool) -> Outcome:
+    """Moments at which one view is far from what the others see."""
+    rays = Rays.of(images.view([odd.view]))
+    there = odd.exists & (rays.weight[0] > 0)
+    miss = np.where(there, rays.miss(odd.points)[0], np.nan)
+    away = np.array([np.median(row[np.isfinite(row)]) if s.any() else 0.0
+                     for row, s in zip(miss, there, strict=True)])  # fmt: skip
+    bad = lasting(away > _AWAY, round(_STRETCH * images.fps))
+    if not bad.any():
+        return Outcome(images)
+    name, frames = images.names[odd.view], stretches(bad)
+    said = (
+        f"{name} contradicts the other views by {float(np.median(away[bad])):.2f} m in "
+        f"{spans(frames)}, as when it follows another person there"
+    )
+    size = float(np.median(away[bad]))
+    if agree:
+        hidden = np.zeros_like(images.seen)
+        hidden[odd.view, bad] = True
+        text = f"{said}; these frames of it were left out"
+        done = Finding("view at odds", text, frames=frames, value=size)
+        return Outcome(images.without(hidden), (done,))
+    todo = Finding("view at odds", f"{said}; check who is followed", frames=frames, value=size)
+    return Outcome(images, warnings=(todo,))
+
+
+def lasting(flags: Bool[np.ndarray, " moments"], least: int) -> Bool[np.ndarray, " moments"]:
+    """Only the runs of true values that last long enough."""
+    out = np.zeros_like(flags)
+    for first, last in stretches(flags):
+        if last - first + 1 >= max(least, 1):
+            out[first : last + 1] = True
+    return out
+
+
+def _two_views(images: Images, noise: float) -> Outcome:
+    """Two views contradict each other; nothing tells which of them is wrong."""
+    given, floor = common_miss(images), _PAIR_FLOOR * noise
+    if given <= max(_WORSE * floor, 0.002):
+        return Outcome(images)
+    shift, away = _best_shift(images)
+    names = " and ".join(images.names)
+    said = f"{names} contradict each other: their rays miss by {100 * given:.1f} cm"
+    if shift and away <= floor and away < _CLEARLY * given:
+        late = shift / images.fps
+        by = f"{1000 * abs(late):.0f} ms {'late' if late > 0 else 'early'}"
+        text = (
+            f"{said}, and by {100 * away:.1f} cm if {images.names[1]} is {by}; its "
+            "keypoints were moved in time. Number the frames of all cameras from the same moment"
+        )
+        done = Finding("views out of step", text, value=late)
+        return Outcome(shifted(images, 1, shift), (done,))
+    if given <= _PAIR_AT_ODDS:
+        return Outcome(images)
+    if shift and away < _CLEARLY * given:
+        text = f"{said}; one clock seems to be off by {1000 * abs(shift) / images.fps:.0f} ms"
+        return Outcome(images, warnings=(Finding("views out of step", text, value=given),))
+    text = (
+        f"{said}. Check that each has its own camera's calibration, in the image size of its "
+        "keypoints, and that both show the same person at the same time"
+    )
+    return Outcome(images, warnings=(Finding("view at odds", text, value=given),))
+
+
+def _best_shift(images: Images) -> tuple[float, float]:
+    """Frames by which the second view is late, and what is then missed by, metres."""
+    most = min(round(0.7 * images.fps), images.pixels.shape[1] // 2)
+    steps: Float[np.ndarray, " steps"] = np.arange(-most, most + 1).astype(float)
+    away = np.array([common_miss(shifted(images, 1, step)) for step in steps])
+    k = int(away.argmin())
+    return float(steps[k]), float(away[k])

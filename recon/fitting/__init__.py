@@ -1,0 +1,1 @@
+"""From observations to a motion: clips, long recordings, the ground, cycles, other bodies."""

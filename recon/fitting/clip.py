@@ -1,0 +1,237 @@
+"""Clips from all their observations: first guess, weights, ground, then the method."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from observations.depth import PointCloud
+from observations.joints3d import Joints3D
+from observations.keypoints2d import OFFSET_UNIT, Keypoints2D
+from observations.markers3d import Markers3D
+from observations.together.first_guess import FirstGuess, Seen, first_guess
+from observations.together.weighing import Noise, noise_of, weights_of
+from recon.body.model import BodyModel
+from recon.core.motion import Motion
+from recon.core.scene import GROUND, HEIGHT, OFFSETS, Scene, UnknownGround
+from recon.core.struct import concatenate
+from recon.fitting.ground import ground_below, pelvis_path, sole_heights, upright_ground
+from recon.fitting.long import WINDOW, fit_long
+from recon.fitting.methods import WithoutRoot, WithScene, method_of
+from recon.fitting.settings import FitSettings
+from recon.method.reconstruction import Method, Reconstruction, fit
+from recon.method.stages import Watch
+from recon.method.terms import Term, ground_moved, offsets
+
+LONG = 10.0
+"""Seconds; longer recordings are fitted by windows."""
+_MOST = 1.5
+"""Factor by which sizes may be wrong at first; beyond it, camera and ground contradict."""
+OFFSET_DEVIATION = 0.005
+"""Metres by which a detector's idea of a joint differs between people, as one frame would tell it.
+It differs by a centimetre or two, but frames repeat each other."""
+GROUND_DEVIATION = 0.001
+"""Metres and radians by which a plane that is given or seen may miss the ground: thousands of
+points see it, and no step of a person should outweigh them."""
+POSE = FitSettings(prior="pose")
+
+
+@dataclass(frozen=True)
+class ClipFit:
+    """What came out, and what was assumed."""
+
+    result: Reconstruction
+    """In the world: z = 0 is the ground."""
+    noises: tuple[Noise, ...]
+    ground_known: bool
+    T_world_recording: Float[Tensor, "clips 4 4"]
+    """Maps the frame of the observations to the world; metres."""
+    observations: tuple[Seen, ...]
+    """As they were compared, with the rows of their offsets."""
+
+
+def fit_clip(
+    observations: Sequence[Seen],
+    settings: FitSettings,
+    body: BodyModel,
+    watch: Watch | None = None,
+) -> ClipFit:
+    """Fit observations that share a frame, the recording's; with a leading axis of clips.
+
+    Clips of one batch are taken to be equally noisy; only one at a time may be long.
+
+    Where the ground is not known, the pose prior alone finds a first motion, the way people stand
+    a first ground, and the method moves both further. Recordings longer than `LONG` keep the
+    ground that their first seconds tell.
+
+    Raises:
+        ValueError: when some observations know the ground and others do not.
+    """
+    known = {observation.ground_known for observation in observations}
+    if len(known) > 1 and any(isinstance(o, Keypoints2D) for o in observations):
+        raise ValueError(
+            "some observations know where the ground is and some do not: give every camera its "
+            "pose (T_camera_world), or none"
+        )
+    guess = first_guess(observations, body)
+    noises = tuple(noise_of(o, guess.motion, body, _told(o, settings)) for o in observations)
+    seen, offsets = _with_offsets(tuple(observations))
+    job = _Job(seen, guess, noises, offsets, body, settings, watch).decided()
+    if known == {True}:
+        start = guess.motion if guess.distance_known else job.on_known_ground()
+        T = torch.eye(4).expand(len(start.translation), 4, 4)
+        result = job.fit(settings, job.scene(start), start, job.moved)
+        return ClipFit(result, noises, True, T, seen)
+    result = job.with_ground()
+    assert result.estimate.scene.ground is not None
+    T = result.estimate.scene.ground.T_world_recording.detach().cpu()
+    return ClipFit(result, noises, False, T, seen)
+
+
+def _with_offsets(observations: tuple[Seen, ...]) -> tuple[tuple[Seen, ...], int]:
+    """Several views of one layout tell where this person's keypoints are; and how many rows."""
+    views = [o for o in observations if isinstance(o, Keypoints2D)]
+    if len(views) < 2 or len({o.points.names for o in views}) > 1:
+        return observations, 0
+    count = len(views[0].points.names)
+    rows = (0, count)
+    return tuple(
+        o.replace(offset_rows=rows) if isinstance(o, Keypoints2D) else o for o in observations
+    ), count
+
+
+def _told(observation: Seen, settings: FitSettings) -> float | None:
+    in_pixels = isinstance(observation, Keypoints2D)
+    return settings.noise_pixels if in_pixels else settings.noise
+
+
+@dataclass(frozen=True)
+class _Job:
+    """What stays the same while a clip is fitted more than once."""
+
+    observations: tuple[Seen, ...]
+    guess: FirstGuess
+    noises: tuple[Noise, ...]
+    offsets: int
+    """Rows of `Scene.offsets`."""
+    body: BodyModel
+    settings: FitSettings
+    watch: Watch | None
+
+    @property
+    def long(self) -> bool:
+        motion = self.guess.motion
+        return (motion.frames - 1) / motion.fps > LONG
+
+    @property
+    def moved(self) -> frozenset[str]:
+        """What of the scene is found besides the motion, the ground aside."""
+        return OFFSETS if self.offsets else frozenset()
+
+    def scene(self, start: Motion, ground: UnknownGround | None = None) -> Scene:
+        """Where keypoints are as the table says, and a ground."""
+        clips = len(start.translation)
+        scene = Scene.create(clips, self.offsets, like=start.translation)
+        return scene.replace(ground=ground)
+
+    def method(self, settings: FitSettings, moved: frozenset[str]) -> Method:
+        noise = min(noise.metres for noise in self.noises)
+        method = method_of(settings, noise, self.body)
+        terms: tuple[Term, ...] = ()
+        if moved >= OFFSETS:
+            terms = (Term("offsets", offsets, (noise * OFFSET_UNIT / OFFSET_DEVIATION) ** 2),)
+        if moved >= GROUND and self.ground_seen:
+            terms = (*terms, Term("ground", ground_moved, (noise / GROUND_DEVIATION) ** 2))
+        method = WithScene(method, moved, terms) if moved else method
+        return method if self.guess.distance_known else WithoutRoot(method)
+
+    def fit(
+        self, settings: FitSettings, scene: Scene, start: Motion, moved: frozenset[str]
+    ) -> Reconstruction:
+        """The whole clip, from a start, moving some of the scene.
+
+        Long clips find the scene in their first seconds and keep it.
+        """
+        run = partial(fit_long if self.long else fit, body=self.body)
+        if self.long and moved:
+            first = self.first_seconds()
+            shorter = start.window(0, first.guess.motion.frames)
+            scene, moved = first.fit(settings, scene, shorter, moved).estimate.scene, frozenset()
+        return run(
+            self.observations,
+            self.method(settings, moved),
+            scene=scene,
+            start=start,
+            weights=weights_of(self.noises),
+            watch=self.watch,
+        )
+
+    def decided(self) -> "_Job":
+        """The same clips from the likeliest of their first guesses.
+
+        Which it is, a quick fit under the pose prior tells: half the moments, few of the points.
+        """
+        if not self.guess.others:
+            return self
+        rough = tuple(
+            o.coarse(self.body) if isinstance(o, PointCloud) else o for o in self.observations
+        )
+        quick = replace(self, observations=rough)
+        every = (self.guess.motion, *self.guess.others)
+        starts = [motion.resample(motion.fps / 2) for motion in every]
+        fits = [quick.fit(POSE, self.scene(start), start, frozenset()) for start in starts]
+        best = torch.stack([one.reports[-1].solution.value for one in fits]).argmin(0)
+        rows = [every[k][[row]] for row, k in enumerate(best.tolist())]
+        return replace(self, guess=FirstGuess(concatenate(rows), self.guess.distance_known))
+
+    def on_known_ground(self) -> Motion:
+        """A first motion under the pose prior, as far from the one camera as its soles are low.
+
+        What a camera sees does not change when everything is farther and larger by one factor.
+        """
+        free = self.free()
+        view = next(o for o in self.observations if isinstance(o, Keypoints2D))
+        eye = view.camera.T_world_camera[..., :3, 3].mean(-2)
+        factor = eye[:, 2] / (eye[:, 2] - sole_heights(free, self.body))
+        factor = torch.where((factor > 1 / _MOST) & (factor < _MOST), factor, 1.0)
+        pelvis = self.body.rest_joints(free.shape)[:, 0]
+        place = free.translation + (pelvis - eye)[:, None]
+        return free.replace(translation=place * factor[:, None, None] - (pelvis - eye)[:, None])
+
+    @property
+    def ground_seen(self) -> bool:
+        """Whether the recording's z = 0 was laid on a plane that is given or seen."""
+        seen = any(isinstance(o, PointCloud) and o.ground_seen for o in self.observations)
+        return seen or self.settings.ground is not None
+
+    def free(self) -> Motion:
+        """A first motion under the pose prior, which does not ask where the ground is."""
+        start = self.guess.motion
+        return self.fit(POSE, self.scene(start), start, frozenset()).motion
+
+    def with_ground(self) -> Reconstruction:
+        """The whole clip and its ground, found from the way people stand."""
+        start = self.guess.motion
+        level = all(isinstance(o, Joints3D | Markers3D) for o in self.observations)
+        if level:  # the recording's z is up, only heights are not known
+            start, unknown = self.free(), HEIGHT
+            ground = ground_below(start, self.body)
+        elif self.ground_seen:
+            ground, unknown = UnknownGround.create(pelvis_path(start, self.body)), GROUND
+        else:
+            start, unknown = self.free(), GROUND
+            ground = upright_ground(start, self.body)
+        if self.settings.prior == "pose":  # it knows nothing of gravity
+            unknown = frozenset()
+        return self.fit(self.settings, self.scene(start, ground), start, self.moved | unknown)
+
+    def first_seconds(self) -> "_Job":
+        """The same clip cut off after a window's length."""
+        begin = self.guess.motion.start_time
+        frames = round(WINDOW * self.guess.motion.fps) + 1  # the window has both its ends
+        seen = tuple(o.window(begin, begin + WINDOW) for o in self.observations)
+        guess = FirstGuess(self.guess.motion.window(0, frames), self.guess.distance_known)
+        return replace(self, observations=seen, guess=guess)

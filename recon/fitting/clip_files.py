@@ -1,0 +1,215 @@
+"""Everything that was recorded of one clip, from files of any kind, in one frame."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from observations.depth import PointCloud
+from observations.files.clouds import cloud_of
+from observations.files.images import camera_above, keypoints_of
+from observations.files.points import positions_of
+from observations.keypoints2d import Keypoints2D
+from observations.people.masks import load_silhouettes, masked
+from observations.people.views import load_views
+from observations.together.first_guess import Seen
+from recon.body.model import BodyModel
+from recon.fitting.settings import FitSettings
+from recon.formats.calibration.cameras import load_cameras
+from recon.formats.clouds.depth_images import read_depth_images
+from recon.formats.clouds.scans import read_scans
+from recon.formats.observations import (
+    KeypointsFile,
+    ObservationFile,
+    PointsFile,
+    PositionsFile,
+    load_observation,
+)
+
+_CLOUDS, _IMAGES, _DETECTIONS = {".ply", ".pcd"}, {".png"}, {".json", ".csv"}
+
+
+@dataclass(frozen=True)
+class Clip:
+    """One clip's observations, and what was assumed in reading them."""
+
+    observations: tuple[Seen, ...]
+    """All in the frame of the recording."""
+    names: tuple[str, ...]
+    notes: tuple[str, ...]
+    T_recording_camera: Float[np.ndarray, "4 4"] | None
+    """Of the one camera whose pose is not known, if there is one; metres."""
+
+
+def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> Clip:
+    """Read files and folders of one clip.
+
+    Observation files (.npz) of any kind; folders or files of 2D detections, one per view, with
+    `--camera`; a folder of scans (.ply, .pcd); a folder of 16-bit depth images (.png) with
+    `--camera`. Sensors without a pose are taken to be one and the same camera.
+
+    Raises:
+        FileNotFoundError: when something is not there.
+        ValueError: when something cannot be read, or options are missing; says what to do.
+    """
+    if len(paths) == 0:
+        raise ValueError("nothing to fit: expected at least one observation file, got none")
+    files: list[tuple[str, ObservationFile]] = []
+    notes: list[str] = []
+    detections: list[Path] = []
+    for path in paths:
+        if not path.exists():
+            raise FileNotFoundError(f"no observation at {path}")
+        if path.is_dir() and next(path.iterdir(), None) is None:
+            raise ValueError(
+                f"{path}: the folder is empty; expected scans (.ply, .pcd), depth images (.png) "
+                "or 2D detections (.json, .csv) in it"
+            )
+        if path.suffix.lower() == ".npz":
+            files.append((str(path), load_observation(path, unit=settings.unit)))
+        elif kinds := _inside(path) & (_CLOUDS | _IMAGES):
+            files.append((str(path), _read_folder(path, kinds, settings)))
+        elif path.is_dir() or path.suffix.lower() in _DETECTIONS:
+            detections.append(path)
+        else:
+            raise ValueError(
+                f"{path}: expected an observation (.npz), 2D keypoints (.json, .csv or folders of "
+                "them) or a folder of scans or depth images; `recon convert` takes recordings of "
+                "motion capture"
+            )
+    if detections:
+        views = load_views(
+            detections, settings.camera, fps=settings.frame_rate, layout=settings.layout,
+            person=settings.person, camera_unit=settings.camera_unit, camera_up=settings.camera_up,
+            image_size=settings.image_size,
+        )  # fmt: skip
+        notes += views.decisions
+        seen = views.files
+        if settings.masks is not None:
+            if len(seen) != 1:
+                raise ValueError(
+                    f"--masks are of one view, got {len(seen)} views; write the masked keypoints "
+                    "of each view to an observation file first"
+                )
+            mask = load_silhouettes(settings.masks)
+            seen = (masked(seen[0], mask, first_frame=views.first_frame),)
+        files += zip(views.names, seen, strict=True)
+    return _together(files, notes, settings, body)
+
+
+def window(clip: Clip, start: float, stop: float) -> Clip:
+    """What was seen from one time to another, both included, seconds of the recording's clock.
+
+    Raises:
+        ValueError: when the times do not rise or nothing was seen between them.
+    """
+    if not start < stop:
+        raise ValueError(f"--between takes two rising times in seconds, got {start} {stop}")
+    cut = tuple(observation.window(start, stop) for observation in clip.observations)
+    if not any(len(seen_times(one)) > 0 for one in cut):
+        every = np.concatenate([seen_times(one) for one in clip.observations])
+        raise ValueError(
+            f"{', '.join(clip.names)}: nothing was seen between {start:g} and {stop:g} s; "
+            f"--between counts on the recording's clock, which shows something from "
+            f"{every.min():.2f} to {every.max():.2f} s"
+        )
+    return replace(clip, observations=cut)
+
+
+def seen_times(observation: Seen) -> Float[np.ndarray, " moments"]:
+    """Times at which one clip's observation shows anything, seconds."""
+    if isinstance(observation, PointCloud):
+        there = observation.present
+    elif isinstance(observation, Keypoints2D):
+        there = observation.confidence > 0
+    else:
+        there = observation.visible
+    moments = there[0].any(-1).nonzero()[:, 0].cpu().numpy()
+    return observation.start_time + moments / observation.fps
+
+
+def _together(
+    files: Sequence[tuple[str, ObservationFile]],
+    notes: list[str],
+    settings: FitSettings,
+    body: BodyModel,
+) -> Clip:
+    """All as observations; depth without a pose first, as it may see the ground."""
+    posed = [_has_pose(file) for _, file in files]
+    views_without = [
+        name for (name, file), pose in zip(files, posed, strict=True)
+        if not pose and isinstance(file, KeypointsFile)
+    ]  # fmt: skip
+    if len(views_without) > 1:
+        raise ValueError(
+            f"the cameras of {', '.join(views_without)} have no pose (T_camera_world), so nobody "
+            "knows how they stand to each other; give a calibration, or fit one view alone"
+        )
+    T = None if settings.ground is None else camera_above(settings.ground)
+    found: dict[int, Seen] = {}
+    for k, (name, file) in enumerate(files):
+        if isinstance(file, PointsFile):
+            notes += [f"{name}: {decision}" for decision in file.decisions]
+            loaded = cloud_of(file, body, seed=settings.seed, T_recording_camera=T)
+            found[k] = loaded.cloud
+            seen = "" if loaded.ground.ground is None else "ground: "
+            notes.append(f"{name}: {seen}{loaded.ground.reason}")
+            if not posed[k]:
+                T = loaded.T_recording_file if T is None else T
+    for k, (name, file) in enumerate(files):
+        if isinstance(file, KeypointsFile):
+            view = keypoints_of(file, body, None if posed[k] else T)
+            found[k] = view
+            if not posed[k] and T is None:
+                T = view.camera.T_world_camera[0, 0].double().cpu().numpy()
+        elif isinstance(file, PositionsFile):
+            found[k] = positions_of(
+                file, name, body, unit=settings.unit, up=settings.up, robust=settings.robust
+            )
+    observations = tuple(found[k] for k in range(len(files)))
+    return Clip(observations, tuple(name for name, _ in files), tuple(notes), T)
+
+
+def _has_pose(file: ObservationFile) -> bool:
+    if isinstance(file, PositionsFile):
+        return True
+    return file.camera is None or file.camera.T_camera_world is not None
+
+
+def _read_folder(path: Path, kinds: set[str], settings: FitSettings) -> PointsFile:
+    """A folder of scans or of depth images."""
+    if kinds & _CLOUDS:
+        up = "z" if settings.up is None else settings.up
+        return read_scans(
+            path, fps=settings.frame_rate, unit=settings.unit, up=up, seed=settings.seed
+        )
+    if settings.camera is None or settings.frame_rate is None:
+        raise ValueError(
+            f"{path}: depth images need the sensor's calibration (--camera) and --frame-rate"
+        )
+    cameras = load_cameras(
+        settings.camera,
+        unit=settings.camera_unit,
+        up=settings.camera_up,
+        image_size=settings.image_size,
+    ).cameras
+    if len(cameras) != 1:
+        raise ValueError(
+            f"{settings.camera}: expected the one sensor of {path}, got {', '.join(cameras)}"
+        )
+    return read_depth_images(
+        path,
+        next(iter(cameras.values())),
+        fps=settings.frame_rate,
+        depth_scale=settings.depth_scale,
+        masks=settings.masks,
+    )
+
+
+def _inside(path: Path) -> set[str]:
+    """Endings of the files in a folder."""
+    if not path.is_dir():
+        return set()
+    return {one.suffix.lower() for one in path.iterdir() if one.is_file()}

@@ -1,0 +1,147 @@
+"""The files that a fit of one clip reads, and checksums of what its result depends on."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from importlib import resources
+from pathlib import Path
+
+from observations.people.camera_names import expand
+from recon.fitting.settings import FitSettings
+from recon.formats.files.checksums import MISSING, file_checksum, files_checksum, value_checksum
+from recon.formats.weight_files import weights_path
+
+_CLOUDS, _IMAGES, _KEYPOINTS = (".ply", ".pcd"), (".png",), (".json",)
+_CALIBRATIONS = (".toml", ".yml", ".yaml", ".npz")
+_PATHS = ("body", "camera", "masks", "weights")
+"""Settings that name files: their contents count, not where they lie."""
+
+
+@dataclass(frozen=True)
+class Input:
+    """A file or folder that was given, and the files that are read of it."""
+
+    path: Path
+    files: tuple[Path, ...]
+
+    def checksum(self) -> str:
+        """SHA-256 of the file, or of the contents and names of the files that are read.
+
+        `MISSING` when there is nothing.
+
+        Raises:
+            OSError, ValueError: when a file is there and cannot be read.
+        """
+        if not self.path.exists():
+            return MISSING
+        if self.files == (self.path,):
+            return file_checksum(self.path)
+        folder = self.path if self.path.is_dir() else self.path.parent
+        return files_checksum(self.files, folder)
+
+
+def observation_input(path: Path) -> Input:
+    """What `recon.fitting.clip_files.load_clip` reads of an observation.
+
+    Of a folder these are its clouds with their table of times, else its depth images, else the
+    files of keypoints; a video beside them is not read, however large it is.
+    """
+    if not path.is_dir():
+        return Input(path, (path,))
+    if clouds := _inside(path, _CLOUDS):
+        return Input(path, (*clouds, path / "times.csv"))
+    if images := _inside(path, _IMAGES):
+        return Input(path, images)
+    try:
+        views, _ = expand([path])
+    except (ValueError, OSError):
+        # nothing of it can be read: the fit refuses it and says why
+        return Input(path, ())
+    files = [file for one in views for file in (_inside(one, _KEYPOINTS) or (one,))]
+    return Input(path, tuple(files))
+
+
+def camera_input(path: Path) -> Input:
+    """What `recon.formats.calibration.cameras.load_cameras` reads of a calibration."""
+    pair = {"intri.yml", "extri.yml"}
+    if path.is_dir() and (path / "intri.yml").is_file():
+        return Input(path, tuple(path / name for name in sorted(pair)))
+    if path.is_dir():
+        return Input(path, _inside(path, _CALIBRATIONS))
+    if path.name.lower() in pair:
+        return Input(path, (path, path.with_name(*(pair - {path.name.lower()}))))
+    return Input(path, (path,))
+
+
+def masks_input(path: Path) -> Input:
+    """What is read of silhouettes: the images of a folder, or the file."""
+    return Input(path, _inside(path, _IMAGES) if path.is_dir() else (path,))
+
+
+def input_checksums(paths: Sequence[Path], settings: FitSettings) -> dict[str, str]:
+    """SHA-256 of every observation, and of the files and folders that the settings name.
+
+    Raises:
+        OSError, ValueError: when a file is there and cannot be read.
+    """
+    given = [observation_input(path) for path in paths]
+    named: list[tuple[Path | None, Callable[[Path], Input]]] = [
+        (settings.camera, camera_input),
+        (settings.masks, masks_input),
+        (settings.body, lambda path: Input(path, (path,))),
+    ]
+    given += [input_of(path) for path, input_of in named if path is not None]
+    return {str(one.path): one.checksum() for one in given}
+
+
+def settings_checksum(settings: FitSettings, version: int) -> str:
+    """Changes when the same observations would be fitted to another result.
+
+    It depends on the settings, on the contents of the calibration, masks, body and weights, of
+    the bundled tables, and on the version of the method.
+
+    Raises:
+        OSError, ValueError: when a file is there and cannot be read.
+    """
+    plain = {name: value for name, value in asdict(settings).items() if name not in _PATHS}
+    body = settings.body
+    contents = {
+        "camera": None if settings.camera is None else camera_input(settings.camera).checksum(),
+        "masks": None if settings.masks is None else masks_input(settings.masks).checksum(),
+        "body": None if body is None else Input(body, (body,)).checksum(),
+        "weights": _weights(settings),
+        "tables": _bundled("recon", "assets", ("body.npz", "landmarks.json", "markers.toml")),
+    }
+    return value_checksum({"version": version, "settings": plain, **contents})
+
+
+def clip_checksum(paths: Sequence[Path], settings: str) -> str:
+    """Of one clip: its observations in their order, with their names, and `settings_checksum`.
+
+    Raises:
+        OSError, ValueError: when a file is there and cannot be read.
+    """
+    rows = [[path.name, observation_input(path).checksum()] for path in paths]
+    return value_checksum({"settings": settings, "observations": rows})
+
+
+def _weights(settings: FitSettings) -> list[str]:
+    """The prior's, and the pose prior's, with which every first motion is found."""
+    names = [("open", "pose")]
+    if settings.prior != "pose":
+        names.append((settings.weights, settings.prior))
+    paths = [weights_path(name, kind) for name, kind in names]
+    return [Input(path, (path,)).checksum() for path in paths]
+
+
+def _bundled(package: str, folder: str, names: Sequence[str]) -> list[str]:
+    found = resources.files(package) / folder
+    with resources.as_file(found) as path:
+        return [file_checksum(path / name) for name in names]
+
+
+def _inside(folder: Path, endings: Sequence[str]) -> tuple[Path, ...]:
+    """Files directly in a folder with one of the endings, in the order of their names."""
+    if not folder.is_dir():
+        return ()
+    found = (one for one in folder.iterdir() if one.suffix.lower() in endings)
+    return tuple(sorted(one for one in found if one.is_file()))

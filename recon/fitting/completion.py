@@ -1,0 +1,373 @@
+"""Cycles from sparse scans, landmarks or few frames: many beginnings, the best fit of all.
+
+A code knows what moves how, but neither which foot is in front nor where the body faces: energies
+have minima for both. So typical codes are tried in several headings, all as one batch.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from time import perf_counter
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from observations.depth import PointCloud, bounded
+from observations.joints3d import Joints3D
+from observations.markers3d import Markers3D
+from observations.together.first_guess import Seen
+from observations.together.weighing import CLOUD_NOISE, CLOUD_WORTH, Noise, weights_of
+from priors.anchor.fit import AnchorFit
+from priors.anchor.frames import ANCHORS, rest_pelvis
+from priors.anchor.prior import AnchorFrames, AnchorVariables
+from recon.body.cycles import LONGEST, SHORTEST
+from recon.body.model import BodyModel
+from recon.core import rotations as so3
+from recon.core.scene import OFFSETS, Scene
+from recon.core.struct import concatenate
+from recon.fitting.clip import ClipFit
+from recon.fitting.settings import FitSettings
+from recon.method.protocols import REFERENCE_FPS
+from recon.method.reconstruction import Reconstruction
+from recon.method.stages import Stage, StageReport, Watch, evaluate_stage, run_stage
+from recon.method.terms import Term, offsets
+
+HEADINGS = 8
+"""Directions in which typical cycles are tried."""
+TRIED, KEPT = 16, 3
+"""Beginnings of a clip that are fitted roughly, and those of them that are fitted in full."""
+NAMED_NOISE = 0.01
+"""Metres that joints and markers are off by, beside a constant offset."""
+OFFSET_DEVIATION = 0.01
+"""Metres per axis by which markers are not where the model has them."""
+DENSE = 200
+"""Points in the fullest frame from which on clouds tell what no code has."""
+FITTED = 256
+"""Points of a frame that are compared: smooth bodies need no more, and time grows with them."""
+RATES = (30.0, 60.0)
+"""Frames per second that cycles are decoded at, at least and at most."""
+ROUGH_RATE = 15.0
+"""The same, about, while beginnings are told apart: a code moves all moments together."""
+_AT_ONCE = 96
+"""Beginnings that are looked at together."""
+Points = PointCloud | Joints3D | Markers3D
+"""What a cycle can be completed from."""
+
+
+def complete(
+    observations: Sequence[Seen],
+    settings: FitSettings,
+    body: BodyModel,
+    watch: Watch | None = None,
+    kind: type[AnchorFit] = AnchorFit,
+) -> ClipFit:
+    """Fit one cycle to every clip of the batch.
+
+    A clip lasts from its first moment to the last that shows anything; its cycle is taken to
+    begin and end there, about.
+
+    Args:
+        observations: of the clips, which are independent of each other.
+        settings: of the fit; `weights` names those of the prior.
+        body: whose motion it is.
+        watch: told about every iteration.
+        kind: how misfits are weighed: by their noise, or as published.
+
+    Raises:
+        ValueError: when nothing tells where the body is, a clip does not last 0.3 to 3 s, or
+            physics is asked for.
+    """
+    if settings.physics != 0:
+        raise ValueError("cycles are completed without physics; leave it out, or fit by humor")
+    seen = tuple(o.to(device=settings.device) for o in observations if isinstance(o, Points))
+    if len(seen) < len(observations):
+        raise ValueError(
+            "completing a cycle takes scans, landmarks or joints, got 2D keypoints as well; fit "
+            "them with --prior humor"
+        )
+    prior = AnchorFrames.load(settings.weights, body)
+    seen, rows = _with_offsets(tuple(_thinned(o) for o in seen))
+    noises = tuple(_noise(o, settings) for o in seen)
+    dense = any(_fullest(o) >= DENSE for o in seen if isinstance(o, PointCloud))
+    method = kind(prior, min(noise.metres for noise in noises), detailed=dense)
+    return _Search(seen, noises, method, body, _Clock.of(seen), rows, watch).fitted()
+
+
+@dataclass(frozen=True)
+class _Clock:
+    """The moments at which cycles are decoded."""
+
+    valid: Bool[Tensor, "clips time"]
+    fps: float
+    start_time: float
+
+    @classmethod
+    def of(cls, observations: Sequence[Points]) -> "_Clock":
+        """The first observation's rate or a multiple or part of it, over all that is seen.
+
+        Raises:
+            ValueError: when a clip shows one moment only, or lasts too short or too long.
+        """
+        fps, start = _rate(observations[0].fps), min(o.start_time for o in observations)
+        ends = [_seen_from_to(o) for o in observations]
+        first, last = (torch.stack(one) for one in zip(*ends, strict=True))
+        if not bool((last.amax(0) > first.amin(0)).all()):
+            raise ValueError(
+                "at most one moment shows anything, which tells no motion; give two or more"
+            )
+        last = last.amax(0) - start
+        worst = last[((last < SHORTEST) | (last > LONGEST)).nonzero()[:1, 0]]
+        if len(worst) > 0:
+            raise ValueError(
+                f"a cycle of gait lasts {SHORTEST} to {LONGEST:g} s, what is seen here "
+                f"{float(worst[0]):.2f} s; cut one cycle out (--between), or fit the whole with "
+                "--prior humor"
+            )
+        count = (last * fps - 1e-6).ceil().long() + 1
+        return cls(torch.arange(int(count.max())) < count[:, None], fps, start)
+
+
+@dataclass(frozen=True)
+class _Search:
+    """What stays the same while beginnings are compared."""
+
+    observations: tuple[Points, ...]
+    noises: tuple[Noise, ...]
+    method: AnchorFit
+    body: BodyModel
+    clock: _Clock
+    offsets: int
+    watch: Watch | None
+
+    def fitted(self) -> ClipFit:
+        """The best fit of every clip."""
+        method, clips = self.method, len(self.clock.valid)
+        variables, clip = self.searched()
+        coded = self.with_offsets(method.coded(self.data(clip, self.observations)))
+        variables, scene, reports = self.run(coded, variables, self.scene(clip))
+        variables, clip, best = _best(variables, clip, self.misfit(variables, scene, clip), 1)
+        reports, scene = [report.rows(best) for report in reports], scene[best]
+        details = method.details(self.data(clip, self.observations))
+        if details:
+            variables, scene, more = self.run(self.with_offsets(details), variables, scene)
+            reports += more
+        estimate = evaluate_stage(reports[-1].stage, self.body, variables, scene)
+        T = torch.eye(4).expand(clips, 4, 4)
+        result = Reconstruction(estimate, tuple(reports))
+        return ClipFit(result, self.noises, True, T, self.observations)
+
+    def searched(self) -> tuple[AnchorVariables, Int[Tensor, " rows"]]:
+        """The beginnings that are roughly best, on a clock of few moments until they are found."""
+        step = self.rough_step
+        variables, clip = self.beginnings()
+        variables = variables.replace(valid=variables.valid[:, ::step], fps=self.clock.fps / step)
+        scene = self.scene(clip)
+        variables, clip, _ = _best(variables, clip, self.misfit(variables, scene, clip), TRIED)
+        rough = self.method.search(self.data(clip, self.rough))
+        variables, scene, _ = self.run(rough, variables, self.scene(clip))
+        variables, clip, _ = _best(variables, clip, self.misfit(variables, scene, clip), KEPT)
+        return variables.replace(valid=self.clock.valid[clip], fps=self.clock.fps), clip
+
+    def beginnings(self) -> tuple[AnchorVariables, Int[Tensor, " rows"]]:
+        """Every typical cycle in every heading, along the path that is seen; whose each is."""
+        prior, clock = self.method.prior, self.clock
+        typical = prior.weights.spread.typical
+        angles = torch.arange(HEADINGS) * (math.tau / HEADINGS)
+        turns = so3.about_z(angles.to(typical))
+        shape = typical.new_zeros(self.body.shape_size)
+        path = self._paths(shape)
+        variables: list[AnchorVariables] = []
+        for clip, (seen, there) in enumerate(zip(*self._seen_path(), strict=True)):
+            last = int(clock.valid[clip].sum()) - 1
+            place = torch.arange(len(seen)).clamp(max=last) / last * (ANCHORS - 1)
+            walked = path[:, place.round().long()]
+            turned = walked[:, None] @ turns.mT
+            away = (seen - turned).where(there[:, None], 0.0).sum(-2) / there.sum().clamp(min=1)
+            T = torch.eye(4).to(typical).repeat(len(typical), HEADINGS, 1, 1)
+            T[..., :3, :3], T[..., :2, 3] = turns, away[..., :2]
+            count = T.shape[0] * T.shape[1]
+            variables.append(
+                prior.variables(
+                    typical.repeat_interleave(HEADINGS, 0),
+                    shape.expand(count, -1),
+                    T.flatten(0, 1),
+                    clock.valid[clip].expand(count, -1),
+                    clock.fps,
+                    clock.start_time,
+                )
+            )
+        clip = torch.arange(len(variables)).repeat_interleave(len(variables[0].latent))
+        return concatenate(variables), clip
+
+    def run(
+        self, stages: Sequence[Stage], variables: AnchorVariables, scene: Scene
+    ) -> tuple[AnchorVariables, Scene, list[StageReport]]:
+        """Some stages in turn."""
+        reports: list[StageReport] = []
+        for asked in stages:
+            began = perf_counter()
+            stage = self.method.adapted(asked, self.body, variables, scene)
+            variables, scene, solution = run_stage(stage, self.body, variables, scene, self.watch)
+            reports.append(StageReport(stage, solution, perf_counter() - began))
+        return variables, scene, reports
+
+    def misfit(
+        self, variables: AnchorVariables, scene: Scene, clip: Int[Tensor, " rows"]
+    ) -> Float[Tensor, " rows"]:
+        """A measure that compares fits of one clip: no scale of it depends on the fit."""
+        found: list[Tensor] = []
+        for rows in torch.arange(len(clip)).split(_AT_ONCE):
+            stage = self.method.search(self.data(clip[rows], self.rough))[0]
+            estimate = evaluate_stage(stage, self.body, variables[rows], scene[rows])
+            with torch.no_grad():
+                terms = [term.weight * term.energy(estimate) for term in stage.terms]
+            found.append(torch.stack(terms).sum(0))
+        return torch.cat(found)
+
+    def scene(self, clip: Int[Tensor, " rows"]) -> Scene:
+        """Markers where the model has them."""
+        return Scene.create(len(clip), self.offsets, like=self.body.template)
+
+    def data(self, clip: Int[Tensor, " rows"], seen: Sequence[Points]) -> tuple[Term, ...]:
+        """Observations of the rows' clips as weighted terms."""
+        weights = weights_of(self.noises)
+        return tuple(
+            Term("data" if len(seen) == 1 else f"data {k + 1}", one[clip], weight)
+            for k, (one, weight) in enumerate(zip(seen, weights, strict=True))
+        )
+
+    @cached_property
+    def rough(self) -> tuple[Points, ...]:
+        """Few moments and points, a rough surface, a kernel of fixed scale."""
+        rate = self.clock.fps / self.rough_step
+        return tuple(_rough(o, max(round(o.fps / rate), 1), self.body) for o in self.observations)
+
+    @property
+    def rough_step(self) -> int:
+        """Moments of the clock from one to the next of the rough one."""
+        return max(round(self.clock.fps / ROUGH_RATE), 1)
+
+    def with_offsets(self, stages: Sequence[Stage]) -> tuple[Stage, ...]:
+        """The same; markers may move once it is about the body."""
+        if self.offsets == 0:
+            return tuple(stages)
+        held = Term("offsets", offsets, (self.method.noise / OFFSET_DEVIATION) ** 2)
+        return tuple(
+            replace(stage, terms=(*stage.terms, held), free=stage.free | OFFSETS)
+            if "shape" in stage.free
+            else stage
+            for stage in stages
+        )
+
+    def _paths(self, shape: Float[Tensor, " shape"]) -> Float[Tensor, "typical 100 3"]:
+        """Where the pelvis of each typical cycle goes."""
+        prior = self.method.prior
+        typical = prior.weights.spread.typical
+        rows = prior.weights.networks.decode(typical, shape.expand(len(typical), -1))
+        return rows[..., -4:-1] + rest_pelvis(self.body, shape)
+
+    def _seen_path(
+        self,
+    ) -> tuple[Float[Tensor, "clips moments 3"], Bool[Tensor, "clips moments"]]:
+        """The middle of what is seen at the clock's moments, and where anything is."""
+        clips, moments = self.clock.valid.shape
+        total = self.body.template.new_zeros(clips, moments, 3)
+        count = self.body.template.new_zeros(clips, moments, 1)
+        for one in self.observations:
+            points, present = _points(one)
+            middle = points.where(present[..., None], torch.nan).nanmedian(-2).values
+            there = present.any(-1)
+            times = one.start_time - self.clock.start_time + torch.arange(there.shape[1]) / one.fps
+            frame = (times * self.clock.fps).round().long().clamp(0, moments - 1)
+            total.index_add_(1, frame, middle.nan_to_num(0.0))
+            count.index_add_(1, frame, there[..., None].to(count))
+        return total / count.clamp(min=1), count[..., 0] > 0
+
+
+def _best(
+    variables: AnchorVariables,
+    clip: Int[Tensor, " rows"],
+    misfit: Float[Tensor, " rows"],
+    count: int,
+) -> tuple[AnchorVariables, Int[Tensor, " kept"], Int[Tensor, " kept"]]:
+    """The best so many rows of every clip; their clips and numbers."""
+    ordered = misfit.nan_to_num(torch.inf).argsort()
+    own = [ordered[clip[ordered] == k][:count] for k in range(int(clip.max()) + 1)]
+    rows = torch.cat(own)
+    return variables[rows], clip[rows], rows
+
+
+def _points(one: Points) -> tuple[Tensor, Tensor]:
+    """Positions (clips, moments, points, 3), and which there are."""
+    if isinstance(one, PointCloud):
+        return one.points, one.present
+    return one.positions, one.visible
+
+
+def _seen_from_to(one: Points) -> tuple[Float[Tensor, " clips"], Float[Tensor, " clips"]]:
+    """Times of the first and last moment of each clip that show anything; infinite where none."""
+    there = _points(one)[1].any(-1).cpu()
+    times = one.start_time + torch.arange(there.shape[-1], dtype=torch.float64) / one.fps
+    return times.where(there, torch.inf).amin(-1), times.where(there, -torch.inf).amax(-1)
+
+
+def _rate(fps: float) -> float:
+    """A rate between `RATES`, of which the observation's is a multiple or part."""
+    if fps < RATES[0]:
+        return fps * math.ceil(RATES[0] / fps)
+    return fps / math.ceil(fps / RATES[1] - 1e-6)
+
+
+def _thinned(one: Points) -> Points:
+    """At most so many points of a frame; they come in no order."""
+    if not isinstance(one, PointCloud) or one.points.shape[-2] <= FITTED:
+        return one
+    number = torch.linspace(0, one.points.shape[-2] - 1, FITTED).long()
+    return one.replace(points=one.points[..., number, :], present=one.present[..., number])
+
+
+def _rough(one: Points, step: int, body: BodyModel) -> Points:
+    """Every `step`-th moment; all of them where most are empty."""
+    if isinstance(one, PointCloud):
+        return one.coarse(body, step).replace(kernel=bounded)
+    if 2 * int(one.visible.any(-1).sum()) < one.visible[..., 0].numel():
+        return one
+    few = {"positions": one.positions[:, ::step], "visible": one.visible[:, ::step]}
+    return one.replace(fps=one.fps / step, **few)
+
+
+def _fullest(cloud: PointCloud) -> int:
+    return int(cloud.present.sum(-1).max())
+
+
+def _noise(one: Points, settings: FitSettings) -> Noise:
+    """A frame's cloud is worth some points that know their place; few frames count one each.
+
+    Energies are sums over all frames of the clock, empty or not, taken at 30 Hz.
+    """
+    count = _points(one)[1].sum(-1)
+    typical = float(count[count > 0].float().quantile(0.5)) if bool((count > 0).any()) else 1.0
+    first, last = _seen_from_to(one)
+    rate = ((count > 0).sum(-1).cpu() - 1) / (last - first)
+    seen = rate.isfinite() & (rate > 0)
+    often = float(rate[seen].median()) if bool(seen.any()) else one.fps
+    worth = one.fps / max(often, REFERENCE_FPS)
+    if not isinstance(one, PointCloud):
+        noise = NAMED_NOISE if settings.noise is None else settings.noise
+        return Noise(noise / worth**0.5, noise)
+    noise = CLOUD_NOISE if settings.noise is None else settings.noise
+    return Noise(noise * (max(typical / CLOUD_WORTH, 1.0) / worth) ** 0.5, noise)
+
+
+def _with_offsets(observations: tuple[Points, ...]) -> tuple[tuple[Points, ...], int]:
+    """Markers stand off the skin: rows of their offsets, and how many."""
+    changed: list[Points] = []
+    count = 0
+    for one in observations:
+        if isinstance(one, Markers3D):
+            rows = (count, count + len(one.vertices))
+            one, count = one.replace(offset_rows=rows), rows[1]
+        changed.append(one)
+    return tuple(changed), count

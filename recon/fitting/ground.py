@@ -1,0 +1,63 @@
+"""A first guess of the ground from how people stand: upright, with their soles on it."""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from recon.body.model import BodyModel
+from recon.body.soles import Soles, Stance
+from recon.core.motion import Motion
+from recon.core.scene import TILT, UnknownGround
+from recon.core.skeleton import joint_index
+
+_HEAD = joint_index("head")
+_ANKLES = [joint_index("left_ankle"), joint_index("right_ankle")]
+
+
+def upright_ground(motion: Motion, body: BodyModel) -> UnknownGround:
+    """The ground under clips in a recording whose frame is not the world; axis (clips).
+
+    Up is where heads are from between the ankles, on average over the frames: steps forward and
+    back, and leaning to either side, cancel. The ground is as high as the soles that stand.
+    """
+    up = mean_up(motion, body)
+    pivot = pelvis_path(motion, body)
+    # R = Exp(v) turns up to z: v = up × z by the angle between them
+    sine = up[..., :2].norm(dim=-1, keepdim=True)
+    angle = torch.atan2(sine, up[..., 2:])
+    axis = torch.stack((up[..., 1], -up[..., 0]), -1) / sine.clamp(min=1e-9)
+    ground = UnknownGround.create(pivot).replace(tilt=axis * angle / TILT)
+    level = motion.carried(ground.T_world_recording, body.rest_joints(motion.shape)[..., 0, :])
+    return ground.replace(lift=-sole_heights(level, body))
+
+
+def ground_below(motion: Motion, body: BodyModel) -> UnknownGround:
+    """The ground under clips in a recording whose z is up; only its height is found."""
+    ground = UnknownGround.create(pelvis_path(motion, body))
+    return ground.replace(lift=-sole_heights(motion, body))
+
+
+def mean_up(motion: Motion, body: BodyModel) -> Float[Tensor, "clips 3"]:
+    """Mean direction from between the ankles to the head, a unit vector."""
+    joints = body.pose(motion).joints
+    rise = joints[..., _HEAD, :] - joints[..., _ANKLES, :].mean(-2)
+    rise = rise.where(motion.valid[..., None], 0.0)
+    return torch.nn.functional.normalize(rise.sum(-2), dim=-1)
+
+
+def pelvis_path(motion: Motion, body: BodyModel) -> Float[Tensor, "clips 3"]:
+    """The point of the recording's z = 0 below the mean place of the pelvis, metres."""
+    pelvis = body.pose(motion).joints[..., 0, :].where(motion.valid[..., None], 0.0)
+    mean = pelvis.sum(-2) / motion.valid.sum(-1, keepdim=True)
+    return mean * mean.new_tensor([1.0, 1.0, 0.0])
+
+
+def sole_heights(motion: Motion, body: BodyModel) -> Float[Tensor, " clips"]:
+    """Height of level ground below every clip, metres; see `recon.body.soles`."""
+    here, clips = body.to(device="cpu"), motion.detach().to(device="cpu")
+    soles = Soles.of(here)
+    heights = [
+        Stance.of(clip.window(0, int(clip.valid.sum())), here, soles).height()
+        for clip in (clips[row] for row in range(len(clips.translation)))
+    ]
+    return motion.translation.new_tensor(heights)

@@ -1,0 +1,101 @@
+"""What lies between two cycles of motion: codes and shapes mixed, and decoded."""
+
+import math
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from priors.anchor.frames import ANCHORS, Anchors, rest_pelvis
+from priors.anchor.prior import AnchorFrames, AnchorVariables
+from recon.body.cycles import LONGEST, SHORTEST, THRESHOLD, Cycle, find_cycles, hip_flexion
+from recon.core import rotations as so3
+from recon.core.motion import Motion
+
+_RETURN = math.radians(10)
+"""How near to its start the flexion of either hip comes back in a file that is one cycle."""
+_SIDES = ((7, 10), (8, 11))
+"""Ankle and toes, left and right."""
+_WHOLE = 0.5
+"""Share of such a file that a cycle found in it lasts; with shorter ones it is several."""
+
+
+def between(
+    prior: AnchorFrames, a: AnchorVariables, b: AnchorVariables, share: float
+) -> AnchorVariables:
+    """The cycles `share` of the way from `a` to `b`: (1-k) z_a + k z_b, and so their shapes.
+
+    Marsot et al., section 5.2. Codes hold neither heading nor place on the ground: the first
+    pelvis lies between theirs, and the heading on the shorter arc between theirs.
+    """
+    shape = torch.lerp(a.shape, b.shape, share)
+    base = [x.base for x in (a, b)]
+    pelvis = [(T @ _point(prior, x.shape))[..., :3, :] for T, x in zip(base, (a, b), strict=True)]
+    fraction = shape.new_full(shape.shape[:-1], share)
+    turn = so3.interpolate(base[0][..., :3, :3], base[1][..., :3, :3], fraction)
+    rest = _point(prior, shape)[..., :3, :]
+    place = torch.lerp(pelvis[0], pelvis[1], share) - turn @ rest
+    upper = torch.cat((turn, place), -1)
+    return a.replace(
+        latent=torch.lerp(a.latent, b.latent, share),
+        shape=shape,
+        base=torch.cat((upper, base[0][..., 3:, :]), -2),
+    )
+
+
+def played(prior: AnchorFrames, variables: AnchorVariables, fps: float) -> Motion:
+    """A decoded cycle, one of a batch of one, from its first anchor on at some rate.
+
+    Raises:
+        ValueError: when it lasts no time that a cycle can last.
+    """
+    with torch.no_grad():
+        anchors: Anchors = prior.anchors(variables)
+    duration = float(anchors.duration[0])
+    if not SHORTEST / 2 <= duration <= 2 * LONGEST:
+        raise ValueError(
+            f"the weights decode a cycle of {duration:.2f} s, which no cycle of gait lasts; one "
+            "of the motions is unlike all they know"
+        )
+    motion = anchors.motion(variables.shape, (ANCHORS - 1) / duration)
+    return motion.replace(start_time=variables.start_time).resample(fps)
+
+
+def cycles_of(motion: Motion) -> tuple[Cycle, ...]:
+    """The cycles of one clip; the whole clip where it is one cycle itself.
+
+    It is when it lasts 0.3 to 3 s, its hips come back to where they began, and no cycle found
+    in it is much shorter. It begins with the foot of the thigh that is in front.
+    """
+    found = find_cycles(motion)
+    last = (motion.frames - 1) / motion.fps
+    flexion = hip_flexion(motion)
+    returns = abs(flexion[-1] - flexion[0]).max() <= _RETURN
+    swings = (flexion.max(0) - flexion.min(0)).max() > _RETURN
+    long = all(cycle.duration > _WHOLE * last for cycle in found)
+    if not (SHORTEST <= last <= LONGEST and returns and swings and long):
+        return found
+    left, right = flexion[0]
+    cost = min((cycle.cost for cycle in found), default=THRESHOLD)
+    side = "left" if left > right else "right"
+    return (Cycle(motion.start_time, motion.start_time + last, side, cost),)
+
+
+def foot_lift(joints: Float[Tensor, "*batch time 22 3"]) -> Float[Tensor, "*batch time"]:
+    """How much higher the left foot is than the right, each by its lower joint, metres."""
+    left, right = (joints[..., [foot, toe], 2].amin(-1) for foot, toe in _SIDES)
+    return left - right
+
+
+def agreement(
+    a: Float[Tensor, "first time"], b: Float[Tensor, "second time"]
+) -> Float[Tensor, "first second"]:
+    """Correlation of two sets of courses about zero, -1 to 1."""
+    unit = [x / x.norm(dim=-1, keepdim=True).clamp(min=1e-9) for x in (a, b)]
+    return unit[0] @ unit[1].mT
+
+
+def _point(prior: AnchorFrames, shape: Tensor) -> Tensor:
+    """The unposed pelvis as a homogeneous column."""
+    pelvis = rest_pelvis(prior.body, shape)
+    return torch.cat((pelvis, torch.ones_like(pelvis[..., :1])), -1)[..., None]

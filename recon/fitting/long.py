@@ -1,0 +1,234 @@
+"""Recordings of any length: overlapping windows of one shape, tied where they overlap."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, cast
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from recon.body.model import BodyModel
+from recon.core.motion import Motion
+from recon.core.scene import Scene
+from recon.core.struct import concatenate, stack
+from recon.fitting.long_recording import AT_ONCE, LongRecording, TimedObservation
+from recon.method.protocols import Decoded, Estimate
+from recon.method.reconstruction import Method, Reconstruction, admitted, reconstruct
+from recon.method.stages import Stage, StageReport, Watch
+from recon.method.terms import Term
+from recon.method.windows import Piece, join
+from recon.solver.lbfgs import Progress, Solution
+
+WINDOW, OVERLAP = 4.0, 1.0
+"""Seconds that a window lasts at most, and that it shares with each neighbour."""
+TIE = 1.0
+"""What a joint of a finished neighbour weighs against a joint of the first observation."""
+
+
+@dataclass(frozen=True)
+class LongReconstruction(Reconstruction):
+    """One clip given back from its windows, and what happened on the way."""
+
+    windows: tuple[tuple[float, float], ...]
+    """First and last moment of each window, seconds."""
+    failed_windows: tuple[int, ...]
+    """Windows that met nan or inf; they hold their last finite estimate.
+
+    A report has a row for every window that was fitted alike: some for their `shape`, then every
+    other window `apart`, then those between, `tied` to their neighbours.
+    """
+
+    @property
+    def failed(self) -> tuple[bool, ...]:
+        """Whether any window failed."""
+        return (len(self.failed_windows) > 0,)
+
+
+def fit_long(
+    observations: Sequence[TimedObservation],
+    prior: Method,
+    body: BodyModel | None = None,
+    *,
+    window: float = WINDOW,
+    overlap: float = OVERLAP,
+    start: Motion | None = None,
+    scene: Scene | None = None,
+    weights: Sequence[float] | None = None,
+    watch: Watch | None = None,
+) -> LongReconstruction:
+    """As `fit`, for one clip of any length: time grows with the length, memory hardly.
+
+    The recording is cut into overlapping windows. Some, spread over it, are fitted up to the
+    first stage that moves the shape; the median of their shapes is the shape of all. Then every
+    other window is fitted apart from the others, and then those between, tied to the joints of
+    their finished neighbours where they overlap (the alternating method of Schwarz in two
+    colours). Last, neighbours fade into each other.
+
+    Args:
+        observations: adapters with the data of one clip inside, a leading axis of length one;
+            the first one gives the first guess and the span.
+        prior: what is likely, and by which stages it is fitted.
+        body: whose motion it is; None is the bundled body.
+        window: seconds that a window lasts at most.
+        overlap: seconds that neighbours share, at most 40 % of a window.
+        start: a first guess of the whole clip instead, axes (1, time).
+        scene: what surrounds the motion, of one clip; windows share it and do not move it.
+        weights: multiplier of each observation; None weighs all equally.
+        watch: told about every iteration; the stage's name begins with what it is for.
+
+    Raises:
+        ValueError: when there is no observation or not exactly one clip, one of them cannot be
+            cut, or the overlap is none or more than 40 % of a window.
+    """
+    ready, body, start, scene, weights = admitted(observations, body, start, scene, weights)
+    timed = cast(Sequence[TimedObservation], ready)  # `cut` refuses others
+    recording = LongRecording.cut(timed, body, window, overlap, start)
+    if scene is None:
+        scene = Scene.create(1, like=recording.guess.translation)
+    job = _Job(recording, body, scene, weights, watch)
+    every = list(range(len(recording.windows.starts)))
+    some = torch.linspace(0, every[-1], min(len(every), AT_ONCE)).round().int().tolist()
+
+    shapes = job.fit("shape", some, recording.guess.shape, lambda _: _ShapeOnly(prior))
+    shape = shapes.shape()
+    apart = job.fit("apart", every[::2], shape, lambda _: _OneShape(prior, ()))
+
+    def tied(rows: Sequence[int]) -> Method:
+        ties = [recording.tie(row, apart.beside(row), apart.fps, body) for row in rows]
+        return _OneShape(prior, (Term("overlap", stack(ties), TIE),))
+
+    between = job.fit("tied", every[1::2], shape, tied)
+    pieces = apart.pieces | between.pieces
+    whole = join([pieces[row] for row in every]).map(lambda tensor: tensor[None])
+    return LongReconstruction(
+        estimate=Estimate(
+            Decoded(whole.motion, contacts=whole.contacts),
+            body.pose(whole.motion),
+            scene,
+        ),
+        windows=tuple(recording.span(row) for row in every),
+        failed_windows=tuple(sorted({*apart.failed, *between.failed})),
+        reports=(*shapes.reports, *apart.reports, *between.reports),
+    )
+
+
+@dataclass(frozen=True)
+class _ShapeOnly:
+    """A method up to the first stage that moves the shape."""
+
+    method: Method
+
+    def stages(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
+        stages = self.method.stages(data)
+        moves = ["shape" in stage.free for stage in stages]
+        return stages[: moves.index(True) + 1] if any(moves) else stages[:1]
+
+
+@dataclass(frozen=True)
+class _OneShape:
+    """A method that takes the shape as given and heeds some more terms."""
+
+    method: Method
+    terms: tuple[Term, ...]
+
+    def stages(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
+        stages = self.method.stages((*data, *self.terms))
+        held = [replace(stage, free=stage.free - {"shape"}) for stage in stages]
+        return tuple(stage for stage in held if stage.free)
+
+
+@dataclass(frozen=True)
+class _Fitted:
+    """Windows fitted alike."""
+
+    pieces: dict[int, Piece]
+    failed: tuple[int, ...]
+    reports: tuple[StageReport, ...]
+
+    @property
+    def fps(self) -> float:
+        """Frames per second of the results."""
+        return next(iter(self.pieces.values())).motion.fps
+
+    def beside(self, row: int) -> list[Piece]:
+        """The neighbours of a window, without those that failed."""
+        sound = [k for k in (row - 1, row + 1) if k in self.pieces and k not in self.failed]
+        return [self.pieces[k] for k in sound]
+
+    def shape(self) -> Float[Tensor, " shape"]:
+        """The median over the windows that did not fail, or over all if all did."""
+        good = [piece for row, piece in self.pieces.items() if row not in self.failed]
+        shapes = [piece.motion.shape for piece in good or self.pieces.values()]
+        return torch.stack(shapes).quantile(0.5, dim=0)
+
+
+@dataclass(frozen=True)
+class _Job:
+    """What stays the same while windows are fitted batch after batch."""
+
+    recording: LongRecording
+    body: BodyModel
+    scene: Scene
+    weights: Sequence[float] | None
+    watch: Watch | None
+
+    def fit(
+        self,
+        name: str,
+        rows: Sequence[int],
+        shape: Float[Tensor, " shape"],
+        method: Callable[[Sequence[int]], Method],
+    ) -> _Fitted:
+        """Fit some windows, from a shape, by the method of their batch."""
+        pieces: dict[int, Piece] = {}
+        failed: list[int] = []
+        reports: list[tuple[StageReport, ...]] = []
+        for batch in self.recording.batches(rows):
+            parts = zip(*(self.recording.seen(row) for row in batch), strict=True)
+            result = reconstruct(
+                [cast(Any, concatenate)(list(part)) for part in parts],
+                method(batch),
+                self.body,
+                start=stack([self.recording.start(row, shape) for row in batch]),
+                scene=concatenate([self.scene] * len(batch)),
+                weights=self.weights,
+                watch=self._watch(name),
+            )
+            for k, row in enumerate(batch):
+                motion = result.motion[k].replace(start_time=self.recording.span(row)[0])
+                contacts = None if result.contacts is None else result.contacts[k]
+                pieces[row] = Piece(motion, contacts)
+            failed += [row for row, bad in zip(batch, result.failed, strict=True) if bad]
+            reports.append(result.reports)
+        order = torch.tensor(list(pieces)).argsort()
+        merged = [_merge(name, stage, order) for stage in zip(*reports, strict=True)]
+        return _Fitted(pieces, tuple(failed), tuple(merged))
+
+    def _watch(self, name: str) -> Watch | None:
+        watch = self.watch
+        if watch is None:
+            return None
+
+        def told(stage: str, progress: Progress) -> None:
+            watch(f"{name}: {stage}", progress)
+
+        return told
+
+
+def _merge(name: str, parts: Sequence[StageReport], order: Tensor) -> StageReport:
+    """One report of a stage from those of its batches, in the order of windows."""
+    solutions = [part.solution for part in parts]
+    steps = max(s.trace.shape[1] for s in solutions)
+    traces = [s.trace[:, torch.arange(steps).clamp(max=s.trace.shape[1] - 1)] for s in solutions]
+    ended = [reason for s in solutions for reason in s.termination]
+    solution = Solution(
+        x=torch.cat([s.x for s in solutions])[order],
+        value=torch.cat([s.value for s in solutions])[order],
+        iterations=torch.cat([s.iterations for s in solutions])[order],
+        evaluations=torch.cat([s.evaluations for s in solutions])[order],
+        termination=tuple(ended[k] for k in order.tolist()),
+        trace=torch.cat(traces)[order],
+    )
+    stage = replace(parts[0].stage, name=f"{name}: {parts[0].stage.name}")
+    return StageReport(stage, solution, sum(part.seconds for part in parts))

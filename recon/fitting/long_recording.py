@@ -1,0 +1,165 @@
+"""One long recording as windows: what each sees, where it starts, what its neighbours say."""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from itertools import groupby
+from typing import Any, Protocol, runtime_checkable
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from observations.timing import at_observation_times
+from recon.body.model import BodyModel
+from recon.core.motion import Motion
+from recon.core.struct import TensorStruct
+from recon.method.protocols import REFERENCE_FPS, Estimate, Observation
+from recon.method.windows import Piece, Windows, fade
+
+AT_ONCE = 8
+"""Windows fitted as one batch, so that memory does not grow with the recording."""
+
+_LONGEST_STEP = 0.2
+"""Seconds within which a recording's frames must meet those at 30 Hz for windows to begin there;
+where they do not, results at 30 Hz are interpolated."""
+_MICROSECONDS = 6
+"""Digits of a second to which clocks are compared."""
+
+
+@runtime_checkable
+class TimedObservation(Observation, Protocol):
+    """Recorded data of which a stretch of time can be taken; a `TensorStruct`."""
+
+    @property
+    def start_time(self) -> float:
+        """Time of the first moment, seconds."""
+        ...
+
+    def window(self, start: float, stop: float) -> "TimedObservation":
+        """What was seen from one time to another, both included; the clock goes on.
+
+        Stretches of equal length that begin at equal phases of the clock have equal shapes.
+        """
+        ...
+
+    def derived(self, **fields: Any) -> "TimedObservation":
+        """The same record with some fields exchanged, which were checked before."""
+        ...
+
+
+@dataclass(frozen=True)
+class Overlap(TensorStruct):
+    """½ Σ w |p - p̂|² of joints p from those p̂ of the neighbours, at 30 Hz; metres²."""
+
+    joints: Float[Tensor, "*batch time 22 3"]
+    """From the window's first moment on; zero where the weight is."""
+    weight: Float[Tensor, "*batch time"]
+    """The neighbour's own share of the joined motion: one at its inside, zero at its border."""
+    fps: float
+
+    def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
+        """Over the frames that are estimated; the window's clock begins at zero."""
+        joints, seen = at_observation_times(
+            estimate.body.joints, estimate.motion,
+            fps=self.fps, start_time=0.0, moments=self.joints.shape[-3],
+        )  # fmt: skip
+        away = (joints - self.joints[..., seen, :, :]).square().sum((-1, -2))
+        return 0.5 * (self.weight[..., seen] * away).sum(-1) * (REFERENCE_FPS / self.fps)
+
+
+@dataclass(frozen=True)
+class LongRecording:
+    """Observations of one clip and its first guess, cut into windows."""
+
+    observations: Sequence[TimedObservation]
+    guess: Motion
+    """No batch axis."""
+    windows: Windows
+
+    @classmethod
+    def cut(
+        cls,
+        observations: Sequence[TimedObservation],
+        body: BodyModel,
+        window: float,
+        overlap: float,
+        start: Motion | None = None,
+    ) -> "LongRecording":
+        """Windows of some seconds; they begin where frames meet those at 30 Hz, if any do.
+
+        Raises:
+            ValueError: when there is no observation or not exactly one clip, one of them cannot
+                be cut, or the overlap is none or more than 40 % of a window.
+        """
+        if len(observations) == 0:
+            raise ValueError("nothing to fit: expected at least one observation, got none")
+        for observation in observations:
+            if not isinstance(observation, TimedObservation):
+                raise ValueError(
+                    f"{type(observation).__name__} cannot be cut into windows: give it a method "
+                    "window(start, stop), or fit the recording in one piece"
+                )
+        with torch.no_grad():
+            guess = observations[0].start(body) if start is None else start
+        if guess.translation.shape[:-2] != (1,):
+            raise ValueError(
+                "expected one clip, positions (1, time, points, 3); got a first guess of shape "
+                f"{tuple(guess.translation.shape)}; fit long clips one after the other"
+            )
+        longest, shared = round(window * guess.fps) + 1, round(overlap * guess.fps)
+        windows = Windows.cover(guess.frames, longest, shared, _common_step(guess.fps))
+        return cls(observations, guess[0], windows)
+
+    def span(self, row: int) -> tuple[float, float]:
+        """First and last moment of a window, seconds."""
+        start = self.guess.start_time + self.windows.starts[row] / self.guess.fps
+        return start, start + (self.windows.frames - 1) / self.guess.fps
+
+    def start(self, row: int, shape: Float[Tensor, " shape"]) -> Motion:
+        """A window's first guess; its clock begins at zero."""
+        first = self.windows.starts[row]
+        motion = self.guess.window(first, first + self.windows.frames)
+        return motion.replace(start_time=0.0, shape=shape)
+
+    def seen(self, row: int) -> tuple[TimedObservation, ...]:
+        """A window's observations; its clock begins at zero."""
+        start, stop = self.span(row)
+        parts = [observation.window(start, stop) for observation in self.observations]
+        return tuple(
+            p.derived(start_time=round(p.start_time - start, _MICROSECONDS)) for p in parts
+        )
+
+    def batches(self, rows: Sequence[int]) -> Iterator[list[int]]:
+        """Windows at whose beginning all observations' clocks stand alike, few at a time."""
+
+        def clocks(row: int) -> tuple[float, ...]:
+            return tuple(part.start_time for part in self.seen(row))
+
+        for _, group in groupby(sorted(rows, key=clocks), clocks):
+            alike = list(group)
+            size = math.ceil(len(alike) / math.ceil(len(alike) / AT_ONCE))
+            yield from (alike[k : k + size] for k in range(0, len(alike), size))
+
+    def tie(self, row: int, neighbours: Sequence[Piece], fps: float, body: BodyModel) -> Overlap:
+        """What finished neighbours of a window, at their frames per second, say about it."""
+        (start, stop), like = self.span(row), self.guess.translation
+        frames = math.floor((stop - start) * fps + 1e-4) + 1
+        times = start + torch.arange(frames, dtype=torch.float64, device=like.device) / fps
+        joints, weight = like.new_zeros(frames, 22, 3), like.new_zeros(frames)
+        for piece in neighbours:
+            motion, begins, ends = piece.motion, piece.motion.start_time, piece.stop_time
+            shared = (times > begins - 1e-6) & (times < ends + 1e-6)
+            joints[shared] = body.pose(motion.at(times[shared], fps)).joints
+            later = fade(times[shared], max(start, begins), min(stop, ends)).to(weight)
+            weight[shared] = later if begins > start else 1 - later
+        return Overlap(joints, weight, fps)
+
+
+def _common_step(fps: float) -> int:
+    """Frames after which a clock meets one at 30 Hz again; one if it does not soon."""
+    step = Fraction(fps / REFERENCE_FPS).limit_denominator(100).numerator
+    others = step * REFERENCE_FPS / fps
+    meets = abs(others - round(others)) < 1e-6
+    return step if meets and step <= _LONGEST_STEP * fps else 1

@@ -1,0 +1,147 @@
+"""From settings to the method of a fit: which prior, with which weights for which noise."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+from priors.humor.collocation import Collocation
+from priors.humor.prior import Humor
+from priors.humos.collocation import HumosFit
+from priors.humos.prior import Humos
+from priors.pose.prior import PosePrior, PoseWeights
+from recon.body.model import BodyModel
+from recon.fitting.settings import FitSettings
+from recon.method.reconstruction import Method
+from recon.method.stages import Stage
+from recon.method.terms import Term
+from recon.physics import energies as physics
+
+
+def method_of(settings: FitSettings, noise: float, body: BodyModel) -> Method:
+    """The method for observations whose coordinates are off by about `noise` metres.
+
+    Raises:
+        FileNotFoundError: when there are no such weights.
+        ValueError: when the file of the weights holds none, the prior has a way of its own, or
+            physics is to weigh less than nothing.
+    """
+    method = _of_prior(settings, noise, body)
+    if settings.physics == 0:
+        return method
+    return WithPhysics(method, physics_terms(noise, settings.physics))
+
+
+def _of_prior(settings: FitSettings, noise: float, body: BodyModel) -> Method:
+    match settings.prior:
+        case "pose":
+            prior = PosePrior.load(weights=PoseWeights.for_noise(noise))
+            return prior.to(device=body.template.device)
+        case "humor":
+            humor = Humor.load(settings.weights, body.to(device="cpu"))
+            return Collocation.for_noise(humor.like(body.template), noise)
+        case "humos":
+            humos = Humos.load(settings.weights, body.to(device="cpu"))
+            if body.template.device.type != "cpu":
+                raise ValueError("the HUMOS prior runs on the processor: leave --device at cpu")
+            return HumosFit.for_noise(humos, noise)
+        case "anchor":
+            raise ValueError(
+                "the prior anchor is of one whole cycle, for which beginnings are searched: "
+                "call recon.fitting.completion.complete, or `recon complete`"
+            )
+
+
+_PLACE = frozenset({"translation", "root"})
+
+
+@dataclass(frozen=True)
+class WithoutRoot:
+    """A method without its leading stages that only place the rest body.
+
+    One image tells the distance of a body by the size of its bones. Placing a rest body there
+    would trade its stretched limbs against distance.
+    """
+
+    method: Method
+
+    def stages(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
+        """Those from the first on that moves more than place and heading."""
+        stages = self.method.stages(data)
+        first = next((k for k, stage in enumerate(stages) if not stage.free <= _PLACE), 0)
+        return stages[first:]
+
+
+@dataclass(frozen=True)
+class WithScene:
+    """A method that finds something of the scene as well, once there is a first motion."""
+
+    method: Method
+    moved: frozenset[str]
+    """Paths such as `scene.ground.tilt`; see `recon.core.scene`."""
+    terms: tuple[Term, ...]
+    """What holds it."""
+
+    def stages(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
+        """Its stages; the first that moves poses leaves the scene alone if others follow."""
+        stages = self.method.stages(data)
+        posing = [k for k, stage in enumerate(stages) if not stage.free <= _PLACE]
+        return tuple(
+            replace(stage, terms=(*stage.terms, *self.terms), free=stage.free | self.moved)
+            if k in (posing[1:] or posing)
+            else stage
+            for k, stage in enumerate(stages)
+        )
+
+
+_PHYSICS = (
+    ("penetration", physics.penetration, 0.002),
+    ("slide", physics.slide, 0.003),
+    ("floating", physics.floating, 0.006),
+    ("dynamic stability", physics.dynamic_stability, 0.2),
+)
+"""Standard deviations, metres: of depth, of the step of a sole per 1/30 s, of height, and of the
+distance from the centre of pressure to the zero moment point. Chosen on validation windows."""
+
+
+def physics_terms(noise: float, strength: float = 1.0) -> tuple[Term, ...]:
+    """What holds a body to the ground z = 0, beside an observation of weight one.
+
+    Each weighs noise² / deviation², as a negative log-probability does beside ½ |error|².
+
+    Args:
+        noise: of the observation's coordinates, metres; at least 8 mm is taken.
+        strength: multiplier of all of them.
+
+    Raises:
+        ValueError: when the strength is not a number above 0.
+    """
+    if not 0 < strength < float("inf"):
+        raise ValueError(
+            "physics multiplies the weights of contact with the ground: expected a number of at "
+            f"least 0 (0 leaves them out, 1 is as chosen on validation), got {strength:g}"
+        )
+    variance = strength * max(noise, 0.008) ** 2
+    return tuple(Term(name, energy, variance / s**2) for name, energy, s in _PHYSICS)
+
+
+@dataclass(frozen=True)
+class WithPhysics:
+    """A method and a stage more, in which the body stands on the ground z = 0 as well.
+
+    The stage is the method's last one again, with all that it moves and minimises, and these
+    terms, which take the place of those of the same name. It comes last and is short because an
+    iteration takes about twice as long with a part of the skin to compute, and because feet that
+    stand wrongly in a first guess would be held there.
+    """
+
+    method: Method
+    terms: tuple[Term, ...]
+    iterations: int = 40
+
+    def stages(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
+        """Its stages and one more."""
+        stages = self.method.stages(data)
+        last = stages[-1]
+        minimiser = replace(last.minimiser, max_iterations=self.iterations)
+        own = {term.name for term in self.terms}
+        terms = (*(term for term in last.terms if term.name not in own), *self.terms)
+        return (*stages, replace(last, name="physics", terms=terms, minimiser=minimiser))

@@ -1,0 +1,137 @@
+"""The same motion as another body performs it."""
+
+from collections.abc import Callable
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from priors.humos.prior import Humos, at_rate, frames_at_rate, spline
+from recon.body.reshape import leg_length, with_shape
+from recon.core import rotations as so3
+from recon.core.motion import Motion
+from recon.fitting.settling import flies, grounded
+from recon.method.windows import Piece, Windows, join
+
+WINDOW, OVERLAP = 10.0, 3.0
+"""Seconds that the prior sees at once (200 frames at 20 Hz), and that neighbours share."""
+SHORTEST = 1.0
+"""Seconds that a clip must last."""
+
+
+def retarget(motion: Motion, shape: Float[Tensor, " shape"], prior: Humos) -> Motion:
+    """What a body of another shape does when it does the same.
+
+    The prior proposes a motion; the nearest one to it that obeys physics is the result.
+
+    Args:
+        motion: one clip, at any rate; the ground is z = 0.
+        shape: of the other body.
+        prior: which knows what bodies do.
+
+    Returns:
+        A clip of as many frames at the same rate, that begins at the same place.
+
+    Raises:
+        ValueError: when the clip is shorter than a second, or frames of it do not exist.
+    """
+    return _in_windows(motion, shape, prior, _settled)
+
+
+def proposed(motion: Motion, shape: Float[Tensor, " shape"], prior: Humos) -> Motion:
+    """What the prior alone makes of it: codes and details of the motion, another body's shape.
+
+    The height is what the codes say and not what was recorded: they learned to stand on the
+    ground. Arguments and errors as those of `retarget`.
+    """
+    return _in_windows(motion, shape, prior, _proposed)
+
+
+def _proposed(
+    window: Motion, shape: Float[Tensor, " shape"], prior: Humos, start: Float[Tensor, "3"]
+) -> Motion:
+    """One window, whose place is scaled by the legs about the place where the clip starts."""
+    with torch.no_grad():
+        found = prior.encode(window[None])
+        grown = leg_length(prior.body, shape) / leg_length(prior.body, window.shape)
+        level = start * start.new_tensor([1.0, 1.0, 0.0])
+        place = level + grown * (found.base[..., :3, 3] - level)
+        base = so3.rigid(found.base[..., :3, :3], place)
+        shift = found.shift * found.shift.new_tensor([1.0, 1.0, 0.0])
+        other = found.replace(shape=shape[None], base=base, shift=shift)
+        made = prior.decode(other).motion[0]
+    # put on the ground in every frame of a fast recording, it would tremble: 20 Hz tell where
+    # the ground is, and the frames between rise and fall as the scaled copy does
+    scaled = with_shape(window, prior.body, shape)
+    away = at_rate(made).translation - at_rate(scaled).translation
+    height = scaled.translation + _between(made) @ away
+    return made.replace(translation=torch.cat((made.translation[:, :2], height[:, 2:]), 1))
+
+
+def _settled(
+    window: Motion, shape: Float[Tensor, " shape"], prior: Humos, start: Float[Tensor, "3"]
+) -> Motion:
+    """The proposal, changed as its frames at 20 Hz have to be; it moves as the scaled copy does.
+
+    A proposal stands on the ground in every frame, by which its height may tremble.
+    """
+    made = _proposed(window, shape, prior, start)
+    coarse, source = at_rate(made), at_rate(window)
+    scaled = with_shape(source, prior.body, shape)
+    flying = flies(source, prior.body)
+    stands = grounded(coarse[None], scaled[None], flying[None], prior.body).detach()[0]
+    between = _between(made)
+    turns = so3.log(coarse.rotations.mT @ stands.rotations).flatten(1)
+    moves = stands.translation - coarse.translation
+    return made.replace(
+        rotations=made.rotations @ so3.exp((between @ turns).unflatten(-1, (22, 3))),
+        translation=made.translation + between @ moves,
+    )
+
+
+def _between(motion: Motion) -> Float[Tensor, "frames coarse"]:
+    """From frames at 20 Hz to those of a motion."""
+    coarse = frames_at_rate(motion.frames, motion.fps)
+    return spline(coarse, motion.frames, motion.fps).to(motion.translation)
+
+
+def _in_windows(
+    motion: Motion,
+    shape: Float[Tensor, " shape"],
+    prior: Humos,
+    one: Callable[[Motion, Tensor, Humos, Tensor], Motion],
+) -> Motion:
+    motion, shape = _checked(motion, shape, prior)
+    start = motion.translation[0] + prior.body.rest_joints(motion.shape)[0]
+    longest = min(WINDOW, prior.longest)
+    shared = OVERLAP * longest / WINDOW
+    windows = Windows.cover(motion.frames, int(longest * motion.fps), round(shared * motion.fps))
+    parts = [motion.window(first, first + windows.frames) for first in windows.starts]
+    return join([Piece(one(part, shape, prior, start)) for part in parts]).motion
+
+
+def _checked(
+    motion: Motion, shape: Float[Tensor, " shape"], prior: Humos
+) -> tuple[Motion, Float[Tensor, " shape"]]:
+    """Both in single precision, or a message that says what is wrong."""
+    if motion.translation.ndim != 2 or not bool(motion.valid.all()):
+        raise ValueError(
+            "expected one clip all of whose frames exist; take the clips of a batch one by one, "
+            "without their padding"
+        )
+    if motion.frames < max(2, SHORTEST * motion.fps):
+        raise ValueError(
+            f"expected at least {SHORTEST:g} s of motion and two frames, got {motion.frames} "
+            f"frames, {motion.frames / motion.fps:.2f} s; give a longer clip"
+        )
+    size = prior.body.shape_size
+    if shape.shape != (size,) or motion.shape.shape != (size,):
+        raise ValueError(
+            f"expected shapes of {size} coefficients, got {tuple(shape.shape)} for a motion of "
+            f"{tuple(motion.shape.shape)}; fill the missing ones with zeros"
+        )
+    numbers = {"motion": (*motion.tensors().values(),), "shape": (shape,)}
+    for name, tensors in numbers.items():
+        if not all(bool(tensor.isfinite().all()) for tensor in tensors):
+            raise ValueError(f"the {name} has nan or infinity; fill its gaps first")
+    return motion.to(dtype=torch.float32), shape.float()

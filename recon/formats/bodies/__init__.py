@@ -1,0 +1,1 @@
+"""Files of body models (SMPL, SMPL-H, SMPL-X), read without executing anything."""

@@ -1,0 +1,181 @@
+"""Reads the SMPL, SMPL-H and SMPL-X model files a user has (.npz or .pkl).
+
+The files are licensed by the Max Planck Society and are never shipped or downloaded here. Nothing
+inside a file is ever executed (`smpl_pickle`).
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from recon.core.limits import BINARY, MODEL_LENGTH, MODEL_NUMBERS, MODEL_WEIGHT, Limit
+from recon.core.skeleton import JOINTS, PARENTS
+from recon.formats.bodies.smpl_pickle import read_pickle
+from recon.formats.files.npz_headers import DAMAGE, check_sizes
+from recon.formats.files.opening import existing
+
+_NEEDED = ("v_template", "shapedirs", "J_regressor", "weights", "kintree_table", "f")
+_RANGES: dict[str, Limit] = {
+    "v_template": MODEL_LENGTH, "shapedirs": MODEL_LENGTH, "posedirs": MODEL_LENGTH,
+    "J_regressor": MODEL_WEIGHT, "weights": MODEL_WEIGHT,
+}  # fmt: skip
+_SUM = 0.05
+"""How far the weights of a vertex, or of a joint, may be from one together."""
+_SMPLX_JOINTS = 55
+_SMPLX_SHAPES = 300
+"""SMPL-X stores 300 shape directions before those of the expression; version 1.0 stores 10."""
+_MISSING = (
+    "{path}: no such body model file. SMPL-family files are licensed by the Max Planck Society "
+    "and cannot come with this package: register and download SMPL at https://smpl.is.tue.mpg.de, "
+    "SMPL-H (16 shapes, .npz) at https://mano.is.tue.mpg.de or SMPL-X at "
+    "https://smpl-x.is.tue.mpg.de and give the path of the file, or leave the path out to use the "
+    "free bundled body"
+)
+
+
+@dataclass(frozen=True)
+class SmplArrays:
+    """A body model as its file defines it; metres, y up, facing z."""
+
+    template: np.ndarray
+    """(V, 3) surface of the mean shape."""
+    shape_directions: np.ndarray
+    """(V, 3, S) change per unit of each shape coefficient; expressions are left out."""
+    pose_directions: np.ndarray | None
+    """(V, 3, 9 (J-1)) change per entry of the joints' rotations minus identity; None if zero."""
+    joint_regressor: np.ndarray
+    """(J, V) weights of the surface that give the joints."""
+    weights: np.ndarray
+    """(V, J) skinning weights."""
+    parents: np.ndarray
+    """(J,) parent of each joint, -1 for the root; the first 22 are the body's."""
+    faces: np.ndarray
+    """(F, 3) vertex numbers."""
+
+
+def load_smpl(path: str | Path) -> SmplArrays:
+    """A model file of the SMPL family.
+
+    Raises:
+        FileNotFoundError: when there is no such file; the message says where to get one.
+        ValueError: when it is damaged, no SMPL-family body, or holds anything but plain data.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise FileNotFoundError(_MISSING.format(path=path))
+    existing(path)
+    readers: dict[str, Callable[[Path], dict[str, np.ndarray]]] = {
+        ".npz": _read_npz,
+        ".pkl": _read_pickle,
+    }
+    reader = readers.get(path.suffix.lower())
+    if reader is None:
+        raise ValueError(f"{path}: expected a body model, .npz or .pkl, got {path.suffix!r}")
+    return _checked(reader(path), path)
+
+
+def _checked(fields: Mapping[str, np.ndarray], path: Path) -> SmplArrays:
+    """The arrays in double precision, after their shapes have been compared."""
+    if missing := [name for name in _NEEDED if name not in fields]:
+        raise ValueError(
+            f"{path}: not a body model of the SMPL family: no {', '.join(missing)}; "
+            f"it holds {', '.join(sorted(fields)[:20]) or 'nothing'}"
+        )
+    numbers = {name: _numbers(fields[name], name, path) for name in _NEEDED}
+    template, weights = numbers["v_template"], numbers["weights"]
+    if template.ndim != 2 or weights.ndim != 2 or numbers["shapedirs"].ndim != 3:
+        raise ValueError(f"{path}: v_template, weights, shapedirs should have 2, 2, 3 dimensions")
+    vertices, joints = weights.shape
+    expected = {
+        "v_template": (vertices, 3),
+        "shapedirs": (vertices, 3, numbers["shapedirs"].shape[2]),
+        "J_regressor": (joints, vertices),
+        "kintree_table": (2, joints),
+        "f": (len(numbers["f"]), 3),
+    }
+    for name, shape in expected.items():
+        if numbers[name].shape != shape:
+            raise ValueError(f"{path}: {name} should be {shape}, is {numbers[name].shape}")
+    for name in ("weights", "J_regressor"):
+        off = float(np.abs(numbers[name].sum(1) - 1).max())
+        if not off < _SUM:
+            raise ValueError(f"{path}: rows of {name} should sum to 1, one is {off:.3g} away")
+    faces = numbers["f"].astype(np.int64)
+    if len(faces) == 0 or faces.min() < 0 or faces.max() >= vertices:
+        raise ValueError(f"{path}: faces name vertices outside 0..{vertices - 1}")
+    return SmplArrays(
+        template=template,
+        shape_directions=_without_expressions(numbers["shapedirs"], joints),
+        pose_directions=_correctives(fields, vertices, joints, path),
+        joint_regressor=numbers["J_regressor"],
+        weights=weights,
+        parents=_tree(numbers["kintree_table"], path),
+        faces=faces,
+    )
+
+
+def _numbers(array: np.ndarray, name: str, path: Path) -> np.ndarray:
+    if array.dtype.kind not in "fiu":
+        raise ValueError(f"{path}: {name} should hold numbers, holds {array.dtype}")
+    MODEL_NUMBERS.check(array.size, path, name)
+    array = np.ascontiguousarray(array, np.float64)
+    if not np.isfinite(array).all():
+        raise ValueError(f"{path}: {name} holds nan or infinite numbers")
+    if name in _RANGES:
+        _RANGES[name].check(array, path, name)
+    return array
+
+
+def _tree(table: np.ndarray, path: Path) -> np.ndarray:
+    """Parents from `kintree_table`, whose root is 4294967295 (-1 as an unsigned number)."""
+    parents = table[0].astype(np.int64)
+    parents[0] = -1
+    if tuple(parents[: len(JOINTS)]) != tuple(PARENTS):
+        raise ValueError(
+            f"{path}: its first {len(JOINTS)} joints are not SMPL's; a model of a hand, a head or "
+            "an animal cannot be used as a body"
+        )
+    if (parents[1:] < 0).any() or (parents[1:] >= np.arange(1, len(parents))).any():
+        raise ValueError(f"{path}: a joint comes before its parent in kintree_table")
+    return parents
+
+
+def _without_expressions(directions: np.ndarray, joints: int) -> np.ndarray:
+    count = directions.shape[2]
+    if joints == _SMPLX_JOINTS:
+        count = 10 if count == 20 else min(count, _SMPLX_SHAPES)
+    return np.ascontiguousarray(directions[:, :, :count])
+
+
+def _correctives(
+    fields: Mapping[str, np.ndarray], vertices: int, joints: int, path: Path
+) -> np.ndarray | None:
+    if "posedirs" not in fields:
+        return None
+    directions = _numbers(fields["posedirs"], "posedirs", path)
+    shape = (vertices, 3, 9 * (joints - 1))
+    if directions.shape != shape:
+        raise ValueError(
+            f"{path}: posedirs should be {shape}, is {directions.shape}; models with other "
+            "correctives (STAR) are not supported"
+        )
+    return directions if directions.any() else None
+
+
+def _read_npz(path: Path) -> dict[str, np.ndarray]:
+    """The needed arrays; SMPL-X's object arrays beside them stay closed."""
+    try:
+        check_sizes(path, BINARY, (*_NEEDED, "posedirs"))
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
+            names = [name for name in (*_NEEDED, "posedirs") if name in file.files]
+            return {name: np.asarray(file[name]) for name in names}
+    except DAMAGE as error:
+        raise ValueError(
+            f"{path}: expected an .npz body model of plain arrays, but {error}"
+        ) from error
+
+
+def _read_pickle(path: Path) -> dict[str, np.ndarray]:
+    return read_pickle(path, (*_NEEDED, "posedirs"))

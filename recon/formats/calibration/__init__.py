@@ -1,0 +1,1 @@
+"""Camera calibrations of several programs; `cameras` tells by what a file holds."""

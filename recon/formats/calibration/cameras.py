@@ -1,0 +1,172 @@
+"""Camera calibrations of several programs as one mapping from names to cameras.
+
+Read are TOML (Pose2Sim, Anipose, FreeMoCap, caliscope), OpenCV YAML (EasyMocap's `intri.yml` with
+`extri.yml`, or one file per camera), PROX's JSON and plain .npz files. All give world to camera
+in OpenCV's axes.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Literal
+
+import numpy as np
+
+from recon.core.limits import TABLE, check_pose
+from recon.core.units import METRES, Axis, to_z_up
+from recon.formats.calibration.camera import Parts, settle_camera
+from recon.formats.calibration.opencv import read_opencv_yaml
+from recon.formats.calibration.toml import read_toml
+from recon.formats.files.json_files import read_json
+from recon.formats.files.opening import existing, load_arrays
+from recon.formats.observations import CameraArrays
+
+CameraUnit = Literal["m", "mm"]
+
+_FARTHEST_METRES = 50.0
+"""Cameras farther than this from the origin, were the unit metres, make it millimetres ..."""
+_NEAREST_MILLIMETRES = 300.0
+"""... provided that the farthest one is at least this far in millimetres."""
+_SUFFIXES = (".toml", ".yml", ".yaml", ".json", ".npz")
+_IN_FOLDER = (".yml", ".yaml", ".npz")
+"""Files of single cameras that a folder may hold."""
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """The cameras of a set-up and what was decided about them."""
+
+    cameras: Mapping[str, CameraArrays]
+    """By name. Poses in metres, world z up; the pose is None where the file has none."""
+    unit: CameraUnit
+    """The unit the file was in."""
+    decisions: tuple[str, ...]
+
+
+def load_cameras(
+    path: str | Path,
+    *,
+    unit: CameraUnit | None = None,
+    up: Axis | None = None,
+    image_size: tuple[int, int] | None = None,
+) -> Calibration:
+    """Read a calibration file, or a folder of `intri.yml` and `extri.yml` or of single cameras.
+
+    The files of Pose2Sim, in metres, and of Anipose and FreeMoCap, in millimetres, look the same.
+    Without `unit`, the distance |t| of the farthest camera from the origin tells: up to 50 the
+    unit is metres, from 300 on millimetres, and in between it is refused.
+
+    Args:
+        path: of the file or folder.
+        unit: of the translations; None to tell it from them.
+        up: axis of the calibration's world that points up; None for z. PROX's world is that of
+            the depth sensor and not level, so its pose is only kept when this is given.
+        image_size: width and height, pixels, of cameras whose file does not tell.
+
+    Raises:
+        FileNotFoundError: when there is nothing there.
+        ValueError: when it is damaged, of an unknown kind, has a fisheye lens, no image size,
+            or a unit that cannot be told.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise FileNotFoundError(f"{path}: no such calibration")
+    parts, decisions = _read(path, level=up is not None)
+    if len(parts) == 0:
+        raise ValueError(f"{path}: expected at least one camera, found none")
+    cameras = {name: settle_camera(part, image_size, path) for name, part in parts.items()}
+    chosen, reason = _settle_unit(cameras, unit, path)
+    turned = {name: _placed(camera, METRES[chosen], up or "z") for name, camera in cameras.items()}
+    for name, camera in turned.items():
+        if camera.T_camera_world is not None:
+            check_pose(camera.T_camera_world, path, f"pose of camera {name}")
+    world = f"camera world {up or 'z'} up: " + ("given" if up else "believed")
+    return Calibration(MappingProxyType(turned), chosen, (*decisions, reason, world))
+
+
+def _read(path: Path, *, level: bool) -> tuple[dict[str, Parts], tuple[str, ...]]:
+    if path.is_dir():
+        if (path / "intri.yml").is_file():
+            return read_opencv_yaml(path / "intri.yml"), ()
+        files = sorted(one for one in path.iterdir() if one.suffix.lower() in _IN_FOLDER)
+        tables = sorted(path.glob("*.toml"))
+        if len(tables) == 1:
+            return read_toml(tables[0]), ()
+        if len(files) == 0:
+            raise ValueError(
+                f"{path}: expected intri.yml and extri.yml, one .toml, or one .yml or .npz file "
+                "per camera in this folder"
+            )
+        return {k: v for one in files for k, v in _read(one, level=level)[0].items()}, ()
+    existing(path)
+    match path.suffix.lower():
+        case ".toml":
+            return read_toml(path), ()
+        case ".yml" | ".yaml":
+            return read_opencv_yaml(path), ()
+        case ".json":
+            return _read_prox(path, level=level)
+        case ".npz":
+            return {path.stem: _read_npz(path)}, ()
+    raise ValueError(f"{path}: expected a calibration in one of {', '.join(_SUFFIXES)}")
+
+
+def _read_prox(path: Path, *, level: bool) -> tuple[dict[str, Parts], tuple[str, ...]]:
+    TABLE.check(existing(path).stat().st_size, path)
+    value = read_json(path)
+    if not isinstance(value, dict) or "camera_mtx" not in value:
+        raise ValueError(
+            f"{path}: expected a calibration as in PROX, with camera_mtx, k, view_mtx"
+        )
+    part = Parts(
+        name=path.stem, matrix=value["camera_mtx"], distortion=value.get("k"),
+        pose=value.get("view_mtx") if level else None,
+    )  # fmt: skip
+    note = "PROX's camera pose is to its depth sensor, not to a level world: left out"
+    return {path.stem: part}, () if level or "view_mtx" not in value else (note,)
+
+
+def _read_npz(path: Path) -> Parts:
+    arrays = load_arrays(path)
+    if "camera_matrix" not in arrays:
+        raise ValueError(
+            f"{path}: expected camera_matrix, image_size, distortion and T_camera_world, found "
+            f"{', '.join(sorted(arrays))}"
+        )
+    return Parts(
+        name=path.stem, matrix=arrays["camera_matrix"], size=arrays.get("image_size"),
+        distortion=arrays.get("distortion"), pose=arrays.get("T_camera_world"),
+    )  # fmt: skip
+
+
+def _settle_unit(
+    cameras: Mapping[str, CameraArrays], unit: CameraUnit | None, path: Path
+) -> tuple[CameraUnit, str]:
+    if unit is not None:
+        if unit not in ("m", "mm"):
+            raise ValueError(f"--camera-unit is m or mm, got {unit!r}")
+        return unit, f"camera unit {unit}: given"
+    poses = [c.T_camera_world for c in cameras.values() if c.T_camera_world is not None]
+    if len(poses) == 0:
+        return "m", "the cameras have no pose: the ground is unknown"
+    far = max(float(np.linalg.norm(pose[:, :3, 3], axis=-1).max()) for pose in poses)
+    if far <= _FARTHEST_METRES:
+        return "m", f"camera unit m: the farthest camera is {far:.3g} m from the origin"
+    if far >= _NEAREST_MILLIMETRES:
+        metres = far * METRES["mm"]
+        return "mm", f"camera unit mm: the farthest camera is then {metres:.3g} m from the origin"
+    raise ValueError(
+        f"{path}: the farthest camera is {far:.4g} units from the origin, which fits neither "
+        "metres nor millimetres well; give --camera-unit m or --camera-unit mm"
+    )
+
+
+def _placed(camera: CameraArrays, metres: float, up: Axis) -> CameraArrays:
+    """The camera with its pose in metres to a world with z up."""
+    if camera.T_camera_world is None:
+        return camera
+    pose = camera.T_camera_world.copy()
+    pose[:, :3, 3] *= metres
+    pose[:, :3, :3] = pose[:, :3, :3] @ to_z_up(up).T
+    return replace(camera, T_camera_world=pose)

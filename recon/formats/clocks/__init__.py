@@ -1,0 +1,1 @@
+"""When scans and clouds were recorded, and the frames that this makes."""

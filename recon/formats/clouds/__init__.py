@@ -1,0 +1,1 @@
+"""Point clouds, surface scans and depth images."""

@@ -1,0 +1,1 @@
+"""How any file is opened, checked for size and damage, and replaced in one step."""

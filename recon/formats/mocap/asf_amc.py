@@ -1,0 +1,297 @@
+"""Acclaim ASF/AMC: a skeleton file and motions that refer to it, plain or xz-compressed.
+
+Each bone becomes one joint at the bone's near end, named after the bone, and a last bone also
+`<bone>_end` at its far end. World rotation of a bone: R = R_parent C M C^-1, with C the bone's
+`axis` (fixed axes, in the stated order) and M its motion; the rest pose has every R = I.
+"""
+
+import io
+from array import array
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from recon.core.limits import ANGLE, JOINTS, POSITION, SAMPLES, TABLE
+from recon.core.units import Axis
+from recon.formats.files.opening import decode, read_bytes
+from recon.formats.mocap.bvh import about_axis
+from recon.formats.mocap.recording import SkeletonRecording, settle_skeleton
+
+CMU_RATE = 120.0
+"""Frames per second of the CMU database; an AMC file does not state its rate."""
+_CMU_LENGTH = 0.45
+"""`:units length` of CMU's files, whose unit is then an inch over 0.45."""
+
+
+@dataclass(frozen=True)
+class _Bone:
+    name: str
+    direction: np.ndarray
+    """From near to far end, in the file's unit."""
+    axis: np.ndarray
+    """C, 3 x 3."""
+    channels: tuple[str, ...]
+    """rx ry rz (tx ty tz for the root), in the order of the motion's numbers."""
+
+
+@dataclass(frozen=True)
+class _Skeleton:
+    bones: dict[str, _Bone]
+    parents: dict[str, str]
+    """Parents come first; the root has none."""
+    origin: np.ndarray
+    declared: str | None
+    """Unit, where the file is of CMU's kind."""
+
+
+def read_amc(
+    path: Path,
+    *,
+    skeleton: Path | None = None,
+    fps: float = CMU_RATE,
+    unit: str | None = None,
+    up: Axis | None = None,
+) -> SkeletonRecording:
+    """Read an .amc or .amc.xz file with its .asf.
+
+    Args:
+        path: of the motion.
+        skeleton: of the .asf; None looks beside the motion for its subject's (NN for NN_MM.amc),
+            then for the only one in the folder.
+        fps: frames per second, which the format leaves out.
+        unit: see `settle_skeleton`.
+        up: likewise; by custom y.
+
+    Raises:
+        FileNotFoundError: when the motion or a skeleton is not there.
+        ValueError: when one of them is damaged, or they do not belong together.
+    """
+    data = read_bytes(path)
+    skeleton = find_skeleton(path) if skeleton is None else skeleton
+    tree = _parse_asf(decode(read_bytes(skeleton, TABLE)), skeleton.name)
+    motion, degrees = _parse_amc(decode(data), path.name)
+    raw = _pose(tree, motion, degrees, path.name)
+    names, parents, offsets, positions, orientations = raw
+    recording = SkeletonRecording(
+        name=path.name,
+        joint_names=names,
+        parents=parents,
+        rest_offsets=offsets,
+        positions=positions,
+        orientations=orientations,
+        fps=fps,
+        decisions=(f"skeleton {skeleton.name}", f"{fps:g} frames per second: not in the file"),
+    )
+    return settle_skeleton(recording, unit=unit, up=up, declared=tree.declared, usual_up="y")
+
+
+def find_skeleton(path: Path) -> Path:
+    """The skeleton (.asf) of an .amc file, in the same folder.
+
+    Raises:
+        FileNotFoundError: when there is none.
+    """
+    subject = path.name.split(".")[0].split("_")[0]
+    found = sorted(
+        p for p in path.parent.iterdir() if p.name.lower().endswith((".asf", ".asf.xz"))
+    )
+    same = [p for p in found if p.name.split(".")[0] == subject]
+    if len(same) == 0 and len(found) == 1:
+        same = found
+    if len(same) == 0:
+        raise FileNotFoundError(
+            f"{path}: needs its skeleton, but {path.parent} holds no {subject}.asf; put it there"
+        )
+    return same[0]
+
+
+def _floats(words: list[str], count: int, name: str) -> list[float]:
+    try:
+        values = [float(word) for word in words]
+    except ValueError as error:
+        raise ValueError(f"{name}: expected numbers, got {' '.join(words)[:60]!r}") from error
+    if len(values) != count or not np.isfinite(values).all():
+        raise ValueError(f"{name}: expected {count} numbers, got {' '.join(words)[:60]!r}")
+    return values
+
+
+def _axis_matrix(angles: list[float], order: str, degrees: bool, name: str) -> np.ndarray:
+    """Rotation by fixed axes, the first of `order` first."""
+    if sorted(order.upper()) != ["X", "Y", "Z"]:
+        raise ValueError(f"{name}: expected an axis order such as XYZ, got {order!r}")
+    ANGLE.check(angles if degrees else np.rad2deg(angles), name, "axis")
+    radians = np.deg2rad(angles) if degrees else np.array(angles)
+    matrix = np.eye(3)
+    for letter, angle in zip(order.upper(), radians, strict=True):
+        matrix = about_axis("XYZ".index(letter), np.asarray(angle)) @ matrix
+    return matrix
+
+
+def _parse_asf(text: str, name: str) -> _Skeleton:
+    sections: dict[str, list[list[str]]] = {}
+    current: list[list[str]] = []
+    for line in text.splitlines():
+        words = line.split("#")[0].split()
+        if words and words[0].startswith(":"):
+            current = sections.setdefault(words[0][1:].lower(), [])
+            words = words[1:]
+        if words:
+            current.append(words)
+    if missing := [s for s in ("root", "bonedata", "hierarchy") if s not in sections]:
+        raise ValueError(f"{name}: expected an ASF skeleton, but there is no :{missing[0]}")
+    units = {words[0].lower(): words[-1].lower() for words in sections.get("units", [])}
+    degrees = not units.get("angle", "deg").startswith("rad")
+    length = _floats([units.get("length", "1")], 1, f"{name}: units length")[0]
+    root, origin = _parse_root(sections["root"], degrees, name)
+    bones = {"root": root}
+    for block in _blocks(sections["bonedata"]):
+        bone = _parse_bone(block, degrees, name)
+        bones[bone.name] = bone
+    parents: dict[str, str] = {}
+    for words in sections["hierarchy"]:
+        if words[0] in ("begin", "end"):
+            continue
+        for word in words:
+            if word not in bones:
+                raise ValueError(f"{name}: the hierarchy names {word!r}, which is no bone")
+        if words[0] != "root" and words[0] not in parents:
+            raise ValueError(f"{name}: expected {words[0]!r} below the root before its children")
+        for child in words[1:]:
+            if child in parents or child == "root":
+                raise ValueError(f"{name}: the hierarchy names {child!r} twice")
+            parents[child] = words[0]
+    if not parents:
+        raise ValueError(f"{name}: the hierarchy is empty or cut short")
+    return _Skeleton(bones, parents, origin, "cmu" if length == _CMU_LENGTH else None)
+
+
+def _blocks(lines: list[list[str]]) -> list[dict[str, list[str]]]:
+    blocks: list[dict[str, list[str]]] = []
+    for words in lines:
+        if words[0] == "begin":
+            blocks.append({})
+        elif blocks and words[0] != "end":
+            blocks[-1].setdefault(words[0].lower(), words[1:])
+    return blocks
+
+
+def _parse_root(lines: list[list[str]], degrees: bool, name: str) -> tuple[_Bone, np.ndarray]:
+    fields = {words[0].lower(): words[1:] for words in lines}
+    angles = _floats(fields.get("orientation", ["0", "0", "0"]), 3, f"{name}: root orientation")
+    origin = np.array(_floats(fields.get("position", ["0", "0", "0"]), 3, f"{name}: position"))
+    order = "".join(fields.get("axis", ["XYZ"]))
+    axis = _axis_matrix(angles, order, degrees, name)
+    channels = tuple(w.lower() for w in fields.get("order", ["tx", "ty", "tz", "rx", "ry", "rz"]))
+    if not set(channels) <= {"tx", "ty", "tz", "rx", "ry", "rz"}:
+        raise ValueError(f"{name}: expected root order TX TY TZ RX RY RZ, got {channels}")
+    return _Bone("root", np.zeros(3), axis, channels), origin
+
+
+def _parse_bone(block: dict[str, list[str]], degrees: bool, name: str) -> _Bone:
+    if missing := [k for k in ("name", "direction", "length", "axis") if not block.get(k)]:
+        raise ValueError(f"{name}: expected every bone to have a {missing[0]}")
+    place = f"{name}: bone {block['name'][0]}"
+    direction = np.array(_floats(block["direction"], 3, place))
+    POSITION.check(direction, place, "direction")
+    length = _floats(block["length"], 1, place)[0]
+    order = "".join(block["axis"][3:]) or "XYZ"
+    axis = _axis_matrix(_floats(block["axis"][:3], 3, place), order, degrees, place)
+    channels = tuple(word.lower() for word in block.get("dof", []))
+    if not set(channels) <= {"rx", "ry", "rz", "l"}:
+        raise ValueError(f"{place}: expected dof rx, ry, rz or l, got {' '.join(channels)}")
+    norm = float(np.linalg.norm(direction))
+    return _Bone(block["name"][0], direction * (length / norm if norm else 0.0), axis, channels)
+
+
+def _parse_amc(text: str, name: str) -> tuple[dict[str, np.ndarray], bool]:
+    """Numbers of every bone, frames x channels, and whether angles are in degrees."""
+    degrees, frames = True, 0
+    rows: dict[str, tuple[array[float], array[int]]] = {}
+    for line in io.StringIO(text):
+        words = line.split()
+        if not words or words[0].startswith("#"):
+            continue
+        if words[0].startswith(":"):
+            degrees = False if words[0].upper() == ":RADIANS" else degrees
+        elif len(words) == 1 and words[0].isdigit():
+            frames += 1
+        else:
+            try:
+                values, lengths = rows.setdefault(words[0], (array("d"), array("i")))
+                values.extend([float(word) for word in words[1:]])
+                lengths.append(len(words) - 1)
+            except ValueError as error:
+                raise ValueError(
+                    f"{name}: expected a bone and its numbers, got {line[:60]!r}"
+                ) from error
+        if len(rows) > JOINTS.high:
+            JOINTS.check(len(rows), name)
+    if frames == 0 or "root" not in rows:
+        raise ValueError(f"{name}: expected an AMC motion, frames with a line for the root")
+    SAMPLES.check(frames * len(rows), name)
+    arrays: dict[str, np.ndarray] = {}
+    for bone, (values, lengths) in rows.items():
+        width = len(values) // frames
+        if len(lengths) != frames or set(lengths) != {width}:
+            raise ValueError(
+                f"{name}: expected equally many numbers for {bone!r} in all {frames} frames, got "
+                f"{len(values)} in {len(lengths)}; the file is cut short"
+            )
+        arrays[bone] = np.frombuffer(values).reshape(frames, width)
+        if not np.isfinite(arrays[bone]).all():
+            raise ValueError(f"{name}: the numbers of {bone!r} hold NaN or infinity")
+    return arrays, degrees
+
+
+def _pose(
+    tree: _Skeleton, motion: dict[str, np.ndarray], degrees: bool, name: str
+) -> tuple[tuple[str, ...], tuple[int, ...], np.ndarray, np.ndarray, np.ndarray]:
+    frames = len(motion["root"])
+    JOINTS.check(2 * len(tree.bones), name, "bones and their ends, of which there are ")
+    SAMPLES.check(frames * 2 * len(tree.bones), name)
+    if unknown := set(motion) - set(tree.bones):
+        raise ValueError(f"{name}: moves {sorted(unknown)[0]!r}, which the skeleton lacks")
+    order = ["root", *tree.parents]
+    number = {bone: k for k, bone in enumerate(order)}
+    inner = set(tree.parents.values())
+    tips = [bone for bone in tree.parents if bone not in inner]
+    names = (*order, *(f"{bone}_end" for bone in tips))
+    parents = (-1, *(number[tree.parents[b]] for b in order[1:]), *(number[b] for b in tips))
+    # a joint sits at the far end of its parent's bone
+    near = [tree.origin * 0 if p < 0 else tree.bones[order[p]].direction for p in parents]
+    offsets = np.array(near)
+    orientations = np.empty((frames, len(names), 3, 3))
+    positions = np.empty((frames, len(names), 3))
+    for joint, parent in enumerate(parents):
+        bone = tree.bones[order[joint]] if joint < len(order) else None
+        local, shift = np.eye(3), np.zeros(3)
+        if bone is not None and bone.name in motion:
+            local, shift = _bone_motion(bone, motion[bone.name], degrees, name)
+        if parent < 0:
+            orientations[:, joint], positions[:, joint] = local, tree.origin + shift
+        else:
+            orientations[:, joint] = orientations[:, parent] @ local
+            turned = orientations[:, parent] @ offsets[joint]
+            positions[:, joint] = positions[:, parent] + turned
+    return names, parents, offsets, positions, orientations
+
+
+def _bone_motion(
+    bone: _Bone, values: np.ndarray, degrees: bool, name: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """C M C^-1 and the shift of a bone; bone lengths (`l`) are not varied."""
+    if values.shape[1] != len(bone.channels):
+        raise ValueError(
+            f"{name}: expected {len(bone.channels)} numbers ({' '.join(bone.channels)}) for "
+            f"{bone.name!r}, got {values.shape[1]}; the skeleton is of another subject"
+        )
+    turn, shift = np.broadcast_to(np.eye(3), (len(values), 3, 3)), np.zeros((len(values), 3))
+    for column, channel in zip(values.T, bone.channels, strict=True):
+        if channel.startswith("r"):
+            ANGLE.check(column if degrees else np.rad2deg(column), name, f"{bone.name} {channel}")
+            angle = np.deg2rad(column) if degrees else column
+            turn = about_axis("xyz".index(channel[1]), angle) @ turn
+        elif channel.startswith("t"):
+            shift[:, "xyz".index(channel[1])] = column
+    return bone.axis @ turn @ bone.axis.T, shift

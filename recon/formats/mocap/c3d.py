@@ -1,0 +1,223 @@
+"""C3D: optical markers (Vicon, Qualisys, OptiTrack). The format: www.c3d.org, user guide 2021.
+
+Read here and not through ezc3d because that crashes the process on damaged files; the two are
+compared in the tests.
+"""
+
+import math
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from recon.core.limits import FRAME_RATE, JOINTS, SAMPLES
+from recon.core.units import Axis, parse_unit, snapped_rate
+from recon.formats.files.opening import read_binary
+from recon.formats.mocap.recording import MarkerRecording, settle_markers
+
+_BLOCK = 512
+_INTEL, _DEC, _MIPS = 84, 85, 86
+_OUTPUTS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS")
+"""Parameters of POINT that list trajectories which are no points (Plug-in-Gait outputs)."""
+_TYPES = {1: "u1", 2: "i2", 4: "f4"}
+"""Parameter types by their size; -1 is text."""
+
+_Parameter = np.ndarray | tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Header:
+    points: int
+    analog: int
+    """Analog samples per frame of points."""
+    first: int
+    last: int
+    scale: float
+    """Units per integer; negative when numbers are stored as they are."""
+    data_start: int
+    """Block, from 1."""
+    rate: float
+
+
+def read_c3d(path: Path, *, unit: str | None = None, up: Axis | None = None) -> MarkerRecording:
+    """Read the markers of a .c3d file; angles, forces and the like among them are left out.
+
+    A marker is not visible where its residual is negative, or it is NaN or exactly the origin.
+    The unit is POINT:UNITS; POINT:Y_SCREEN hints at the up axis but does not overrule the body.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+        ValueError: when it is damaged or cut short, or its unit or up axis cannot be told.
+    """
+    data = read_binary(path)
+    try:
+        processor, header = _read_header(data, path)
+        point, trial = _read_parameters(data, processor, path)
+        values, residuals = _read_points(data, processor, header, trial, path)
+    except (struct.error, IndexError) as error:
+        # an offset in the file leads out of it
+        raise ValueError(f"{path}: damaged C3D file, it ends where more was promised") from error
+    names = _labels(point, header.points)
+    outputs = {label for key in _OUTPUTS for label in _texts(point, key)}
+    chosen = [k for k, name in enumerate(names) if name not in outputs]
+    rate = header.rate
+    stated = point.get("RATE")
+    if isinstance(stated, np.ndarray) and stated.size == 1 and stated.flat[0] > 0:
+        rate = float(stated.flat[0])
+    FRAME_RATE.check(rate, path, "POINT:RATE")
+    if not chosen:
+        raise ValueError(f"{path}: expected markers, but all points are angles, forces and such")
+    values, residuals = values[:, chosen], residuals[:, chosen]
+    visible = np.isfinite(values).all(-1) & (residuals >= 0) & (values != 0).any(-1)
+    fps = snapped_rate(rate)
+    notes = [f"{fps:g} frames per second: stated by the file"]
+    if len(chosen) < len(names):
+        notes.append(f"{len(names) - len(chosen)} angles, forces and other outputs left out")
+    short, note = _without_subject([names[k] for k in chosen])
+    raw = MarkerRecording(
+        name=path.name,
+        marker_names=tuple(short),
+        positions=np.where(visible[..., None], values, 0.0),
+        visible=visible,
+        fps=fps,
+        decisions=(*notes, *note),
+    )
+    declared = parse_unit(" ".join(_texts(point, "UNITS")))
+    hint = " ".join(_texts(point, "Y_SCREEN")).lower().lstrip("+")
+    axis: Axis | None = hint if hint in ("x", "y", "z") else None  # type: ignore[assignment]
+    return settle_markers(raw, unit=unit, up=up, declared=declared, usual_up=axis)
+
+
+def _read_header(data: bytes, path: Path) -> tuple[int, _Header]:
+    if len(data) < 2 * _BLOCK or data[1] != 0x50 or data[0] == 0:
+        raise ValueError(f"{path}: expected a C3D file, but its first block is no C3D header")
+    processor = data[(data[0] - 1) * _BLOCK + 3]
+    if processor not in (_INTEL, _DEC, _MIPS):
+        raise ValueError(f"{path}: damaged C3D file, its parameter section is missing")
+    words = np.frombuffer(data, ">u2" if processor == _MIPS else "<u2", 10, 2).tolist()
+    scale, rate = _floats(data[12:16] + data[20:24], processor).tolist()
+    header = _Header(words[0], words[1], words[2], words[3], scale, words[7], rate)
+    if header.data_start == 0 or header.points == 0 or not np.isfinite(scale) or scale == 0:
+        raise ValueError(f"{path}: expected a C3D file with points, but its header has none")
+    return processor, header
+
+
+def _floats(data: bytes, processor: int) -> np.ndarray:
+    """Four-byte numbers of the three processors, as double precision."""
+    # NaN of the signalling kind, which damage may make, is no reason for a warning
+    with np.errstate(invalid="ignore"):
+        if processor == _INTEL:
+            return np.frombuffer(data, "<f4").astype(np.float64)
+        if processor == _MIPS:
+            return np.frombuffer(data, ">f4").astype(np.float64)
+        # VAX F: the halves are swapped and the exponent is biased by two more than IEEE's
+        halves = np.frombuffer(data, "<u2").reshape(-1, 2)
+        bits = (halves[:, 0].astype(np.uint32) << 16) | halves[:, 1]
+        values = bits.view(np.float32).astype(np.float64) / 4
+        return np.where(bits & 0x7F800000, values, 0.0)
+
+
+def _read_parameters(
+    data: bytes, processor: int, path: Path
+) -> tuple[dict[str, _Parameter], dict[str, _Parameter]]:
+    """Parameters of the groups POINT and TRIAL."""
+    place = (data[0] - 1) * _BLOCK + 4
+    order = ">" if processor == _MIPS else "<"
+    groups: dict[int, str] = {}
+    found: dict[int, dict[str, _Parameter]] = {}
+    while place + 2 <= len(data) and data[place] != 0:
+        length, group = struct.unpack_from("bb", data, place)
+        length = abs(length)
+        name = data[place + 2 : place + 2 + length].decode("latin-1").strip().upper()
+        after = place + 2 + length
+        step = struct.unpack_from(f"{order}h", data, after)[0]
+        if group < 0:
+            groups[-group] = name
+        else:
+            found.setdefault(group, {})[name] = _parameter(data, after + 2, processor)
+        if step <= 0:
+            break
+        place = after + step
+    by_name = {groups.get(number, ""): values for number, values in found.items()}
+    if "POINT" not in by_name:
+        raise ValueError(f"{path}: damaged C3D file, it has no parameters for POINT")
+    return by_name["POINT"], by_name.get("TRIAL", {})
+
+
+def _parameter(data: bytes, place: int, processor: int) -> _Parameter:
+    size, rank = struct.unpack_from("bB", data, place)
+    shape = data[place + 2 : place + 2 + rank]
+    count = math.prod(shape)
+    start = place + 2 + rank
+    raw = data[start : start + abs(size) * count]
+    if len(raw) < abs(size) * count or len(shape) < rank:
+        raise IndexError(start)
+    if size == -1:
+        width = shape[0] if rank > 0 else 1
+        text = raw.decode("latin-1")
+        return tuple(text[k : k + width].strip("\0 ") for k in range(0, len(text), width or 1))
+    if size == 4:
+        return _floats(raw, processor)
+    return np.frombuffer(raw, (">" if processor == _MIPS else "<") + _TYPES.get(size, "u1"))
+
+
+def _read_points(
+    data: bytes, processor: int, header: _Header, trial: dict[str, _Parameter], path: Path
+) -> tuple[np.ndarray, np.ndarray]:
+    """Positions in the file's unit, frames x points x 3, and residuals (negative: not seen)."""
+    real = header.scale < 0
+    width, start = 4 * header.points + header.analog, (header.data_start - 1) * _BLOCK
+    frames = _frame_count(header, trial)
+    size = frames * width * (4 if real else 2)
+    if frames < 1 or start + size > len(data):
+        raise ValueError(
+            f"{path}: the C3D header promises {frames} frames of {header.points} points, "
+            f"{start + size} bytes in all; the file has {len(data)} and is cut short or damaged"
+        )
+    JOINTS.check(header.points, path, "header")
+    SAMPLES.check(frames * header.points, path, "header")
+    kind = "f4" if real else "i2"
+    order = ">" if processor == _MIPS else "<"
+    table = np.frombuffer(data, order + kind, frames * width, start).reshape(frames, width)
+    # analog samples stand behind the points of every frame
+    table = np.ascontiguousarray(table[:, : 4 * header.points])
+    values = _floats(table.tobytes(), processor) if real else table.astype(np.float64)
+    values = values.reshape(frames, -1, 4)
+    return values[..., :3] * (1.0 if real else header.scale), values[..., 3]
+
+
+def _frame_count(header: _Header, trial: dict[str, _Parameter]) -> int:
+    """Frames by the header's 16-bit numbers, or by TRIAL's longer ones where it has them."""
+    bounds = [trial.get(key) for key in ("ACTUAL_START_FIELD", "ACTUAL_END_FIELD")]
+    if header.last == 0xFFFF and all(isinstance(b, np.ndarray) and b.size == 2 for b in bounds):
+        first, last = (
+            int(np.uint16(b[0])) + (int(np.uint16(b[1])) << 16)
+            for b in bounds
+            if isinstance(b, np.ndarray)
+        )
+        return last - first + 1
+    return header.last - header.first + 1
+
+
+def _texts(point: dict[str, _Parameter], key: str) -> tuple[str, ...]:
+    value = point.get(key, ())
+    return value if isinstance(value, tuple) else ()
+
+
+def _labels(point: dict[str, _Parameter], count: int) -> list[str]:
+    labels = list(_texts(point, "LABELS"))
+    number = 2
+    while f"LABELS{number}" in point:
+        labels += _texts(point, f"LABELS{number}")
+        number += 1
+    labels = labels[:count] + [""] * (count - len(labels))
+    return [label or f"*{k + 1}" for k, label in enumerate(labels)]
+
+
+def _without_subject(names: list[str]) -> tuple[list[str], tuple[str, ...]]:
+    """Labels without "Subject:", when they all belong to one subject."""
+    subjects = {name.split(":")[0] for name in names if ":" in name}
+    if len(subjects) != 1:
+        return names, ()
+    return [name.split(":", 1)[-1] for name in names], (f"subject {subjects.pop()}",)

@@ -1,0 +1,81 @@
+"""MATLAB files of the MoCap Toolbox: structs with `data`, `markerName` and `freq`."""
+
+import io
+import os
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import numpy as np
+
+from recon.core.limits import BINARY, FRAME_RATE, JOINTS, SAMPLES
+from recon.core.units import Axis, snapped_rate
+from recon.formats.files.opening import existing
+from recon.formats.mocap.recording import MarkerRecording, settle_markers
+
+_READER = Path(__file__).with_name("mat_process.py")
+_ONE = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+"""Threads of algebra, of which reading needs none, take memory by their number."""
+_PATIENCE = 120.0
+"""Seconds that reading may take; `mat_process` ends sooner when it computes all the time."""
+
+
+def read_mat(
+    path: Path, variable: str | None = None, *, unit: str | None = None, up: Axis | None = None
+) -> MarkerRecording:
+    """Read one recording of a .mat file; it may be left unnamed when it is the only one.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+        ValueError: when it holds no such recording, or its unit or up axis cannot be told.
+    """
+    arrays = _arrays(existing(path))
+    found = sorted({key.split("/")[0] for key in arrays})
+    if variable is None and len(found) == 1:
+        variable = found[0]
+    if variable not in found:
+        raise ValueError(
+            f"{path}: holds the recordings {', '.join(found) or '(none)'}; choose one as "
+            f"{path.name}::NAME"
+        )
+    name = f"{path.name}::{variable}"
+    labels = tuple(arrays[f"{variable}/markerName"].tolist())
+    data, rate = arrays[f"{variable}/data"], float(arrays[f"{variable}/freq"].reshape(()))
+    FRAME_RATE.check(rate, name, "freq")
+    JOINTS.check(len(labels), name, "markerName")
+    if data.ndim != 2 or data.shape[1] != 3 * len(labels) or len(data) == 0:
+        raise ValueError(
+            f"{name}: expected data of 3 columns for each of {len(labels)} markers, got "
+            f"{data.shape}"
+        )
+    SAMPLES.check(len(data) * len(labels), name, "data")
+    values = data.reshape(len(data), len(labels), 3)
+    visible = np.isfinite(values).all(-1) & (values != 0).any(-1)
+    raw = MarkerRecording(
+        name=name,
+        marker_names=labels,
+        positions=np.where(visible[..., None], values, 0.0),
+        visible=visible,
+        fps=snapped_rate(rate),
+        decisions=(f"{rate:g} frames per second: stated by the file",),
+    )
+    return settle_markers(raw, unit=unit, up=up, usual_up="z")
+
+
+def _arrays(path: Path) -> dict[str, np.ndarray]:
+    BINARY.check(path.stat().st_size, path)
+    command = [sys.executable, "-P", str(_READER), str(path)]
+    try:
+        done = subprocess.run(
+            command, capture_output=True, timeout=_PATIENCE, check=True, env=os.environ | _ONE
+        )
+        with np.load(io.BytesIO(done.stdout), allow_pickle=False) as file:
+            return dict(file)
+    except (subprocess.SubprocessError, zipfile.BadZipFile, ValueError, EOFError) as error:
+        trace = getattr(error, "stderr", None) or b""
+        reason = (trace.decode("utf-8", "replace").strip().splitlines() or ["it crashed"])[-1]
+        raise ValueError(
+            f"{path}: expected a MATLAB file of version 7 or older, but reading it failed "
+            f"({reason[:200]}); newer ones can be saved again with save(..., '-v7')"
+        ) from error

@@ -1,0 +1,293 @@
+"""Raw recordings: joints or markers as a file holds them, in metres, z up, not yet on our body."""
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from recon.core import limits, units
+from recon.core.units import Axis
+
+LEAD_IN_SPEED = 10.0
+"""Metres per second, mean over joints: no body moves so, a jump out of a T-pose does."""
+LEAD_IN_FRAMES = 8
+"""Frames at the start that may belong to it."""
+
+
+@dataclass(frozen=True)
+class SkeletonRecording:
+    """A moving skeleton of any make; parents come before their children.
+
+    positions[child] = positions[parent] + orientations[parent] @ rest_offsets[child], except
+    where the recording itself moves a joint within its parent. Tips of the last bones (BVH end
+    sites) are joints too, called `<joint>_end`.
+    """
+
+    name: str
+    joint_names: tuple[str, ...]
+    parents: tuple[int, ...]
+    """Index of every joint's parent, -1 for the root."""
+    rest_offsets: Float[np.ndarray, "joints 3"]
+    """Metres, in the frame of the parent; the file's own axes, not turned to z up."""
+    positions: Float[np.ndarray, "time joints 3"]
+    """World frame, metres, z up."""
+    orientations: Float[np.ndarray, "time joints 3 3"]
+    """Rotation of every joint's own frame to the world."""
+    fps: float
+    decisions: tuple[str, ...]
+    """What was read or guessed about unit, axis and rate, one sentence each."""
+
+    @property
+    def frames(self) -> int:
+        """Number of frames."""
+        return len(self.positions)
+
+    def window(self, start: int, stop: int) -> "SkeletonRecording":
+        """Frames start, ..., stop - 1."""
+        return dataclasses.replace(
+            self,
+            positions=self.positions[start:stop],
+            orientations=self.orientations[start:stop],
+        )
+
+    def joint(self, name: str) -> int:
+        """Index of a joint.
+
+        Raises:
+            ValueError: when there is none of that name; the message lists them.
+        """
+        if name not in self.joint_names:
+            known = ", ".join(self.joint_names)
+            raise ValueError(f"{self.name}: no joint is called {name!r}; there are {known}")
+        return self.joint_names.index(name)
+
+    def descendants(self, joint: int) -> list[int]:
+        """The joint and all that hang from it."""
+        chain = {joint}
+        for child, parent in enumerate(self.parents):
+            if parent in chain:
+                chain.add(child)
+        return sorted(chain)
+
+    @property
+    def body_root(self) -> int:
+        """The joint where the body begins: the first that branches, below any helper."""
+        children = np.bincount([parent for parent in self.parents if parent >= 0])
+        branching = np.flatnonzero(children > 1)
+        return int(branching[0]) if len(branching) > 0 else 0
+
+    @property
+    def stature(self) -> float:
+        """Metres along the bones from the head to the farther foot."""
+        return head_to_foot(self.joint_names, self.parents, self.rest_offsets)
+
+
+@dataclass(frozen=True)
+class MarkerRecording:
+    """Labelled points on a body, some of them hidden in some frames."""
+
+    name: str
+    marker_names: tuple[str, ...]
+    positions: Float[np.ndarray, "time markers 3"]
+    """World frame, metres, z up; zero where not visible."""
+    visible: Bool[np.ndarray, "time markers"]
+    fps: float
+    decisions: tuple[str, ...]
+    """What was read or guessed about unit, axis and rate, one sentence each."""
+
+    @property
+    def frames(self) -> int:
+        """Number of frames."""
+        return len(self.positions)
+
+    def window(self, start: int, stop: int) -> "MarkerRecording":
+        """Frames start, ..., stop - 1."""
+        return dataclasses.replace(
+            self, positions=self.positions[start:stop], visible=self.visible[start:stop]
+        )
+
+    def select(self, names: Sequence[str]) -> "MarkerRecording":
+        """Some of the markers, in the order asked for.
+
+        Raises:
+            ValueError: naming those that the recording lacks.
+        """
+        if missing := [name for name in names if name not in self.marker_names]:
+            known = ", ".join(self.marker_names)
+            raise ValueError(f"{self.name}: no markers {', '.join(missing)}; there are {known}")
+        chosen = [self.marker_names.index(name) for name in names]
+        return dataclasses.replace(
+            self,
+            marker_names=tuple(names),
+            positions=self.positions[:, chosen],
+            visible=self.visible[:, chosen],
+        )
+
+
+def settle_skeleton(
+    raw: SkeletonRecording,
+    *,
+    unit: str | None,
+    up: Axis | None,
+    declared: str | None = None,
+    usual_up: Axis | None = None,
+) -> SkeletonRecording:
+    """Bring a skeleton in a file's unit and axes to metres and z up, saying how it was decided.
+
+    Args:
+        raw: as in the file.
+        unit: what the user says; the file and the body are not asked then.
+        up: likewise.
+        declared: unit that the file states.
+        usual_up: axis that the file hints at, or the custom of its format.
+
+    Raises:
+        ValueError: when unit or axis cannot be told, or numbers are not finite.
+    """
+    units.check_override(unit)
+    if raw.frames == 0:
+        raise ValueError(f"{raw.name}: expected at least one frame, got none")
+    limits.FRAME_RATE.check(raw.fps, raw.name)
+    _check_finite(raw.name, raw.positions, raw.orientations, raw.rest_offsets)
+    if unit is not None:
+        reason = f"unit {unit}: given"
+    elif declared is not None:
+        unit, length = declared, head_to_foot(raw.joint_names, raw.parents, raw.rest_offsets)
+        reason = units.check_declared(declared, length, raw.name)
+    else:
+        length = head_to_foot(raw.joint_names, raw.parents, raw.rest_offsets)
+        unit, reason = units.unit_from_bones(length, raw.name)
+    visible = np.ones(raw.positions.shape[:2], dtype=bool)
+    rise = units.head_above_feet(raw.joint_names, raw.positions, visible)
+    up, up_reason = (
+        (up, f"up axis {up}: given") if up else units.decide_up(rise, usual_up, raw.name)
+    )
+    turn, metres = units.to_z_up(up), units.METRES[unit]
+    limits.POSITION.check(raw.rest_offsets * metres, raw.name, "offsets of the joints")
+    limits.POSITION.check(raw.positions * metres, raw.name, "[frame, joint, axis]")
+    return dataclasses.replace(
+        raw,
+        rest_offsets=raw.rest_offsets * metres,
+        positions=raw.positions @ (turn.T * metres),
+        orientations=turn @ raw.orientations,
+        decisions=(*raw.decisions, reason, up_reason),
+    )
+
+
+def settle_markers(
+    raw: MarkerRecording,
+    *,
+    unit: str | None,
+    up: Axis | None,
+    declared: str | None = None,
+    usual_up: Axis | None = None,
+) -> MarkerRecording:
+    """Bring markers in a file's unit and axes to metres and z up; see `settle_skeleton`.
+
+    Labels that repeat are numbered (RKNE, RKNE#2).
+
+    Raises:
+        ValueError: when unit or axis cannot be told, numbers are not finite or none is visible.
+    """
+    units.check_override(unit)
+    if not raw.visible.any():
+        raise ValueError(f"{raw.name}: expected markers, but none is visible in any frame")
+    limits.FRAME_RATE.check(raw.fps, raw.name)
+    positions = np.where(raw.visible[..., None], raw.positions, 0.0)
+    _check_finite(raw.name, positions)
+    rise = units.head_above_feet(raw.marker_names, positions, raw.visible)
+    extent = _extent(positions, raw.visible)
+    if unit is not None:
+        reason = f"unit {unit}: given"
+    elif declared is not None:
+        unit, reason = declared, units.check_declared(declared, float(extent.max()), raw.name)
+    else:
+        unit, reason = units.unit_from_markers(float(extent.max()), raw.name)
+    if rise is None and usual_up is None:
+        rise = extent
+    up, up_reason = (
+        (up, f"up axis {up}: given") if up else units.decide_up(rise, usual_up, raw.name)
+    )
+    turned = positions @ (units.to_z_up(up).T * units.METRES[unit])
+    limits.POSITION.check(turned, raw.name, "[frame, marker, axis]")
+    return dataclasses.replace(
+        raw,
+        marker_names=_unique(raw.marker_names),
+        positions=turned,
+        decisions=(*raw.decisions, reason, up_reason),
+    )
+
+
+def drop_lead_in(recording: SkeletonRecording) -> SkeletonRecording:
+    """Cut a T-pose from the start: frames the joints leave at a mean speed above 10 m/s.
+
+    It is one frame in most files; some converters smear it over the next few.
+    """
+    first = recording.positions[: LEAD_IN_FRAMES + 1]
+    moved = np.diff(first, axis=0)
+    speeds = np.linalg.norm(moved, axis=-1).mean(-1) * recording.fps
+    jumps = np.flatnonzero(speeds > LEAD_IN_SPEED)
+    if len(jumps) == 0:
+        return recording
+    count = int(jumps[-1]) + 1
+    reason = f"{count} frame(s) cut from the start: left at {speeds.max():.0f} m/s, a T-pose"
+    kept = recording.window(count, recording.frames)
+    return dataclasses.replace(kept, decisions=(*recording.decisions, reason))
+
+
+def head_to_foot(
+    names: Sequence[str], parents: Sequence[int], offsets: Float[np.ndarray, "joints 3"]
+) -> float:
+    """Longest path along the bones from a head joint to a foot joint, in the offsets' unit.
+
+    The same in every pose. Without such names it is the longest path between any two joints,
+    which is a foot to a hand and about as long.
+    """
+    words = [name.lower().split(":")[-1] for name in names]
+    heads = [j for j, word in enumerate(words) if "head" in word]
+    feet = [j for j, word in enumerate(words) if any(w in word for w in ("foot", "toe", "ankle"))]
+    every = range(len(names))
+    depth = np.zeros(len(names))
+    # impossible offsets become an infinite length, which no unit fits
+    with np.errstate(over="ignore"):
+        lengths = np.linalg.norm(offsets, axis=-1)
+    for joint, (parent, length) in enumerate(zip(parents, lengths, strict=True)):
+        depth[joint] = 0.0 if parent < 0 else depth[parent] + length
+    # deepest head and foot below every joint, so far; they meet where two branches join
+    deepest = np.full((2, len(names)), -math.inf)
+    for kind, ends in enumerate((heads or every, feet or every)):
+        deepest[kind, list(ends)] = depth[list(ends)]
+    longest = 0.0
+    for joint in reversed(every):
+        parent = parents[joint]
+        if parent >= 0:
+            head, foot = deepest[:, joint] + deepest[::-1, parent]
+            longest = max(longest, float(max(head, foot) - 2 * depth[parent]))
+            deepest[:, parent] = np.maximum(deepest[:, parent], deepest[:, joint])
+    return longest
+
+
+def _extent(positions: np.ndarray, visible: np.ndarray) -> np.ndarray:
+    """Median over frames of what the visible markers span along each axis."""
+    shown = visible.any(1)
+    top = np.where(visible[shown][..., None], positions[shown], -math.inf).max(1)
+    bottom = np.where(visible[shown][..., None], positions[shown], math.inf).min(1)
+    return np.median(top - bottom, axis=0)
+
+
+def _check_finite(name: str, *arrays: np.ndarray) -> None:
+    if not all(np.isfinite(array).all() for array in arrays):
+        raise ValueError(f"{name}: expected finite numbers, got NaN or infinity")
+
+
+def _unique(names: Sequence[str]) -> tuple[str, ...]:
+    """Repeated labels numbered: RKNE, RKNE#2, ..."""
+    seen: dict[str, int] = {}
+    unique: list[str] = []
+    for name in names:
+        seen[name] = seen.get(name, 0) + 1
+        unique.append(name if seen[name] == 1 else f"{name}#{seen[name]}")
+    return tuple(unique)

@@ -1,0 +1,114 @@
+"""TRC: labelled markers as a tab-separated table (OpenSim, OpenCap, Pose2Sim, Cortex)."""
+
+from pathlib import Path
+
+import numpy as np
+
+from recon.core.limits import FRAME_RATE, JOINTS, SAMPLES, TIME
+from recon.core.units import METRES, Axis, parse_unit, snapped_rate, to_z_up
+from recon.formats.files.opening import decode, read_bytes, replacing
+from recon.formats.mocap.recording import MarkerRecording, settle_markers
+
+_HEADER = 5
+"""Lines before the numbers: type, keys, values, names, coordinates; a blank one may follow."""
+
+
+def read_trc(path: Path, *, unit: str | None = None, up: Axis | None = None) -> MarkerRecording:
+    """Read a .trc file; a blank cell, NaN or three exact zeros are a marker not seen.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+        ValueError: when it is damaged, or its unit or up axis cannot be told.
+    """
+    name = path.name
+    lines = decode(read_bytes(path)).splitlines()
+    if len(lines) <= _HEADER or not lines[0].lower().startswith("pathfiletype"):
+        raise ValueError(f"{name}: expected a TRC file, five header lines from PathFileType on")
+    header = dict(zip(lines[1].split(), lines[2].split(), strict=False))
+    labels = [cell.strip() for cell in lines[3].rstrip().split("\t")[2:] if cell.strip()]
+    if len(labels) == 0 or lines[3].split()[0].lower() != "frame#":
+        raise ValueError(f"{name}: expected 'Frame# Time' and marker names in line 4")
+    times, values = _parse_table(lines[_HEADER:], len(labels), name)
+    _check_count(header.get("NumFrames"), len(values), name)
+    visible = np.isfinite(values).all(-1) & (values != 0).any(-1)
+    fps, note = _rate(header.get("DataRate", ""), times, name)
+    raw = MarkerRecording(
+        name=name,
+        marker_names=tuple(labels),
+        positions=np.where(visible[..., None], values, 0.0),
+        visible=visible,
+        fps=fps,
+        decisions=(note,),
+    )
+    declared = parse_unit(header.get("Units", ""))
+    return settle_markers(raw, unit=unit, up=up, declared=declared, usual_up="y")
+
+
+def _parse_table(lines: list[str], markers: int, name: str) -> tuple[np.ndarray, np.ndarray]:
+    width = 2 + 3 * markers
+    JOINTS.check(markers, name, "line 4")
+    SAMPLES.check(max(len(lines), 1) * markers, name)
+    table = np.full((len(lines), width), np.nan)
+    rows = 0
+    for line in lines:
+        if not line.strip():
+            continue
+        cells = line.split("\t") if "\t" in line else line.split()
+        try:
+            row = [float(cell) if cell.strip() else np.nan for cell in cells]
+        except ValueError as error:
+            raise ValueError(f"{name}: expected numbers, got {line[:60]!r}") from error
+        if len(row) > width and not all(np.isnan(row[width:])):
+            raise ValueError(f"{name}: a row has {len(row)} cells, {markers} markers fill {width}")
+        table[rows, : len(row)] = row[:width]
+        rows += 1
+    table = table[:rows]
+    if len(table) == 0 or np.isinf(table).any() or np.isnan(table[:, :2]).any():
+        raise ValueError(f"{name}: expected rows of frame number, time and finite coordinates")
+    TIME.check(table[:, 1], name, "column Time, row ")
+    return table[:, 1], table[:, 2:].reshape(len(table), markers, 3)
+
+
+def _check_count(stated: str | None, frames: int, name: str) -> None:
+    if stated is not None and stated[:9].isdigit() and int(stated[:9]) > frames:
+        raise ValueError(f"{name}: expected {stated} frames, got {frames}; the file is cut short")
+
+
+def _rate(stated: str, times: np.ndarray, name: str) -> tuple[float, str]:
+    """Frames per second of the header, unless the time column clearly says otherwise."""
+    try:
+        header = float(stated)
+    except ValueError:
+        header = 0.0
+    step = (times[-1] - times[0]) / (len(times) - 1) if len(times) > 1 else 0.0
+    measured = 1 / step if step > 1 / FRAME_RATE.high else 0.0
+    if FRAME_RATE.holds(header) and (measured == 0 or abs(measured - header) <= 0.01 * header):
+        return snapped_rate(header), f"{header:g} frames per second: stated by the file"
+    if not FRAME_RATE.holds(measured):
+        raise ValueError(f"{name}: neither DataRate nor the time column gives a frame rate")
+    return snapped_rate(measured), (
+        f"{measured:.4g} frames per second: by the time column, though DataRate is {stated[:20]!r}"
+    )
+
+
+def write_trc(path: Path, recording: MarkerRecording, *, unit: str = "mm") -> None:
+    """Write markers with y up (the turn of `to_z_up` undone); blank cells where not visible."""
+    values = recording.positions @ to_z_up("y") / METRES[unit]
+    names, count, rate = recording.marker_names, recording.frames, f"{recording.fps:g}"
+    values_line = [rate, rate, str(count), str(len(names)), unit, rate, "1", str(count)]
+    lines = [
+        f"PathFileType\t4\t(X/Y/Z)\t{path.name}",
+        "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame"
+        "\tOrigNumFrames",
+        "\t".join(values_line),
+        "Frame#\tTime\t" + "\t\t\t".join(names) + "\t\t",
+        "\t\t" + "\t".join(f"X{k}\tY{k}\tZ{k}" for k in range(1, len(names) + 1)),
+        "",
+    ]
+    for frame, (row, seen) in enumerate(zip(values, recording.visible, strict=True)):
+        cells = [str(frame + 1), f"{frame / recording.fps:.6f}"]
+        for point, shown in zip(row.tolist(), seen.tolist(), strict=True):
+            cells += [f"{x:.6f}" for x in point] if shown else ["", "", ""]
+        lines.append("\t".join(cells))
+    with replacing(path) as beside:
+        beside.write_text("\n".join(lines) + "\n", encoding="utf-8")

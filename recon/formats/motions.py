@@ -1,0 +1,320 @@
+"""Motion files: AMASS .npz, with what a reconstruction knows besides the motion.
+
+Read: AMASS SMPL-H and SMPL-X files and our own. `poses` may have more joints than 22 (hands, jaw,
+eyes), which are left out; a file may give `root_orient` and `pose_body` instead.
+"""
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from recon.core import limits
+from recon.core import rotations as so3
+from recon.core.limits import Limit, check_pose
+from recon.core.motion import Motion
+from recon.core.units import snapped_rate
+from recon.formats.files.opening import load_arrays, save_arrays
+
+FORMAT_VERSION = 1
+_RATES = ("mocap_framerate", "mocap_frame_rate", "fps")
+_GENDERS = ("neutral", "male", "female")
+
+
+@dataclass(frozen=True)
+class MotionFile:
+    """One motion and what is known about it; None where a file does not say."""
+
+    motion: Motion
+    """One clip, no batch axis; padded frames are not written."""
+    body: str | None = None
+    """Name of the body model whose shape coefficients the motion has."""
+    checksum: str | None = None
+    """Of that body model, `BodyModel.checksum`."""
+    gender: str = "neutral"
+    joints: Float[Tensor, "time 22 3"] | None = None
+    """World frame, metres."""
+    contacts: Float[Tensor, "time 22"] | None = None
+    """Probability of contact."""
+    ground: Float[Tensor, "4"] | None = None
+    """(nx, ny, nz, d): the points x of the ground have n·x = d, metres."""
+    joint_std: Float[Tensor, "time 22"] | None = None
+    """Standard deviation of every joint, metres."""
+    observed: Bool[Tensor, "time 22"] | None = None
+    """False where a joint was inferred rather than seen."""
+    truth_visible: Bool[Tensor, "time 22"] | None = None
+    """Of a simulated truth: joints the sensor could see."""
+    T_world_camera: Float[Tensor, "poses 4 4"] | None = None
+    """One pose, or one per frame."""
+    in_camera: Float[Tensor, "time 6"] | None = None
+    """SMPL translation (metres) and root rotation vector (radians) in that camera's frame."""
+    format_version: int = FORMAT_VERSION
+    """0 of a file that another program wrote, such as those of AMASS."""
+
+
+_EXTRA = {
+    "joints": ("time", 22, 3),
+    "contacts": ("time", 22),
+    "ground": (4,),
+    "joint_std": ("time", 22),
+    "observed": ("time", 22),
+    "truth_visible": ("time", 22),
+    "T_world_camera": ("poses", 4, 4),
+    "in_camera": ("time", 6),
+}
+"""Optional arrays and their shapes."""
+_FLAGS = ("observed", "truth_visible")
+"""Those of them that are true or false."""
+_RANGES: dict[str, Limit] = {
+    "trans": limits.POSITION,
+    "joints": limits.POSITION,
+    "contacts": limits.PROBABILITY,
+    "joint_std": limits.DEVIATION,
+    "truth_visible": limits.PROBABILITY,
+    "observed": limits.PROBABILITY,
+}
+"""Of arrays that hold one quantity."""
+_UNIT_NORMAL = 0.01
+"""How far the length of the ground's normal may be from one."""
+
+
+def load_motion(path: str | Path, dtype: torch.dtype = torch.float32) -> MotionFile:
+    """Read a motion.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+        ValueError: when it is damaged, lacks a key (the message names those expected and found),
+            holds NaN or infinity, has arrays of the wrong shape or type, or numbers outside the
+            ranges of `recon.core.limits`.
+    """
+    path = Path(path)
+    arrays = load_arrays(path)
+    _check_keys(path, arrays)
+    numeric = {k: v for k, v in arrays.items() if v.dtype.kind in "fiub"}
+    known = ("trans", "poses", "root_orient", "pose_body", "betas", "format_version", "start_time")
+    for key in (*known, *_RATES, *_EXTRA):
+        if key in arrays and key not in numeric:
+            raise ValueError(f"{path}: expected numbers in {key}, got {arrays[key].dtype}")
+    translation = _array(path, numeric, "trans", ("time", 3))
+    poses = _poses(path, numeric)
+    if len(poses) != len(translation) or len(poses) == 0:
+        raise ValueError(
+            f"{path}: expected as many frames in trans as in poses, and at least one; got "
+            f"{len(translation)} and {len(poses)}"
+        )
+    limits.FRAMES.check(len(poses), path, "poses")
+    version = int(_scalar(path, numeric, "format_version", 0.0))
+    if version > FORMAT_VERSION or version < 0:
+        raise ValueError(f"{path}: written by a newer version (format {version}); update recon")
+    if (up := _text(arrays, "up_axis", "z")) != "z":
+        raise ValueError(f"{path}: expected a motion with z up, as in AMASS; it says {up} is up")
+    rate = next(key for key in _RATES if key in arrays)
+    fps = snapped_rate(_scalar(path, numeric, rate, 0.0, limits.FRAME_RATE))
+    motion = Motion.create(
+        translation=torch.from_numpy(translation).to(dtype),
+        rotations=so3.exp(torch.from_numpy(poses).double()).to(dtype),
+        shape=torch.from_numpy(_betas(path, numeric)).to(dtype),
+        fps=fps,
+        start_time=_scalar(path, numeric, "start_time", 0.0, limits.TIME),
+    )
+    gender = _text(arrays, "gender", "neutral").lower()
+    extra = {
+        key: _tensor(_array(path, numeric, key, shape, time=len(poses)), dtype)
+        for key, shape in _EXTRA.items()
+        if key in arrays
+    }
+    _check_places(path, extra)
+    extra |= {key: extra[key] > 0.5 for key in _FLAGS if key in extra}
+    return MotionFile(
+        motion,
+        body=_text(arrays, "body", "") or None,
+        checksum=_text(arrays, "body_checksum", "") or None,
+        gender=gender if gender in _GENDERS else "neutral",
+        format_version=version,
+        **extra,
+    )
+
+
+def save_motion(path: str | Path, file: MotionFile | Motion) -> None:
+    """Write a motion in one step; reading it gives the same record back.
+
+    Raises:
+        ValueError: when it has a batch axis, no frames, or NaN or infinity in it.
+    """
+    path = Path(path)
+    file = MotionFile(file) if isinstance(file, Motion) else file
+    motion = file.motion
+    if motion.translation.ndim != 2:
+        raise ValueError(
+            "expected one clip without a batch axis, got translations of shape "
+            f"{tuple(motion.translation.shape)}; save motion[k]"
+        )
+    frames = int(motion.valid.sum())
+    if frames == 0 or not bool(motion.valid[:frames].all()):
+        raise ValueError("expected a clip whose frames exist from the first on")
+    precision = motion.translation.dtype
+    # the logarithm is taken in double precision: near half turns it loses half the digits
+    poses = so3.log(motion.rotations[:frames].detach().double().cpu()).to(precision)
+    arrays: dict[str, np.ndarray] = {
+        "trans": _numpy(motion.translation[:frames]),
+        "poses": _numpy(poses.flatten(-2)),
+        "root_orient": _numpy(poses[:, 0]),
+        "pose_body": _numpy(poses[:, 1:].flatten(-2)),
+        "betas": _numpy(motion.shape),
+        "gender": np.array(file.gender),
+        "mocap_framerate": np.array(motion.fps),
+        "mocap_frame_rate": np.array(motion.fps),
+        "start_time": np.array(motion.start_time),
+        "up_axis": np.array("z"),
+        "body": np.array(file.body or ""),
+        "body_checksum": np.array(file.checksum or ""),
+        "format_version": np.array(file.format_version),
+    }
+    for key, shape in _EXTRA.items():
+        value: Tensor | None = getattr(file, key)
+        if value is not None:
+            per_frame = shape[0] == "time" or len(value) == motion.frames
+            arrays[key] = _numpy(value[:frames] if per_frame and key != "ground" else value)
+    if bad := [k for k, v in arrays.items() if v.dtype.kind == "f" and not np.isfinite(v).all()]:
+        raise ValueError(f"{path}: not written, {', '.join(bad)} hold NaN or infinity")
+    save_arrays(path, arrays)
+
+
+def _check_keys(path: Path, arrays: dict[str, np.ndarray]) -> None:
+    missing = [key for key in ("trans", "betas") if key not in arrays]
+    if "poses" not in arrays and not {"root_orient", "pose_body"} <= set(arrays):
+        missing.append("poses")
+    if not any(key in arrays for key in _RATES):
+        missing.append("mocap_framerate")
+    if missing:
+        raise ValueError(
+            f"{path}: expected a motion in AMASS layout with trans, poses, betas and "
+            f"mocap_framerate; missing {', '.join(missing)}; found {', '.join(sorted(arrays))}"
+        )
+
+
+def _poses(path: Path, arrays: dict[str, np.ndarray]) -> np.ndarray:
+    if "poses" in arrays:
+        poses = arrays["poses"]
+    else:
+        parts = [arrays[key] for key in ("root_orient", "pose_body")]
+        if any(part.ndim not in (2, 3) for part in parts) or len(parts[0]) != len(parts[1]):
+            raise ValueError(
+                f"{path}: expected root_orient (T, 3) and pose_body (T, 63), got {parts[0].shape} "
+                f"and {parts[1].shape}"
+            )
+        rows = len(parts[0])
+        poses = np.concatenate([part.reshape(rows, -1 if rows else 0) for part in parts], axis=1)
+    if poses.ndim == 3 and poses.shape[2] == 3:
+        poses = poses.reshape(len(poses), -1)
+    if poses.ndim != 2 or poses.shape[1] < 66 or poses.shape[1] % 3:
+        raise ValueError(
+            f"{path}: expected poses (T, 66) or longer rows, axis-angle with the root first; got "
+            f"{poses.shape}"
+        )
+    _check_finite(path, "poses", poses)
+    limits.ROTATION.check(poses[:, :66], path, "poses")
+    return poses[:, :66].astype(np.float64).reshape(-1, 22, 3)
+
+
+def _check_places(path: Path, extra: dict[str, Tensor]) -> None:
+    """Refuse a ground or a camera that nobody can have.
+
+    Raises:
+        ValueError: naming file, quantity and what came.
+    """
+    if "ground" in extra:
+        ground = extra["ground"].double().numpy()
+        length = float(np.linalg.norm(ground[:3]))
+        if not abs(length - 1) < _UNIT_NORMAL:
+            raise ValueError(
+                f"{path}: expected ground (nx, ny, nz, d) with a normal of length 1, got "
+                f"{length:g}"
+            )
+        limits.POSITION.check(ground[3], path, "ground[3]")
+    if "T_world_camera" in extra:
+        check_pose(extra["T_world_camera"].double().numpy(), path, "T_world_camera")
+    if "in_camera" in extra:
+        place = extra["in_camera"].double().numpy()
+        limits.POSITION.check(place[:, :3], path, "in_camera[:, :3]")
+        limits.ROTATION.check(place[:, 3:], path, "in_camera[:, 3:]")
+
+
+def _betas(path: Path, arrays: dict[str, np.ndarray]) -> np.ndarray:
+    """Shape coefficients; some files repeat them in every frame."""
+    betas = arrays["betas"].astype(np.float64)
+    if betas.ndim == 2 and len(betas) > 0 and np.allclose(betas, betas[:1], atol=1e-6):
+        betas = betas[0]
+    if betas.ndim != 1:
+        raise ValueError(f"{path}: expected betas (S,), one shape for the clip; got {betas.shape}")
+    limits.SHAPES.check(len(betas), path, "betas")
+    limits.SHAPE.check(betas, path, "betas")
+    return betas
+
+
+def _array(
+    path: Path,
+    arrays: dict[str, np.ndarray],
+    key: str,
+    shape: tuple[str | int, ...],
+    time: int | None = None,
+) -> np.ndarray:
+    if key not in arrays:
+        raise ValueError(f"{path}: expected numbers in {key}")
+    value = arrays[key]
+    if key == "T_world_camera" and value.shape == (4, 4):
+        value = value[None]
+    allowed = {"time": (time,), "poses": (1, time)}
+    fits = value.ndim == len(shape) and all(
+        got == want if isinstance(want, int) else time is None or got in allowed[want]
+        for got, want in zip(value.shape, shape, strict=True)
+    )
+    if not fits:
+        wanted = ", ".join(str(time) if s == "time" and time else str(s) for s in shape)
+        raise ValueError(f"{path}: expected {key} of shape ({wanted}), got {value.shape}")
+    _check_finite(path, key, value)
+    if key in _RANGES:
+        _RANGES[key].check(value, path, key)
+    return value.astype(np.float64)
+
+
+def _check_finite(path: Path, key: str, value: np.ndarray) -> None:
+    if not np.isfinite(value).all():
+        raise ValueError(f"{path}: {key} holds NaN or infinity; missing frames must be cut out")
+
+
+def _scalar(
+    path: Path,
+    arrays: dict[str, np.ndarray],
+    key: str,
+    default: float,
+    limit: Limit | None = None,
+) -> float:
+    value = arrays.get(key, np.array(default))
+    if value.size != 1 or not np.isfinite(value).all():
+        raise ValueError(f"{path}: expected one number in {key}, got {value.shape}")
+    if limit is not None:
+        limit.check(value.reshape(()), path, key)
+    return float(value.reshape(()))
+
+
+def _text(arrays: dict[str, np.ndarray], key: str, default: str) -> str:
+    value = arrays.get(key, np.array(default))
+    if value.size != 1 or value.dtype.kind not in "US":
+        return default
+    item = value.reshape(()).item()
+    return item.decode("latin-1") if isinstance(item, bytes) else str(item)
+
+
+def _tensor(array: np.ndarray, dtype: torch.dtype) -> Tensor:
+    return torch.from_numpy(array).to(dtype)
+
+
+def _numpy(tensor: Tensor) -> np.ndarray:
+    return tensor.detach().cpu().numpy()
+
+
+assert {f.name for f in fields(MotionFile)} >= set(_EXTRA)

@@ -1,0 +1,1 @@
+"""Recorded markers: which they are, what is wrong with them, the solve."""

@@ -1,0 +1,157 @@
+"""A recording of markers as a motion of our body: checked, fitted, and checked again."""
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from recon.body.model import BodyModel
+from recon.body.soles import Soles
+from recon.diagnosis.findings import Finding
+from recon.formats.mocap.recording import MarkerRecording
+from recon.ingest.conversion import Conversion, grounded
+from recon.ingest.markers.coverage import MarkerSet, full_body_markers
+from recon.ingest.markers.exchanges import (
+    exchanged_throughout,
+    pair_finding,
+    side_pairs,
+    steady_labels,
+    with_exchanged,
+)
+from recon.ingest.markers.findings import marker_findings, marker_residuals
+from recon.ingest.markers.fit import MarkerFit, fit_markers, nominal_places
+from recon.ingest.markers.gaps import gap_findings
+from recon.ingest.markers.joint_centres import keypoint_finding
+from recon.ingest.markers.jumps import jump_findings
+from recon.method.terms import Term
+
+_BAD = 0.02
+"""Metres of mean residual from which on other labels are tried."""
+_TRIAL_FRAMES = 40
+_BETTER = 0.6
+"""Share of the residual that other labels must leave."""
+
+
+def convert_markers(
+    recording: MarkerRecording,
+    body: BodyModel,
+    *,
+    mapping: str | Path | None = None,
+    pose_terms: Sequence[Term] = (),
+) -> Conversion:
+    """A recording of any full-body marker set as a motion of our body.
+
+    Labels that change over between markers are put right first, and labels that do not fit any
+    body after a first fit. Frames and limbs without markers are joined from their neighbours.
+
+    Args:
+        recording: in metres, z up.
+        body: whose motion it becomes; marker names are points of the bundled body's mesh.
+        mapping: TOML file, marker label = landmark or vertex; None uses the known labels.
+        pose_terms: what is known of poses, in place of a pull towards the natural pose.
+
+    Raises:
+        FileNotFoundError: when there is no such mapping file.
+        ValueError: when the markers are not known or do not cover the body.
+    """
+    markers = full_body_markers(recording, body, mapping)
+    chosen, repairs = steady_labels(recording.select(markers.labels))
+    fit = fit_markers(chosen, markers, body, pose_terms=pose_terms)
+    if mean_residual(fit, chosen) > _BAD and (other := _relabelled(chosen, markers, body, fit)):
+        chosen, finding = other
+        repairs.append(finding)
+        fit = fit_markers(chosen, markers, body, pose_terms=pose_terms)
+    mended, jumps = jump_findings(fit.unmade, fit.mended)
+    warnings = [*gap_findings(fit.observed, recording.fps), *jumps]
+    if markers.inside:
+        warnings.append(keypoint_finding(markers.labels))
+    warnings += marker_findings(fit, chosen, markers)
+    left = f"; not known: {', '.join(markers.unknown)}" if markers.unknown else ""
+    kind = "keypoints" if markers.inside else "markers"
+    found = grounded(
+        fit.motion,
+        marker_residuals(fit, chosen),
+        (*recording.decisions, f"{len(markers.labels)} {kind} used{left}"),
+        body,
+        Soles.of(body),
+        n_glitch=int(fit.unmade.any(-1).sum()),
+        observed=fit.observed,
+    )
+    return dataclasses.replace(
+        found,
+        diagnosis=(*found.diagnosis, *_by_time(fit, chosen)),
+        repairs=(*found.repairs, *repairs, *mended),
+        warnings=(*found.warnings, *warnings),
+    )
+
+
+def mean_residual(fit: MarkerFit, recording: MarkerRecording) -> float:
+    """Mean distance of visible markers from their places, metres."""
+    away = np.linalg.norm(fit.predicted.numpy() - recording.positions, axis=-1)
+    return float(away[recording.visible].mean())
+
+
+def _relabelled(
+    recording: MarkerRecording, markers: MarkerSet, body: BodyModel, fit: MarkerFit
+) -> tuple[MarkerRecording, Finding] | None:
+    """The recording under labels that fit a body better, and what they are; None if none do."""
+    labels = recording.marker_names
+    pairs = exchanged_throughout(
+        labels, recording.positions, recording.visible, nominal_places(fit, markers, body).numpy()
+    )
+    sides = side_pairs(list(labels))
+    choices = [
+        (with_exchanged(recording, pairs), pair_finding(labels, pairs)) if pairs else None,
+        (with_exchanged(recording, sides), _sides_finding()) if sides else None,
+    ]
+    sample = _evenly(recording)
+    limit = _BETTER * mean_residual(fit_markers(sample, markers, body), sample)
+    best = None
+    for choice in choices:
+        if choice is None:
+            continue
+        some = _evenly(choice[0])
+        left = mean_residual(fit_markers(some, markers, body), some)
+        if left < limit:
+            best, limit = choice, left
+    return best
+
+
+def _evenly(recording: MarkerRecording) -> MarkerRecording:
+    """Some frames of it, spread over all."""
+    index = np.unique(np.linspace(0, recording.frames - 1, _TRIAL_FRAMES).round().astype(int))
+    return dataclasses.replace(
+        recording, positions=recording.positions[index], visible=recording.visible[index]
+    )
+
+
+def _sides_finding() -> Finding:
+    return Finding(
+        "sides exchanged",
+        "the markers fit a body only when left and right are exchanged: all labels were "
+        "exchanged. If the recording is mirrored instead, this result is its mirror image",
+    )
+
+
+def _by_time(fit: MarkerFit, recording: MarkerRecording) -> tuple[Finding, ...]:
+    """The mean residual of every second."""
+    away = np.linalg.norm(fit.predicted.numpy() - recording.positions, axis=-1)
+    step = max(1, round(recording.fps))
+    found: list[Finding] = []
+    for first in range(0, recording.frames, step):
+        part = slice(first, first + step)
+        seen = recording.visible[part]
+        if seen.any():
+            mean = float(away[part][seen].mean())
+            last = min(first + step, recording.frames) - 1
+            found.append(
+                Finding(
+                    "residual",
+                    f"frames {first}-{last}: markers {1000 * mean:.1f} mm from their places",
+                    (),
+                    ((first, last),),
+                    mean,
+                )
+            )
+    return tuple(found)

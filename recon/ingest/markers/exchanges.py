@@ -1,0 +1,186 @@
+"""Markers that carry each other's label: from some frame on, or throughout.
+
+A label that changes over shows twice: two markers jump to each other's places within a frame, and
+the markers lie where the body has the other one.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from recon.diagnosis.findings import Finding, listed, spans, stretches
+from recon.formats.mocap.recording import MarkerRecording
+
+_APART = 0.04
+"""Metres between two markers, below which exchanging them changes little."""
+_NEARER = 0.35
+"""Share of the way to their own last places, below which going to the other's last places means
+that labels were exchanged."""
+_MISPLACED = 0.08
+"""Metres from its place on the body beyond which a marker may be another one."""
+_BETTER = 0.5
+"""Share of the distance that must remain when two markers exchange labels throughout."""
+
+
+def steady_labels(recording: MarkerRecording) -> tuple[MarkerRecording, list[Finding]]:
+    """The recording with labels that stay with their markers, and where they did not.
+
+    Between two exchanges of the same pair the shorter part is taken for the wrong one; of one
+    exchange, the shorter of the parts before and after it.
+    """
+    positions, visible = recording.positions.copy(), recording.visible.copy()
+    wrong: dict[tuple[int, int], Bool[np.ndarray, " time"]] = {}
+    for a, b in _candidates(recording):
+        flips = _flips(positions[:, [a, b]], visible[:, [a, b]])
+        if not flips.any() or flips.sum() > max(2, len(flips) // 8):
+            continue
+        odd = np.cumsum(flips) % 2 == 1
+        odd = ~odd if odd.mean() > 0.5 else odd
+        wrong[a, b] = odd
+        for values in (positions, visible):
+            values[np.ix_(odd, [a, b])] = values[np.ix_(odd, [b, a])]
+    if not wrong:
+        return recording, []
+    repaired = dataclasses.replace(recording, positions=positions, visible=visible)
+    return repaired, _stretch_findings(recording.marker_names, wrong)
+
+
+def _candidates(recording: MarkerRecording) -> list[tuple[int, int]]:
+    """Pairs of markers that step far in the same frame."""
+    both = recording.visible[1:] & recording.visible[:-1]
+    steps = np.linalg.norm(np.diff(recording.positions, axis=0), axis=-1) * both
+    jumps = steps > _APART
+    together = jumps.astype(np.float32).T @ jumps.astype(np.float32)
+    count = len(recording.marker_names)
+    return [(a, b) for a in range(count) for b in range(a + 1, count) if together[a, b] > 0]
+
+
+def _flips(
+    x: Float[np.ndarray, "time 2 3"], visible: Bool[np.ndarray, "time 2"]
+) -> Bool[np.ndarray, " time"]:
+    """Frames to which two markers go by exchanging places."""
+    seen = np.all(visible, axis=1)
+    seen = np.concatenate(([False], seen[1:] & seen[:-1]))
+    before = np.concatenate((x[:1], x[:-1]))
+    same = np.linalg.norm(x - before, axis=-1)
+    other = np.linalg.norm(x[:, ::-1] - before, axis=-1)
+    return seen & (same.min(1) > _APART) & (other.max(1) < _NEARER * same.min(1))
+
+
+def _stretch_findings(
+    labels: Sequence[str], wrong: dict[tuple[int, int], Bool[np.ndarray, " time"]]
+) -> list[Finding]:
+    """One finding for all pairs that are exchanged in the same frames."""
+    groups: dict[bytes, list[tuple[int, int]]] = {}
+    for pair, odd in wrong.items():
+        groups.setdefault(odd.tobytes(), []).append(pair)
+    found: list[Finding] = []
+    for pairs in groups.values():
+        frames = stretches(wrong[pairs[0]])
+        names = tuple(labels[k] for pair in pairs for k in pair)
+        sides = len(pairs) > 1 and all(mirrored(labels[a]) == labels[b] for a, b in pairs)
+        what = " and ".join(f"{labels[a]} with {labels[b]}" for a, b in pairs[:3])
+        more = f" and {len(pairs) - 3} pairs more" if len(pairs) > 3 else ""
+        found.append(
+            Finding(
+                "sides exchanged" if sides else "points exchanged",
+                f"markers jump to each other's places and back in {spans(frames)}: {what}{more}; "
+                "their labels were exchanged there",
+                names,
+                frames,
+                float(wrong[pairs[0]].mean()),
+            )
+        )
+    return found
+
+
+def exchanged_throughout(
+    labels: Sequence[str],
+    positions: Float[np.ndarray, "time markers 3"],
+    visible: Bool[np.ndarray, "time markers"],
+    places: Float[np.ndarray, "time markers 3"],
+) -> list[tuple[int, int]]:
+    """Pairs of markers that lie in each other's place on the body throughout.
+
+    Args:
+        labels: of the markers.
+        positions: of the markers, metres.
+        visible: whether each is seen.
+        places: where the body has markers of these labels, without offsets of their own.
+    """
+    count = len(labels)
+    away = np.full((count, count), np.nan)
+    for a in range(count):
+        seen = visible[:, a]
+        if seen.any():
+            there = positions[seen, a][:, None] - places[seen]
+            away[a] = np.median(np.linalg.norm(there, axis=-1), axis=0)
+    own = np.diag(away)
+    pairs = [
+        (away[a, b] + away[b, a] - own[a] - own[b], a, b)
+        for a in range(count)
+        for b in range(a + 1, count)
+        if min(own[a], own[b]) > _MISPLACED
+        and away[a, b] + away[b, a] < _BETTER * (own[a] + own[b])
+    ]
+    chosen: list[tuple[int, int]] = []
+    for _, a, b in sorted(pairs):
+        if not any(k in pair for pair in chosen for k in (a, b)):
+            chosen.append((a, b))
+    return chosen
+
+
+def with_exchanged(
+    recording: MarkerRecording, pairs: Sequence[tuple[int, int]]
+) -> MarkerRecording:
+    """The recording with the markers of these pairs under each other's label."""
+    order = list(range(len(recording.marker_names)))
+    for a, b in pairs:
+        order[a], order[b] = b, a
+    return dataclasses.replace(
+        recording, positions=recording.positions[:, order], visible=recording.visible[:, order]
+    )
+
+
+def side_pairs(labels: Sequence[str]) -> list[tuple[int, int]]:
+    """Pairs of labels that are each other's counterpart on the other side."""
+    return [
+        (k, labels.index(other))
+        for k, label in enumerate(labels)
+        if (other := mirrored(label)) in labels and k < labels.index(other)
+    ]
+
+
+_SIDES = {
+    one: other
+    for left, right in (("left", "right"), ("Left", "Right"), ("LEFT", "RIGHT"))
+    for one, other in ((left, right), (right, left))
+}
+_LETTERS = {"l": "r", "r": "l", "L": "R", "R": "L"}
+
+
+def mirrored(label: str) -> str | None:
+    """The label of the same place on the other side, LASI -> RASI; None where it names no side."""
+    for one, other in _SIDES.items():
+        if one in label:
+            return label.replace(one, other, 1)
+    if label[:1] in _LETTERS:
+        return _LETTERS[label[0]] + label[1:]
+    if label[-1:] in _LETTERS and not label[-2:-1].islower():
+        return label[:-1] + _LETTERS[label[-1]]
+    return None
+
+
+def pair_finding(labels: Sequence[str], pairs: Sequence[tuple[int, int]]) -> Finding:
+    """What is said where labels were exchanged throughout."""
+    names = tuple(labels[k] for pair in pairs for k in pair)
+    what = listed([f"{labels[a]} with {labels[b]}" for a, b in pairs])
+    return Finding(
+        "points exchanged",
+        f"markers lie in each other's place on the body throughout: {what}; their labels were "
+        "exchanged",
+        names,
+        value=float(len(pairs)),
+    )

@@ -1,0 +1,1 @@
+"""Files in, files out: what each command does, without its command line."""

@@ -1,0 +1,159 @@
+"""The demo: a real recording, spoiled in two ways, given back without and with HuMoR."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+
+from observations.joints3d import Joints3D
+from observations.markers3d import Markers3D
+from observations.noise import estimate_noise
+from priors.humor.collocation import Collocation
+from priors.humor.prior import Humor
+from priors.pose.prior import PosePrior, PoseWeights
+from recon.body.model import BodyModel
+from recon.core.motion import Motion
+from recon.formats.motions import load_motion
+from recon.jobs.results.outputs import Kind, Output
+from recon.jobs.results.reports import versions
+from recon.jobs.results.writing import writing
+from recon.method.reconstruction import Method, Reconstruction, fit
+from recon.metrics.evaluation import (
+    ObservedPoints,
+    evaluate,
+    joint_errors,
+    observed_errors,
+    smoothness,
+)
+from recon.simulation import points as simulate
+from recon.simulation.points import Corruption
+from recon.view.frames import write_png
+from recon.view.html import write_html
+from recon.view.show.colours import GREY
+from recon.view.show.scene import Figure, Points, Show
+
+Metrics = dict[str, float | None]
+
+
+@dataclass(frozen=True)
+class Case:
+    """One way to spoil the recording."""
+
+    title: str
+    sensor: str
+    """What the sensor tracks: `joints3d` or `markers3d`."""
+    corruption: Corruption
+
+
+CASES: Mapping[str, Case] = {
+    "noisy": Case(
+        "joints, 4 cm noise",
+        "joints3d",
+        Corruption(noise=0.04),
+    ),
+    "occluded": Case(
+        "points of the skin above 0.9 m",
+        "markers3d",
+        Corruption(hide_below=0.9),
+    ),
+}
+SEED = 0
+
+
+def demo(out: Path, *, overwrite: bool = False) -> dict[str, dict[str, Metrics]]:
+    """Reconstruct both cases and write demo.json, demo.html, noisy.html, demo.png and *.npz.
+
+    Returns the metrics by case and method.
+
+    Raises:
+        FileExistsError: when the folder holds files that recon did not write, unless `overwrite`.
+    """
+    report = {"seed": SEED, "cases": {name: case.title for name, case in CASES.items()}}
+    report["versions"] = versions()
+    with writing(Output(out, Kind.FOLDER), report=report, overwrite=overwrite) as (staged,):
+        return _demo(staged)
+
+
+def _demo(out: Path) -> dict[str, dict[str, Metrics]]:
+    from recon.jobs.fit import write_result
+
+    body = BodyModel.load()
+    with resources.as_file(resources.files("recon") / "assets" / "demo.npz") as path:
+        truth = load_motion(path).motion
+    humor = Humor.load(body=body)
+    table: dict[str, dict[str, Metrics]] = {}
+    shows: list[Show] = []
+    for name, case in CASES.items():
+        see = simulate.joints3d if case.sensor == "joints3d" else simulate.markers3d
+        seen = see(truth, body, case.corruption, SEED)
+        noise = estimate_noise(seen.positions, seen.visible)
+        methods: dict[str, Method] = {
+            "pose prior": PosePrior.load(weights=PoseWeights.for_noise(noise)),
+            "HuMoR": Collocation.for_noise(humor, noise),
+        }
+        results = {method: fit([seen[None]], prior, body) for method, prior in methods.items()}
+        table[name] = {"observed": _observed(seen, truth, body)}
+        for method, result in results.items():
+            table[name][method] = _metrics(result, seen, truth, body)
+            shows.append(_show(f"{case.title}: {method}", seen, result, truth))
+        motion = results["HuMoR"].clip(0).detach()
+        write_result(out / f"{name}.npz", motion, body, {"case": case.title, "seed": SEED})
+        write_html(out / ("demo.html" if name == "occluded" else f"{name}.html"), shows[-1])
+    write_png(out / "demo.png", shows)
+    (out / "demo.json").write_text(json.dumps(table, indent=1))
+    return table
+
+
+def _metrics(
+    result: Reconstruction, seen: Joints3D | Markers3D, truth: Motion, body: BodyModel
+) -> Metrics:
+    predicted = seen[None].predict(result.estimate)[0].detach()
+    exact = simulate.exact(seen, truth, body)
+    points = ObservedPoints(predicted.double(), exact.double(), seen.visible)
+    return evaluate(result.clip(0).detach(), truth, body, observed=points)
+
+
+def _observed(seen: Joints3D | Markers3D, truth: Motion, body: BodyModel) -> Metrics:
+    """The data as it is, without any reconstruction; None where it says nothing."""
+    exact = simulate.exact(seen, truth, body)
+    errors = observed_errors(ObservedPoints(seen.positions, exact, seen.visible))
+    metrics: Metrics = {"observed_visible": errors["observed_visible"]}
+    if isinstance(seen, Joints3D):
+        metrics |= joint_errors(seen.positions, exact, None)
+        metrics |= smoothness(seen.positions, exact, seen.fps)
+    return metrics
+
+
+def _show(title: str, seen: Joints3D | Markers3D, result: Reconstruction, truth: Motion) -> Show:
+    predicted = seen[None].predict(result.estimate)[0].detach()
+    model = result.body.model
+    figures = (
+        Figure(model, result.clip(0).detach(), "reconstruction"),
+        Figure(model, truth, "truth", colour=GREY, opacity=0.4),
+    )
+    return Show(title, figures, Points(seen.positions, seen.visible, predicted))
+
+
+COLUMNS = {
+    "joints": "joints_all",
+    "legs": "joints_legs",
+    "seen points": "observed_visible",
+    "hidden points": "observed_hidden",
+    "vertices": "vertices",
+    "below ground": "penetration_dist",
+}
+"""Headings of the table a person reads, and the metrics below them."""
+
+
+def summary(table: Mapping[str, Mapping[str, Metrics]]) -> dict[str, dict[str, float | None]]:
+    """One row per case and method, in centimetres."""
+    rows: dict[str, dict[str, float | None]] = {}
+    for case, methods in table.items():
+        for method, metrics in methods.items():
+            values = {heading: metrics.get(key) for heading, key in COLUMNS.items()}
+            rows[f"{case}: {method}"] = {
+                heading: None if value is None else 100 * value
+                for heading, value in values.items()
+            }
+    return rows

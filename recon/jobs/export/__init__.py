@@ -1,0 +1,1 @@
+"""Motion files in the formats of other programs."""

@@ -1,0 +1,169 @@
+"""What detections, calibrations, scans and depth images hold, and what was assumed in reading."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from observations.people.camera_names import expand, view_name
+from observations.people.tracks import follow
+from recon.formats.calibration.cameras import load_cameras
+from recon.formats.clocks.scan_times import timed
+from recon.formats.clouds.pcd import read_pcd
+from recon.formats.clouds.ply import read_ply
+from recon.formats.clouds.scans import naturally, scan_paths, unit_of_clouds
+from recon.formats.detections.reader import read_keypoints
+from recon.formats.files.json_files import read_json
+from recon.formats.files.png_files import read_png
+from recon.formats.observations import CameraArrays
+
+_CALIBRATIONS = {".toml", ".yml", ".yaml"}
+_LOOKED_AT = 5
+"""Clouds of a folder that are read to tell their unit."""
+
+
+def describe_folder(path: Path) -> dict[str, Any]:
+    """What a folder is of, by the endings of its files.
+
+    Raises:
+        ValueError: when it holds nothing that recon reads, or something damaged.
+    """
+    endings = {one.suffix.lower() for one in path.iterdir() if one.is_file()}
+    if endings & {".ply", ".pcd"}:
+        return _scans(path)
+    if ".png" in endings:
+        return _images(path)
+    views, notes = [], ()
+    try:
+        views, notes = expand([path])
+    except ValueError as error:
+        if endings & _CALIBRATIONS:
+            return describe_calibration(path)
+        raise ValueError(
+            f"{path}: expected a folder of 2D keypoints (.json, .csv, or folders of them), scans "
+            f"(.ply, .pcd), depth images or masks (.png), or a calibration; it has "
+            f"{', '.join(sorted(endings)) or 'no files'}"
+        ) from error
+    if views == [path]:
+        return describe_detections(path)
+    found = {view_name(view): describe_detections(view) for view in views}
+    return {
+        "format": f"2D keypoints of {len(views)} views",
+        **{
+            name: f"{one['frames']} frames, {one['layout']}, {'; '.join(one['people'])}"
+            for name, one in found.items()
+        },
+        "units": "pixels",
+        "fps": None,
+        "decisions": [
+            *notes,
+            *(f"{n}: {d}" for n, one in found.items() for d in one["decisions"]),
+        ],
+    }
+
+
+def describe_json(path: Path) -> dict[str, Any]:
+    """A calibration as in PROX, or detections.
+
+    Raises:
+        ValueError: when it is damaged or neither.
+    """
+    value = read_json(path)
+    if isinstance(value, dict) and "camera_mtx" in value:
+        return describe_calibration(path)
+    return describe_detections(path)
+
+
+def describe_detections(path: Path) -> dict[str, Any]:
+    """2D keypoints of one view and who is in it.
+
+    Raises:
+        FileNotFoundError, ValueError: as `read_keypoints` does.
+    """
+    # fractions of an image stay fractions here: who and what is seen does not depend on its size
+    found = read_keypoints(path, image_size=(1, 1))
+    people = follow(found)
+    first, last = int(found.frame_numbers[0]), int(found.frame_numbers[-1])
+    return {
+        "format": "2D keypoints of one view",
+        "frames": len(found.frame_numbers),
+        "frame_numbers": [first, last],
+        "layout": found.layout,
+        "points": found.pixels.shape[1],
+        "people": [str(track) for track in people],
+        "missing": float((found.confidence <= 0).mean()),
+        "units": "pixels",
+        "fps": None,
+        "decisions": list(found.decisions),
+    }
+
+
+def describe_calibration(path: Path) -> dict[str, Any]:
+    """Cameras, where they stand, and the unit.
+
+    Raises:
+        FileNotFoundError, ValueError: as `load_cameras` does.
+    """
+    found = load_cameras(path)
+    return {
+        "format": "calibration",
+        "cameras": list(found.cameras),
+        **{f"camera {name}": _camera(camera) for name, camera in found.cameras.items()},
+        "unit": found.unit,
+        "decisions": list(found.decisions),
+    }
+
+
+def _camera(camera: CameraArrays) -> str:
+    width, height = camera.image_size
+    focal = f"focal length {camera.camera_matrix[0, 0]:.0f} pixels"
+    lens = "no distortion" if camera.distortion is None else "with distortion"
+    poses = camera.T_camera_world
+    place = "no pose"
+    if poses is not None:
+        x, y, z = np.round(-poses[0, :3, :3].T @ poses[0, :3, 3], 2) + 0.0  # no minus zero
+        moving = "" if len(poses) == 1 else f", moving, {len(poses)} poses"
+        place = f"at ({x:.2f}, {y:.2f}, {z:.2f}) m{moving}"
+    return f"{width} x {height}, {focal}, {lens}, {place}"
+
+
+def _scans(path: Path) -> dict[str, Any]:
+    paths = scan_paths(path)
+    times, fps, decisions = path / "times.csv", None, []
+    if times.exists():
+        fps = timed(times, paths).fps
+    else:
+        decisions.append("no times.csv: give --frame-rate to fit")
+    step = max(len(paths) // _LOOKED_AT, 1)
+    clouds = [
+        read_pcd(one) if one.suffix.lower() == ".pcd" else read_ply(one)[0]
+        for one in paths[::step][:_LOOKED_AT]
+    ]
+    try:
+        unit = unit_of_clouds(clouds, str(path))
+    except ValueError as error:
+        unit = None
+        decisions.append(str(error))
+    else:
+        decisions.append(f"unit {unit}: by the size of the clouds")
+    return {
+        "format": f"scans ({paths[0].suffix.lower()})",
+        "frames": len(paths),
+        "fps": fps,
+        "points": int(np.median([len(cloud) for cloud in clouds])),
+        "units": unit,
+        "decisions": decisions,
+    }
+
+
+def _images(path: Path) -> dict[str, Any]:
+    """Depth images, or pictures of other depth that may be masks, by the first of them."""
+    paths = naturally(one for one in path.iterdir() if one.suffix.lower() == ".png")
+    image = read_png(paths[0])
+    size = {"frames": len(paths), "fps": None, "image_size": [image.shape[1], image.shape[0]]}
+    if image.dtype != np.uint16:
+        return {"format": "images of 8 bits: masks at best", **size}
+    note = "taken for millimetres; fit needs --camera and --frame-rate"
+    seen = image[image > 0]
+    middle = float(np.median(seen)) if len(seen) > 0 else None
+    return {"format": "depth images", **size, "median_of_first": middle, "decisions": [note]}

@@ -1,0 +1,152 @@
+"""What a file holds and what was assumed in reading it."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from observations.people.masks import load_silhouettes
+from recon.formats.bodies.smpl import load_smpl
+from recon.formats.files.opening import existing, load_arrays
+from recon.formats.mocap.reader import read_recording
+from recon.formats.mocap.recording import MarkerRecording
+from recon.formats.motions import load_motion
+from recon.formats.observations import (
+    CameraArrays,
+    KeypointsFile,
+    PositionsFile,
+    load_observation,
+)
+from recon.jobs.info.cameras import (
+    describe_calibration,
+    describe_detections,
+    describe_folder,
+    describe_json,
+)
+
+
+def describe(path: Path) -> dict[str, Any]:
+    """Format, sizes, rate, units and decisions of one file or folder; plain values.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+        ValueError: when it is nothing that recon reads; the message says what was expected.
+    """
+    if path.is_dir():
+        return describe_folder(path)
+    ending = path.suffix.lower()
+    if ending == ".pkl":
+        return _body(path)
+    if ending == ".json":
+        return describe_json(path)
+    if ending == ".csv":
+        return describe_detections(path)
+    if ending in (".toml", ".yml", ".yaml"):
+        return describe_calibration(path)
+    if ending != ".npz":
+        return _recording(path)
+    keys = set(load_arrays(existing(path)))
+    if "kind" in keys:
+        return _observation(path)
+    if "trans" in keys:
+        return _motion(path)
+    if "v_template" in keys:
+        return _body(path)
+    if "camera_matrix" in keys:
+        return describe_calibration(path)
+    if "mask" in keys:
+        masks = load_silhouettes(path)
+        return {"format": "masks", "frames": len(masks.images)}
+    raise ValueError(
+        f"{path}: neither an observation (has `kind`), a motion (`trans`, `poses`), a body "
+        f"(`v_template`), a calibration (`camera_matrix`) nor masks (`mask`); it has "
+        f"{', '.join(sorted(keys))}"
+    )
+
+
+def _motion(path: Path) -> dict[str, Any]:
+    file = load_motion(path)
+    motion = file.motion
+    return {
+        "format": "motion (AMASS .npz)",
+        "frames": motion.frames,
+        "fps": motion.fps,
+        "seconds": motion.frames / motion.fps,
+        "start_time": motion.start_time,
+        "shape_coefficients": motion.shape.shape[-1],
+        "body": file.body,
+        "gender": file.gender,
+        "has_contacts": file.contacts is not None,
+        "has_camera": file.T_world_camera is not None,
+        "units": "metres, z up",
+    }
+
+
+def _observation(path: Path) -> dict[str, Any]:
+    file = load_observation(path)
+    common = {"fps": file.fps, "start_time": file.start_time}
+    if isinstance(file, PositionsFile):
+        return {
+            "format": f"observation: {file.kind}",
+            "frames": len(file.positions),
+            "points": len(file.names),
+            **common,
+            "missing": float(1 - file.visible.mean()) if file.visible.size else 1.0,
+            "ground_known": file.ground_known,
+            "names": list(file.names),
+        }
+    if isinstance(file, KeypointsFile):
+        return {
+            "format": "observation: keypoints2d",
+            "frames": len(file.pixels),
+            "points": file.pixels.shape[1],
+            **common,
+            "layout": file.layout,
+            "missing": float((file.confidence <= 0).mean()) if file.confidence.size else 1.0,
+            "image_size": list(file.camera.image_size),
+            **_pose(file.camera),
+        }
+    return {
+        "format": "observation: points",
+        "frames": int(file.frame.max()) + 1,
+        "points": len(file.points),
+        **common,
+        **({"ground_known": True} if file.camera is None else _pose(file.camera)),
+    }
+
+
+def _pose(camera: CameraArrays) -> dict[str, Any]:
+    """Whether the camera's pose is known, and with it the ground."""
+    poses = camera.T_camera_world
+    return {"poses": 0 if poses is None else len(poses), "ground_known": poses is not None}
+
+
+def _recording(path: Path) -> dict[str, Any]:
+    recording = read_recording(path)
+    names = (
+        recording.marker_names if isinstance(recording, MarkerRecording) else recording.joint_names
+    )
+    facts: dict[str, Any] = {
+        "format": "markers" if isinstance(recording, MarkerRecording) else "skeleton",
+        "frames": recording.frames,
+        "fps": recording.fps,
+        "seconds": recording.frames / recording.fps,
+        "names": list(names),
+        "decisions": list(recording.decisions),
+    }
+    if isinstance(recording, MarkerRecording):
+        facts["missing"] = float(1 - np.mean(recording.visible))
+    else:
+        facts["stature"] = recording.stature
+    return facts
+
+
+def _body(path: Path) -> dict[str, Any]:
+    arrays = load_smpl(path)
+    return {
+        "format": "body model",
+        "vertices": len(arrays.template),
+        "joints": len(arrays.parents),
+        "shape_coefficients": arrays.shape_directions.shape[-1],
+        "pose_correctives": arrays.pose_directions is not None,
+    }

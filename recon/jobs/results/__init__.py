@@ -1,0 +1,1 @@
+"""Where results may be written, and how they are, beside their reports."""

@@ -1,0 +1,91 @@
+"""Reports beside results: what was done, and by which files can be told as recon's own.
+
+A report is a JSON object. Beside what a verb has to say it holds
+
+* `outputs`: SHA-256 of every file that was written with it, by name;
+* `replaces`: the same of the files of a former run that these took the place of. A run that is
+  killed between moving the report and moving its files leaves those behind, still as its own;
+* `report_checksum`: SHA-256 of all its other entries, so that a report that somebody edited is
+  told from one that is as recon wrote it.
+"""
+
+import json
+import platform
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from recon.formats.files.checksums import file_checksum, value_checksum
+
+_OUTPUTS, _REPLACES, _SEAL = "outputs", "replaces", "report_checksum"
+_LARGEST = 1 << 28
+"""Bytes; a larger JSON file is not looked into, and is somebody else's."""
+
+
+@dataclass(frozen=True)
+class Report:
+    """A report that is as recon wrote it."""
+
+    outputs: Mapping[str, str]
+    """SHA-256 by name of file, relative to the report's folder."""
+    replaces: Mapping[str, str]
+    """The same of the files of a former run that were there before."""
+
+    def checksum_if_own(self, name: str, path: Path) -> str | None:
+        """SHA-256 of a file of this name; None where it is not as recon wrote it."""
+        known = {self.outputs.get(name), self.replaces.get(name)} - {None}
+        if len(known) == 0 or not path.is_file():
+            return None
+        found = file_checksum(path)
+        return found if found in known else None
+
+
+def read_report(path: Path) -> Report | None:
+    """The report of a JSON file; None where it is none, or was changed since it was written."""
+    if not path.is_file() or path.stat().st_size > _LARGEST:
+        return None
+    try:
+        found = json.loads(path.read_bytes())
+    except (ValueError, RecursionError):
+        return None
+    if not isinstance(found, dict) or found.pop(_SEAL, None) != value_checksum(found):
+        return None
+    outputs, replaces = found.get(_OUTPUTS), found.get(_REPLACES, {})
+    if not (isinstance(outputs, dict) and isinstance(replaces, dict)):
+        return None
+    return Report(outputs, replaces)
+
+
+def report_text(
+    report: Mapping[str, Any], outputs: Mapping[str, str], replaces: Mapping[str, str]
+) -> str:
+    """A report as the text of its file; what JSON cannot hold is written as `str` shows it.
+
+    Args:
+        report: what a verb has to say.
+        outputs: SHA-256 of the files written with it, by name; empty where the report itself is
+            all that is written.
+        replaces: SHA-256 of recon's own files of these names that are there now.
+    """
+    whole = {**report, _OUTPUTS: dict(outputs)}
+    if len(replaces) > 0:
+        whole[_REPLACES] = dict(replaces)
+    # as a reader will see it: keys are text, tuples are lists
+    whole = json.loads(json.dumps(whole, default=str))
+    return json.dumps({**whole, _SEAL: value_checksum(whole)}, indent=1) + "\n"
+
+
+def versions() -> dict[str, str]:
+    """What the result was made with."""
+    return {
+        "recon": version("motion-recon"),
+        "torch": version("torch"),
+        "python": platform.python_version(),
+    }
+
+
+def checksums(paths: Iterable[Path]) -> dict[str, str]:
+    """SHA-256 of input files by their path, for a report's `inputs`."""
+    return {str(path): file_checksum(path) for path in paths}

@@ -1,0 +1,135 @@
+"""Motion and observation files as a show, drawn to files: what `recon view` does."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from recon.body.identities import height, weight
+from recon.body.model import BodyModel
+from recon.body.motion_files import load_motion_of
+from recon.core.ground import Ground
+from recon.core.motion import Motion
+from recon.formats.motions import MotionFile
+from recon.jobs.results.outputs import Output
+from recon.jobs.results.reports import checksums, versions
+from recon.jobs.results.writing import writing
+from recon.view.show.beside import beside, common
+from recon.view.show.colours import CORAL, GREY
+from recon.view.show.observed import observed
+from recon.view.show.scene import Figure, Show
+
+
+def view_files(
+    motion: Path,
+    *,
+    obs: Sequence[Path] = (),
+    compare: Path | None = None,
+    side: Path | None = None,
+    html: Path | None = None,
+    png: Path | None = None,
+    mp4: Path | None = None,
+    body: Path | None = None,
+    overwrite: bool = False,
+) -> None:
+    """Draw a motion, with what it was fitted to and another motion if given.
+
+    With observations from cameras, the picture and the film also show what each camera sees.
+    `compare` is drawn in the same place at the same times; `side` beside the motion, both from
+    their first frames on for as long as both last, with heights and weights in the legend.
+
+    Raises:
+        FileNotFoundError: when a file does not exist.
+        ValueError: when one is damaged or of another body, or the motions do not overlap in
+            time.
+        FileExistsError: when a file to write is there and recon did not write it, unless
+            `overwrite`.
+    """
+    show = shown(motion, obs=obs, compare=compare, side=side, body=body)
+    every = ((html, draw_html), (png, _draw_png), (mp4, _draw_mp4))
+    asked = [(Output(path), draw) for path, draw in every if path is not None]
+    read = [path for path in (motion, *obs, compare, side, body) if path is not None]
+    report = {"inputs": checksums(read), "versions": versions()}
+    outputs = [output for output, _ in asked]
+    with writing(*outputs, report=report, overwrite=overwrite) as staged:
+        for path, (_, draw) in zip(staged, asked, strict=True):
+            draw(path, show)
+
+
+def shown(
+    motion: Path,
+    *,
+    obs: Sequence[Path] = (),
+    compare: Path | None = None,
+    side: Path | None = None,
+    body: Path | None = None,
+) -> Show:
+    """What `view_files` draws.
+
+    Raises:
+        FileNotFoundError, ValueError: as there.
+    """
+    model = BodyModel.load(body)
+    file = load_motion_of(motion, model)
+    figures: list[Figure] = []
+    if side is None:
+        figures.append(Figure(model, file.motion, motion.stem, contacts=file.contacts))
+    else:
+        other = load_motion_of(side, model)
+        file, second = common(file, other)
+        figures.append(_measured(Figure(model, file.motion, motion.stem)))
+        aside = Figure(model, second, _another(side, motion), CORAL)
+        figures.append(beside(figures[0], _measured(aside)))
+    if compare is not None:
+        other = _meanwhile(load_motion_of(compare, model), file.motion, compare)
+        name = _another(compare, motion)
+        figures.append(Figure(model, other, name, colour=GREY, opacity=0.45))
+    seen = observed(obs, file, model)
+    ground = None if file.ground is None else Ground.create(file.ground[:3], file.ground[3])
+    return Show(motion.stem, tuple(figures), seen.points, seen.cloud, seen.cameras, ground)
+
+
+def _another(path: Path, first: Path) -> str:
+    """Name of a second motion."""
+    return path.stem if path.stem != first.stem else f"{path.stem} (2)"
+
+
+def _measured(figure: Figure) -> Figure:
+    """The figure with its height and weight in its name."""
+    shape = figure.motion.shape
+    tall, heavy = height(figure.body, shape), weight(figure.body, shape)
+    return replace(figure, name=f"{figure.name}: {tall:.2f} m, {heavy:.0f} kg")
+
+
+def draw_html(path: Path, show: Show) -> None:
+    """Draw the page."""
+    from recon.view.html import write_html
+
+    write_html(path, show)
+
+
+def _draw_png(path: Path, show: Show) -> None:
+    from recon.view.frames import write_png
+    from recon.view.panels import write_views_png
+
+    if show.cameras:
+        write_views_png(path, show)
+    else:
+        write_png(path, [show])
+
+
+def _draw_mp4(path: Path, show: Show) -> None:
+    from recon.view.frames import write_mp4
+    from recon.view.panels import write_views_mp4
+
+    if show.cameras:
+        write_views_mp4(path, show)
+    else:
+        write_mp4(path, show)
+
+
+def _meanwhile(file: MotionFile, motion: Motion, path: Path) -> Motion:
+    """Another motion at the times of the first."""
+    try:
+        return file.motion.at(motion.times, motion.fps)
+    except ValueError as error:
+        raise ValueError(f"{path}: cannot be compared: {error}") from error

@@ -1,0 +1,1 @@
+"""How a fit is put together and run: protocols, terms, stages and their loop."""

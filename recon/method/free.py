@@ -1,0 +1,71 @@
+"""No prior: the variables are the motion itself."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from recon.body.model import BodyModel
+from recon.core import rotations as so3
+from recon.core.motion import Motion, carried_translation
+from recon.core.struct import TensorStruct
+from recon.method.protocols import Decoded
+
+
+@dataclass(frozen=True)
+class FreeVariables(TensorStruct):
+    """A motion as steps away from a base: R = base · Exp(step)."""
+
+    translation: Float[Tensor, "*batch time 3"]
+    root: Float[Tensor, "*batch time 3"]
+    """Rotation step of the root, radians."""
+    pose: Float[Tensor, "*batch time 21 3"]
+    """Rotation steps of the body joints, radians."""
+    shape: Float[Tensor, "*batch shape"]
+    base: Float[Tensor, "*batch time 22 3 3"]
+    valid: Bool[Tensor, "*batch time"]
+    fps: float
+    start_time: float
+
+    def carried(self, T: Float[Tensor, "*batch 4 4"], body: BodyModel) -> "FreeVariables":
+        """Variables of the same motion after a rigid transform."""
+        pelvis = body.rest_joints(self.shape)[..., 0, :]
+        root = T[..., None, None, :3, :3] @ self.base[..., :1, :, :]
+        return self.replace(
+            translation=carried_translation(self.translation, T, pelvis),
+            base=torch.cat((root, self.base[..., 1:, :, :]), -3),
+        )
+
+
+@dataclass(frozen=True)
+class FreeMotion:
+    """The trivial prior: every motion is equally likely."""
+
+    def encode(self, motion: Motion) -> FreeVariables:
+        """Steps of zero about the motion; exact."""
+        zero = torch.zeros_like(motion.rotations[..., 0])
+        return FreeVariables(
+            translation=motion.translation,
+            root=zero[..., 0, :],
+            pose=zero[..., 1:, :],
+            shape=motion.shape,
+            base=motion.rotations,
+            valid=motion.valid,
+            fps=motion.fps,
+            start_time=motion.start_time,
+        )
+
+    def decode(self, variables: FreeVariables) -> Decoded:
+        """Apply the steps to their base."""
+        steps = torch.cat((variables.root[..., None, :], variables.pose), -2)
+        return Decoded(
+            Motion(
+                translation=variables.translation,
+                rotations=variables.base @ so3.exp(steps),
+                shape=variables.shape,
+                valid=variables.valid,
+                fps=variables.fps,
+                start_time=variables.start_time,
+            )
+        )

@@ -1,0 +1,200 @@
+"""The entry point: observations in, a motion and the reasons for it out."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol, cast, runtime_checkable
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from recon.body.model import BodyModel, PosedBody
+from recon.core.arrays import finite
+from recon.core.motion import Motion
+from recon.core.scene import Scene
+from recon.core.struct import TensorStruct
+from recon.method.protocols import Estimate, Observation
+from recon.method.stages import Stage, StageReport, Watch, run_stages
+from recon.method.start import Recorded, checked_start
+from recon.method.terms import Term
+from recon.solver.lbfgs import Termination
+
+
+@runtime_checkable
+class Method(Protocol):
+    """How to fit: a prior with the schedule it is fitted by."""
+
+    def stages(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
+        """The minimisations that bring a first guess to the reconstruction."""
+        ...
+
+
+@dataclass(frozen=True)
+class Reconstruction:
+    """A batch of clips given back, and what happened on the way."""
+
+    estimate: Estimate
+    reports: tuple[StageReport, ...]
+
+    @property
+    def motion(self) -> Motion:
+        """The motions, one batch axis (clips)."""
+        return self.estimate.motion
+
+    @property
+    def body(self) -> PosedBody:
+        """The posed bodies; `vertices` are computed on first use."""
+        return self.estimate.body
+
+    @property
+    def contacts(self) -> Float[Tensor, "clips time 22"] | None:
+        """Probability of contact where the prior predicts it."""
+        return self.estimate.decoded.contacts
+
+    @property
+    def failed(self) -> tuple[bool, ...]:
+        """Clips that met nan or inf in some stage; they hold their last finite estimate."""
+        return tuple(
+            any(r.solution.termination[clip] is Termination.NONFINITE for r in self.reports)
+            for clip in range(len(self.motion.translation))
+        )
+
+    def clip(self, index: int) -> Motion:
+        """One clip's motion without its batch axis and padding."""
+        motion = self.motion[index]
+        return motion.window(0, int(motion.valid.sum()))
+
+    def __str__(self) -> str:
+        """Per stage and clip: the weighted energies by term, iterations, and why it ended."""
+        lines: list[str] = []
+        for report in self.reports:
+            solution, names = report.solution, [term.name for term in report.stage.terms]
+            lines.append(f"{report.stage.name}: {report.seconds:.2f} s")
+            for clip, reason in enumerate(solution.termination):
+                energies = solution.trace[clip, -1].tolist()
+                parts = ", ".join(
+                    f"{name} {value:.4g}" for name, value in zip(names, energies, strict=True)
+                )
+                lines.append(
+                    f"  clip {clip}: {parts}; {int(solution.iterations[clip])} iterations, "
+                    f"{int(solution.evaluations[clip])} evaluations; {reason.value}"
+                )
+        return "\n".join(lines)
+
+
+def fit(
+    observations: Sequence[Observation],
+    prior: Method,
+    body: BodyModel | None = None,
+    *,
+    start: Motion | None = None,
+    scene: Scene | None = None,
+    weights: Sequence[float] | None = None,
+    watch: Watch | None = None,
+) -> Reconstruction:
+    """The motion that explains all observations and is likely under the prior.
+
+    Observations of one clip add up; each carries a leading axis of clips, and clips are
+    independent of each other. All are brought to the precision of the body.
+
+    Args:
+        observations: adapters with data inside; the first one gives the first guess.
+        prior: what is likely, and by which stages it is fitted.
+        body: whose motion it is; None is the bundled body.
+        start: a first guess to continue from instead, for example the previous chunk's motion; it
+            covers the time of an observation.
+        scene: what surrounds the motion; None puts every tracked point on the model.
+        weights: multiplier of each observation; None weighs all equally.
+        watch: told about every iteration.
+
+    Raises:
+        ValueError: when there is no observation, their numbers of clips differ, there are not as
+            many weights, or the start does not fit them or the body.
+    """
+    data, body, start, scene, weights = admitted(observations, body, start, scene, weights)
+    return reconstruct(data, prior, body, start=start, scene=scene, weights=weights, watch=watch)
+
+
+Admitted = tuple[list[Observation], BodyModel, Motion | None, Scene | None, Sequence[float] | None]
+"""Observations, body, start, scene and weights that fit each other."""
+
+
+def admitted(
+    observations: Sequence[Observation],
+    body: BodyModel | None,
+    start: Motion | None,
+    scene: Scene | None,
+    weights: Sequence[float] | None,
+) -> Admitted:
+    """The arguments of `fit` in the precision and on the device of the body.
+
+    Raises:
+        ValueError: when they do not fit each other.
+    """
+    if len(observations) == 0:
+        raise ValueError("nothing to fit: expected at least one observation, got none")
+    body = _body_beside(observations[0]) if body is None else body
+    like = body.template
+    data = [_moved(observation, like) for observation in observations]
+    recorded = tuple(one for one in data if isinstance(one, Recorded))
+    if any(len(one.clips) != 1 for one in recorded):
+        raise ValueError(
+            "expected one leading axis of clips, positions (clips, time, points, 3); got leading "
+            f"axes {recorded[0].clips}; add it by indexing with [None]"
+        )
+    if len({one.clips for one in recorded}) > 1:
+        raise ValueError(
+            "expected observations of the same clips, got "
+            f"{', '.join(str(one.clips[0]) for one in recorded)} of them; give all as many"
+        )
+    if start is not None:
+        start = checked_start(start, recorded, body)
+    if weights is not None:
+        weights = [finite(weight, "weights") for weight in weights]
+        if len(weights) != len(observations) or min(weights) < 0:
+            raise ValueError(
+                f"weights: expected {len(observations)} numbers from 0 on, one for each "
+                f"observation, got {weights}"
+            )
+    scene = None if scene is None else scene.to(device=like.device, dtype=like.dtype)
+    return data, body, start, scene, weights
+
+
+def reconstruct(
+    observations: Sequence[Observation],
+    prior: Method,
+    body: BodyModel,
+    *,
+    start: Motion | None = None,
+    scene: Scene | None = None,
+    weights: Sequence[float] | None = None,
+    watch: Watch | None = None,
+) -> Reconstruction:
+    """As `fit`, of arguments that are known to fit each other."""
+    if start is None:
+        with torch.no_grad():
+            start = observations[0].start(body)
+    if scene is None:
+        scene = Scene.create(len(start.translation), like=start.translation)
+    weights = [1.0] * len(observations) if weights is None else weights
+    data = tuple(
+        Term("data" if len(observations) == 1 else f"data {k + 1}", observation, weight)
+        for k, (observation, weight) in enumerate(zip(observations, weights, strict=True))
+    )
+    estimate, reports = run_stages(prior.stages(data), body, start, scene, watch)
+    return Reconstruction(estimate, tuple(reports))
+
+
+def _body_beside(observation: Observation) -> BodyModel:
+    """The bundled body, where the observation is."""
+    body = BodyModel.load()
+    if not isinstance(observation, TensorStruct):
+        return body
+    return body.to(device=next(iter(observation.tensors().values())).device)
+
+
+def _moved(observation: Observation, like: Tensor) -> Observation:
+    """An observation in the precision of the body; one that is no record is left as it is."""
+    if not isinstance(observation, TensorStruct):
+        return observation
+    return cast(Observation, observation.to(device=like.device, dtype=like.dtype))

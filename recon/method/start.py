@@ -1,0 +1,95 @@
+"""A first guess that the caller gives: brought to the body's precision, or refused."""
+
+from typing import Protocol, runtime_checkable
+
+import torch
+
+from recon.body.model import BodyModel
+from recon.core.limits import ORTHOGONALITY, POSITION, SHAPE
+from recon.core.motion import Motion
+
+_SLACK = 1e-3
+"""Frames by which clocks that agree may differ."""
+
+
+@runtime_checkable
+class Recorded(Protocol):
+    """An observation that says which clips it holds and when they were recorded."""
+
+    @property
+    def clips(self) -> tuple[int, ...]:
+        """Its leading axes: (clips,)."""
+        ...
+
+    @property
+    def moments(self) -> int:
+        """How many moments a clip has."""
+        ...
+
+    @property
+    def fps(self) -> float:
+        """Moments per second."""
+        ...
+
+    @property
+    def start_time(self) -> float:
+        """Time of the first moment, seconds."""
+        ...
+
+
+def checked_start(start: Motion, seen: tuple[Recorded, ...], body: BodyModel) -> Motion:
+    """The start with all shape coefficients of the body, in its precision and on its device.
+
+    It covers the time of at least one observation, at any rate; shape coefficients that are
+    missing at the end are zero.
+
+    Raises:
+        ValueError: when it has another number of clips, covers another time, has more shape
+            coefficients than the body, or holds what is no motion of a person.
+    """
+    if start.translation.ndim != 3:
+        raise ValueError(
+            "start: expected one leading axis of clips, translation (clips, time, 3); got the "
+            f"shape {tuple(start.translation.shape)}; add it by indexing with [None]"
+        )
+    counts = sorted({one.clips for one in seen})
+    if counts and (len(start.translation),) not in counts:
+        raise ValueError(
+            f"start: expected a motion of {counts[0][0]} clips, as observed, got "
+            f"{len(start.translation)}"
+        )
+    if seen and not any(_covers(start, one) for one in seen):
+        first = seen[0]
+        frames = int((first.moments - 1) / first.fps * start.fps + _SLACK) + 1
+        raise ValueError(
+            f"start: expected the time of an observation, {_span(first)}: {frames} frames at "
+            f"{start.fps:g} per second from {first.start_time:g} s on; got {start.frames} frames "
+            f"at {start.fps:g} from {start.start_time:g} s on; cut or hold the motion first"
+        )
+    missing = body.shape_size - start.shape.shape[-1]
+    if missing < 0:
+        raise ValueError(
+            f"start: expected at most {body.shape_size} shape coefficients, those of the body "
+            f"{body.name!r}, got {start.shape.shape[-1]}: it is a motion of another body"
+        )
+    product = start.rotations @ start.rotations.mT
+    away = product - torch.eye(3, dtype=product.dtype, device=product.device)
+    POSITION.check(start.translation.detach().cpu(), "start", "translation")
+    ORTHOGONALITY.check(away.detach().abs().cpu(), "start", "rotations")
+    SHAPE.check(start.shape.detach().cpu(), "start", "shape")
+    shape = torch.nn.functional.pad(start.shape, (0, missing))
+    like = body.template
+    return start.replace(shape=shape).to(device=like.device, dtype=like.dtype)
+
+
+def _covers(start: Motion, seen: Recorded) -> bool:
+    """Whether a motion begins with an observation and lasts as long, to within its own frame."""
+    first = (start.start_time - seen.start_time) * start.fps
+    length = (seen.moments - 1) / seen.fps * start.fps
+    spare = length - (start.frames - 1)
+    return abs(first) <= _SLACK and -_SLACK <= spare < 1 - _SLACK
+
+
+def _span(seen: Recorded) -> str:
+    stop = seen.start_time + (seen.moments - 1) / seen.fps
+    return f"{seen.start_time:g} s to {stop:g} s"

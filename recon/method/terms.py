@@ -1,0 +1,107 @@
+"""Weighted terms, and the energies that need no data.
+
+Sums over frames are taken at 30 Hz whatever the motion's rate, so that published weights keep
+their meaning. Frames that do not exist count nothing.
+"""
+
+from dataclasses import dataclass
+from typing import cast
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from recon.core.scene import TILT
+from recon.core.struct import TensorStruct
+from recon.method.protocols import REFERENCE_FPS, Energy, Estimate
+
+
+@dataclass(frozen=True)
+class Term:
+    """One line of an objective: weight × energy."""
+
+    name: str
+    energy: Energy
+    weight: float
+
+    def rows(self, index: Tensor) -> "Term":
+        """The term for some clips of the batch."""
+        if isinstance(self.energy, TensorStruct):
+            return Term(self.name, cast(Energy, self.energy[index]), self.weight)
+        return self
+
+
+def prior_energy(name: str) -> Energy:
+    """One named part of the prior's own -log p."""
+    return lambda estimate: estimate.decoded.energies[name]
+
+
+def shape(estimate: Estimate) -> Float[Tensor, "*batch"]:
+    """|betas|² per second of motion at 30 Hz: -2 log p of a unit-variance shape, per frame.
+
+    HuMoR section 6.5: shape_prior, scaled by the number of frames.
+    """
+    motion = estimate.motion
+    return motion.shape.square().sum(-1) * motion.valid.sum(-1) * (REFERENCE_FPS / motion.fps)
+
+
+def joint_velocity(estimate: Estimate) -> Float[Tensor, "*batch"]:
+    """½ Σ |p_t - p_(t-1)|² of the 22 joints, as displacements per 1/30 s; metres².
+
+    HuMoR section 6.5: joints3d_smooth.
+    """
+    motion = estimate.motion
+    step = estimate.body.joints.diff(dim=-3).square().sum((-1, -2))
+    exists = motion.valid[..., 1:] & motion.valid[..., :-1]
+    return 0.5 * step.where(exists, 0.0).sum(-1) * (motion.fps / REFERENCE_FPS)
+
+
+def joint_acceleration(estimate: Estimate) -> Float[Tensor, "*batch"]:
+    """½ Σ |p_(t+1) - 2 p_t + p_(t-1)|² of the 22 joints, per (1/30 s)²; metres²."""
+    motion = estimate.motion
+    bend = estimate.body.joints.diff(n=2, dim=-3).square().sum((-1, -2))
+    return 0.5 * bend.where(motion.inner(), 0.0).sum(-1) * (motion.fps / REFERENCE_FPS) ** 3
+
+
+def joint_jerk(estimate: Estimate) -> Float[Tensor, "*batch"]:
+    """½ Σ |third difference|² of the 22 joints, per (1/30 s)³; metres²."""
+    motion = estimate.motion
+    bend = estimate.body.joints.diff(n=3, dim=-3).square().sum((-1, -2))
+    exists = motion.inner()[..., 1:] & motion.valid[..., :-3]
+    return 0.5 * bend.where(exists, 0.0).sum(-1) * (motion.fps / REFERENCE_FPS) ** 5
+
+
+def rotation_velocity(estimate: Estimate) -> Float[Tensor, "*batch"]:
+    """Σ (1 - cos angle) of every joint's turn between frames, per 1/30 s: ½ angle² for small ones.
+
+    Computed as ¼ |R_t - R_(t-1)|². Smooths twists that joint positions cannot see.
+    """
+    motion = estimate.motion
+    turned = motion.rotations.diff(dim=-4).square().sum((-1, -2, -3)) / 4
+    exists = motion.valid[..., 1:] & motion.valid[..., :-1]
+    return turned.where(exists, 0.0).sum(-1) * (motion.fps / REFERENCE_FPS)
+
+
+def rest_pose(estimate: Estimate) -> Float[Tensor, "*batch"]:
+    """Σ (1 - cos angle) of the 21 body joints away from the rest pose, at 30 Hz.
+
+    Holds joints that no observation reaches, such as twists about a bone.
+    """
+    motion = estimate.motion
+    body = motion.rotations[..., 1:, :, :]
+    identity = torch.eye(3, dtype=body.dtype, device=body.device)
+    away = (body - identity).square().sum((-1, -2, -3)).where(motion.valid, 0.0) / 4
+    return away.sum(-1) * (REFERENCE_FPS / motion.fps)
+
+
+def offsets(estimate: Estimate) -> Float[Tensor, "*batch"]:
+    """½ Σ |o|² of the tracked points' offsets from their place on the model; metres²."""
+    return 0.5 * estimate.scene.offsets.square().sum((-1, -2))
+
+
+def ground_moved(estimate: Estimate) -> Float[Tensor, "*batch"]:
+    """½ (|turn|² + lift²) of the ground away from the recording's z = 0; radians², metres²."""
+    unknown = estimate.scene.ground
+    assert unknown is not None, "the ground is known: leave this term out"
+    turn = TILT * unknown.tilt
+    return 0.5 * (turn.square().sum(-1) + unknown.lift.square())

@@ -1,0 +1,1 @@
+"""How near a result is to the truth, and how good generated motions are."""

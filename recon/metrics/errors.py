@@ -1,0 +1,123 @@
+"""What is measured, in SI units: position, smoothness, contact, slip and penetration.
+
+A plural name gives one number per sample, so that samples of several clips can be pooled as
+HuMoR pools them (`mean(torch.cat(...))`); a singular name gives the average, or None where there
+is nothing to average. Definitions: HuMoR (ICCV 2021) section 5 and its released evaluation.
+"""
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from recon.core import rotations as so3
+from recon.core.skeleton import CONTACT_JOINTS, FEET
+
+PENETRATION_THRESHOLDS = (0.0, 0.03, 0.06, 0.09, 0.12, 0.15)
+"""Depths below the ground over which the penetration frequency is averaged, metres (HuMoR)."""
+
+
+def mean(
+    samples: Float[Tensor, "*shape"], where: Bool[Tensor, "*shape"] | None = None
+) -> float | None:
+    """Average of the samples, or of those marked; None where there is none."""
+    chosen = samples.flatten() if where is None else samples[where]
+    return chosen.mean().item() if chosen.numel() > 0 else None
+
+
+def point_errors(
+    predicted: Float[Tensor, "*shape 3"], truth: Float[Tensor, "*shape 3"]
+) -> Float[Tensor, "*shape"]:
+    """Distance of every point to its true place, metres."""
+    return (predicted - truth).norm(dim=-1)
+
+
+def root_aligned(joints: Float[Tensor, "*frames joints 3"]) -> Float[Tensor, "*frames joints 3"]:
+    """Joints as seen from the pelvis, metres."""
+    return joints - joints[..., :1, :]
+
+
+def similarity_aligned(
+    points: Float[Tensor, "*frames points 3"], target: Float[Tensor, "*frames points 3"]
+) -> Float[Tensor, "*frames points 3"]:
+    """Every frame's points after the rotation, scale and shift that bring them nearest to target.
+
+    Least squares (Umeyama 1991): R maximises tr(Rᵀ H) with H = Σ y xᵀ of the centred points and
+    s = tr(Rᵀ H) / Σ |x|². The scale of points that coincide is one.
+    """
+    centre, goal = points.mean(-2, keepdim=True), target.mean(-2, keepdim=True)
+    x, y = points - centre, target - goal
+    covariance = y.mT @ x
+    rotation = so3.nearest(covariance)
+    spread = x.square().sum((-2, -1))
+    fitted = (rotation * covariance).sum((-2, -1))
+    scale = torch.where(spread > 0, fitted / torch.where(spread > 0, spread, 1.0), 1.0)
+    return scale[..., None, None] * (x @ rotation.mT) + goal
+
+
+def accelerations(
+    points: Float[Tensor, "*batch time points 3"], fps: float
+) -> Float[Tensor, "*batch inner points 3"]:
+    """Second differences (p[t-1] - 2 p[t] + p[t+1]) fps², m/s²; none at the two ends."""
+    return points.diff(n=2, dim=-3) * fps**2
+
+
+def contact_accuracy(
+    predicted: Bool[Tensor, "*frames 22"], truth: Bool[Tensor, "*frames 22"]
+) -> float | None:
+    """Share of equal labels over HuMoR's nine joints, whose pelvis is never in contact."""
+    joints = list(CONTACT_JOINTS)
+    return mean((predicted == truth)[..., joints].double())
+
+
+def contact_balanced_accuracy(
+    predicted: Bool[Tensor, "*frames 22"],
+    truth: Bool[Tensor, "*frames 22"],
+    joints: tuple[int, ...] = CONTACT_JOINTS,
+) -> float | None:
+    """Mean of the shares of found contacts and of found non-contacts; one half is guessing.
+
+    Over HuMoR's nine joints together, or others such as `FEET`. None where the truth holds only
+    one of the two.
+    """
+    chosen = list(joints)
+    correct, touching = (predicted == truth)[..., chosen].double(), truth[..., chosen]
+    found, spared = mean(correct, touching), mean(correct, ~touching)
+    return None if found is None or spared is None else (found + spared) / 2
+
+
+def slip_speed(
+    joints: Float[Tensor, "*batch time 22 3"],
+    contacts: Bool[Tensor, "*batch time 22"],
+    fps: float,
+) -> float | None:
+    """Mean horizontal speed of ankles and toes from frame to frame while in contact, m/s.
+
+    A step counts when the joint is in contact at both its ends. Contacts of the truth judge a
+    reconstruction; with labels made from its own speed it would be measured by its own yardstick.
+    """
+    feet = list(FEET)
+    steps = joints[..., feet, :2].diff(dim=-3).norm(dim=-1) * fps
+    held = contacts[..., feet]
+    return mean(steps, held[..., 1:, :] & held[..., :-1, :])
+
+
+def penetration_fractions(
+    heights: Float[Tensor, "*samples"], thresholds: tuple[float, ...] = PENETRATION_THRESHOLDS
+) -> tuple[float, ...] | None:
+    """Share of the samples deeper below the ground than each threshold (metres)."""
+    shares = [mean((heights < -depth).double()) for depth in thresholds]
+    return None if None in shares else tuple(share for share in shares if share is not None)
+
+
+def penetration_frequency(heights: Float[Tensor, "*samples"]) -> float | None:
+    """Share of samples below the ground, averaged over 0, 3, ..., 15 cm of depth (HuMoR)."""
+    shares = penetration_fractions(heights)
+    return None if shares is None else sum(shares) / len(shares)
+
+
+def penetration_distance(heights: Float[Tensor, "*samples"]) -> float | None:
+    """Mean depth below the ground, samples above it counting as zero, metres.
+
+    Equals HuMoR's mean depth of the penetrating samples times their share.
+    """
+    return mean((-heights).clamp(min=0))

@@ -1,0 +1,1 @@
+"""Physics of bodies: mass, pressure, zero-moment point, energies and their metrics."""

@@ -1,0 +1,1 @@
+"""Known motions as sensors would have seen them."""

@@ -1,0 +1,246 @@
+"""A known motion as a depth sensor would have seen it: noise, holes, things before it.
+
+Depths come from the rasteriser that draws our pictures, so what hides what is exact to a pixel.
+"""
+
+from dataclasses import dataclass, replace
+from enum import IntEnum
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+
+from recon.body.model import BodyModel
+from recon.core.camera import NEAREST, Camera
+from recon.core.geometry.raster import rasterise
+from recon.core.motion import Motion
+from recon.formats.observations import PointsFile
+from recon.simulation.images import camera_arrays, in_sight
+from recon.simulation.points import Corner, Corruption
+
+POINTS = 4096
+
+
+class Surface(IntEnum):
+    """What a pixel sees."""
+
+    NOTHING = 0
+    BODY = 1
+    BOX = 2
+    GROUND = 3
+
+
+@dataclass(frozen=True)
+class DepthSensor:
+    """How a sensor errs.
+
+    Depth has the standard deviation constant + quadratic (z - 0.4 m)², the law of Nguyen, Izadi
+    & Lovell (2012) for the first Kinect. Surfaces seen from the side give no depth at times, and
+    pixels on an edge lie anywhere between what is before and behind it ("flying pixels").
+    """
+
+    constant: float = 0.0012
+    """Metres."""
+    quadratic: float = 0.0019
+    """Per metre."""
+    grazing: float = 75.0
+    """Degrees between the view and the surface's normal from which on pixels get lost."""
+    lost: float = 0.6
+    """Share of those that is lost."""
+    flying: float = 0.1
+    """Share of the pixels on an edge that fly; the others are lost as `lost` says."""
+    farthest: float = 8.0
+    """Metres."""
+
+    def deviation(self, depth: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
+        """Standard deviation of a depth, metres."""
+        return self.constant + self.quadratic * np.square(depth - 0.4)
+
+
+PERFECT = DepthSensor(constant=0.0, quadratic=0.0, lost=0.0, flying=0.0)
+"""A sensor without error."""
+_EDGE = 0.05
+"""Metres between neighbouring pixels that make an edge."""
+
+
+def depth_points(
+    motion: Motion,
+    body: BodyModel,
+    camera: Camera,
+    corruption: Corruption,
+    seed: int,
+    *,
+    sensor: DepthSensor | None = None,
+    points: int = POINTS,
+    surfaces: tuple[Surface, ...] = (Surface.BODY,),
+) -> PointsFile:
+    """Points of one clip (no batch axis) that a depth sensor sees, in the world.
+
+    The corruption's box stands in the room while it is active and hides what is behind it. Its
+    height hides everything lower, as a thing does that stands before the sensor and ends at that
+    height: surfaces below it and flying pixels that would lie below it give no point. Missing
+    frames show nothing, outliers are points up to half a metre off (so that some may lie below
+    the height), and missing points thin the cloud. The noise is the sensor's.
+
+    Args:
+        motion: the truth.
+        body: whose motion it is.
+        camera: fixed, or one pose per frame; it must look from outside the body.
+        corruption: what stands in the way.
+        seed: of everything random.
+        sensor: how it errs.
+        points: most points of a frame.
+        surfaces: what a segmentation leaves: the body alone, or what is around it as well.
+
+    Raises:
+        ValueError: when the camera sees none of it in any frame.
+    """
+    sensor = DepthSensor() if sensor is None else sensor
+    random, generator = np.random.default_rng(seed), torch.Generator().manual_seed(seed)
+    vertices = body.pose(motion).vertices
+    faces = body.faces.cpu().numpy()
+    active = corruption.active(motion.times).tolist()
+    there = torch.rand(motion.frames, generator=generator) >= corruption.missing_frames
+    poses = camera.T_camera_world.expand(motion.frames, 4, 4)
+    clouds: list[np.ndarray] = []
+    for k in range(motion.frames):
+        view = camera.replace(T_camera_world=poses[k])
+        cloud = np.zeros((0, 3))
+        if there[k]:
+            box = corruption.hide_box if active[k] else None
+            true, surface = depth_image(vertices[k], faces, view, box)
+            depth = measured(true, view, sensor, random)
+            kept = np.isin(surface, surfaces) & (depth > 0)
+            if active[k] and corruption.hide_below is not None:
+                # the true depth as well: noise must not lift a hidden surface into sight
+                kept &= heights(true, view) >= corruption.hide_below
+                kept &= heights(depth, view) >= corruption.hide_below
+            cloud = _sampled(depth, kept, view, corruption, points, random)
+        clouds.append(cloud)
+    if not any(map(len, clouds)):
+        raise ValueError(
+            "the sensor sees nothing of this motion; place it 2 to 4 m away, looking at the body"
+        )
+    joints = body.pose(motion).joints
+    clear = replace(corruption, missing_points=0.0, missing_frames=0.0)
+    return PointsFile(
+        points=np.concatenate(clouds),
+        frame=np.repeat(np.arange(len(clouds)), [len(cloud) for cloud in clouds]),
+        fps=motion.fps,
+        camera=camera_arrays(camera),
+        start_time=motion.start_time,
+        truth_visible=in_sight(joints, camera, clear, motion, generator).numpy(),
+    )
+
+
+def without_pose(file: PointsFile) -> PointsFile:
+    """What a fixed sensor that does not know its place tells: points in its own frame.
+
+    Raises:
+        ValueError: when it has no pose, or moves.
+    """
+    camera = file.camera
+    if camera is None or camera.T_camera_world is None or len(camera.T_camera_world) != 1:
+        raise ValueError("only the pose of a fixed sensor can be left out")
+    T = camera.T_camera_world[0]
+    points = file.points @ T[:3, :3].T + T[:3, 3]
+    return replace(file, points=points, camera=replace(camera, T_camera_world=None))
+
+
+def depth_image(
+    vertices: torch.Tensor,
+    faces: Int[np.ndarray, "faces 3"],
+    camera: Camera,
+    box: tuple[Corner, Corner] | None,
+) -> tuple[Float[np.ndarray, "height width"], Int[np.ndarray, "height width"]]:
+    """Depths of body, box and ground (0 where there is nothing), metres, and which it is."""
+    width, height = camera.image_size
+    projected = camera.project(vertices)
+    in_front = projected.in_front.numpy()
+    near = 1 / projected.depth.double().clamp(min=NEAREST).numpy()
+    drawn = faces[in_front[faces].all(1)]
+    raster = rasterise(projected.pixels.double().numpy(), near, drawn, camera.image_size)
+    layers = [np.full((height, width), np.inf), 1 / np.maximum(raster.nearness, 1e-9)]
+    layers[1][raster.face < 0] = np.inf
+    # world points one metre deep along every pixel's ray
+    u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+    pixels = torch.from_numpy(np.stack([u, v], -1).reshape(-1, 2)).to(vertices)
+    origin = camera.T_world_camera[:3, 3].double().numpy()
+    ray = camera.unproject(pixels, torch.ones_like(pixels[:, 0])).double().numpy() - origin
+    ray = np.where(np.abs(ray) < 1e-12, 1e-12, ray)
+    layers.append(_to_box(origin, ray, box).reshape(height, width))
+    ground = -origin[2] / ray[:, 2]
+    layers.append(np.where(ground > NEAREST, ground, np.inf).reshape(height, width))
+    surface = np.stack(layers).argmin(0)
+    depth = np.take_along_axis(np.stack(layers), surface[None], 0)[0]
+    return np.where(np.isfinite(depth), depth, 0.0), surface
+
+
+def heights(
+    depth: Float[np.ndarray, "height width"], camera: Camera
+) -> Float[np.ndarray, "height width"]:
+    """Height above z = 0 of what every pixel shows at its depth, metres."""
+    v, u = np.indices(depth.shape)
+    pixels = torch.from_numpy(np.stack([u, v], -1).reshape(-1, 2) + 0.5)
+    sensor = camera.to(dtype=torch.float64)
+    points = sensor.unproject(pixels, torch.from_numpy(depth.reshape(-1)).double())
+    return points[:, 2].numpy().reshape(depth.shape)
+
+
+def measured(
+    depth: Float[np.ndarray, "height width"],
+    camera: Camera,
+    sensor: DepthSensor,
+    random: np.random.Generator,
+) -> Float[np.ndarray, "height width"]:
+    """What the sensor makes of true depths; 0 where it finds none."""
+    padded = np.pad(depth, 1, mode="edge")
+    around = np.stack([padded[1:-1, :-2], padded[1:-1, 2:], padded[:-2, 1:-1], padded[2:, 1:-1]])
+    step = np.abs(around - depth)
+    edge = (step > _EDGE).any(0)
+    focal = float(camera.camera_matrix[0, 0])
+    # on a slanted plane neighbouring pixels differ by z / f · tan(angle)
+    slope = np.where(step > _EDGE, 0.0, step).max(0) * focal / np.maximum(depth, NEAREST)
+    slanted = slope > np.tan(np.radians(sensor.grazing))
+    noisy = depth + sensor.deviation(depth) * random.standard_normal(depth.shape)
+    other = np.take_along_axis(around, step.argmax(0)[None], 0)[0]
+    flies = edge & (other > 0) & (random.random(depth.shape) < sensor.flying)
+    noisy = np.where(flies, depth + random.random(depth.shape) * (other - depth), noisy)
+    lost = (edge & ~flies | slanted) & (random.random(depth.shape) < sensor.lost)
+    return np.where((depth > 0) & ~lost & (noisy < sensor.farthest), np.maximum(noisy, 0.0), 0.0)
+
+
+def _sampled(
+    depth: Float[np.ndarray, "height width"],
+    kept: Bool[np.ndarray, "height width"],
+    camera: Camera,
+    corruption: Corruption,
+    count: int,
+    random: np.random.Generator,
+) -> Float[np.ndarray, "points 3"]:
+    """World points of some pixels."""
+    row, column = np.nonzero(kept)
+    some = random.random(len(row)) >= corruption.missing_points
+    row, column = row[some], column[some]
+    if len(row) > count:
+        some = np.sort(random.permutation(len(row))[:count])
+        row, column = row[some], column[some]
+    pixels = torch.from_numpy(np.stack([column, row], 1) + 0.5)
+    sensor = camera.to(dtype=torch.float64)
+    cloud = sensor.unproject(pixels, torch.from_numpy(depth[row, column])).numpy()
+    wild = random.random(len(cloud)) < corruption.outliers
+    return cloud + np.where(wild[:, None], random.random(cloud.shape) - 0.5, 0.0)
+
+
+def _to_box(
+    origin: Float[np.ndarray, "3"],
+    ray: Float[np.ndarray, "rays 3"],
+    box: tuple[Corner, Corner] | None,
+) -> Float[np.ndarray, " rays"]:
+    """Depth at which every ray meets a box; infinity where it passes by (slab test)."""
+    if box is None:
+        return np.full(len(ray), np.inf)
+    a, b = (np.asarray(box[0]) - origin) / ray, (np.asarray(box[1]) - origin) / ray
+    enter = np.minimum(a, b).max(1)
+    leave = np.maximum(a, b).min(1)
+    return np.where((enter < leave) & (enter > NEAREST), enter, np.inf)

@@ -1,0 +1,166 @@
+"""A known motion as cameras would have seen it: keypoints with noise, occluded and missing."""
+
+import math
+from dataclasses import replace
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from observations.correspondences import BodyPoints
+from recon.body.model import BodyModel
+from recon.core.camera import Camera, looking
+from recon.core.motion import Motion
+from recon.formats.observations import CameraArrays, KeypointsFile
+from recon.simulation.points import Corner, Corruption
+
+AIM = 1.0
+"""Height of the point that cameras of a dome look at, metres."""
+_ROOM = 1.15
+"""A dome's cameras see the whole body with this much to spare."""
+_SURE, _UNSURE = 0.95, 0.3
+"""Confidence of a point found exactly, and of one found four standard deviations off."""
+
+
+def dome(
+    motion: Motion,
+    body: BodyModel,
+    camera: Camera,
+    count: int,
+    *,
+    height: float = 1.6,
+    first: float = 0.0,
+) -> tuple[Camera, ...]:
+    """Fixed cameras evenly around one clip, near enough to fill the image, far enough to see all.
+
+    Args:
+        motion: of one clip, no batch axis.
+        body: whose motion it is.
+        camera: its intrinsics.
+        count: how many; two look from directions 90 degrees apart, not from opposite sides.
+        height: of the cameras, metres.
+        first: direction from the body to the first camera, radians from the world's x axis.
+    """
+    joints = body.pose(motion).joints
+    middle = (joints.flatten(0, -2).amin(0) + joints.flatten(0, -2).amax(0)) / 2
+    target = torch.cat((middle[:2], middle.new_tensor([AIM])))
+    reach = (joints[..., :2] - target[:2]).norm(dim=-1).max()
+    tall = joints[..., 2].max().clamp(min=AIM) + 0.15
+    width, rows = camera.image_size
+    focal = camera.camera_matrix[[0, 1], [0, 1]]
+    sideways = _ROOM * reach * (2 * focal[0] / width + 1)
+    upright = _ROOM * torch.maximum(tall - AIM, torch.tensor(AIM)) * 2 * focal[1] / rows + reach
+    distance = torch.maximum(sideways, upright)
+    step = math.tau / 4 if count == 2 else math.tau / max(count, 1)
+    placed = []
+    for k in range(count):
+        angle = first + k * step
+        level = distance * target.new_tensor([math.cos(angle), math.sin(angle)])
+        position = torch.cat((target[:2] + level, target.new_tensor([height])))
+        placed.append(camera.placed(position, target))
+    return tuple(placed)
+
+
+def orbiting(
+    camera: Camera, target: Float[Tensor, "3"], frames: int, angle: float, sway: float = 0.05
+) -> Camera:
+    """A camera carried around a target by an angle (radians), with a walker's sway (metres)."""
+    start = camera.T_world_camera[:3, 3] - target
+    poses = []
+    for k in range(frames):
+        turn = angle * k / max(frames - 1, 1)
+        c, s = math.cos(turn), math.sin(turn)
+        at = start.new_tensor([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ start
+        at = at + sway * start.new_tensor([0.0, math.sin(0.21 * k), math.sin(0.42 * k)])
+        poses.append(looking(target + at, target))
+    return camera.replace(T_camera_world=torch.stack(poses))
+
+
+def keypoints2d(
+    motion: Motion,
+    body: BodyModel,
+    camera: Camera,
+    corruption: Corruption,
+    seed: int,
+    layout: str = "openpose25",
+) -> KeypointsFile:
+    """What a detector finds of one clip (no batch axis) in the image; noise in pixels.
+
+    A box hides what lies behind it. Confidence falls with the error, as detectors know a little
+    of their errors; what is hidden or outside the image has none.
+
+    Args:
+        motion: the truth.
+        body: whose motion it is.
+        camera: fixed, or one pose per frame.
+        corruption: of the image.
+        seed: of everything random.
+        layout: which keypoints.
+    """
+    generator = torch.Generator().manual_seed(seed)
+    posed = body.pose(motion)
+    points = BodyPoints.of_layout(layout, body).of(posed)
+    visible = in_sight(points, camera, corruption, motion, generator)
+    true = camera.project(points).pixels
+    noise = torch.randn(true.shape, generator=generator).to(true)
+    wild = torch.rand(true.shape[:2], generator=generator) < corruption.outliers
+    size = true.new_tensor(camera.image_size)
+    anywhere = torch.rand(true.shape, generator=generator).to(true) * size
+    pixels = torch.where(wild[..., None], anywhere, true + corruption.noise * noise)
+    off = noise.norm(dim=-1) / 4
+    confidence = _SURE - (_SURE - _UNSURE) * off.clamp(max=1)
+    confidence = torch.where(visible, confidence, 0.0)
+    clear = replace(corruption, missing_points=0.0, missing_frames=0.0)
+    truth_visible = in_sight(posed.joints, camera, clear, motion, generator)
+    return KeypointsFile(
+        pixels=torch.where(visible[..., None], pixels, 0.0).double().numpy(),
+        confidence=confidence.double().numpy(),
+        layout=layout,
+        fps=motion.fps,
+        camera=camera_arrays(camera),
+        start_time=motion.start_time,
+        truth_visible=truth_visible.numpy(),
+    )
+
+
+def camera_arrays(camera: Camera) -> CameraArrays:
+    """A camera as files hold it."""
+    poses = camera.T_camera_world
+    return CameraArrays(
+        camera.camera_matrix.double().numpy(),
+        camera.image_size,
+        None if camera.distortion is None else camera.distortion.double().numpy(),
+        (poses if poses.ndim == 3 else poses[None]).double().numpy(),
+    )
+
+
+def in_sight(
+    points: Float[Tensor, "time points 3"],
+    camera: Camera,
+    corruption: Corruption,
+    motion: Motion,
+    generator: torch.Generator,
+) -> Bool[Tensor, "time points"]:
+    """Points that nothing hides from the camera and that lie in its image."""
+    projected = camera.project(points)
+    seen = projected.in_front & camera.in_image(projected.pixels)
+    boxless = replace(corruption, hide_box=None)
+    seen &= boxless.visible(points, generator, motion.times)
+    if corruption.hide_box is not None:
+        origin = camera.T_world_camera[..., :3, 3].expand(len(points), 3)[:, None]
+        blocked = crosses(origin, points, corruption.hide_box)
+        seen &= ~(blocked & corruption.active(motion.times)[:, None])
+    return seen
+
+
+def crosses(
+    origin: Float[Tensor, "*#shape 3"], end: Float[Tensor, "*#shape 3"], box: tuple[Corner, Corner]
+) -> Bool[Tensor, "*shape"]:
+    """Whether the way from one point to another leads through a box (slab test)."""
+    low, high = end.new_tensor(box)
+    way = end - origin
+    way = torch.where(way.abs() < 1e-12, 1e-12, way)
+    a, b = (low - origin) / way, (high - origin) / way
+    enter = torch.minimum(a, b).amax(-1).clamp(min=0)
+    leave = torch.maximum(a, b).amin(-1).clamp(max=1)
+    return enter < leave

@@ -1,0 +1,156 @@
+"""A known motion as a sensor would have seen it: for tests, benchmarks and users' own checks."""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Generator, Tensor
+
+from observations.joints3d import Joints3D
+from observations.markers3d import Markers3D
+from recon.body.landmarks import KEYPOINTS_43, LANDMARKS_16, landmark
+from recon.body.model import BodyModel
+from recon.core.motion import Motion
+
+Corner = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Corruption:
+    """What stands between the truth and the sensor."""
+
+    noise: float = 0.0
+    """Standard deviation of every coordinate, metres; pixels in images."""
+    hide_below: float | None = None
+    """Points lower than this height are hidden, metres."""
+    hide_box: tuple[Corner, Corner] | None = None
+    """Points between these two corners are hidden, metres; in images what lies behind it, too."""
+    during: tuple[float, float] | None = None
+    """Seconds of the motion's clock in which things are hidden; None is always."""
+    missing_points: float = 0.0
+    """Share of points missing at random."""
+    missing_frames: float = 0.0
+    """Share of frames in which nothing is seen, at random."""
+    outliers: float = 0.0
+    """Share of visible points that are up to half a metre off in a random direction."""
+
+    def __post_init__(self) -> None:
+        for name in ("missing_points", "missing_frames", "outliers"):
+            share = getattr(self, name)
+            if not 0 <= share <= 1:
+                raise ValueError(f"{name} is a share between 0 and 1, got {share}")
+        if not self.noise >= 0:
+            raise ValueError(f"noise is a standard deviation, zero or more, got {self.noise}")
+        if self.during is not None and not self.during[0] < self.during[1]:
+            raise ValueError(f"during is from A to B seconds with A < B, got {self.during}")
+
+    def active(self, times: Float[Tensor, " time"]) -> Bool[Tensor, " time"]:
+        """When things are hidden."""
+        first, last = (-math.inf, math.inf) if self.during is None else self.during
+        return (times >= first) & (times < last)
+
+    def visible(
+        self,
+        points: Float[Tensor, "time points 3"],
+        generator: Generator,
+        times: Float[Tensor, " time"],
+    ) -> Bool[Tensor, "time points"]:
+        """Which of the true points the sensor sees."""
+        active = self.active(times)[:, None]
+        time, count = points.shape[:2]
+        seen = torch.rand(time, count, generator=generator) >= self.missing_points
+        seen &= torch.rand(time, 1, generator=generator) >= self.missing_frames
+        if self.hide_below is not None:
+            seen &= (points[..., 2] >= self.hide_below) | ~active
+        if self.hide_box is not None:
+            low, high = points.new_tensor(self.hide_box)
+            seen &= ~(((points >= low) & (points <= high)).all(-1) & active)
+        return seen
+
+    def disturb(
+        self, points: Float[Tensor, "time points 3"], generator: Generator
+    ) -> Float[Tensor, "time points 3"]:
+        """The points with noise and outliers."""
+        noise = torch.randn(points.shape, generator=generator, dtype=torch.float64)
+        wild = torch.rand(points.shape, generator=generator, dtype=torch.float64) - 0.5
+        hit = torch.rand(points.shape[:2], generator=generator) < self.outliers
+        return points + (self.noise * noise + hit[..., None] * wild).to(points)
+
+
+def joints3d(motion: Motion, body: BodyModel, corruption: Corruption, seed: int) -> Joints3D:
+    """All 22 joints of one clip (no batch axis)."""
+    truth = body.pose(motion).joints
+    positions, visible = _observe(truth, corruption, seed, motion.times)
+    return Joints3D(positions, visible, tuple(range(22)), motion.fps, motion.start_time)
+
+
+def markers3d(
+    motion: Motion,
+    body: BodyModel,
+    corruption: Corruption,
+    seed: int,
+    names: tuple[str, ...] = KEYPOINTS_43,
+) -> Markers3D:
+    """Points of the surface of one clip (no batch axis); by default 43 spread over the body."""
+    vertices = tuple(landmark(name) for name in names)
+    truth = body.pose(motion).points(torch.tensor(vertices))
+    positions, visible = _observe(truth, corruption, seed, motion.times)
+    return Markers3D(positions, visible, vertices, motion.fps, motion.start_time)
+
+
+def landmarks3d(
+    motion: Motion,
+    body: BodyModel,
+    corruption: Corruption,
+    seed: int,
+    *,
+    skin_offset: float = 0.01,
+    names: tuple[str, ...] = LANDMARKS_16,
+) -> Markers3D:
+    """Markers of one clip (no batch axis) as a person places them: beside their landmarks.
+
+    Each keeps one offset, N(0, skin_offset² I), in the frame of the bone that carries its vertex.
+
+    Raises:
+        ValueError: when the offset's standard deviation is negative.
+    """
+    if not skin_offset >= 0:
+        raise ValueError(f"skin_offset is a standard deviation, zero or more, got {skin_offset}")
+    vertices = tuple(landmark(name) for name in names)
+    posed = body.pose(motion)
+    bones = body.weights[list(vertices)].argmax(-1)
+    # a stream of its own, so that noise of the same seed is not the offsets again
+    generator = Generator().manual_seed(seed ^ 0x5EED)
+    away = skin_offset * torch.randn(len(names), 3, generator=generator, dtype=torch.float64)
+    turned = (posed.orientations[:, bones] @ away.to(posed.joints)[..., None])[..., 0]
+    truth = posed.points(torch.tensor(vertices)) + turned
+    positions, visible = _observe(truth, corruption, seed, motion.times)
+    return Markers3D(positions, visible, vertices, motion.fps, motion.start_time)
+
+
+def exact(
+    seen: Joints3D | Markers3D, truth: Motion, body: BodyModel
+) -> Float[Tensor, "time points 3"]:
+    """Where the tracked points really were."""
+    posed = body.pose(truth)
+    if isinstance(seen, Joints3D):
+        return posed.joints[..., list(seen.joints), :]
+    return posed.points(torch.tensor(seen.vertices))
+
+
+def visible_joints(
+    motion: Motion, body: BodyModel, corruption: Corruption, seed: int
+) -> Bool[Tensor, "time 22"]:
+    """Which joints of the truth the sensor could have seen; `evaluate` splits errors by it."""
+    generator = torch.Generator().manual_seed(seed)
+    return corruption.visible(body.pose(motion).joints, generator, motion.times)
+
+
+def _observe(
+    truth: Tensor, corruption: Corruption, seed: int, times: Tensor
+) -> tuple[Tensor, Tensor]:
+    generator = torch.Generator().manual_seed(seed)
+    visible = corruption.visible(truth, generator, times)
+    positions = corruption.disturb(truth, generator)
+    return torch.where(visible[..., None], positions, 0.0), visible

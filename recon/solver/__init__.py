@@ -1,0 +1,1 @@
+"""L-BFGS over batches of independent problems: tensors only, nothing of people."""

@@ -1,0 +1,213 @@
+"""L-BFGS over a batch of independent problems that share one function call.
+
+Every element has its own line search, curvature history, convergence and failure; all that is
+shared is the call of the objective, which sees the elements still being worked on. So the result
+of one element does not depend on its neighbours, and one that fails keeps its last finite
+iterate while the others go on.
+
+The solver knows tensors only. Per evaluation it makes one transfer of four numbers per element
+from the device to the host, where the scalar decisions are taken.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Float64, Int64
+from torch import Tensor
+
+from recon.solver.line_search import Wolfe
+from recon.solver.solution import Objective as Objective
+from recon.solver.solution import Progress as Progress
+from recon.solver.solution import Solution as Solution
+from recon.solver.solution import Termination as Termination
+from recon.solver.state import GOES_ON, REASONS, Active, Ledger
+
+
+@dataclass(frozen=True)
+class LBFGS:
+    """Limited-memory BFGS (Nocedal 1980; Liu & Nocedal 1989) with a strong-Wolfe line search.
+
+    Iterates are kept in the type of the start; directions, history and inner products in float64:
+    16 `history` n bytes per element.
+    """
+
+    max_iterations: int = 100
+    """Steps an element may take."""
+    max_evaluations: int | None = None
+    """Evaluations an element may take part in; None is no limit."""
+    history: int = 20
+    """Pairs (step, change of gradient) remembered."""
+    tolerance_decrease: float = 1e-9
+    """Converged once (f_old - f_new) / max(|f_old|, |f_new|) was at most this, `patience` times
+    in a row."""
+    patience: int = 3
+    """Consecutive iterations of too little decrease that count as convergence."""
+    tolerance_gradient: float = 1e-7
+    """Finished once no component of the gradient exceeds this, in the objective's unit per unit
+    of the variable."""
+    c1: float = 1e-4
+    """Sufficient decrease of the line search, as a fraction of the linear prediction."""
+    c2: float = 0.9
+    """Curvature condition of the line search: the slope left over, as a fraction of the first."""
+    max_line_search: int = 20
+    """Evaluations one line search may take."""
+
+    def __post_init__(self) -> None:
+        """Refuse settings under which no step could ever be taken."""
+        if not 0 < self.c1 < self.c2 < 1:
+            raise ValueError(f"expected 0 < c1 < c2 < 1, got c1={self.c1}, c2={self.c2}")
+        for name, least in (
+            ("max_iterations", 0),
+            ("max_evaluations", 1),
+            ("history", 1),
+            ("patience", 1),
+            ("max_line_search", 1),
+            ("tolerance_decrease", 0.0),
+            ("tolerance_gradient", 0.0),
+        ):
+            setting = getattr(self, name)
+            if setting is not None and not setting >= least:
+                raise ValueError(f"{name} must be at least {least}, got {setting}")
+
+    def __call__(
+        self,
+        objective: Objective,
+        start: Float[Tensor, "batch n"],
+        callback: Callable[[Progress], None] | None = None,
+    ) -> Solution:
+        """Minimise `objective` from `start`, each batch element for itself.
+
+        The start is not changed. Exceptions of the objective and of the callback propagate.
+        """
+        with torch.no_grad():
+            return _minimise(self, objective, start.detach(), callback)
+
+
+def _minimise(
+    settings: LBFGS,
+    objective: Objective,
+    start: Float[Tensor, "batch n"],
+    callback: Callable[[Progress], None] | None,
+) -> Solution:
+    if len(start) == 0:
+        return Ledger.open(start, start.new_zeros(0, 0, dtype=torch.float64)).solution()
+    every = torch.arange(len(start), device=start.device)
+    values, gradient = _evaluate(objective, start, every)
+    terms = values.double()
+    value, largest = _to_host(terms.sum(-1), _largest(gradient))
+    resolution = max(torch.finfo(kind).eps for kind in (start.dtype, values.dtype))
+    wolfe = Wolfe(settings.c1, settings.c2, settings.max_line_search, resolution)
+    ledger = Ledger.open(start, terms)
+    active = Active.begin(start, terms, gradient, value, largest, settings.history)
+    reason = _why_not_begin(settings, value, largest)
+    ledger.close(active, reason)
+    active.keep(reason == GOES_ON)
+    active.direction = active.curvature.direction(active.gradient, active.element[:0])
+
+    evaluations = 1
+    while len(active.number) > 0:
+        evaluations += 1
+        searches = active.searches
+        step = torch.from_numpy(searches.step).to(start.device)
+        x = (active.x + step[:, None] * active.direction).to(start.dtype)
+        values, gradient = _evaluate(objective, x, active.element)
+        terms = values.double()
+        value, slope, origin_slope, largest = _to_host(
+            terms.sum(-1),
+            (gradient * active.direction).sum(-1),
+            (active.gradient * active.direction).sum(-1),
+            _largest(gradient),
+        )
+        slope[~np.isfinite(largest)] = np.inf
+        verdict = searches.advance(value, slope, origin_slope, wolfe)
+        active.improve(verdict.improved, x, gradient, terms, largest)
+        ledger.evaluations[active.number] = evaluations
+        spent = settings.max_evaluations is not None and evaluations >= settings.max_evaluations
+        finished = verdict.finished | spent
+        if not finished.any():
+            continue
+        moved = finished & (searches.low[0] > 0)
+        ledger.step(active, moved)
+        active.count_stalls(moved, settings.tolerance_decrease)
+        # Even the full quasi-Newton step promises a decrease too small to count.
+        least = max(settings.tolerance_decrease, resolution) * np.abs(searches.origin)
+        flat = ~active.steepest & ~verdict.unreachable & (-origin_slope <= least)
+        reason = _first_reason(
+            (moved & (active.largest <= settings.tolerance_gradient), Termination.GRADIENT),
+            (moved & (active.stalled >= settings.patience), Termination.CONVERGED),
+            (verdict.unmoved & flat, Termination.CONVERGED),
+            (active.steepest & verdict.unreachable, Termination.NONFINITE),
+            (active.steepest & verdict.unmoved, Termination.LINE_SEARCH),
+            (
+                ledger.iterations[active.number] >= settings.max_iterations,
+                Termination.ITERATION_LIMIT,
+            ),
+            (np.full(len(moved), spent), Termination.EVALUATION_LIMIT),
+        )
+        ledger.close(active, reason)
+        goes_on = reason == GOES_ON
+        active.keep(goes_on)
+        if (finished & goes_on).any():
+            active.turn(finished[goes_on], moved[goes_on])
+        if callback is not None and moved.any():
+            callback(ledger.progress(active, evaluations))
+    return ledger.solution()
+
+
+def _why_not_begin(
+    settings: LBFGS,
+    value: Float64[np.ndarray, " batch"],
+    largest: Float64[np.ndarray, " batch"],
+) -> Int64[np.ndarray, " batch"]:
+    """Reasons to leave an element at its start."""
+    return _first_reason(
+        (~np.isfinite(value) | ~np.isfinite(largest), Termination.NONFINITE),
+        (largest <= settings.tolerance_gradient, Termination.GRADIENT),
+        (np.full(len(value), settings.max_iterations == 0), Termination.ITERATION_LIMIT),
+        (np.full(len(value), settings.max_evaluations == 1), Termination.EVALUATION_LIMIT),
+    )
+
+
+def _evaluate(
+    objective: Objective, x: Float[Tensor, "active n"], element: Int64[Tensor, " active"]
+) -> tuple[Float[Tensor, "active terms"], Float64[Tensor, "active n"]]:
+    """Terms and the gradient of their sum."""
+    x = x.detach().requires_grad_()
+    with torch.enable_grad():
+        terms = objective(x, element)
+        if terms.ndim != 2 or len(terms) != len(x):
+            raise ValueError(
+                f"the objective must return (active, terms) = ({len(x)}, any), "
+                f"got {tuple(terms.shape)}; return one row per element, one column per term"
+            )
+        if x.shape[1] == 0:
+            return terms.detach(), x.detach().double()
+        if not terms.requires_grad:
+            raise ValueError(
+                "the objective's terms do not depend on the variables through autograd; "
+                "compute them from the tensor passed in, without detaching it"
+            )
+        (gradient,) = torch.autograd.grad(terms.sum(), x)
+    return terms.detach(), gradient.double()
+
+
+def _to_host(*rows: Float64[Tensor, " active"]) -> Float64[np.ndarray, "rows active"]:
+    """All of these in one transfer."""
+    return torch.stack(rows).cpu().numpy()
+
+
+def _largest(gradient: Float64[Tensor, "active n"]) -> Float64[Tensor, " active"]:
+    if gradient.shape[1] == 0:
+        return gradient.new_zeros(len(gradient))
+    return gradient.abs().amax(-1)
+
+
+def _first_reason(
+    *cases: tuple[Bool[np.ndarray, " active"], Termination],
+) -> Int64[np.ndarray, " active"]:
+    """For every element the first reason that applies, as its place in REASONS, or GOES_ON."""
+    masks, reasons = zip(*cases, strict=True)
+    places = [np.int64(REASONS.index(reason)) for reason in reasons]
+    return np.select(masks, places, default=np.int64(GOES_ON))

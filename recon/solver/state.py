@@ -1,0 +1,212 @@
+"""Books of a batched solve: the elements still being worked on, and what is known of all."""
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Float64, Int64
+from torch import Tensor
+
+from recon.solver.curvature import Curvature
+from recon.solver.line_search import LineSearches
+from recon.solver.solution import Progress, Solution, Termination
+
+REASONS = tuple(Termination)
+GOES_ON = -1
+
+
+@dataclass
+class Active:
+    """The elements still being worked on, one row each.
+
+    `x` is where an element's line search began, `best` the lowest point it has found.
+    """
+
+    element: Int64[Tensor, " active"]
+    x: Float[Tensor, "active n"]
+    gradient: Float64[Tensor, "active n"]
+    direction: Float64[Tensor, "active n"]
+    best_x: Float[Tensor, "active n"]
+    best_gradient: Float64[Tensor, "active n"]
+    best_terms: Float64[Tensor, "active terms"]
+    curvature: Curvature
+    searches: LineSearches
+    number: Int64[np.ndarray, " active"]
+    """`element`, on the host."""
+    largest: Float64[np.ndarray, " active"]
+    """Largest component of `best_gradient`."""
+    stalled: Int64[np.ndarray, " active"]
+    """Iterations in a row with too little decrease."""
+    steepest: Bool[np.ndarray, " active"]
+    """The line search goes along the gradient: nothing is left to forget."""
+
+    @classmethod
+    def begin(
+        cls,
+        start: Float[Tensor, "active n"],
+        terms: Float64[Tensor, "active terms"],
+        gradient: Float64[Tensor, "active n"],
+        value: Float64[np.ndarray, " active"],
+        largest: Float64[np.ndarray, " active"],
+        history: int,
+    ) -> "Active":
+        """All elements, evaluated at their starts, with no direction chosen yet."""
+        count = len(start)
+        return cls(
+            element=torch.arange(count, device=start.device),
+            x=start,
+            gradient=gradient,
+            direction=torch.zeros_like(gradient),
+            best_x=start,
+            best_gradient=gradient,
+            best_terms=terms,
+            curvature=Curvature.empty(count, start.shape[1], history, start.device),
+            searches=LineSearches.create(value),
+            number=np.arange(count),
+            largest=largest,
+            stalled=np.zeros(count, dtype=np.int64),
+            steepest=np.ones(count, dtype=bool),
+        )
+
+    def improve(
+        self,
+        rows: Bool[np.ndarray, " active"],
+        x: Float[Tensor, "active n"],
+        gradient: Float64[Tensor, "active n"],
+        terms: Float64[Tensor, "active terms"],
+        largest: Float64[np.ndarray, " active"],
+    ) -> None:
+        """Let this trial be the best point of these elements."""
+        self.best_x = _choose(rows, x, self.best_x)
+        self.best_gradient = _choose(rows, gradient, self.best_gradient)
+        self.best_terms = _choose(rows, terms, self.best_terms)
+        self.largest = np.where(rows, largest, self.largest)
+
+    def keep(self, rows: Bool[np.ndarray, " active"]) -> None:
+        """Drop all elements but these."""
+        if rows.all():
+            return
+        index = self.indices(rows)
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, Tensor):
+                setattr(self, field.name, value[index])
+            elif isinstance(value, np.ndarray):
+                setattr(self, field.name, value[rows])
+        self.curvature.keep(index)
+        self.searches.keep(rows)
+
+    def count_stalls(self, moved: Bool[np.ndarray, " active"], tolerance: float) -> None:
+        """Count the steps in a row whose relative decrease was within the tolerance."""
+        old, new = self.searches.origin, self.searches.low[1]
+        small = old - new <= tolerance * np.maximum(np.abs(old), np.abs(new))
+        self.stalled = np.where(moved, np.where(small, self.stalled + 1, 0), self.stalled)
+
+    def turn(
+        self, finished: Bool[np.ndarray, " active"], moved: Bool[np.ndarray, " active"]
+    ) -> None:
+        """Begin new line searches where one has finished.
+
+        An element that moved learns from its step; one that could not forgets its history.
+        """
+        rows = self.indices(moved)
+        self.curvature.forget(self.indices(finished & ~moved))
+        if len(rows) > 0:
+            step = self.best_x[rows].double() - self.x[rows].double()
+            self.curvature.add(rows, step, self.best_gradient[rows] - self.gradient[rows])
+        self.x = _choose(finished, self.best_x, self.x)
+        self.gradient = _choose(finished, self.best_gradient, self.gradient)
+        found = self.curvature.direction(self.gradient, rows)
+        self.direction = _choose(finished, found, self.direction)
+        self.steepest = np.where(finished, ~moved, self.steepest)
+        self.searches.begin(finished, self.searches.low[1].copy())
+
+    def indices(self, rows: Bool[np.ndarray, " active"]) -> Int64[Tensor, " rows"]:
+        """Row numbers, on the device."""
+        return torch.from_numpy(rows.nonzero()[0]).to(self.element.device)
+
+
+@dataclass
+class Ledger:
+    """What is known of the whole batch, active or not."""
+
+    x: Float[Tensor, "batch n"]
+    trace: Float64[Tensor, "batch room terms"]
+    value: Float64[np.ndarray, " batch"]
+    iterations: Int64[np.ndarray, " batch"]
+    evaluations: Int64[np.ndarray, " batch"]
+    termination: list[Termination]
+
+    @classmethod
+    def open(
+        cls,
+        start: Float[Tensor, "batch n"],
+        terms: Float64[Tensor, "batch terms"],
+    ) -> "Ledger":
+        """Every element at its start, having been evaluated once."""
+        batch = len(start)
+        return cls(
+            x=start.clone(),
+            trace=terms[:, None].clone(),
+            value=terms.sum(-1).cpu().numpy().copy(),
+            iterations=np.zeros(batch, dtype=np.int64),
+            evaluations=np.ones(batch, dtype=np.int64),
+            termination=[Termination.ITERATION_LIMIT] * batch,
+        )
+
+    def step(self, active: Active, moved: Bool[np.ndarray, " active"]) -> None:
+        """Enter the iterates that these elements have just reached."""
+        if not moved.any():
+            return
+        number, rows = active.number[moved], active.indices(moved)
+        self.iterations[number] += 1
+        self.value[number] = active.searches.low[1, moved]
+        room = self.trace.shape[1]
+        if self.iterations[number].max() >= room:
+            self.trace = torch.cat((self.trace, torch.zeros_like(self.trace)), 1)
+        iteration = torch.from_numpy(self.iterations[number]).to(rows.device)
+        self.trace[active.element[rows], iteration] = active.best_terms[rows]
+
+    def close(self, active: Active, reason: Int64[np.ndarray, " active"]) -> None:
+        """Enter the end of the elements that have a reason to end."""
+        done = reason != GOES_ON
+        if not done.any():
+            return
+        for number, why in zip(active.number[done], reason[done], strict=True):
+            self.termination[number] = REASONS[why]
+        rows = active.indices(done)
+        self.x[active.element[rows]] = active.best_x[rows]
+
+    def progress(self, active: Active, evaluations: int) -> Progress:
+        """A copy of the numbers, for a callback to keep."""
+        return Progress(
+            evaluations, active.number.copy(), self.iterations.copy(), self.value.copy()
+        )
+
+    def solution(self) -> Solution:
+        """The result, once every element has ended."""
+        device = self.x.device
+        iterations = torch.from_numpy(self.iterations).to(device)
+        longest = int(self.iterations.max(initial=0)) + 1
+        row = torch.arange(longest, device=device).minimum(iterations[:, None])
+        return Solution(
+            x=self.x,
+            value=torch.from_numpy(self.value).to(device),
+            iterations=iterations,
+            evaluations=torch.from_numpy(self.evaluations).to(device),
+            termination=tuple(self.termination),
+            trace=self.trace.gather(1, row[..., None].expand(-1, -1, self.trace.shape[2])),
+        )
+
+
+def _choose(
+    rows: Bool[np.ndarray, " active"],
+    new: Float[Tensor, "active columns"],
+    old: Float[Tensor, "active columns"],
+) -> Float[Tensor, "active columns"]:
+    """`new` in these rows, `old` in the others; a copy only where both occur."""
+    if rows.all():
+        return new
+    if not rows.any():
+        return old
+    return torch.where(torch.from_numpy(rows).to(new.device)[:, None], new, old)

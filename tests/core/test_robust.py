@@ -1,0 +1,112 @@
+"""Robust kernels: what they equal near zero, far out, and in the reference."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from recon.core import robust
+
+GOLDEN = Path(__file__).parents[1] / "golden" / "losses.npz"
+
+
+def numbers(*values: float) -> Tensor:
+    return torch.tensor(values, dtype=torch.float64)
+
+
+@pytest.fixture(scope="module")
+def golden() -> dict[str, Tensor]:
+    with np.load(GOLDEN, allow_pickle=False) as file:
+        names = ("points3d_residual", "points3d_weight", "points3d_scale", "value_points3d")
+        return {name: torch.from_numpy(np.asarray(file[name])) for name in names}
+
+
+def test_kernels_agree_with_squares_near_zero() -> None:
+    small = numbers(0.0, 1e-12, 1e-10)
+    for kernel in (robust.squared(small), robust.huber(small, 0.1)):
+        torch.testing.assert_close(kernel, small, rtol=0, atol=0)
+    torch.testing.assert_close(robust.geman_mcclure(small, 1.0), small, rtol=1e-9, atol=0)
+
+
+def test_huber_is_linear_outside_and_smooth_at_the_edge() -> None:
+    delta = 0.5
+    far = numbers(0.7, 2.0, 3.0)  # 0.7 lies beyond delta, its square within twice delta
+    torch.testing.assert_close(robust.huber(far.square(), delta), 2 * delta * far - delta**2)
+    edge = numbers(delta**2 * (1 - 1e-9), delta**2 * (1 + 1e-9)).requires_grad_()
+    (slope,) = torch.autograd.grad(robust.huber(edge, delta).sum(), edge)
+    torch.testing.assert_close(slope, torch.ones(2, dtype=torch.float64), rtol=0, atol=1e-8)
+
+
+def test_geman_mcclure_saturates_at_sigma_squared() -> None:
+    assert robust.geman_mcclure(numbers(1e12), 100.0).item() == pytest.approx(1e4, rel=1e-7)
+    assert robust.geman_mcclure(numbers(1e4), 100.0).item() == pytest.approx(5e3)
+
+
+@pytest.mark.parametrize(
+    "kernel",
+    [
+        robust.squared,
+        lambda squared: robust.huber(squared, 1.0),
+        lambda squared: robust.geman_mcclure(squared, 1.0),
+    ],
+)
+def test_gradients_are_right_and_finite_at_zero(kernel: object) -> None:
+    residual = numbers(0.0, 0.3, -0.7, 2.5).requires_grad_()
+
+    def energy(e: Tensor) -> Tensor:
+        return kernel(e.square()).sum()  # type: ignore[operator]
+
+    assert torch.autograd.gradcheck(energy, (residual,))
+
+
+def test_median_takes_the_lower_middle_of_those_present() -> None:
+    values = numbers(5.0, 1.0, 4.0, 2.0)
+    everything = torch.ones(4, dtype=torch.bool)
+    assert robust.lower_median(values, everything).item() == 2.0
+    assert robust.lower_median(values, values > 1.5).item() == 4.0
+    assert robust.lower_median(values, ~everything).item() == 0.0
+
+
+def test_bisquare_equals_the_reference(golden: dict[str, Tensor]) -> None:
+    residual = golden["points3d_residual"].flatten(1)
+    scale = robust.mad_scale(residual)
+    weights = robust.bisquare_weights(residual, scale)
+    torch.testing.assert_close(scale, golden["points3d_scale"], rtol=1e-10, atol=0)
+    expected = golden["points3d_weight"].flatten(1)
+    torch.testing.assert_close(weights, expected, rtol=0, atol=1e-10)
+    value = 0.5 * (weights * residual.square()).sum()
+    torch.testing.assert_close(value, golden["value_points3d"], rtol=1e-10, atol=0)
+
+
+def test_scale_of_gaussian_residuals_is_their_standard_deviation() -> None:
+    residual = 0.03 * torch.randn(2, 20000, dtype=torch.float64)
+    scale = robust.mad_scale(residual)
+    torch.testing.assert_close(scale, torch.full_like(scale, 0.03), rtol=0.03, atol=0)
+
+
+def test_absent_samples_change_nothing() -> None:
+    residual = torch.rand(2, 31, dtype=torch.float64)
+    padded = torch.cat((residual, torch.full((2, 9), 100.0, dtype=torch.float64)), -1)
+    present = torch.arange(40).expand(2, 40) < 31
+    torch.testing.assert_close(robust.mad_scale(padded, present), robust.mad_scale(residual))
+
+
+def test_no_spread_means_no_outliers_and_no_nan() -> None:
+    residual = torch.full((1, 8), 0.2, dtype=torch.float64, requires_grad=True)
+    weights = robust.bisquare_weights(residual, robust.mad_scale(residual))
+    assert weights.eq(1).all()
+    nothing = torch.zeros(1, 8, dtype=torch.bool)
+    assert robust.mad_scale(residual, nothing).item() == 0
+
+
+def test_weights_carry_no_gradient() -> None:
+    residual = torch.rand(1, 20, dtype=torch.float64, requires_grad=True)
+    assert not robust.bisquare_weights(residual, robust.mad_scale(residual)).requires_grad
+
+
+def test_the_median_of_one_sample_is_that_sample_and_of_none_zero() -> None:
+    values = numbers(3.0, 5.0, 7.0).expand(3, 3)
+    present = torch.tensor([[False, True, False], [False, False, False], [True, True, False]])
+    assert robust.lower_median(values, present).tolist() == [5.0, 0.0, 3.0]

@@ -1,0 +1,91 @@
+"""Unit and up axis: told by the file or the body, never guessed when ambiguous."""
+
+import numpy as np
+import pytest
+
+from recon.core.units import (
+    METRES,
+    check_declared,
+    check_override,
+    decide_up,
+    head_above_feet,
+    parse_unit,
+    snapped_rate,
+    to_z_up,
+    unit_from_bones,
+    unit_from_markers,
+)
+
+
+@pytest.mark.parametrize("unit", list(METRES))
+@pytest.mark.parametrize("length", [1.05, 1.4, 1.75, 2.15])
+def test_every_unit_is_recognised_by_the_length_of_the_body(unit: str, length: float) -> None:
+    assert unit_from_bones(length / METRES[unit], "clip")[0] == unit
+
+
+@pytest.mark.parametrize("length", [0.5, 5.0, 5000.0, 0.0])
+def test_a_length_of_no_body_is_refused_and_names_the_option(length: float) -> None:
+    with pytest.raises(ValueError, match="--unit"):
+        unit_from_bones(length, "clip")
+
+
+@pytest.mark.parametrize(("extent", "unit"), [(1.6, "m"), (160.0, "cm"), (1600.0, "mm")])
+def test_markers_tell_metric_units_apart(extent: float, unit: str) -> None:
+    assert unit_from_markers(extent, "clip")[0] == unit
+
+
+def test_markers_between_two_units_are_refused() -> None:
+    with pytest.raises(ValueError, match="--unit"):
+        unit_from_markers(10.0, "clip")
+
+
+def test_a_declared_unit_that_makes_a_dwarf_is_refused() -> None:
+    with pytest.raises(ValueError, match="--unit"):
+        check_declared("mm", 1.7, "clip")
+    assert "stated" in check_declared("mm", 1700.0, "clip")
+
+
+def test_an_unknown_unit_is_refused_with_the_known_ones() -> None:
+    with pytest.raises(ValueError, match="inch"):
+        check_override("furlong")
+    assert parse_unit(" Millimeters ") == "mm"
+    assert parse_unit("") is None
+
+
+@pytest.mark.parametrize("up", ["x", "y", "z"])
+def test_turning_to_z_up_is_a_proper_rotation_that_lifts_the_axis(up: str) -> None:
+    turn = to_z_up(up)  # type: ignore[arg-type]
+    assert np.linalg.det(turn) == pytest.approx(1.0)
+    assert np.array_equal(turn @ np.eye(3)["xyz".index(up)], [0, 0, 1])
+
+
+def test_an_upright_body_decides_even_against_the_files_hint() -> None:
+    assert decide_up(np.array([0.1, 0.2, 1.4]), "y", "clip")[0] == "z"
+
+
+def test_a_lying_body_leaves_it_to_the_custom_of_the_format() -> None:
+    assert decide_up(np.array([0.8, 0.7, 0.1]), "y", "clip")[0] == "y"
+
+
+@pytest.mark.parametrize("rise", [None, np.array([0.8, 0.7, 0.1]), np.array([0.0, 0.0, -1.5])])
+def test_an_ambiguous_axis_is_refused_and_names_the_option(rise: np.ndarray | None) -> None:
+    with pytest.raises(ValueError, match="--up"):
+        decide_up(rise, None, "clip")
+
+
+def test_head_and_feet_are_found_among_the_names_of_many_systems() -> None:
+    systems = [
+        ("Head", "LeftToeBase"), ("head", "left_ankle"), ("mixamorig:Head", "mixamorig:LeftFoot"),
+        ("Nick01:LFHD", "Nick01:LHEL"), ("R.Acromium", "R.Toe.Tip"), ("R_Shoulder", "r_calc"),
+        ("CV7", "L_FCC"), ("MAN", "RP5MT"), ("R.ASIS", "R.MT1"), ("LACR", "LCAL"),
+    ]  # fmt: skip
+    positions = np.array([[[0.0, 1.6, 0.0], [0.0, 0.1, 0.0]]])
+    for names in systems:
+        rise = head_above_feet(names, positions, np.ones((1, 2), dtype=bool))
+        assert rise is not None, names
+        assert np.allclose(rise, [0, 1.5, 0]), names
+
+
+def test_rates_hidden_by_rounding_are_whole() -> None:
+    assert snapped_rate(1 / 0.0083333) == 120
+    assert snapped_rate(29.97) == 29.97

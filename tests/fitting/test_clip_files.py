@@ -1,0 +1,100 @@
+"""Files of one clip, end to end: the camera's pose in the result, masks, what does not fit."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from observations.keypoints2d import Keypoints2D
+from recon.core.camera import transform
+from recon.fitting.clip_files import load_clip
+from recon.fitting.settings import FitSettings
+from recon.formats.motions import load_motion
+from recon.formats.observations import save_observation
+from recon.jobs.fit import fit_files
+from recon.simulation.images import camera_arrays, keypoints2d
+from recon.simulation.points import Corruption
+from tests.filmed import NOISE, bundled, cameras, walk
+from tests.keypoint_scene import write_openpose, write_toml
+
+POSE = FitSettings(prior="pose")
+
+
+def observed(folder: Path, posed: bool, name: str = "view") -> Path:
+    camera = cameras(walk(16))[0]
+    file = keypoints2d(walk(16), bundled(), camera, Corruption(noise=NOISE), 0)
+    if not posed:
+        file = replace(file, camera=replace(file.camera, T_camera_world=None))
+    save_observation(folder / f"{name}.npz", file)
+    return folder / f"{name}.npz"
+
+
+def test_a_camera_of_unknown_pose_is_in_the_result(tmp_path):
+    """The motion in both frames: joints in the camera follow from either."""
+    report = fit_files([observed(tmp_path, posed=False)], tmp_path / "out.npz", POSE)
+    assert not report["ground_known"]
+    assert report["warnings"] == []
+    result = load_motion(tmp_path / "out.npz")
+    assert result.T_world_camera is not None
+    assert result.in_camera is not None
+    assert result.joints is not None
+    T = torch.linalg.inv(result.T_world_camera[0])
+    pelvis = bundled().rest_joints(result.motion.shape)[0]
+    seen = result.motion.carried(T, pelvis)
+    torch.testing.assert_close(result.in_camera[:, :3], seen.translation, atol=1e-4, rtol=0)
+    in_camera = transform(T, result.joints)
+    torch.testing.assert_close(bundled().pose(seen).joints, in_camera, atol=1e-4, rtol=0)  # metres
+    torch.testing.assert_close(
+        result.in_camera[:, :3] + pelvis, in_camera[:, 0], atol=1e-4, rtol=0
+    )
+    truth = cameras(walk(16))[0].to_camera(bundled().pose(walk(16)).joints)
+    about = (in_camera - in_camera[:, :1]) - (truth - truth[:, :1])
+    assert about.norm(dim=-1).mean() < 0.09
+    assert abs(float(result.joints[..., 2].amin(-1).median())) < 0.1  # on the ground
+
+
+def test_a_camera_of_known_pose_leaves_the_world_as_it_is(tmp_path):
+    report = fit_files([observed(tmp_path, posed=True)], tmp_path / "out.npz", POSE)
+    assert report["ground_known"]
+    result = load_motion(tmp_path / "out.npz")
+    away = bundled().pose(result.motion).joints - bundled().pose(walk(16)).joints
+    assert away.norm(dim=-1).mean() < 0.09
+    assert report["residuals"][0]["unit"] == "pixels"
+    assert report["residuals"][0]["median"] < 2 * NOISE
+
+
+def test_two_cameras_of_unknown_pose_are_refused(tmp_path):
+    files = [observed(tmp_path, posed=False, name=name) for name in "ab"]
+    with pytest.raises(ValueError, match="nobody knows how they stand to each other"):
+        load_clip(files, POSE, bundled())
+
+
+def test_points_outside_a_mask_are_not_believed(tmp_path):
+    """A detector that guesses the legs behind a table; the silhouette ends above it."""
+    camera = cameras(walk(16))[0]
+    file = keypoints2d(walk(16), bundled(), camera, Corruption(noise=NOISE), 0)
+    hip = int(file.pixels[:, 8, 1].max()) + 30
+    masks = np.zeros((16, 1080, 1920), dtype=bool)
+    masks[:, :hip] = True
+    np.savez_compressed(tmp_path / "masks.npz", mask=masks)
+    people = np.concatenate((file.pixels, file.confidence[..., None]), -1)
+    folder = write_openpose(tmp_path / "cam0", [[person] for person in people])
+    arrays = replace(camera_arrays(camera), distortion=np.zeros(4))
+    calibration = write_toml(tmp_path / "Calib.toml", {"cam0": arrays})
+    settings = FitSettings(
+        prior="pose", camera=calibration, frame_rate=30.0, layout="openpose25",
+        masks=tmp_path / "masks.npz",
+    )  # fmt: skip
+    (seen,) = load_clip([folder], settings, bundled()).observations
+    assert isinstance(seen, Keypoints2D)
+    below = torch.from_numpy(file.pixels[..., 1] > hip + 20)
+    assert below.any()
+    assert (seen.confidence[0][below] == 0).all()
+    assert (seen.confidence[0, :, :9] > 0).any(0).all()
+    whole = replace(settings, masks=None)
+    (unmasked,) = load_clip([folder], whole, bundled()).observations
+    assert isinstance(unmasked, Keypoints2D)
+    assert (unmasked.confidence > 0).all()
+    assert torch.equal(seen.pixels[0][below], torch.zeros_like(seen.pixels[0][below]))

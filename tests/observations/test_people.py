@@ -1,0 +1,99 @@
+"""Following people: gaps are bridged, crossings end tracks, persons are never mixed."""
+
+import numpy as np
+import pytest
+
+from observations.people.tracks import choose, follow
+from recon.formats.detections.records import Detections, Row, gather
+from tests.keypoint_scene import camera, figure, image
+
+
+def seen(place: tuple[float, float], keep: slice = slice(None)) -> np.ndarray:
+    points = image(figure("coco17", place), camera(0, distance=6.0))
+    hidden = np.ones(len(points), bool)
+    hidden[keep] = False
+    points[hidden] = 0
+    return points
+
+
+def scene(rows: list[Row], frames: int = 20) -> Detections:
+    return gather("cam", range(frames), rows, layout="coco17")
+
+
+def test_two_people_in_any_order_stay_themselves():
+    rng = np.random.default_rng(0)
+    rows: list[Row] = []
+    for t in range(20):
+        people = [seen((0, -1 + 0.02 * t)), seen((0, 1 - 0.02 * t))]
+        order = [0, 1] if t == 0 else rng.permutation(2).tolist()
+        rows += [(t, people[k], -1) for k in order]
+    tracks = follow(scene(rows))
+    assert [track.number for track in tracks] == [0, 1]
+    for track, side in zip(tracks, (-1, 1), strict=True):
+        assert track.frame.tolist() == list(range(20))
+        true = np.stack([seen((0, side * (1 - 0.02 * t)))[:, :2] for t in range(20)])
+        assert np.allclose(track.pixels, true)
+    with pytest.raises(ValueError, match=r"persons 0 and 1 .*--person.*20 frames from 0 to 19"):
+        choose(tracks, None, "cam")
+    assert choose(tracks, 1, "cam") is tracks[1]
+    with pytest.raises(ValueError, match=r"no person 2; there are person 0: 20 frames"):
+        choose(tracks, 2, "cam")
+
+
+def test_gaps_and_hidden_legs_do_not_break_a_track_and_the_more_complete_is_chosen():
+    rows: list[Row] = [
+        (t, seen((0, 0.03 * t), slice(0, 11 if t % 2 else 17)), -1)
+        for t in range(20)
+        if not 8 <= t < 12
+    ]
+    rows += [(t, seen((0, -1.5)), -1) for t in range(5)]
+    tracks = follow(scene(rows))
+    assert [len(track.frame) for track in tracks] == [16, 5]
+    assert choose(tracks, None, "cam").number == 0
+
+
+def test_people_who_meet_end_their_tracks_instead_of_swapping():
+    """Two walk through the same place: who is who afterwards cannot be told from centres."""
+    rows: list[Row] = []
+    for t in range(21):
+        if t != 10:
+            rows += [(t, seen((0, -1 + 0.1 * t)), -1), (t, seen((0, 1 - 0.1 * t)), -1)]
+        else:
+            rows.append((t, seen((0, 0)), -1))
+    tracks = follow(scene(rows, 21))
+    sides = [np.sign(track.pixels[:, :, 0].mean(1) - 640) for track in tracks]
+    assert len(tracks) >= 4
+    assert all(track.ended_by is not None for track in tracks[:2])
+    assert all(len(set(side.tolist()) - {0}) <= 1 for side in sides)
+    with pytest.raises(ValueError, match=r"lost at frame \d+ near another"):
+        choose(tracks, None, "cam")
+
+
+def test_one_body_found_twice_or_in_two_pieces_is_one_person():
+    """OpenPose sometimes gives one body twice, or its upper and its lower half apart."""
+    rows: list[Row] = [(t, seen((0, 0)), -1) for t in range(20) if t != 9]
+    rows += [(9, seen((0, 0), slice(0, 11)), -1), (9, seen((0, 0), slice(11, 17)), -1)]
+    rows += [(4, seen((0, 0.01)), -1), (5, seen((0, 0), slice(0, 3)), -1)]
+    tracks = follow(scene(sorted(rows, key=lambda row: row[0])))
+    assert [len(track.frame) for track in tracks] == [20]
+
+
+def test_numbers_of_the_producer_are_believed_unless_they_count_the_people_of_a_frame():
+    crossing: list[Row] = []
+    for t in range(20):
+        crossing += [(t, seen((0, -1 + 0.1 * t)), 7), (t, seen((-2, 1 - 0.1 * t)), 3)]
+    tracks = follow(scene(crossing))
+    assert [len(track.frame) for track in tracks] == [20, 20]
+    counted: list[Row] = []
+    for t in range(20):
+        people = [seen((0, -1)), seen((0, 1))]
+        counted += [(t, one, k) for k, one in enumerate(people[:: 1 if t % 2 else -1])]
+    tracks = follow(scene(counted))
+    assert all(np.ptp(track.pixels[:, 0, 0]) < 1 for track in tracks)
+
+
+def test_detections_of_a_few_points_are_nobody():
+    tracks = follow(scene([(0, seen((0, 0), slice(0, 3)), -1)]))
+    assert tracks == ()
+    with pytest.raises(ValueError, match="nobody shows 4 keypoints"):
+        choose(tracks, None, "cam")
