@@ -44,7 +44,8 @@ COMMANDS: dict[str, tuple[str, ...]] = {
               "2D + depth"),
     "pose2sim": ("pose2sim", "OBSERVATIONS"),
     "slip_sizes": ("slips.sizes", "CORPUS"),
-    "slips": ("slips", "CORPUS", "--good", "300", "--observations", "OBSERVATIONS"),
+    "slips": ("slips", "CORPUS", "--prior", "pose", "--good", "300", "--observations",
+              "OBSERVATIONS"),
     "nearest": ("nearest",),
     "cycles": ("cycles", "CORPUS"),
     "complete_open": ("complete", "CORPUS", "--weights", "open", "--each", "3"),
@@ -75,6 +76,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "solver": ("solver",),
     "speed": ("speed",),
     "fuzz": ("fuzz",),
+    "fuzz_readers": ("fuzz_readers", "--recordings", "RECORDINGS"),
 }  # fmt: skip
 """By result file: the module below benchmarks and its arguments. CORPUS and OBSERVATIONS are
 folders of data, names in capitals besides are folders of runs below --out."""
@@ -93,7 +95,11 @@ def main() -> None:
     run("recon", "convert", "--all", str(data / "mocap"), str(corpus))
     if {"ablations", "cameras"} & set(given.only):
         run("benchmarks.ablations", str(corpus), "--out", str(out / "ablations"))
-    places = {"CORPUS": str(corpus), "OBSERVATIONS": str(data / "observations")}
+    places = {
+        "CORPUS": str(corpus),
+        "OBSERVATIONS": str(data / "observations"),
+        "RECORDINGS": str(data),
+    }
     for name in given.only:
         module, *arguments = COMMANDS[name]
         said = [placed(argument, places, out) for argument in arguments]

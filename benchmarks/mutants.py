@@ -29,7 +29,10 @@ MODULES = {
         "tests/formats/test_npz.py", "tests/formats/test_keypoints.py",
         "tests/core/test_limits.py",
     ),
-    "recon/ingest/markers/fit.py": ("tests/ingest/test_ingest.py",),
+    "recon/ingest/markers/fit.py": (
+        "tests/ingest/test_ingest.py::test_markers_bring_back_the_motion",
+        "tests/ingest/test_markers.py",
+    ),
     "recon/solver/line_search.py": (
         "tests/solver/test_line_search.py", "tests/solver/test_lbfgs.py",
     ),

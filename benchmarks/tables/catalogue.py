@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 
-from benchmarks.tables import bodies, cameras, gait, others, points
+from benchmarks.tables import bodies, cameras, gait, others, points, trust
 from benchmarks.tables.page import Table
 
 TABLES: Mapping[str, Table] = {
@@ -50,4 +50,8 @@ TABLES: Mapping[str, Table] = {
     "humos-noisy": bodies.prior_noisy,
     "humos-hidden": bodies.prior_hidden,
     "physics-fit": bodies.physics,
+    "slips": trust.slips,
+    "false-alarms": trust.false_alarms,
+    "damaged-files": trust.damaged_files,
+    "mutants": trust.mutants,
 }

@@ -1,0 +1,124 @@
+"""Slips and good recordings, damaged files, faults in the code: how far the library is trusted."""
+
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any
+
+from benchmarks.intervals import interval
+from benchmarks.slips.verdict import AS_GOOD
+from benchmarks.tables.values import NONE, markdown, number, result, source
+
+Clips = Sequence[dict[str, Any]]
+"""Verdicts of one slip, clip by clip."""
+
+
+def slips() -> str:
+    """Every slip on test windows: what became of it."""
+    found = result("slips")["slips"]
+    rows = [
+        [key, f"{row['size']:g} {row['unit']}".strip(), *_errors(key, row["clips"]),
+         *_counts(row["clips"])]
+        for key, row in found.items()
+    ]  # fmt: skip
+    every = [clip for row in found.values() for clip in row["clips"]]
+    rows.append(["all", NONE, NONE, NONE, *_counts(every)])
+    headings = ["sensor: slip", "size", "clean", "examined", "as good", "as good or warned",
+                "named"]  # fmt: skip
+    return markdown(headings, rows) + _shares(every) + source("slips")
+
+
+def false_alarms() -> str:
+    """What was said about good windows and is not so."""
+    good = result("slips")["good"]
+    windows, alarms = Counter(map(_kind, good)), Counter[str]()
+    codes: dict[str, Counter[str]] = {}
+    for row in good:
+        said = {alarm["code"] for alarm in row["alarms"]}
+        alarms[_kind(row)] += bool(said)
+        codes.setdefault(_kind(row), Counter()).update(said)
+    rows = [
+        [kind, str(windows[kind]), str(alarms[kind]),
+         ", ".join(f"{n} {code}" for code, n in codes[kind].most_common()) or NONE]
+        for kind in sorted(windows)
+    ]  # fmt: skip
+    share = f"{alarms.total()} ({100 * alarms.total() / len(good):.1f} %)"
+    rows.append(["all", str(len(good)), share, NONE])
+    return markdown(["windows", "fitted", "false alarms", "codes"], rows) + source("slips")
+
+
+def damaged_files() -> str:
+    """Ten thousand mutants through every reader."""
+    found = result("fuzz_readers")
+    rows = [
+        [kind, str(counts.get("refused", 0)), str(counts.get("read", 0)),
+         str(sum(n for name, n in counts.items() if name not in ("refused", "read")))]
+        for kind, counts in found["rows"].items()
+    ]  # fmt: skip
+    slowest, largest = found["slowest"]["seconds"], found["largest"]["bytes"] / 2**20
+    said = f"\n\nThe slowest took {slowest:.1f} CPU s, the largest {largest:.0f} MB."
+    headings = ["kind of file", "refused", "read, values plausible", "faults"]
+    return markdown(headings, rows) + said + source("fuzz_readers")
+
+
+def mutants() -> str:
+    """Small faults in the code that its tests notice."""
+    found = result("mutants")
+    rows = [
+        [f"`{row['module']}`", str(row["mutants"]), str(row["killed"])] for row in found["modules"]
+    ]
+    rows.append(
+        ["all", str(found["mutants"]), f"{found['killed']} ({100 * found['share']:.0f} %)"]
+    )
+    return markdown(["module", "faults tried", "noticed"], rows) + source("mutants")
+
+
+def _errors(key: str, clips: Clips) -> list[str]:
+    """Mean errors of the clean and of the slipped clips: centimetres, or factors for rates."""
+    factor, digits = (1, 2) if ": rate" in key else (100, 1)
+    means = [sum(clip[which] for clip in clips) / len(clips) for which in ("clean", "error")]
+    return [number(value, factor, digits) for value in means]
+
+
+def _counts(clips: Clips) -> list[str]:
+    judged = [clip for clip in clips if _judged(clip)]
+    return [
+        f"{sum(_as_good(clip) for clip in clips)}/{len(clips)}",
+        f"{sum(_caught(clip) for clip in clips)}/{len(clips)}",
+        f"{sum(clip['named'] for clip in judged)}/{len(judged)}",
+    ]
+
+
+def _shares(clips: Clips) -> str:
+    judged = [clip for clip in clips if _judged(clip)]
+    caught = _share([_caught(clip) for clip in clips], clips)
+    named = _share([clip["named"] for clip in judged], judged)
+    return f"\n\nAs good or warned: {caught}. Cause named: {named}."
+
+
+def _share(flags: Sequence[bool], clips: Clips) -> str:
+    """A share in percent with its 95 % interval over clips."""
+    names = [clip["clip"] for clip in clips]
+    found = interval([float(flag) for flag in flags], names, ["all"] * len(names))
+    return f"{100 * found.mean:.1f} % [{100 * found.low:.1f}, {100 * found.high:.1f}]"
+
+
+def _as_good(clip: dict[str, Any]) -> bool:
+    return clip["error"] <= AS_GOOD * clip["clean"]
+
+
+def _caught(clip: dict[str, Any]) -> bool:
+    return _as_good(clip) or bool(clip["warnings"])
+
+
+def _judged(clip: dict[str, Any]) -> bool:
+    """Whether there is a cause to name: a slip that does no harm need not be found."""
+    return not _as_good(clip) or bool(clip["warnings"] or clip["repairs"])
+
+
+def _kind(row: dict[str, Any]) -> str:
+    """Simulated windows by sensor, real ones by their collection."""
+    name = row["window"]
+    for sensor in ("joints3d", "markers3d", "cameras", "camera"):
+        if f" {sensor}: " in name:
+            return f"simulated {sensor}"
+    return f"real {name.split('/')[0]}"
