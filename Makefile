@@ -1,6 +1,7 @@
 # make demo: reconstruct the bundled noisy clip.   make test: lint, types, tests.
 # make test-slow: the tests marked slow, run before a release.
 # make mutants: small faults in some modules, and which of them their tests notice.
+# make docs: the documentation site, in site/.
 # make tables: the tables of README.md and docs/ from benchmarks/results.
 # make bench: those result files themselves (needs RECON_DATA; many hours).
 PYTHON ?= python3
@@ -10,7 +11,7 @@ OUT ?= out
 # On the kernels of other processors, from inputs off by a few units in the last place.
 NUMERICS = $(BIN)/pytest -q -n 2 --dist loadfile -m 'numerics and not slow' --ulps 4
 
-.PHONY: demo test test-slow mutants tables bench clean
+.PHONY: demo test test-slow docs mutants tables bench clean
 
 demo: .venv/installed
 	$(BIN)/recon demo --out demo
@@ -26,6 +27,9 @@ test: .venv/developed
 
 test-slow: .venv/developed
 	$(BIN)/pytest -q -n 2 --dist loadfile -m slow
+
+docs: .venv/developed
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
 
 mutants: .venv/developed
 	$(BIN)/python -m benchmarks.mutants --out benchmarks/results/mutants.json
@@ -48,4 +52,4 @@ bench: .venv/developed
 	touch $@
 
 clean:
-	rm -rf .venv demo $(OUT)
+	rm -rf .venv demo site $(OUT)

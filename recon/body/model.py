@@ -127,8 +127,9 @@ class PosedBody:
     def points(self, vertices: Int[Tensor, " points"]) -> Float[Tensor, "*batch time points 3"]:
         """Some vertices of the surface, metres; no other vertex is touched.
 
-        A shape is shared by all frames of a clip, so skinning is one matrix product:
-        v = [w_vj (x_v, 1)] [R_j ; t_j], points x 4·22 times 4·22 x 3·time (body study, part 4).
+        A shape is shared by all frames of a clip, so skinning is one matrix product: the rows
+        w_vj (x_v, 1) of all vertices v and joints j (points x 4·22) times the stacked matrices
+        `bones` (4·22 x 3·time).
         """
         weights = self.model.weights[vertices]
         unposed = self.model.rest_vertices(self.shape, vertices)
