@@ -114,34 +114,40 @@ def bounded(
 
 @dataclass(frozen=True, init=False)
 class PointCloud(TensorStruct):
-    """Half the squared distance of every observed point from the body's surface; metres².
+    """Points of the body's surface that a depth sensor or a scanner measured.
 
-    The points of a moment come in no order and are not those of the next one.
+    The energy is half the robust squared distance of every point from the surface, in metres².
+    Points have no names: those of one moment do not correspond to those of the next.
     """
 
     points: Float[Tensor, "*batch moments points 3"]
-    """Frame of the recording, metres; zero where not present."""
+    """Positions in metres, in the frame of the recording; zero where not present."""
     present: Bool[Tensor, "*batch moments points"]
+    """Whether a row of `points` holds a point; moments may have different numbers of points."""
     surfels: Surfels
-    """The body's surface."""
+    """The body's surface as discs, to which points are compared."""
     fps: float
+    """Rate of the moments in Hz."""
     start_time: float = 0.0
+    """Time of the first moment, in seconds of the clock that all observations of a clip share."""
     camera: Camera | None = None
-    """Axes (batch, 1) for a fixed sensor, (batch, moments) for a moving one; None where points
-    were seen from all sides. Its pose maps the frame of the recording to the sensor."""
+    """Camera of the sensor, with leading axes (batch, 1) for a fixed sensor and (batch, moments)
+    for a moving one; its pose maps the frame of the recording to the sensor. None for scans from
+    all sides."""
     distance: Callable[[Tensor, Tensor, Tensor], Tensor] = to_discs
-    """What is measured to the nearest vertex: `to_discs` or, as published, `to_vertices`."""
+    """Distance to the nearest vertex: `to_discs` or, as HuMoR published it, `to_vertices`."""
     kernel: Callable[[Tensor, Tensor], Tensor] = tukey
-    """How much a squared distance counts among those of its clip: `tukey`, `reweighted`
-    (as published) or `bounded`."""
+    """Robust kernel over the squared distances of a clip: `tukey`, `bounded` or, as HuMoR
+    published it, `reweighted`."""
     ground_known: bool = True
-    """Whether the recording's z = 0 is the ground."""
+    """Whether the plane z = 0 of the recording is the ground."""
     ground_seen: bool = False
-    """Whether the recording's z = 0 was laid on a plane that the sensor sees."""
+    """Whether the plane z = 0 of the recording was laid on a plane that the sensor sees."""
     pairs: Int[Tensor, "*batch moments points"] | None = None
-    """Disc that each point belongs to, while that is not in question."""
+    """Number of the disc that corresponds to each point, while correspondences are fixed; None
+    finds the nearest in every evaluation."""
     scale: Float[Tensor, "*batch"] | None = None
-    """Of `tukey`, while that is not in question, metres."""
+    """Scale of `tukey` in metres, while correspondences are fixed; None estimates it."""
 
     def __init__(
         self,
@@ -176,16 +182,16 @@ class PointCloud(TensorStruct):
 
     @property
     def clips(self) -> tuple[int, ...]:
-        """Leading axes."""
+        """Sizes of the leading axes; one axis of clips, or none."""
         return tuple(self.points.shape[:-3])
 
     @property
     def moments(self) -> int:
-        """How many moments a clip has."""
+        """Number of moments of a clip."""
         return self.points.shape[-3]
 
     def matched(self, estimate: Estimate) -> "PointCloud":
-        """With pairs and scale held as they are now: a smooth energy."""
+        """The smooth energy whose correspondences and scale are fixed at those of the estimate."""
         with torch.no_grad():
             middles, normals, seen = self._surface(estimate)
             pairs = torch.zeros(self.present.shape, dtype=torch.long, device=self.points.device)
@@ -239,7 +245,7 @@ class PointCloud(TensorStruct):
         return self._from_discs(middles.gather(-2, pick), normals.gather(-2, pick), seen, index)
 
     def _from_pairs(self, estimate: Estimate, pairs: Tensor) -> tuple[Tensor, Tensor]:
-        """The same where only the discs of these pairs are posed."""
+        """Squared distances and presence, where only the discs of these pairs are posed."""
         bones, seen = at_observation_times(
             estimate.body.bones.flatten(-3, -2), estimate.motion,
             fps=self.fps, start_time=self.start_time, moments=self.points.shape[-3],

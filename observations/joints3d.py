@@ -22,21 +22,29 @@ from recon.method.protocols import Estimate
 
 @dataclass(frozen=True, init=False)
 class Joints3D(TensorStruct):
-    """Half the squared distance of every visible joint from the body's; metres²."""
+    """Measured 3D positions of body joints.
+
+    The energy is half the squared distance of every visible joint from the body's joint, in
+    metres².
+    """
 
     positions: Float[Tensor, "*batch moments points 3"]
-    """Frame of the recording, z up, metres; zero where not visible."""
+    """Positions in metres, in the frame of the recording (z up); zero where not visible."""
     visible: Bool[Tensor, "*batch moments points"]
+    """Whether a point was seen at a moment."""
     joints: tuple[int, ...]
-    """The body joint each point is."""
+    """Number of the body joint that each point measures; see `recon.core.skeleton.JOINTS`."""
     fps: float
+    """Rate of the moments in Hz."""
     start_time: float = 0.0
+    """Time of the first moment, in seconds of the clock that all observations of a clip share."""
     kernel: Callable[[Tensor], Tensor] = squared
-    """How much a squared distance counts; see `recon.core.robust`."""
+    """Robust kernel that is applied to squared distances in metres²; see `recon.core.robust`."""
     ground_known: bool = True
-    """Whether the ground is at z = 0."""
+    """Whether the plane z = 0 of the recording is the ground."""
     offset_rows: tuple[int, int] | None = None
-    """Rows of `Scene.offsets` that belong to these points: where they sit away from the joints."""
+    """First row, and the row after the last, of `Scene.offsets` that these points own: constant
+    offsets from the body model that are estimated with the motion. None estimates none."""
 
     def __init__(
         self,
@@ -68,16 +76,16 @@ class Joints3D(TensorStruct):
 
     @property
     def clips(self) -> tuple[int, ...]:
-        """Leading axes."""
+        """Sizes of the leading axes; one axis of clips, or none."""
         return tuple(self.positions.shape[:-3])
 
     @property
     def moments(self) -> int:
-        """How many moments a clip has."""
+        """Number of moments of a clip."""
         return self.positions.shape[-3]
 
     def predict(self, estimate: Estimate) -> Float[Tensor, "*batch time points 3"]:
-        """Where the estimate has the points, world, in its own frames."""
+        """Positions of these points on the estimated body, in the world, metres."""
         points = estimate.body.joints[..., list(self.joints), :]
         return displaced(points, estimate, self.joints, self.offset_rows)
 
@@ -100,7 +108,7 @@ class Joints3D(TensorStruct):
         )  # fmt: skip
 
     def window(self, start: float, stop: float) -> "Joints3D":
-        """What was seen from one time to another, both included, seconds; the clock goes on."""
+        """The part of the observation from one time to another, both included, in seconds."""
         positions, visible, first = moments_between(
             self.positions, self.visible,
             fps=self.fps, start_time=self.start_time, start=start, stop=stop,
@@ -108,7 +116,7 @@ class Joints3D(TensorStruct):
         return self.derived(positions=positions, visible=visible, start_time=first)
 
     def start(self, body: BodyModel) -> Motion:
-        """The rest pose laid on the torso, frame by frame."""
+        """A first guess: the rest pose, aligned with the points of the torso in every frame."""
         rest = body.joint_template.to(self.positions)[list(self.joints)]
         return rigid_start(
             body, rest, self.joints, self.positions, self.visible,

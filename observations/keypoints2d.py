@@ -28,28 +28,32 @@ OFFSET_UNIT = 0.05
 
 @dataclass(frozen=True, init=False)
 class Keypoints2D(TensorStruct):
-    """Half the squared distance of every keypoint from the body's in the image; pixels²."""
+    """2D keypoints that one calibrated camera saw.
+
+    The energy is half the robust squared distance of every keypoint from the projection of the
+    same point of the body, times the square of the confidence, in pixels².
+    """
 
     pixels: Float[Tensor, "*batch moments points 2"]
-    """Free of lens distortion; zero where the confidence is."""
+    """Pixels without lens distortion; zero where the confidence is zero."""
     confidence: Float[Tensor, "*batch moments points"]
-    """0 to 1; 0 is not seen."""
+    """Confidence of the detector, from 0 (not seen) to 1."""
     points: BodyPoints
-    """Where on the body they are."""
+    """The points of the body that the keypoints are detections of."""
     camera: Camera
-    """Axes (batch, 1) for a fixed camera, (batch, moments) for a moving one; no distortion.
-
-    Its pose maps the frame of the recording to the camera.
-    """
+    """Camera without lens distortion. Its leading axes are (batch, 1) for a fixed camera and
+    (batch, moments) for a moving one; its pose maps the frame of the recording to the camera."""
     fps: float
+    """Rate of the moments in Hz."""
     start_time: float = 0.0
+    """Time of the first moment, in seconds of the clock that all observations of a clip share."""
     sigma: float = SIGMA
-    """Pixels from which on an error counts ever less."""
+    """Scale of the robust kernel in pixels: larger errors count less and less."""
     ground_known: bool = True
-    """Whether the recording's z = 0 is the ground."""
+    """Whether the plane z = 0 of the recording is the ground."""
     offset_rows: tuple[int, int] | None = None
-    """Rows of `Scene.offsets` that belong to these points, in units of `OFFSET_UNIT`: where they
-    sit on this person."""
+    """First row, and the row after the last, of `Scene.offsets` that these points own, in units
+    of `OFFSET_UNIT`: constant offsets of the keypoints on this person. None estimates none."""
 
     def __init__(
         self,
@@ -82,12 +86,12 @@ class Keypoints2D(TensorStruct):
 
     @property
     def clips(self) -> tuple[int, ...]:
-        """Leading axes."""
+        """Sizes of the leading axes; one axis of clips, or none."""
         return tuple(self.pixels.shape[:-3])
 
     @property
     def moments(self) -> int:
-        """How many moments a clip has."""
+        """Number of moments of a clip."""
         return self.pixels.shape[-3]
 
     def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:

@@ -22,21 +22,29 @@ from recon.method.protocols import Estimate
 
 @dataclass(frozen=True, init=False)
 class Markers3D(TensorStruct):
-    """Half the squared distance of every visible marker from its point of the skin; metres²."""
+    """Measured 3D positions of markers on the skin.
+
+    The energy is half the squared distance of every visible marker from its vertex of the body,
+    in metres².
+    """
 
     positions: Float[Tensor, "*batch moments points 3"]
-    """Frame of the recording, z up, metres; zero where not visible."""
+    """Positions in metres, in the frame of the recording (z up); zero where not visible."""
     visible: Bool[Tensor, "*batch moments points"]
+    """Whether a marker was seen at a moment."""
     vertices: tuple[int, ...]
-    """The vertex of the body each marker sits on."""
+    """Number of the vertex of the body that each marker sits on."""
     fps: float
+    """Rate of the moments in Hz."""
     start_time: float = 0.0
+    """Time of the first moment, in seconds of the clock that all observations of a clip share."""
     kernel: Callable[[Tensor], Tensor] = squared
-    """How much a squared distance counts; see `recon.core.robust`."""
+    """Robust kernel that is applied to squared distances in metres²; see `recon.core.robust`."""
     ground_known: bool = True
-    """Whether the ground is at z = 0."""
+    """Whether the plane z = 0 of the recording is the ground."""
     offset_rows: tuple[int, int] | None = None
-    """Rows of `Scene.offsets` that belong to these markers: how they stand off the skin."""
+    """First row, and the row after the last, of `Scene.offsets` that these markers own: constant
+    offsets from the body model that are estimated with the motion. None estimates none."""
 
     def __init__(
         self,
@@ -66,12 +74,12 @@ class Markers3D(TensorStruct):
 
     @property
     def clips(self) -> tuple[int, ...]:
-        """Leading axes."""
+        """Sizes of the leading axes; one axis of clips, or none."""
         return tuple(self.positions.shape[:-3])
 
     @property
     def moments(self) -> int:
-        """How many moments a clip has."""
+        """Number of moments of a clip."""
         return self.positions.shape[-3]
 
     def predict(self, estimate: Estimate) -> Float[Tensor, "*batch time points 3"]:
@@ -102,7 +110,7 @@ class Markers3D(TensorStruct):
         )  # fmt: skip
 
     def window(self, start: float, stop: float) -> "Markers3D":
-        """What was seen from one time to another, both included, seconds; the clock goes on."""
+        """The part of the observation from one time to another, both included, in seconds."""
         positions, visible, first = moments_between(
             self.positions, self.visible,
             fps=self.fps, start_time=self.start_time, start=start, stop=stop,

@@ -37,18 +37,18 @@ class AnchorVariables(TensorStruct):
     """One cycle per clip."""
 
     latent: Float[Tensor, "*batch latent"]
-    """Whitened: z = mean + root · latent."""
+    """Whitened code: z = mean + root · latent."""
     shape: Float[Tensor, "*batch shape"]
     turn: Float[Tensor, "*batch turn"]
-    """Step of the cycle's orientation: about the vertical alone, or about three axes."""
+    """Rotation of the cycle from `base`: about the vertical alone, or about three axes."""
     place: Float[Tensor, "*batch 3"]
-    """Step of the cycle's place."""
+    """Translation of the cycle from `base`."""
     begin: Float[Tensor, "*batch"]
-    """When the cycle begins after the first moment."""
+    """Time from the first moment to the beginning of the cycle."""
     bend: Float[Tensor, "*batch modes 60"]
     """Details of the 20 joints that no code has, in scaled cosines of time."""
     shift: Float[Tensor, "*batch modes 3"]
-    """The same of the translation."""
+    """Details of the translation that no code has, in scaled cosines of time."""
     base: Float[Tensor, "*batch 4 4"]
     """T_world_cycle before the steps, metres."""
     valid: Bool[Tensor, "*batch time"]
@@ -145,7 +145,7 @@ class AnchorFrames:
         return anchors.carried(self._placing(x), rest_pelvis(self.body, x.shape))
 
     def rows(self, variables: AnchorVariables) -> Float[Tensor, "*batch 100 124"]:
-        """Rows chi of the codes, in their own frame."""
+        """Parameters chi of the decoded anchors, in the frame of the first anchor."""
         spread = self.weights.spread
         codes = spread.mean + variables.latent @ spread.root.mT
         return self.weights.networks.decode(codes, variables.shape)
@@ -222,7 +222,7 @@ def detailed(
 def _at_times(
     rows: Float[Tensor, "*batch 100 124"], place: Float[Tensor, "*batch time"]
 ) -> Float[Tensor, "*batch time 124"]:
-    """Rows between the anchors, linearly; neighbouring anchors are some milliseconds apart."""
+    """Linear interpolation between anchors, which are some milliseconds apart."""
     place = place.clamp(0, ANCHORS - 1)
     before = place.detach().floor().long().clamp(max=ANCHORS - 2)
     fraction = (place - before)[..., None]

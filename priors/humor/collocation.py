@@ -28,8 +28,8 @@ from recon.method.terms import Term, joint_acceleration, prior_energy, shape
 from recon.solver.lbfgs import LBFGS
 
 _ERROR, _SURPRISE = 100.0, 20.0
-"""Nats of one step beyond which it counts ever less: a step that nobody in the corpus ever made
-says nothing against itself, and the data should tell it."""
+"""Energies of one step, in nats, beyond which it counts less and less. A step that is far from
+the corpus is one that the networks never saw, so the data should decide about it."""
 
 
 @dataclass(frozen=True)
@@ -37,17 +37,17 @@ class CollocationWeights:
     """Multipliers of the unweighted energies, for an observation of weight one."""
 
     pose: PoseWeights
-    """Of the pose density, the shape and what is left of plain smoothness."""
+    """Weights of the pose density, of the shape and of the remaining smoothness."""
     step: float
-    """Of the decoder's error, nats."""
+    """Weight of the squared error of the decoder, in nats per step."""
     latents: float
-    """Of the latents' surprise, nats."""
+    """Weight of the KL divergence of the posterior from the prior, in nats per step."""
     contact_velocity: float
-    """Of ½ c |step|² of joints in contact, metres²."""
+    """Weight of ½ c |step|² in metres², where c is the probability of contact of a joint."""
 
     @classmethod
     def for_noise(cls, noise: float) -> "CollocationWeights":
-        """For observations whose coordinates are off by about `noise` metres.
+        """Weights for observations of a standard deviation of `noise` metres per coordinate.
 
         Chosen on validation subjects (`benchmarks.tune_humor`). A calibrated bound would have
         multipliers of noise² for both of its parts; errors of neighbouring steps repeat each
@@ -66,7 +66,7 @@ class CollocationWeights:
 
 @dataclass(frozen=True, eq=False)
 class CollocatedHumor:
-    """As a prior: a motion in the pose prior's variables, judged by all its steps."""
+    """A prior over motions in the variables of the pose prior, with an energy for every step."""
 
     humor: Humor
     poses: PosePrior
@@ -121,16 +121,16 @@ def _heavy_tailed(nats: Tensor, scale: float) -> Tensor:
 
 @dataclass(frozen=True, eq=False)
 class Collocation:
-    """As a method: stages 1 and 2 under the pose prior, then all steps under HuMoR."""
+    """The default method: stages 1 and 2 under the pose prior, then all steps under HuMoR."""
 
     humor: Humor
     weights: CollocationWeights = field(default_factory=lambda: CollocationWeights.for_noise(0.04))
     start: PoseWeights = field(default_factory=PoseWeights.tuned_joints)
-    """Of stages 1 and 2."""
+    """Weights of stages 1 and 2."""
 
     @classmethod
     def for_noise(cls, humor: Humor, noise: float) -> "Collocation":
-        """For observations whose coordinates are off by about `noise` metres."""
+        """The method for observations of a standard deviation of `noise` metres per coordinate."""
         return cls(humor, CollocationWeights.for_noise(noise), PoseWeights.for_noise(noise))
 
     @cached_property

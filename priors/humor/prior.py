@@ -44,16 +44,17 @@ class HumorVariables(TensorStruct):
     """A first state, as steps of its rotations away from a base, and what follows; at 30 Hz."""
 
     translation: Float[Tensor, "clips 3"]
-    """Metres."""
+    """SMPL translation of the first frame, metres."""
     root: Float[Tensor, "clips 3"]
+    """Rotation vector of the root, relative to `base`, radians."""
     pose: Float[Tensor, "clips 21 3"]
-    """R = base · Exp(step), radians."""
+    """Rotation vectors of the other joints: R = base · Exp(pose), radians."""
     velocity: Float[Tensor, "clips 3"]
-    """Of the translation, and so of the pelvis, m/s."""
+    """Velocity of the pelvis in the first frame, m/s."""
     angular_velocity: Float[Tensor, "clips 3"]
-    """Of the root in the world, rad/s."""
+    """Angular velocity of the root in the world, rad/s."""
     joint_velocities: Float[Tensor, "clips 21 3"]
-    """Of all joints but the pelvis in the world, m/s."""
+    """Velocities in the world of all joints but the pelvis, m/s."""
     latents: Float[Tensor, "clips steps 48"]
     shape: Float[Tensor, "clips shape"]
     base: Float[Tensor, "clips 22 3 3"]
@@ -230,7 +231,7 @@ class Humor:
         return torch.stack(latents, 1)
 
     def pelvis(self, shape: Float[Tensor, "clips shape"]) -> Float[Tensor, "clips 3"]:
-        """Of bodies at rest, horizontally (see `priors.humor.state.rest_pelvis`)."""
+        """Pelvis of the unposed body with its height set to zero, metres; see `rest_pelvis`."""
         return self.body.rest_joints(shape)[:, 0] * shape.new_tensor([1.0, 1.0, 0.0])
 
     @cached_property

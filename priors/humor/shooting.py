@@ -21,7 +21,7 @@ from recon.method.terms import Term, prior_energy, shape
 from recon.solver.lbfgs import LBFGS
 
 FIRST_FRAMES = 15
-"""Of the phase that finds the first state (published)."""
+"""Number of frames of the phase that finds the first state, as published."""
 
 _STATE = frozenset(
     {"translation", "root", "pose", "velocity", "angular_velocity", "joint_velocities"}
@@ -34,9 +34,9 @@ class HumorWeights:
     """Multipliers of the unweighted energies, for an observation of weight one (section 6.9)."""
 
     transition: float
-    """Of -log p of the latents, nats."""
+    """Weight of -log p of the latents, in nats."""
     initial: float
-    """Of -log p of the first state, nats, for every 15 frames."""
+    """Weight of -log p of the first state, in nats, for every 15 frames."""
     shape: float = 1.67e-4
     consistency: float = 1.0
     bones: float = 10.0
@@ -45,18 +45,18 @@ class HumorWeights:
 
     @classmethod
     def published_joints(cls) -> "HumorWeights":
-        """For noisy joints (fit_amass_joints.cfg, stage 3; noise of 4 cm)."""
+        """Published for joints with noise of 4 cm (fit_amass_joints.cfg, stage 3)."""
         return cls(transition=1e-3, initial=1e-3)
 
     @classmethod
     def published_points(cls) -> "HumorWeights":
-        """For points on the surface, partly hidden (fit_amass_keypts.cfg, stage 3)."""
+        """Published for surface points, some hidden (fit_amass_keypts.cfg, stage 3)."""
         return cls(transition=5e-4, initial=5e-4)
 
 
 @dataclass(frozen=True)
 class Schedule:
-    """Iterations of the three phases at most; published: 600, 500 and 300."""
+    """Largest numbers of iterations of the three phases; 600, 500 and 300 were published."""
 
     first: int = 150
     latents: int = 120
@@ -68,15 +68,15 @@ class Schedule:
 class Shooting:
     """Stages 1 and 2 under the pose prior, then HuMoR's three phases (section 6.8).
 
-    All that is moved is a first state, the latents and the shape; the motion is what the decoder
-    makes of them.
+    The optimised variables are a first state, the latents and the shape. The decoder computes the
+    motion from them.
     """
 
     prior: Humor
     weights: HumorWeights = field(default_factory=HumorWeights.published_joints)
     schedule: Schedule = field(default_factory=Schedule)
     poses: PoseWeights = field(default_factory=PoseWeights.tuned_joints)
-    """Of stages 1 and 2."""
+    """Weights of stages 1 and 2."""
 
     def stages(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
         """Root, poses; the first 15 frames; then, the first state held, all latents; then all.

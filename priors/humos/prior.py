@@ -43,13 +43,13 @@ class HumosVariables(TensorStruct):
     """Whitened codes, 0.4 s apart, or one."""
     shape: Float[Tensor, "*batch shape"]
     turn: Float[Tensor, "*batch"]
-    """Step of the heading."""
+    """Rotation of the heading from `base`."""
     place: Float[Tensor, "*batch 2"]
-    """Step of the place on the ground."""
+    """Translation on the ground from `base`."""
     bend: Float[Tensor, "*batch time 22 3"]
     """Details of the orientations, in scaled cosines of time."""
     shift: Float[Tensor, "*batch time 3"]
-    """The same of the place on the ground and of the height."""
+    """Details of the position on the ground and of the height, in scaled cosines of time."""
     base: Float[Tensor, "*batch 4 4"]
     """T_world_frames before the steps, metres."""
     valid: Bool[Tensor, "*batch time"]

@@ -42,14 +42,14 @@ class PoseWeights:
     """
 
     pose: float
-    """Of |z|², the squared Mahalanobis distance of every pose, summed over frames."""
+    """Weight of |z|², the squared Mahalanobis distance of every pose, summed over frames."""
     shape: float
-    """Of |betas|² times the number of frames."""
+    """Weight of |betas|² times the number of frames."""
     velocity: float = 0.0
-    """Of ½ |step|² of the 22 joints from frame to frame, metres²."""
+    """Weight of ½ |step|² of the 22 joints from frame to frame, metres²."""
     acceleration: float = 0.0
-    """Of ½ |second difference|² of the 22 joints, metres². Unlike `velocity` it does not slow
-    motion down."""
+    """Weight of ½ |second difference|² of the 22 joints, metres². Unlike `velocity`, it does not
+    slow the motion down."""
 
     def __post_init__(self) -> None:
         """Refuse weights that reward what they should punish."""
@@ -59,17 +59,17 @@ class PoseWeights:
 
     @classmethod
     def published_joints(cls) -> "PoseWeights":
-        """HuMoR's for noisy joints (fit_amass_joints.cfg, stage 2; noise of 4 cm)."""
+        """HuMoR's weights for noisy joints (fit_amass_joints.cfg, stage 2; noise of 4 cm)."""
         return cls(pose=2e-4, shape=1.67e-4, velocity=10.0)
 
     @classmethod
     def published_points(cls) -> "PoseWeights":
-        """HuMoR's for points on the surface, partly hidden (fit_amass_keypts.cfg, stage 2)."""
+        """HuMoR's weights for surface points, some hidden (fit_amass_keypts.cfg, stage 2)."""
         return cls(pose=2e-4, shape=1.67e-4, velocity=0.1)
 
     @classmethod
     def for_noise(cls, noise: float) -> "PoseWeights":
-        """For observations whose coordinates are off by about `noise` metres.
+        """Weights for observations of a standard deviation of `noise` metres per coordinate.
 
         Both tuned presets lie on this curve: pose and acceleration weights grow with the square
         of the noise, the shape's matters little. Even perfect points need the 8 mm by which a
@@ -80,12 +80,12 @@ class PoseWeights:
 
     @classmethod
     def tuned_joints(cls) -> "PoseWeights":
-        """Chosen on validation subjects for joints with 4 cm of noise."""
+        """Weights chosen on validation subjects for joints with 4 cm of noise."""
         return cls.for_noise(0.04)
 
     @classmethod
     def tuned_points(cls) -> "PoseWeights":
-        """Chosen on validation subjects for accurate points, many of them hidden."""
+        """Weights chosen on validation subjects for accurate points, many of them hidden."""
         return cls.for_noise(0.0)
 
 

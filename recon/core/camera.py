@@ -38,7 +38,7 @@ class Projection(TensorStruct):
 
 @dataclass(frozen=True)
 class Camera(TensorStruct):
-    """A calibrated camera: x right, y down, z forward (OpenCV); fixed or moving.
+    """A calibrated camera, fixed or moving; its axes are x right, y down, z forward (OpenCV).
 
     The leading axes of the three tensors broadcast against those of the points: none for a fixed
     camera, (time,) for a moving one, (batch, time or 1) for a batch of clips.

@@ -103,7 +103,7 @@ class Motion(TensorStruct):
     def carried(
         self, T: Float[Tensor, "*batch 4 4"], pelvis: Float[Tensor, "*batch 3"]
     ) -> "Motion":
-        """The same motion after a rigid transform, given the pelvis of the unposed body."""
+        """The motion after a rigid transform T, given the pelvis of the unposed body (metres)."""
         root = T[..., None, None, :3, :3] @ self.rotations[..., :1, :, :]
         return self.replace(
             translation=carried_translation(self.translation, T, pelvis),
@@ -111,7 +111,7 @@ class Motion(TensorStruct):
         )
 
     def resample(self, fps: float) -> "Motion":
-        """The same motion at another rate, from the same first moment."""
+        """The motion at another rate (Hz), beginning at the same time."""
         if fps == self.fps:
             return self
         count = int((self.frames - 1) / self.fps * fps + 1e-6) + 1

@@ -19,7 +19,7 @@ class Residuals(TensorStruct):
     """
 
     values: Float[Tensor, "*batch moments points dims"]
-    """In `unit`: three coordinates in the frame of the recording, or two in the image."""
+    """Three coordinates in the frame of the recording, or two in the image, in `unit`."""
     weights: Float[Tensor, "*batch moments points"]
     """How much a point counts: 0 where it was not seen or the estimate does not cover its moment,
     the confidence of a detection, 1 for a measured point."""

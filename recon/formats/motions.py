@@ -33,12 +33,12 @@ class MotionFile:
     body: str | None = None
     """Name of the body model whose shape coefficients the motion has."""
     checksum: str | None = None
-    """Of that body model, `BodyModel.checksum`."""
+    """`BodyModel.checksum` of that body model."""
     gender: str = "neutral"
     joints: Float[Tensor, "time 22 3"] | None = None
-    """World frame, metres."""
+    """Joint positions in the world, metres."""
     contacts: Float[Tensor, "time 22"] | None = None
-    """Probability of contact."""
+    """Probability, from 0 to 1, that a joint is in contact with the ground."""
     ground: Float[Tensor, "4"] | None = None
     """(nx, ny, nz, d): the points x of the ground have n·x = d, metres."""
     joint_std: Float[Tensor, "time 22"] | None = None
@@ -46,9 +46,9 @@ class MotionFile:
     observed: Bool[Tensor, "time 22"] | None = None
     """False where a joint was inferred rather than seen."""
     truth_visible: Bool[Tensor, "time 22"] | None = None
-    """Of a simulated truth: joints the sensor could see."""
+    """Joints that a simulated sensor could see; only files of simulated truth have it."""
     T_world_camera: Float[Tensor, "poses 4 4"] | None = None
-    """One pose, or one per frame."""
+    """Pose of the camera, metres: one for the clip, or one per frame."""
     in_camera: Float[Tensor, "time 6"] | None = None
     """SMPL translation (metres) and root rotation vector (radians) in that camera's frame."""
     format_version: int = FORMAT_VERSION
@@ -67,7 +67,7 @@ _EXTRA = {
 }
 """Optional arrays and their shapes."""
 _FLAGS = ("observed", "truth_visible")
-"""Those of them that are true or false."""
+"""Optional arrays that hold true and false."""
 _RANGES: dict[str, Limit] = {
     "trans": limits.POSITION,
     "joints": limits.POSITION,
@@ -76,7 +76,7 @@ _RANGES: dict[str, Limit] = {
     "truth_visible": limits.PROBABILITY,
     "observed": limits.PROBABILITY,
 }
-"""Of arrays that hold one quantity."""
+"""Plausible ranges of the arrays that hold one quantity each."""
 _UNIT_NORMAL = 0.01
 """How far the length of the ground's normal may be from one."""
 

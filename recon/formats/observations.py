@@ -27,13 +27,13 @@ class CameraArrays:
     """A calibrated camera; OpenCV axes."""
 
     camera_matrix: Float[np.ndarray, "3 3"]
-    """Pixels."""
+    """Focal lengths, skew and principal point, pixels."""
     image_size: tuple[int, int]
     """Width and height, pixels."""
     distortion: Float[np.ndarray, " coefficients"] | None = None
-    """k1 k2 p1 p2 [k3 [k4 k5 k6]]."""
+    """Lens coefficients k1 k2 p1 p2 [k3 [k4 k5 k6]] in OpenCV's order; None for no distortion."""
     T_camera_world: Float[np.ndarray, "poses 4 4"] | None = None
-    """Maps world to camera, metres; one pose or one per frame. None: the ground is unknown."""
+    """Maps world to camera, metres; one pose or one per frame. None where it is not known."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class PositionsFile:
 
     kind: Literal["joints3d", "markers3d"]
     positions: Float[np.ndarray, "time points 3"]
-    """World frame, metres, z up; zero where not visible."""
+    """Positions in metres, world frame with z up; zero where not visible."""
     visible: Bool[np.ndarray, "time points"]
     names: tuple[str, ...]
     fps: float
@@ -50,7 +50,7 @@ class PositionsFile:
     ground_known: bool = True
     """Whether the ground is at z = 0."""
     truth_visible: Bool[np.ndarray, "time 22"] | None = None
-    """Of a simulated observation: body joints the sensor could see; fits never read it."""
+    """Body joints that a simulated sensor could see; fits never read it."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class KeypointsFile:
     """2D keypoints of one view."""
 
     pixels: Float[np.ndarray, "time points 2"]
-    """Zero where the confidence is zero."""
+    """Pixels as detected, lens distortion included; zero where the confidence is zero."""
     confidence: Float[np.ndarray, "time points"]
     layout: str
     """Which keypoints: openpose25, coco17, halpe26, smpl22, ..."""
@@ -66,9 +66,9 @@ class KeypointsFile:
     camera: CameraArrays
     start_time: float = 0.0
     truth_visible: Bool[np.ndarray, "time 22"] | None = None
-    """As in `PositionsFile`."""
+    """Body joints that a simulated sensor could see; fits never read it."""
     truth_T_world_camera: Float[np.ndarray, "4 4"] | None = None
-    """Of a simulated camera without pose: where it stood, metres; fits never read it."""
+    """True pose of a simulated camera whose pose was left out, metres; fits never read it."""
 
 
 @dataclass(frozen=True)
@@ -83,9 +83,9 @@ class PointsFile:
     camera: CameraArrays | None = None
     start_time: float = 0.0
     truth_visible: Bool[np.ndarray, "time 22"] | None = None
-    """As in `PositionsFile`."""
+    """Body joints that a simulated sensor could see; fits never read it."""
     truth_T_world_camera: Float[np.ndarray, "4 4"] | None = None
-    """As in `KeypointsFile`."""
+    """True pose of a simulated camera whose pose was left out, metres; fits never read it."""
     decisions: tuple[str, ...] = ()
     """What was assumed in reading scans; not written."""
 
