@@ -1,8 +1,7 @@
 """Rotations as matrices; exponential and logarithm that are safe at zero and at pi."""
 
-from typing import Any, cast
+from typing import Any
 
-import roma
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -64,8 +63,47 @@ class _Exponential(torch.autograd.Function):
 
 
 def log(rotation: Float[Tensor, "*shape 3 3"]) -> Float[Tensor, "*shape 3"]:
-    """Rotation vector of a matrix, angle in [0, pi]; the inverse of `exp`."""
-    return roma.rotmat_to_rotvec(rotation)
+    """Rotation vector of a matrix, angle in [0, pi]; the inverse of `exp`.
+
+    Through the quaternion, whose vector is the axis times sin(a/2): unlike the arc cosine of the
+    trace it is exact at zero and at pi.
+    """
+    quaternion = to_quaternion(rotation)
+    # q and -q are one rotation; the one with w > 0 turns by at most pi
+    quaternion = quaternion * ((quaternion[..., 3:] > 0).to(quaternion) * 2 - 1)
+    vector = quaternion[..., :3]
+    half = torch.atan2(vector.norm(dim=-1), quaternion[..., 3])
+    return 2 * _over_sine(half)[..., None] * vector
+
+
+def _over_sine(x: Tensor) -> Tensor:
+    """The quotient x / sin(x), by its series near zero.
+
+    The series begins where its derivative is as exact as the one of the quotient: its error is
+    31/2520 x⁵, that of the quotient, a difference of nearly equal numbers, ε / x.
+    """
+    small = x.abs() < 2 * torch.finfo(x.dtype).eps ** (1 / 6)
+    sine = torch.where(small, 1.0, x.sin())
+    return torch.where(small, 1 + x**2 / 6 + 7 * x**4 / 360, x / sine)
+
+
+def to_quaternion(rotation: Float[Tensor, "*shape 3 3"]) -> Float[Tensor, "*shape 4"]:
+    """One of the two unit quaternions (x, y, z, w) of a rotation.
+
+    All four products 4 q_i q are sums of the matrix's entries; the one whose q_i is largest is
+    normalised, so that nothing cancels (Markley 2008, doi 10.2514/1.31730).
+    """
+    (a, b, c), (d, e, f), (g, h, i) = (row.unbind(-1) for row in rotation.unbind(-2))
+    entries = (
+        1 + a - e - i, d + b, g + c, h - f,
+        b + d, 1 + e - i - a, h + f, c - g,
+        c + g, f + h, 1 + i - a - e, d - b,
+        h - f, c - g, d - b, 1 + a + e + i,
+    )  # fmt: skip
+    products = torch.stack(entries, -1).unflatten(-1, (4, 4))
+    largest = products.diagonal(dim1=-2, dim2=-1).argmax(-1)
+    chosen = products.take_along_dim(largest[..., None, None], -2)[..., 0, :]
+    return chosen / chosen.norm(dim=-1, keepdim=True)
 
 
 def axis_sine(rotation: Float[Tensor, "*shape 3 3"]) -> Float[Tensor, "*shape 3"]:
@@ -78,13 +116,22 @@ def axis_sine(rotation: Float[Tensor, "*shape 3 3"]) -> Float[Tensor, "*shape 3"
 
 
 def geodesic(a: Float[Tensor, "*shape 3 3"], b: Float[Tensor, "*shape 3 3"]) -> Tensor:
-    """Angle between two rotations, in radians."""
-    return roma.rotmat_geodesic_distance(a, b)
+    """Angle between two rotations, in radians: |b - a| = 2 √2 sin(angle / 2)."""
+    sine = (b - a).norm(dim=(-2, -1)) * 0.5**1.5
+    return 2 * sine.clamp(max=1.0).asin()
 
 
 def nearest(matrix: Float[Tensor, "*shape 3 3"]) -> Float[Tensor, "*shape 3 3"]:
-    """The rotation closest to a matrix in the Frobenius norm."""
-    return cast(Tensor, roma.special_procrustes(matrix))
+    """The rotation closest to a matrix in the Frobenius norm (Kabsch 1976, Schönemann 1966).
+
+    From the singular value decomposition, in double precision; where that would be a reflection
+    the direction of the least singular value is turned round. Without a gradient.
+    """
+    with torch.no_grad():
+        left, _, right = torch.linalg.svd(matrix.double())
+        sign = torch.linalg.det(left @ right).sign()
+        left = torch.cat((left[..., :2], left[..., 2:] * sign[..., None, None]), -1)
+        return (left @ right).to(matrix)
 
 
 def to_6d(rotation: Float[Tensor, "*shape 3 3"]) -> Float[Tensor, "*shape 6"]:
@@ -94,7 +141,11 @@ def to_6d(rotation: Float[Tensor, "*shape 3 3"]) -> Float[Tensor, "*shape 6"]:
 
 def from_6d(columns: Float[Tensor, "*shape 6"]) -> Float[Tensor, "*shape 3 3"]:
     """Rotation whose first two columns are the Gram-Schmidt of the given ones."""
-    return roma.special_gramschmidt(columns.unflatten(-1, (2, 3)).transpose(-1, -2))
+    first, second = columns.unflatten(-1, (2, 3)).unbind(-2)
+    x = first / first.norm(dim=-1, keepdim=True)
+    across = second - (x * second).sum(-1, keepdim=True) * x
+    y = across / across.norm(dim=-1, keepdim=True)
+    return torch.stack((x, y, torch.linalg.cross(x, y)), -1)
 
 
 def interpolate(

@@ -8,13 +8,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import roma
 import torch
 import trimesh
 from jaxtyping import Float
 from torch import Tensor
 from viser import SceneApi, ViserServer
 
+from recon.core import rotations as so3
 from recon.core.skeleton import CONTACT_JOINTS
 from recon.formats.files.opening import replacing
 from recon.view.drawing.stage import Plane
@@ -136,13 +136,13 @@ def _floor(show: Show, view: Viewpoint) -> tuple[np.ndarray, np.ndarray]:
     plane = Plane.of(show.ground)
     depth = view.target @ plane.normal - plane.offset + 0.004
     axes = torch.from_numpy(np.column_stack([plane.tiles, plane.normal]))
-    wxyz = roma.rotmat_to_unitquat(axes).roll(1, -1).numpy()
+    wxyz = so3.to_quaternion(axes).roll(1, -1).numpy()
     return wxyz, view.target - depth * plane.normal
 
 
 def _body(scene: SceneApi, figure: Figure, opacity: float) -> Layer:
     shape = figure.posed.shape
-    turns = roma.rotmat_to_unitquat(figure.posed.orientations).roll(1, -1).numpy()
+    turns = so3.to_quaternion(figure.posed.orientations).roll(1, -1).numpy()
     joints = figure.posed.joints.numpy()
     mesh = scene.add_mesh_skinned(
         f"/world/{_node(figure)}/body",
@@ -246,7 +246,7 @@ def _frustum(scene: SceneApi, view: View) -> Layer:
     def show(frame: int) -> None:
         if frame == 0 or moving:
             T = view.at(frame).T_world_camera
-            handle.wxyz = roma.rotmat_to_unitquat(T[:3, :3]).roll(1, -1).numpy()
+            handle.wxyz = so3.to_quaternion(T[:3, :3]).roll(1, -1).numpy()
             handle.position = T[:3, 3].numpy()
 
     return show

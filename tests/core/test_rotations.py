@@ -89,3 +89,17 @@ def test_heading_of_a_body_lying_on_its_side_is_the_identity():
     assert torch.allclose(a, torch.eye(3, dtype=torch.float64))
     assert side.grad is not None
     assert side.grad.isfinite().all()
+
+
+def test_the_nearest_rotation_of_a_reflection_is_a_rotation():
+    mirror = torch.diag(torch.tensor([1.0, 0.9, -0.8], dtype=torch.float64))
+    assert torch.allclose(so3.nearest(mirror), torch.eye(3, dtype=torch.float64))
+    assert so3.nearest(torch.zeros(2, 3, 3)).isfinite().all()
+
+
+def test_a_quaternion_turns_as_its_rotation_does():
+    rotation = so3.exp(torch.randn(50, 3, dtype=torch.float64))
+    q, v = so3.to_quaternion(rotation), torch.randn(50, 3, dtype=torch.float64)
+    twice = 2 * torch.linalg.cross(q[:, :3], v)
+    turned = v + q[:, 3:] * twice + torch.linalg.cross(q[:, :3], twice)
+    assert torch.allclose(turned, (rotation @ v[..., None])[..., 0], atol=1e-12)
