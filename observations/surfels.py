@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from jaxtyping import Float, Int
-from scipy.spatial import KDTree
 from torch import Tensor
 
 from recon.body.model import BodyModel, PosedBody
@@ -35,6 +34,8 @@ class Surfels:
     @classmethod
     def of(cls, body: BodyModel, count: int = SURFELS) -> "Surfels":
         """Vertices that are farthest from each other, one after the other."""
+        from scipy.spatial import KDTree
+
         template = body.template.detach().cpu().double().numpy()
         normals = vertex_normals(template, body.faces.cpu().numpy())
         chosen = spread_vertices(body, count).cpu().numpy()

@@ -1,6 +1,5 @@
 """2D keypoint files as an energy: lens distortion taken out, confidences kept."""
 
-import cv2
 import numpy as np
 import torch
 from jaxtyping import Float
@@ -75,6 +74,8 @@ def undistorted(file: KeypointsFile) -> Float[np.ndarray, "time points 2"]:
     camera = file.camera
     if camera.distortion is None:
         return file.pixels
+    import cv2
+
     flat = file.pixels.reshape(-1, 1, 2)
     straight = cv2.undistortPoints(
         flat, camera.camera_matrix, camera.distortion, P=camera.camera_matrix

@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 from jaxtyping import Bool
 
@@ -77,6 +76,8 @@ def masked(file: KeypointsFile, masks: Silhouettes, *, first_frame: int = 0) -> 
     Raises:
         ValueError: when no mask belongs to a frame of the observation, or the sizes differ.
     """
+    import cv2
+
     frames = range(first_frame, first_frame + len(file.confidence))
     if not any(frame in masks.images for frame in frames):
         raise ValueError(

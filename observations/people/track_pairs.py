@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -132,6 +131,8 @@ def _miss(points: np.ndarray, sight: _Sight) -> np.ndarray:
 
 def _rays(camera: CameraArrays, pixels: np.ndarray) -> np.ndarray:
     """x/z and y/z of undistorted pixels, by OpenCV."""
+    import cv2
+
     flat = pixels.reshape(-1, 1, 2).astype(np.float64)
     if len(flat) == 0:
         return pixels

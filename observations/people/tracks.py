@@ -5,7 +5,6 @@ from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.optimize import linear_sum_assignment
 
 from recon.formats.detections.records import Detections
 
@@ -224,6 +223,8 @@ def _whole(
 
 def _assigned(cost: np.ndarray, allowed: np.ndarray) -> dict[int, int]:
     """Track to detection with the least sum of distances among the allowed links."""
+    from scipy.optimize import linear_sum_assignment
+
     if cost.size == 0:
         return {}
     tracks, found = linear_sum_assignment(np.where(allowed, cost, 1e3))

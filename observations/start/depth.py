@@ -5,7 +5,6 @@ import math
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
-from scipy.spatial import KDTree
 from torch import Tensor
 
 from observations.start.images import UPRIGHT, smooth_path
@@ -148,6 +147,8 @@ def _closest(
     Steps are those of closest tangent planes (with a little of the closest points): bodies
     are long, and points slide along them slowly.
     """
+    from scipy.spatial import KDTree
+
     tree = KDTree(middles)
     misfit = 1.0
     for _ in range(steps):

@@ -6,8 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
-from scipy.interpolate import CubicSpline
-from scipy.ndimage import uniform_filter1d
 
 from recon.core.motion import Motion
 from recon.core.skeleton import joint_index
@@ -122,6 +120,8 @@ def _clock(motion: Motion) -> Float[np.ndarray, " frames"]:
 
 def _templates() -> dict[str, Float[np.ndarray, "rows 2"]]:
     """A second of gait that begins with the left foot, and one with the right."""
+    from scipy.interpolate import CubicSpline
+
     curve = CubicSpline(np.linspace(0, 1, 11), np.radians([*_GAIT, _GAIT[0]]), bc_type="periodic")
     phase = np.linspace(0, 1, RATE + 1)
     own, other = curve(phase), curve((phase + 0.5) % 1)
@@ -134,6 +134,8 @@ def _templates() -> dict[str, Float[np.ndarray, "rows 2"]]:
 
 
 def _standardised(flexion: Float[np.ndarray, "frames 2"]) -> Float[np.ndarray, "frames 2"]:
+    from scipy.ndimage import uniform_filter1d
+
     width = max(1, round(_AROUND * RATE))
     mean = uniform_filter1d(flexion, width, axis=0)
     away = flexion - mean

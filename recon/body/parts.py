@@ -8,8 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from jaxtyping import Float, Int
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 from torch.utils.weak import WeakTensorKeyDictionary
 
@@ -148,6 +146,9 @@ def _open_edges(faces: Tensor, part: Tensor, count: int) -> tuple[Tensor, Tensor
 
 def _loops(edges: Tensor, owner: Tensor, count: int) -> tuple[Tensor, Tensor]:
     """Loop of every open edge, and part of every loop."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
     # one node per part and vertex, so that loops of neighbouring parts stay apart
     nodes = (owner[:, None] * count + edges).cpu().numpy()
     names, place = np.unique(nodes, return_inverse=True)

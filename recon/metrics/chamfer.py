@@ -2,7 +2,6 @@
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial import KDTree
 
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
@@ -20,6 +19,8 @@ def chamfer(
     Raises:
         ValueError: when one of them is empty.
     """
+    from scipy.spatial import KDTree
+
     if len(vertices) == 0 or len(points) == 0:
         raise ValueError(
             f"expected vertices and points, got {len(vertices)} and {len(points)} of them"

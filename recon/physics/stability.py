@@ -3,7 +3,6 @@
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
-from scipy.spatial import ConvexHull, QhullError
 from torch import Tensor
 
 SUPPORT_HEIGHT = 0.05
@@ -27,6 +26,8 @@ def supporting(
 
 def base_of_support(points: Float[Tensor, "points 2"]) -> Float[Tensor, "corners 2"] | None:
     """Convex hull of points on the ground, counter-clockwise; None where it has no area."""
+    from scipy.spatial import ConvexHull, QhullError
+
     if len(points) < 3:
         return None
     try:

@@ -3,7 +3,6 @@
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
-from scipy.spatial import KDTree
 from torch import Tensor
 
 _CHUNK = 1 << 24
@@ -32,6 +31,8 @@ def nearest(
 
 
 def _by_trees(points: Tensor, present: Tensor, surface: Tensor, allowed: Tensor) -> Tensor:
+    from scipy.spatial import KDTree
+
     found = np.zeros(present.shape, np.int64)
     rows = zip(points.numpy(), present.numpy(), surface.numpy(), allowed.numpy(), strict=True)
     for row, (seen, here, body, open_) in enumerate(rows):

@@ -7,9 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import KDTree
 
 from recon.core.ground import Ground
 
@@ -137,6 +134,8 @@ def spacing(clouds: Sequence[np.ndarray]) -> float:
 
     Clouds have axes (points, 3), each its own number of points.
     """
+    from scipy.spatial import KDTree
+
     nearest = [KDTree(cloud).query(cloud, 2)[0][:, 1] for cloud in clouds if len(cloud) > 1]
     return float(np.median(np.concatenate(nearest))) if nearest else 0.0
 
@@ -148,6 +147,10 @@ def largest_cluster(
 
     Points are first gathered into cells of that size, so that any number of them is quick.
     """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import KDTree
+
     if len(points) == 0:
         return np.zeros(0, np.bool_)
     whole = np.floor(points / reach).astype(np.int64)

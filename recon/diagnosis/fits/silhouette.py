@@ -9,7 +9,6 @@ import math
 import numpy as np
 import torch
 from jaxtyping import Float
-from scipy.spatial import KDTree
 
 from observations.depth import PointCloud
 from observations.timing import at_observation_times
@@ -83,6 +82,8 @@ def _outside(
     surface: Float[torch.Tensor, "surfels 3"], points: Float[torch.Tensor, "points 3"]
 ) -> float:
     """Share of places, seen from the origin, with no point beside their line of sight."""
+    from scipy.spatial import KDTree
+
     tree = KDTree(torch.nn.functional.normalize(points, dim=-1).numpy())
     distance = surface.norm(dim=-1, keepdim=True)
     angle, _ = tree.query((surface / distance).numpy())

@@ -3,7 +3,6 @@
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
-from scipy.stats import chi
 
 from observations.noise import estimate_noise
 from recon.core.robust import NORMAL_MAD
@@ -34,6 +33,8 @@ _SEAM_NOISE = 1.4
 _SEAM_DIFFERENCE = 5**0.5
 """Standard deviation of such a change, in standard deviations of a coordinate: squares of 1/2,
 3/2, 3/2 and 1/2 summed."""
+_MEDIAN_LENGTH = 1.5381722544550522
+"""Median length of a vector of three independent standard normal numbers (chi distribution)."""
 _SEAM_POINTS = 8
 """Points that must be seen around a moment."""
 _WILD = 0.08
@@ -139,7 +140,7 @@ def _velocity_changes(points: NamedPoints) -> Float[np.ndarray, " seams"]:
     out = np.zeros(len(length))
     for row in np.flatnonzero(enough):
         out[row] = np.median(length[row, known[row]])
-    return out / float(chi.median(3))
+    return out / _MEDIAN_LENGTH
 
 
 def identity_changes(points: NamedPoints) -> list[Finding]:

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from recon.core.limits import IMAGE_SIZE, check_camera, check_pose
@@ -110,6 +109,8 @@ def _pose(parts: Parts, where: str) -> np.ndarray | None:
     else:
         turn = _numbers(parts.rotation, "rotation", where)
         if turn.size == 3:
+            import cv2
+
             turn = np.asarray(cv2.Rodrigues(turn.reshape(3, 1))[0])
         translation = _numbers(parts.translation, "translation", where).reshape(1, -1)
         if turn.shape != (3, 3) or translation.shape != (1, 3):

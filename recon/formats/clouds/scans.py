@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial import KDTree
 
 from recon.core.limits import CLOUD, FRAME_RATE, POSITION
 from recon.core.units import METRES, Axis, check_override, to_z_up
@@ -196,6 +195,8 @@ def is_outlier(
     cloud: Float[np.ndarray, "points 3"], deviations: float, neighbours: int = 16
 ) -> np.ndarray:
     """Points whose mean distance to their neighbours is that of no surface (Rusu et al. 2008)."""
+    from scipy.spatial import KDTree
+
     if len(cloud) <= neighbours:
         return np.zeros(len(cloud), np.bool_)
     distance = KDTree(cloud).query(cloud, neighbours + 1)[0][:, 1:].mean(1)
