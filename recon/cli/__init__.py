@@ -2,17 +2,19 @@
 
 Exit codes: 0 done, 1 the fit failed (the last finite estimate was written), 2 bad input or no
 place to write to, 130 interrupted.
-Results go to files, tables and progress to stderr, `--json` to stdout.
+Results go to files, tables of results and progress to stderr, what was asked for (`--json`,
+`info`, `--version`) to stdout.
 """
 
 import logging
 import os
+import platform
 import signal
 import sys
 from collections.abc import Sequence
 from types import FrameType
 
-from recon import __distribution__
+from recon import __distribution__, __version__
 
 if __distribution__ != "motion-recon":
     raise ImportError("this `recon` is not motion-recon's; reinstall motion-recon")
@@ -33,31 +35,41 @@ def _interrupt(_: int, __: FrameType | None) -> None:
     raise KeyboardInterrupt
 
 
-def run(arguments: Sequence[str]) -> int:
+def run(words: Sequence[str]) -> int:
     """Run one verb and say how it went; usage errors and `--help` end through SystemExit."""
     try:
-        return _run(arguments)
+        return _run(words)
     except KeyboardInterrupt:
         sys.stderr.write("recon: interrupted; what was not finished was not written\n")
         return INTERRUPTED
 
 
-def _run(arguments: Sequence[str]) -> int:
-    import tyro
-
-    from recon.cli import listing as verbs
+def _run(words: Sequence[str]) -> int:
+    if list(words) == ["--version"]:
+        sys.stdout.write(f"{_version()}\n")
+        return OK
     from recon.cli.errors import Failed
+    from recon.cli.parsing import parsed
 
     logging.basicConfig(stream=sys.stderr, level=logging.WARNING, format="%(message)s")
-    app = tyro.extras.SubcommandApp()
-    for verb in verbs.ALL:
-        app.command(verb)
     try:
-        app.cli(prog="recon", description=verbs.__doc__ or "", args=arguments)
+        parsed(words)()
+        sys.stdout.flush()
     except Failed as failure:
         sys.stderr.write(f"recon: {failure}\n")
         return FAILED
+    except BrokenPipeError:
+        # whoever read the output has seen enough, as `head` has; nor may the end of Python write
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return OK
     except (ValueError, OSError) as error:
         sys.stderr.write(f"recon: {error}\n")
         return BAD_INPUT
     return OK
+
+
+def _version() -> str:
+    """What a report of a fault should begin with; torch is asked without loading it."""
+    from importlib.metadata import version
+
+    return f"recon {__version__}, torch {version('torch')}, Python {platform.python_version()}"

@@ -1,32 +1,60 @@
-"""What a person sees: progress and tables on stderr, one JSON object on stdout."""
+"""What a person sees: progress and tables on stderr, what was asked for on stdout."""
 
 import json
+import logging
+import os
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any
+from contextvars import ContextVar
+from typing import TYPE_CHECKING, Any
 
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-from rich.table import Table
+if TYPE_CHECKING:
+    from rich.progress import Progress
 
-stderr = Console(stderr=True)
+_quiet: ContextVar[bool] = ContextVar("quiet", default=False)
+_DIM, _YELLOW, _PLAIN = "\x1b[2m", "\x1b[33m", "\x1b[0m"
+
+
+@contextmanager
+def quietly(is_quiet: bool) -> Iterator[None]:
+    """Within it, where it is asked for, only `last`, `complain`, `answer` and `facts` write."""
+    before, log = _quiet.set(is_quiet), logging.getLogger()
+    level = log.level
+    log.setLevel(logging.ERROR if is_quiet else level)
+    try:
+        yield
+    finally:
+        log.setLevel(level)
+        _quiet.reset(before)
 
 
 def say(message: str) -> None:
     """A line for the person at the terminal."""
-    stderr.print(message, highlight=False, markup=False, soft_wrap=True)
+    if not _quiet.get():
+        _line(message)
 
 
 def note(message: str) -> None:
     """A line about what was assumed, which matters when the result surprises."""
-    stderr.print(message, style="dim", highlight=False, markup=False, soft_wrap=True)
+    if not _quiet.get():
+        _line(message, _DIM)
 
 
 def warn(message: str) -> None:
     """A line that should be read before the result is used."""
-    stderr.print(f"warning: {message}", style="yellow", highlight=False, markup=False,
-                 soft_wrap=True)  # fmt: skip
+    if not _quiet.get():
+        _line(f"warning: {message}", _YELLOW)
+
+
+def complain(message: str) -> None:
+    """A line about what went wrong with a part of the work."""
+    _line(message)
+
+
+def last(message: str) -> None:
+    """The last line of a verb: where its result is."""
+    _line(message)
 
 
 def findings(report: Mapping[str, Any]) -> None:
@@ -44,15 +72,28 @@ def answer(value: Mapping[str, Any]) -> None:
     sys.stdout.write(json.dumps(value, indent=1, default=str) + "\n")
 
 
+def facts(title: str, values: Mapping[str, Any]) -> None:
+    """The answer of a verb for a person, on stdout: a name and a value per row."""
+    _table(title, {name: {"value": value} for name, value in values.items()}, stderr=False)
+
+
 def table(title: str, rows: Mapping[str, Mapping[str, Any]]) -> None:
     """Rows by name, one column per key of the first."""
+    if not _quiet.get():
+        _table(title, rows, stderr=True)
+
+
+def _table(title: str, rows: Mapping[str, Mapping[str, Any]], *, stderr: bool) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
     shown = Table(title=title, title_justify="left")
     columns = list(dict.fromkeys(key for row in rows.values() for key in row))
     for column in ("", *columns):
         shown.add_column(column, justify="right" if column else "left")
     for name, row in rows.items():
         shown.add_row(name, *(_cell(row.get(column)) for column in columns))
-    stderr.print(shown)
+    Console(stderr=stderr).print(shown)
 
 
 def _cell(value: Any) -> str:
@@ -67,8 +108,11 @@ def _cell(value: Any) -> str:
 @contextmanager
 def fitting(limits: Mapping[str, int]) -> Iterator[Any]:
     """A bar per stage; yields the `watch` that `recon.fit` calls."""
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed} steps"))
-    with Progress(*columns, TimeElapsedColumn(), console=stderr, transient=True) as bars:
+    from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed} steps"),
+               TimeElapsedColumn())  # fmt: skip
+    with progress(*columns) as bars:
         tasks: dict[str, Any] = {}
 
         def watch(stage: str, progress: Any) -> None:
@@ -77,3 +121,16 @@ def fitting(limits: Mapping[str, int]) -> Iterator[Any]:
             bars.update(tasks[stage], completed=int(progress.iterations.max()))
 
         yield watch
+
+
+def progress(*columns: Any) -> "Progress":
+    """Bars on stderr that vanish in the end; default columns: name, bar, share, time left."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    return Progress(*columns, console=Console(stderr=True), transient=True, disable=_quiet.get())
+
+
+def _line(message: str, colour: str = "") -> None:
+    coloured = colour and sys.stderr.isatty() and not os.environ.get("NO_COLOR")
+    sys.stderr.write(f"{colour}{message}{_PLAIN}\n" if coloured else f"{message}\n")

@@ -1,4 +1,7 @@
-"""True human motion from noisy, partial observations."""
+"""True human motion from noisy, partial observations.
+
+`recon VERB --help` tells a verb's options, with examples; `recon --version` what is installed.
+"""
 
 from recon.cli.verbs.batch import batch
 from recon.cli.verbs.complete import complete

@@ -1,6 +1,7 @@
 """What a verb writes, declared beside it, and checked before anything else happens.
 
-Every path among a verb's arguments that is not declared as written is something that it reads.
+Every path among a verb's arguments that is not declared as written is something that it reads,
+and must be there.
 """
 
 import functools
@@ -12,11 +13,18 @@ from typing import Annotated, Any, ParamSpec, TypeVar
 
 from tyro.conf import arg
 
+from recon.cli import console
+from recon.cli.inputs import check_inputs
 from recon.jobs.results.inputs import paths_in
 from recon.jobs.results.outputs import Kind, Output, check_outputs
 
 Overwrite = Annotated[bool, arg(help="Replace files that are there and recon did not write.")]
 """The option of every verb that writes."""
+Quiet = Annotated[
+    bool,
+    arg(help="Say nothing but errors and, last, where the result is. Warnings are in its report."),
+]
+"""The option of every verb that tells what it does."""
 Arguments = Mapping[str, Any]
 """A verb's arguments by name."""
 P = ParamSpec("P")
@@ -59,7 +67,7 @@ def _nothing_else(_: Arguments) -> Iterable[Path]:
 def writes(
     *places: Place, reads: Callable[[Arguments], Iterable[Path]] = _nothing_else
 ) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Declare what a verb writes; it then begins with a check of all of it.
+    """Declare what a verb writes; it then begins with a check of that and of what it reads.
 
     Args:
         places: every argument that names an output. The verb has an argument `overwrite` besides.
@@ -75,15 +83,19 @@ def writes(
             bound = signature.bind(*args, **kwargs)
             bound.apply_defaults()
             given = bound.arguments
-            others = tuple(value for name, value in given.items() if name not in written)
+            read = {name: value for name, value in given.items() if name not in written}
+            check_inputs(read)
             named = [place for place in places if given[place.parameter] is not None]
             outputs = [
                 one for place in named for one in place.outputs(given[place.parameter], given)
             ]
             check_outputs(
-                outputs, (*paths_in(others), *reads(given)), overwrite=given["overwrite"]
+                outputs,
+                (*paths_in(tuple(read.values())), *reads(given)),
+                overwrite=given["overwrite"],
             )
-            return verb(*args, **kwargs)
+            with console.quietly(given.get("quiet", False)):
+                return verb(*args, **kwargs)
 
         vars(checked)["writes"] = places
         return checked

@@ -6,7 +6,7 @@ from pathlib import Path
 from tyro.conf import OmitArgPrefixes, Positional
 
 from recon.cli.errors import Failed
-from recon.cli.places import Arguments, Overwrite, Place, writes
+from recon.cli.places import Arguments, Overwrite, Place, Quiet, writes
 from recon.fitting.settings import DEFAULTS, FitSettings
 from recon.jobs.results.outputs import Kind, Output
 
@@ -39,6 +39,7 @@ def batch(
     processes: int = 2,
     shard: str = "0/1",
     overwrite: Overwrite = False,
+    quiet: Quiet = False,
 ) -> None:
     """Fit every clip of a manifest; run it again to go on where it stopped.
 
@@ -54,9 +55,9 @@ def batch(
         processes: clips at a time, one thread each.
         shard: I/N fits the I-th of N equal parts: one part per machine or job of a cluster.
         overwrite: replace files that are there and recon did not write.
+        quiet: say nothing but errors and, last, where the result is.
     """
-    from rich.progress import Progress
-
+    del quiet  # heeded by `writes`
     from recon.cli import console
     from recon.jobs.many.batch import fit_all, read_manifest
     from recon.jobs.many.batch import shard as part
@@ -68,14 +69,15 @@ def batch(
     out.mkdir(parents=True, exist_ok=True)
     log = out / ("log.jsonl" if shard == "0/1" else f"log-{index}-{count}.jsonl")
     counts: dict[str, int] = {}
-    with Progress(console=console.stderr, transient=True) as bar:
+    with console.progress() as bar:
         task = bar.add_task("clips", total=len(clips))
         for record in fit_all(clips, out, settings, processes, log, overwrite=overwrite):
             counts[record["status"]] = counts.get(record["status"], 0) + 1
             if "error" in record:
-                console.say(f"{record['id']}: {record['status']}: {record['error']}")
+                console.complain(f"{record['id']}: {record['status']}: {record['error']}")
             bar.advance(task)
     console.answer({"clips": len(clips), **counts, "log": str(log)})
+    console.last(str(out))
     if any(status not in ("ok", "skipped") for status in counts):
         bad = sum(n for status, n in counts.items() if status not in ("ok", "skipped"))
         raise Failed(f"{bad} of {len(clips)} clips were not fitted; {log} says why")

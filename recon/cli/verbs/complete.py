@@ -6,7 +6,7 @@ from typing import Annotated
 
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
-from recon.cli.places import Overwrite, Place, writes
+from recon.cli.places import Overwrite, Place, Quiet, writes
 from recon.cli.verbs.fit import fit_and_say
 from recon.fitting.settings import DEFAULTS, FitSettings
 
@@ -20,6 +20,7 @@ def complete(
     settings: OmitArgPrefixes[FitSettings] = _DEFAULTS,
     json: Annotated[bool, arg(help="Print the report as JSON on stdout.")] = False,
     overwrite: Overwrite = False,
+    quiet: Quiet = False,
 ) -> None:
     """Complete one cycle of gait (0.3 to 3 s) of which little was seen.
 
@@ -38,7 +39,9 @@ def complete(
         settings: how to fit.
         json: print the report as JSON on stdout.
         overwrite: replace files that are there and recon did not write.
+        quiet: say nothing but errors and, last, where the result is.
     """
+    del quiet  # heeded by `writes`
     if settings.prior != "anchor":
         raise ValueError(
             f"`complete` is `fit` with the prior anchor; for {settings.prior}, run `recon fit "

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 from tyro.conf import Positional, arg
 
 from recon.cli.errors import Failed
-from recon.cli.places import Arguments, Overwrite, Place, writes
+from recon.cli.places import Arguments, Overwrite, Place, Quiet, writes
 from recon.jobs.results.outputs import Kind, Output
 
 
@@ -41,6 +41,7 @@ def convert(
     processes: int = 2,
     json: Annotated[bool, arg(help="Print the report as JSON on stdout.")] = False,
     overwrite: Overwrite = False,
+    quiet: Quiet = False,
 ) -> None:
     """Bring a recording (.bvh, .amc, .c3d, .trc, .mat, also .xz and FILE::MEMBER) onto the body.
 
@@ -63,7 +64,9 @@ def convert(
         processes: clips at a time with --all.
         json: print the report as JSON on stdout.
         overwrite: replace files that are there and recon did not write.
+        quiet: say nothing but errors and, last, where the result is.
     """
+    del quiet  # heeded by `writes`
     from recon.cli import console
 
     if everything:
@@ -80,6 +83,7 @@ def convert(
         console.say(f"  {decision}")
     console.findings({kind: report[kind] for kind in ("repairs", "warnings")})
     console.table(str(out), {k: {"value": v} for k, v in report["conversion"].items()})
+    console.last(str(out))
     if json:
         lists = ("decisions", "residuals_mm", "diagnosis", "repairs", "warnings")
         shown = {name: report[name] for name in lists}
@@ -109,6 +113,7 @@ def _convert_folder(
         "report": str(out / "report.csv"),
     }
     console.table(str(out), {key: {"value": value} for key, value in summary.items()})
+    console.last(str(out))
     if json:
         console.answer(summary)
     if not kept:

@@ -6,7 +6,7 @@ from typing import Annotated
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from recon.cli.errors import Failed
-from recon.cli.places import Overwrite, Place, writes
+from recon.cli.places import Overwrite, Place, Quiet, writes
 from recon.fitting.settings import DEFAULTS, FitSettings
 
 
@@ -17,6 +17,7 @@ def fit(
     settings: OmitArgPrefixes[FitSettings] = DEFAULTS,
     json: Annotated[bool, arg(help="Print the report as JSON on stdout.")] = False,
     overwrite: Overwrite = False,
+    quiet: Quiet = False,
 ) -> None:
     """Reconstruct the motion behind what was recorded of one clip.
 
@@ -34,7 +35,9 @@ def fit(
         settings: how to fit.
         json: print the report as JSON on stdout.
         overwrite: replace files that are there and recon did not write.
+        quiet: say nothing but errors and, last, where the result is.
     """
+    del quiet  # heeded by `writes`
     fit_and_say(observations, out, settings, json=json, overwrite=overwrite)
 
 
@@ -72,7 +75,7 @@ def fit_and_say(
             f"residual {residuals} mm"
         )
     console.findings(report)
-    console.say(str(out))
+    console.last(str(out))
     if json:
         console.answer(report)
     if report["failed"]:

@@ -19,10 +19,13 @@ def info(
         json: print JSON on stdout.
     """
     from recon.cli import console
+    from recon.cli.inputs import check_inputs
+
+    check_inputs({"file": file})
     from recon.jobs.info.files import describe
 
     facts = describe(file)
     if json:
         console.answer(facts)
     else:
-        console.table(str(file), {key: {"value": value} for key, value in facts.items()})
+        console.facts(str(file), facts)

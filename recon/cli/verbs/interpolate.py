@@ -5,7 +5,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from recon.cli.places import Overwrite, Place, writes
+from recon.cli.places import Overwrite, Place, Quiet, writes
 
 
 @writes(Place("out"))
@@ -19,6 +19,7 @@ def interpolate(
     body: Path | None = None,
     json: Annotated[bool, arg(help="Print the report as JSON on stdout.")] = False,
     overwrite: Overwrite = False,
+    quiet: Quiet = False,
 ) -> None:
     """Make the cycle of gait that lies between those of two motions.
 
@@ -35,12 +36,15 @@ def interpolate(
         body: the SMPL-family file of both motions' body; default: the bundled body.
         json: print the report as JSON on stdout.
         overwrite: replace files that are there and recon did not write.
+        quiet: say nothing but errors and, last, where the result is.
     """
+    del quiet  # heeded by `writes`
     from recon.cli import console
     from recon.jobs.interpolate import InterpolationSettings, interpolate_files
 
     settings = InterpolationSettings(at, weights, body, fps)
     report = interpolate_files(a, b, out, settings, overwrite=overwrite)
     console.table(f"{out}, {at:g} of the way", {"seconds": report["durations"]})
+    console.last(str(out))
     if json:
         console.answer(report)

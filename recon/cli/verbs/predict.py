@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from recon.cli.places import Overwrite, Place, several_or_npz, writes
+from recon.cli.places import Overwrite, Place, Quiet, several_or_npz, writes
 
 
 @writes(Place("out", several_or_npz))
@@ -22,6 +22,7 @@ def predict(
     temperature: float = 1.0,
     json: Annotated[bool, arg(help="Print the report as JSON on stdout.")] = False,
     overwrite: Overwrite = False,
+    quiet: Quiet = False,
 ) -> None:
     """Go on from the last frame of a motion, in one way or in several.
 
@@ -40,12 +41,15 @@ def predict(
         temperature: above 1 draws more varied motions, below 1 more usual ones.
         json: print the report as JSON on stdout.
         overwrite: replace files that are there and recon did not write.
+        quiet: say nothing but errors and, last, where the result is.
     """
+    del quiet  # heeded by `writes`
     from recon.cli import console
     from recon.jobs.generate import GenerationSettings, predict_files
 
     settings = GenerationSettings(seconds, seed, weights, body, device, temperature)
     report = predict_files(motion, out, samples, at, settings, overwrite=overwrite)
     console.table(f"{motion}, {seconds:g} s more", report["files"])
+    console.last(str(out))
     if json:
         console.answer(report)

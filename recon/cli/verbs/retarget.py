@@ -5,7 +5,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from recon.cli.places import Overwrite, Place, writes
+from recon.cli.places import Overwrite, Place, Quiet, writes
 
 
 @writes(Place("out"))
@@ -19,6 +19,7 @@ def retarget(
     ground: float | None = None,
     json: Annotated[bool, arg(help="Print the report as JSON on stdout.")] = False,
     overwrite: Overwrite = False,
+    quiet: Quiet = False,
 ) -> None:
     """Show a motion as another body would do it.
 
@@ -40,7 +41,9 @@ def retarget(
         ground: height of the ground in the motion, metres; default: what the file says, else 0.
         json: print the report as JSON on stdout.
         overwrite: replace files that are there and recon did not write.
+        quiet: say nothing but errors and, last, where the result is.
     """
+    del quiet  # heeded by `writes`
     from recon.cli import console
     from recon.jobs.retarget import RetargetSettings, retarget_files
 
@@ -57,6 +60,7 @@ def retarget(
     console.table("physics at 20 Hz", {n: _shown(row) for n, row in report["physics"].items()})
     for warning in report["warnings"]:
         console.warn(warning)
+    console.last(str(out))
     if json:
         console.answer(report)
 

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import arg
 
-from recon.cli.places import Overwrite, Place, several_or_npz, writes
+from recon.cli.places import Overwrite, Place, Quiet, several_or_npz, writes
 
 
 @writes(Place("out", several_or_npz))
@@ -23,6 +23,7 @@ def sample(
     temperature: float = 1.0,
     json: Annotated[bool, arg(help="Print the report as JSON on stdout.")] = False,
     overwrite: Overwrite = False,
+    quiet: Quiet = False,
 ) -> None:
     """Make up motions that a prior finds likely.
 
@@ -43,7 +44,9 @@ def sample(
         temperature: humor: above 1 draws more varied motions, below 1 more usual ones.
         json: print the report as JSON on stdout.
         overwrite: replace files that are there and recon did not write.
+        quiet: say nothing but errors and, last, where the result is.
     """
+    del quiet  # heeded by `writes`
     from recon.cli import console
     from recon.jobs.generate import (
         BodySettings,
@@ -63,5 +66,6 @@ def sample(
     console.table(f"{count} motions of {seconds:g} s", report["files"])
     for warning in report.get("warnings", []):
         console.warn(warning)
+    console.last(str(out))
     if json:
         console.answer(report)

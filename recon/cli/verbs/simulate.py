@@ -86,7 +86,7 @@ def simulate(
         motion, out, kind, corruption, seed=seed, fps=fps, frames=_frames(frames),
         unknown_ground=unknown_ground, film=film, surface=surface, overwrite=overwrite,
     )  # fmt: skip
-    console.say(", ".join(map(str, written)))
+    console.last(", ".join(map(str, written)))
 
 
 def _frames(text: str | None) -> tuple[int, int] | None:

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from tyro.conf import Positional
 
-from recon.cli.places import Arguments, Overwrite, Place, writes
+from recon.cli.places import Arguments, Overwrite, Place, Quiet, writes
 from recon.jobs.results.outputs import Kind, Output
 
 
@@ -35,6 +35,7 @@ def train(
     device: Literal["cpu", "cuda"] = "cpu",
     seed: int = 0,
     overwrite: Overwrite = False,
+    quiet: Quiet = False,
 ) -> None:
     """Learn the weights of a prior.
 
@@ -57,7 +58,9 @@ def train(
         device: where to compute.
         seed: of everything random.
         overwrite: replace files that are there and recon did not write.
+        quiet: say nothing but errors and, last, where the result is.
     """
+    del quiet  # heeded by `writes`
     from recon.cli import console
 
     asked = {"steps": steps, "latent": latent}
@@ -77,13 +80,13 @@ def train(
         outputs = _weights(out, {"prior": prior})
         with writing(*outputs, report=report, overwrite=overwrite) as (made, log):
             train_pose(PoseTraining(corpus=corpus, out=made, log=log, data=data))
-        console.say(str(out))
+        console.last(str(out))
         return
     ask = {"corpus": corpus, "out": out.with_suffix(""), "data": data, "seed": seed, **asked}
     export = {"anchor": _anchor, "humos": _humos, "humor": _humor}[prior](ask, device)
     with writing_file(out, report, overwrite=overwrite) as made:
         export(made)
-    console.say(str(out))
+    console.last(str(out))
 
 
 Export = Callable[[Path], object]

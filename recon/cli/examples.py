@@ -1,0 +1,65 @@
+"""Commands to copy, two for every verb, shown at the end of its help."""
+
+EXAMPLES: dict[str, tuple[str, ...]] = {
+    "demo": (
+        "recon demo",
+        "recon demo --out pages --overwrite",
+    ),
+    "fit": (
+        "recon fit seen.npz --out motion.npz",
+        "recon fit views/ --camera calibration.toml --frame-rate 30 --out motion.npz",
+    ),
+    "complete": (
+        "recon complete scans/ --frame-rate 12 --out cycle.npz",
+        "recon complete landmarks.npz --between 1.0 2.2 --out cycle.npz",
+    ),
+    "batch": (
+        "recon batch clips.jsonl --out results",
+        "recon batch clips.jsonl --out results --shard 0/4 --prior pose",
+    ),
+    "convert": (
+        "recon convert walk.c3d walk.npz",
+        "recon convert recordings/ motions/ --all --processes 4",
+    ),
+    "sample": (
+        "recon sample --out walk.npz --seconds 4",
+        "recon sample --prior humos --shape woman,height=1.65 --count 5 --out samples/",
+    ),
+    "predict": (
+        "recon predict motion.npz --out next.npz --seconds 1.5",
+        "recon predict motion.npz --out futures/ --samples 8 --at 2.0",
+    ),
+    "interpolate": (
+        "recon interpolate walk.npz run.npz --out between.npz",
+        "recon interpolate walk.npz run.npz --out near.npz --at 0.25",
+    ),
+    "retarget": (
+        "recon retarget motion.npz --shape height=1.80,weight=75 --out taller.npz",
+        "recon retarget motion.npz --shape=-1,2 --out other.npz",
+    ),
+    "simulate": (
+        "recon simulate motion.npz seen.npz --kind joints3d --noise 0.02",
+        "recon simulate motion.npz views/ --kind keypoints2d --views 3 --noise 2",
+    ),
+    "evaluate": (
+        "recon evaluate motion.npz truth.npz",
+        "recon evaluate motion.npz truth.npz --obs seen.npz --json metrics.json",
+    ),
+    "view": (
+        "recon view motion.npz --html motion.html --obs seen.npz",
+        "recon view motion.npz --compare truth.npz --mp4 both.mp4",
+    ),
+    "export": (
+        "recon export motion.npz --glb motion.glb",
+        "recon export motion.npz --bvh motion.bvh --trc joints.trc",
+    ),
+    "info": (
+        "recon info motion.npz",
+        "recon info walk.c3d --json",
+    ),
+    "train": (
+        "recon train pose motions/ --out pose.safetensors",
+        "recon train humor motions/ --out humor.safetensors --steps 20000",
+    ),
+}
+"""By verb."""

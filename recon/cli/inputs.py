@@ -1,0 +1,65 @@
+"""Files and folders that a verb reads, looked for before anything heavy is loaded."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import fields, is_dataclass
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+_MOTION = "a motion file (.npz)"
+_OBSERVATION = "an observation file (.npz)"
+EXPECTED = {
+    "a": _MOTION,
+    "b": _MOTION,
+    "beside": _MOTION,
+    "body": "a SMPL-family file (.npz, .pkl)",
+    "camera": "a calibration of cameras (.toml, .yml, .json)",
+    "compare": _MOTION,
+    "corpus": "a folder that `recon convert --all` wrote",
+    "file": "a file or folder that recon reads",
+    "manifest": "a file with one JSON object per line",
+    "mapping": "a TOML file that says which joints or markers are which",
+    "masks": "a folder of silhouettes, or an .npz of them",
+    "motion": _MOTION,
+    "obs": _OBSERVATION,
+    "observations": f"{_OBSERVATION}, 2D detections, or a folder of scans or depth images",
+    "recording": "a recording (.bvh, .amc, .c3d, .trc, .mat), or a folder of them with --all",
+    "result": _MOTION,
+    "truth": _MOTION,
+}
+"""What every argument that names something to read should be, by the argument's name."""
+
+
+def check_inputs(given: Mapping[str, Any]) -> None:
+    """Refuse paths at which there is nothing.
+
+    Args:
+        given: the values of a verb's arguments, by name, without those that it writes.
+
+    Raises:
+        FileNotFoundError: names the path, what was expected there, and files like it.
+    """
+    for name, path in _named_paths(given):
+        # FILE::MEMBER is read from FILE
+        if not path.exists() and not Path(str(path).partition("::")[0]).exists():
+            raise FileNotFoundError(
+                f"there is nothing at {path}: expected {EXPECTED[name]}{_hint(path)}"
+            )
+
+
+def _named_paths(given: Mapping[str, Any]) -> Iterator[tuple[str, Path]]:
+    for name, value in given.items():
+        for one in value if isinstance(value, tuple) else (value,):
+            if isinstance(one, Path):
+                yield name, one
+            elif is_dataclass(one):
+                yield from _named_paths({f.name: getattr(one, f.name) for f in fields(one)})
+
+
+def _hint(path: Path) -> str:
+    """Files of nearly the same name, or the folder that is missing, too."""
+    folder = path.parent
+    if not folder.is_dir():
+        return f"; the folder {folder} is not there either"
+    near = get_close_matches(path.name, (one.name for one in folder.iterdir()))
+    return f"; did you mean {' or '.join(str(folder / name) for name in near)}?" if near else ""

@@ -1,0 +1,137 @@
+"""From the words of a command line to the verb that runs, or to what to write instead."""
+
+import functools
+import inspect
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import fields, is_dataclass
+from difflib import get_close_matches
+from typing import Annotated, Any, NoReturn, get_args, get_origin, get_type_hints
+
+from recon.cli import listing
+from recon.cli.examples import EXAMPLES
+
+BAD_USAGE = 2
+
+
+def parsed(words: Sequence[str]) -> Callable[[], None]:
+    """The verb of a command line with its arguments, not yet run.
+
+    Raises:
+        SystemExit: after `--help`, and, with code 2, when the words are no command.
+    """
+    import tyro
+
+    verbs = {verb.__name__: verb for verb in listing.ALL}
+    first = words[0] if len(words) > 0 else ""
+    if first in verbs:
+        return _of_verb(verbs[first], words[1:])
+    if first and not first.startswith("-"):
+        _refuse(
+            f"there is no verb {first}{_did_you_mean(first, verbs)}; the verbs are "
+            f"{', '.join(verbs)}. `recon --help` tells what they do"
+        )
+    if unknown := _unknown(words, ("-h", "--help", *_COMPLETION)):
+        _refuse(f"there is no option {unknown[0]}; `recon --help` lists the verbs")
+    app = tyro.extras.SubcommandApp()
+    for verb in verbs.values():
+        app.command(_in_short(verb))
+    return app.cli(prog="recon", description=listing.__doc__ or "", args=words or ["--help"])
+
+
+_COMPLETION = ("--tyro-print-completion", "--tyro-write-completion")
+
+
+def _of_verb(verb: Callable[..., None], words: Sequence[str]) -> Callable[[], None]:
+    """One verb is parsed alone: in a quarter of the time of all, and errors are about it."""
+    import tyro
+
+    name = verb.__name__
+    later = _put_off(verb)
+    ask = functools.partial(
+        tyro.cli, later, prog=f"recon {name}", description=_description(verb), args=words
+    )
+    try:
+        return ask(console_outputs="-h" in words or "--help" in words)
+    except SystemExit as end:
+        if not end.code:
+            raise
+    options = options_of(verb)
+    if unknown := _unknown(words, options):
+        word = unknown[0]
+        _refuse(
+            f"`recon {name}` has no option {word}{_did_you_mean(word, options)}; "
+            f"`recon {name} --help` lists its options"
+        )
+    # what else is wrong tyro says best
+    return ask()
+
+
+def options_of(verb: Callable[..., None]) -> set[str]:
+    """Every option of a verb, `--no-` of switches included."""
+    parameters = inspect.signature(verb).parameters.values()
+    return {"-h", "--help", *_COMPLETION}.union(
+        *(_options(one.name, one.annotation, one.default) for one in parameters)
+    )
+
+
+def _options(name: str, hint: Any, default: Any) -> set[str]:
+    """Those of one parameter; of settings, those of all their fields."""
+    from tyro.conf import Positional
+
+    if is_dataclass(default):
+        hints = get_type_hints(type(default), include_extras=True)
+        return set().union(
+            *(_options(f.name, hints[f.name], getattr(default, f.name)) for f in fields(default))
+        )
+    marks = get_args(hint)[1:] if get_origin(hint) is Annotated else ()
+    if set(marks) & set(get_args(Positional[str])[1:]):
+        return set()
+    names = [other for mark in marks if (other := getattr(mark, "name", None))] or [name]
+    word = names[0].replace("_", "-")
+    return {f"--{word}", f"--no-{word}"} if isinstance(default, bool) else {f"--{word}"}
+
+
+def _put_off(verb: Callable[..., None]) -> Callable[..., Callable[[], None]]:
+    """The verb's signature and help, but a call only remembers the arguments."""
+
+    @functools.wraps(verb)
+    def later(*args: Any, **kwargs: Any) -> Callable[[], None]:
+        return functools.partial(verb, *args, **kwargs)
+
+    return later
+
+
+def _in_short(verb: Callable[..., None]) -> Callable[..., Callable[[], None]]:
+    """The same with the first line of the help, for the list of all verbs."""
+    later = _put_off(verb)
+    later.__doc__ = (inspect.getdoc(verb) or "").partition("\n\n")[0]
+    return later
+
+
+def _description(verb: Callable[..., None]) -> str:
+    text = (inspect.getdoc(verb) or "").partition("\n\nArgs:")[0]
+    if verb.__name__ not in EXAMPLES:
+        return text
+    return "\n".join((text, "", "Examples:", *(f"  {one}" for one in EXAMPLES[verb.__name__])))
+
+
+def _unknown(words: Sequence[str], options: Iterable[str]) -> list[str]:
+    """Words that look like options, as they were written, and are none of these."""
+    known = set(options)
+    names = [word.partition("=")[0] for word in words]
+    return [
+        name for name in names
+        if name.startswith("-") and name.strip("-")[:1].isalpha()
+        and name.replace("_", "-") not in known
+    ]  # fmt: skip
+
+
+def _did_you_mean(word: str, known: Iterable[str]) -> str:
+    near = get_close_matches(word.replace("_", "-"), sorted(known), n=1)
+    return f" (did you mean {near[0]}?)" if near else ""
+
+
+def _refuse(message: str) -> NoReturn:
+    sys.stderr.write(f"recon: {message}\n")
+    raise SystemExit(BAD_USAGE)
