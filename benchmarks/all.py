@@ -16,6 +16,7 @@ from pathlib import Path
 
 _NC = "weights-nc/humor.safetensors"
 _RUNS = "ABLATIONS"
+_VERSION_0_1_0 = "0ce0517"
 _LIKE = "benchmarks/results/complete_published.json"
 _CYCLES = ("CORPUS", "--weights", "nc", "--licence", "nc")
 _POINTS = ("noisy joints", "occluded points")
@@ -46,6 +47,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "slip_sizes": ("slips.sizes", "CORPUS"),
     "slips": ("slips", "CORPUS", "--prior", "pose", "--good", "300", "--observations",
               "OBSERVATIONS"),
+    "start": ("start", "BASELINE"),
     "nearest": ("nearest",),
     "cycles": ("cycles", "CORPUS"),
     "complete_open": ("complete", "CORPUS", "--weights", "open", "--each", "3"),
@@ -95,6 +97,9 @@ def main() -> None:
     run("recon", "convert", "--all", str(data / "mocap"), str(corpus))
     if {"ablations", "cameras"} & set(given.only):
         run("benchmarks.ablations", str(corpus), "--out", str(out / "ablations"))
+    if "start" in given.only and not (out / "baseline").is_dir():
+        commit = ("git", "worktree", "add", "--detach", str(out / "baseline"), _VERSION_0_1_0)
+        subprocess.run(commit, check=True)
     places = {
         "CORPUS": str(corpus),
         "OBSERVATIONS": str(data / "observations"),
