@@ -36,7 +36,7 @@ from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.fitting.clip import fit_clip
 from recon.fitting.completion import NAMED_NOISE, complete
-from recon.fitting.settings import FitSettings
+from recon.fitting.options import FitOptions
 from recon.formats.mocap.reader import read_recording
 from recon.formats.mocap.recording import MarkerRecording
 from recon.view.frames import write_png
@@ -68,7 +68,7 @@ Fitter = Callable[[list[Markers3D]], list[Motion]]
 
 def completed(weights: str, body: BodyModel) -> Fitter:
     """The anchor-frame prior; cycles of one rate as one batch."""
-    settings = FitSettings(prior="anchor", weights=weights)
+    settings = FitOptions(prior="anchor", weights=weights)
 
     def run(seen: list[Markers3D]) -> list[Motion]:
         motions: list[Motion | None] = [None] * len(seen)
@@ -84,7 +84,7 @@ def completed(weights: str, body: BodyModel) -> Fitter:
 
 def by_pose(body: BodyModel) -> Fitter:
     """What `recon fit --prior pose --noise 0.01` gives, one by one."""
-    settings = FitSettings(prior="pose", noise=NAMED_NOISE)
+    settings = FitOptions(prior="pose", noise=(NAMED_NOISE,))
 
     def run(seen: list[Markers3D]) -> list[Motion]:
         return [fit_clip([one], settings, body).result.clip(0).detach() for one in seen]

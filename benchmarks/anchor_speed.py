@@ -28,7 +28,7 @@ from benchmarks.results import corpus_source, show, write
 from benchmarks.scans import ScannedCycle, scanned_cycle
 from recon.body.model import BodyModel
 from recon.fitting.completion import Points, complete
-from recon.fitting.settings import FitSettings
+from recon.fitting.options import FitOptions
 from recon.formats.observations import save_observation
 
 _SINGLE = 4
@@ -57,7 +57,7 @@ def main() -> None:
     ask = asked(arguments)
     torch.set_num_threads(1)
     body = BodyModel.load()
-    settings = FitSettings(prior="anchor", weights=ask.weights)
+    settings = FitOptions(prior="anchor", weights=ask.weights)
     cycles = chosen(list(found_cycles(ask.corpus, ask.splits, "validation")), 2)[:_SINGLE]
     scanned = [scanned_cycle(c.clip, c.subject, c.motion, body) for c in cycles]
     table: dict[str, dict[str, float]] = {}
@@ -84,7 +84,7 @@ def main() -> None:
                   weights=ask.weights, batch=arguments.batch, seconds=table)  # fmt: skip
 
 
-def _in_turn(seen: list[list[Points]], settings: FitSettings, body: BodyModel) -> None:
+def _in_turn(seen: list[list[Points]], settings: FitOptions, body: BodyModel) -> None:
     for one in seen:
         complete(one, settings, body)
 

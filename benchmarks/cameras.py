@@ -39,7 +39,7 @@ from recon.core.camera import Camera, depth_camera, full_hd_camera
 from recon.core.motion import Motion
 from recon.core.struct import concatenate
 from recon.fitting.clip import fit_clip
-from recon.fitting.settings import FitSettings
+from recon.fitting.options import FitOptions
 from recon.metrics.evaluation import evaluate, ground_errors
 from recon.simulation.depth import Surface, depth_points, without_pose
 from recon.simulation.images import dome, keypoints2d, orbiting
@@ -66,9 +66,9 @@ COLUMNS: Columns = {
 """Joints about the pelvis (visible, hidden, all); then in the world. Penetration and contacts are
 those of the ground that was found."""
 
-METHODS: dict[str, FitSettings] = {
-    "stages 1-2": FitSettings(prior="pose"),
-    "HuMoR": FitSettings(),
+METHODS: dict[str, FitOptions] = {
+    "stages 1-2": FitOptions(prior="pose"),
+    "HuMoR": FitOptions(),
 }
 
 
@@ -98,14 +98,14 @@ def main() -> None:
         windows = windows.take(evenly(windows, arguments.only))
     methods = dict(METHODS)
     if arguments.nc is not None:
-        methods["HuMoR, nc"] = FitSettings(weights=str(arguments.nc))
+        methods["HuMoR, nc"] = FitOptions(weights=str(arguments.nc))
     console = Console(width=None if sys.stdout.isatty() else 180)
     found: dict[str, dict[str, Rows]] = {}
     for case in arguments.cases:
         own = dict(methods)
         if arguments.ablations is not None and case == "one camera":
             files = sorted(arguments.ablations.glob("*.safetensors"))
-            own |= {f"HuMoR, {file.stem}": FitSettings(weights=str(file)) for file in files}
+            own |= {f"HuMoR, {file.stem}": FitOptions(weights=str(file)) for file in files}
         found[case] = {
             name: rows_of(windows, CASES[case], settings, body) for name, settings in own.items()
         }
@@ -120,7 +120,7 @@ def main() -> None:
 def rows_of(
     windows: Windows,
     film: Callable[[Motion, BodyModel, int], Filmed],
-    settings: FitSettings,
+    settings: FitOptions,
     body: BodyModel,
 ) -> Rows:
     """Film every window, fit and compare."""

@@ -41,8 +41,8 @@ from recon.core.motion import Motion
 from recon.core.struct import concatenate
 from recon.fitting.clip import fit_clip
 from recon.fitting.completion import NAMED_NOISE, Points, complete
-from recon.fitting.settings import FitSettings
-from recon.method.reconstruction import fit
+from recon.fitting.options import FitOptions
+from recon.method.reconstruction import solve
 from recon.metrics.chamfer import chamfer_of_clip
 
 READ = 512
@@ -97,7 +97,7 @@ def completed(weights: str, body: BodyModel, kind: type[AnchorFit] = AnchorFit) 
     """The anchor-frame prior."""
 
     def run(observations: list[Points]) -> list[Motion]:
-        result = complete(observations, FitSettings(weights=weights), body, kind=kind).result
+        result = complete(observations, FitOptions(weights=weights), body, kind=kind).result
         return [result.clip(k).detach() for k in range(len(result.motion.shape))]
 
     return run
@@ -112,13 +112,13 @@ def frame_by_frame(body: BodyModel, *, smooth: bool) -> Fitter:
 
     def run(observations: list[Points]) -> list[Motion]:
         start = (observations[-1]).start(body)
-        result = fit(observations, prior, body, start=start)
+        result = solve(observations, prior, body, start=start)
         return [result.clip(k).detach() for k in range(len(result.motion.shape))]
 
     return run
 
 
-def fitted(settings: FitSettings, body: BodyModel) -> Fitter:
+def fitted(settings: FitOptions, body: BodyModel) -> Fitter:
     """What `recon fit` does with the same observations, all frames of the batch."""
 
     def run(observations: list[Points]) -> list[Motion]:
@@ -223,8 +223,8 @@ def _main() -> None:
         "published": lambda: completed(given.weights, body, PublishedAnchorFit),
         "frames": lambda: frame_by_frame(body, smooth=False),
         "smooth": lambda: frame_by_frame(body, smooth=True),
-        "pose": lambda: fitted(FitSettings(prior="pose"), body),
-        "humor": lambda: fitted(FitSettings(prior="humor", weights=given.weights), body),
+        "pose": lambda: fitted(FitOptions(prior="pose"), body),
+        "humor": lambda: fitted(FitOptions(prior="humor", weights=given.weights), body),
     }[given.method]()
     table: dict[str, dict[str, float]] = {}
     every: dict[str, dict[str, dict[str, float]]] = {}

@@ -35,9 +35,9 @@ from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.fitting.long import fit_long
 from recon.fitting.methods import method_of
-from recon.fitting.settings import FitSettings
+from recon.fitting.options import FitOptions
 from recon.formats.motions import load_motion
-from recon.method.reconstruction import fit
+from recon.method.reconstruction import solve
 
 SEED, NOISE = 0, 0.04
 SECONDS = (10, 20, 40, 60)
@@ -111,10 +111,10 @@ def measure(prior: Literal["humor", "pose"], file: Path, seconds: int, way: str)
     body = BodyModel.load()
     truth = there_and_back(load_motion(file).motion.resample(FPS), seconds)
     seen = noisy_joints(truth.map(lambda tensor: tensor[None]), body, SEED, NOISE)
-    method = method_of(FitSettings(prior=prior), NOISE, body)
+    method = method_of(FitOptions(prior=prior), NOISE, body)
     began, worked = time.perf_counter(), time.process_time()
     if way == "whole":
-        motion, windows = fit([seen], method, body).clip(0), ()
+        motion, windows = solve([seen], method, body).clip(0), ()
     else:
         result = fit_long([seen], method, body)
         motion, windows = result.clip(0), result.windows

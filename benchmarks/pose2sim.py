@@ -30,6 +30,7 @@ from recon.core.motion import Motion
 from recon.diagnosis.fits.plausibility import views_error
 from recon.fitting.clip import ClipFit, fit_clip
 from recon.fitting.clip_files import load_clip
+from recon.fitting.options import FitOptions
 from recon.fitting.settings import FitSettings
 from recon.metrics import errors as metrics
 
@@ -102,7 +103,7 @@ def _one(
 def _fitted(paths: list[Path], settings: FitSettings, body: BodyModel) -> tuple[Row, ClipFit]:
     clip = load_clip(paths, settings, body)
     began = time.process_time()
-    found = fit_clip(clip.observations, settings, body)
+    found = fit_clip(clip.observations, FitOptions(), body)
     seconds = time.process_time() - began
     views = [o for o in clip.observations if isinstance(o, Keypoints2D)]
     with torch.no_grad():

@@ -24,7 +24,7 @@ from recon.body.model import BodyModel
 from recon.formats.mocap.reader import read_recording
 from recon.formats.mocap.recording import MarkerRecording
 from recon.ingest.markers.coverage import full_body_markers
-from recon.method.reconstruction import Method, fit
+from recon.method.reconstruction import Method, solve
 from recon.view.frames import write_png
 from recon.view.show.colours import GREY
 from recon.view.show.scene import Figure, Points, Show
@@ -57,10 +57,10 @@ def main() -> None:
     rows: dict[str, dict[str, float]] = {}
     for name in RECORDINGS:
         seen = observation(arguments.observations / name, body)
-        everything = fit([seen], poses, body)
+        everything = solve([seen], poses, body)
         hidden = seen.visible & (seen.positions[..., 2] < HIDDEN_BELOW)
         spoilt = seen.replace(visible=seen.visible & ~hidden)
-        results = {label: fit([spoilt], method, body) for label, method in methods.items()}
+        results = {label: solve([spoilt], method, body) for label, method in methods.items()}
         rows[name] = {}
         for label, result in {**results, "pose prior, nothing hidden": everything}.items():
             there, when = at_observation_times(

@@ -21,7 +21,7 @@ from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.skeleton import FEET, LEGS
 from recon.core.struct import concatenate
-from recon.method.reconstruction import Method, fit
+from recon.method.reconstruction import Method, solve
 from recon.metrics import errors as metrics
 from recon.metrics.evaluation import ObservedPoints, evaluate, smoothness, sole_heights
 
@@ -83,7 +83,7 @@ def fit_windows(
     for first in range(0, len(observed.positions), at_once):
         rows = slice(first, first + at_once)
         some = observed[rows]
-        result = fit([some], method, body, start=None if start is None else start[rows])
+        result = solve([some], method, body, start=None if start is None else start[rows])
         motions.append(result.motion.detach())
         points.append(some.predict(result.estimate).detach())
         if result.contacts is not None:

@@ -22,7 +22,7 @@ from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.struct import stack
-from recon.method.reconstruction import fit
+from recon.method.reconstruction import solve
 from recon.simulation import points as simulate
 from recon.simulation.points import Corruption
 
@@ -89,11 +89,11 @@ def fitting(body: BodyModel, motion: Motion) -> dict[str, float]:
     clips = stack([simulate.joints3d(motion, body, Corruption(noise=0.04), k) for k in range(16)])
     one = clips[:1]
     prior = PosePrior.load()
-    fit([one], prior, body)
+    solve([one], prior, body)
 
     def timed(observation: Joints3D) -> float:
         began = time.perf_counter()
-        fit([observation], prior, body)
+        solve([observation], prior, body)
         return time.perf_counter() - began
 
     single = float(np.median([timed(one) for _ in range(5)]))

@@ -36,7 +36,7 @@ from priors.pose.prior import PosePrior, PoseWeights
 from priors.training.dataset import Splits
 from recon.body.model import BodyModel
 from recon.method.protocols import Observation
-from recon.method.reconstruction import fit
+from recon.method.reconstruction import solve
 
 SEED = 0
 CUTOFFS = tuple(np.arange(2.0, 6.01, 0.25).tolist())
@@ -143,9 +143,9 @@ def measure_speed(windows: Windows, body: BodyModel, prior: PosePrior) -> dict[s
     found = {"threads": float(torch.get_num_threads())}
     for count in (1, 16):
         observed: Observation = noisy_joints(windows.truth[:count], body, SEED)
-        fit([observed], method, body)  # once before, to warm up
+        solve([observed], method, body)  # once before, to warm up
         began = time.perf_counter()
-        fit([observed], method, body)
+        solve([observed], method, body)
         found[f"seconds for {count}"] = time.perf_counter() - began
     found["clips per second"] = 16 / found["seconds for 16"]
     return found

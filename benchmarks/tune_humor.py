@@ -19,7 +19,7 @@ from priors.humor.collocation import Collocation, CollocationWeights
 from priors.humor.prior import Humor
 from priors.training.dataset import SPLITS, Splits
 from recon.body.model import BodyModel
-from recon.method.reconstruction import fit
+from recon.method.reconstruction import solve
 
 Error = Callable[[CollocationWeights], float]
 
@@ -41,12 +41,12 @@ def main() -> None:
 
     def noisy_error(weights: CollocationWeights) -> float:
         method = dataclasses.replace(Collocation.for_noise(humor, 0.04), weights=weights)
-        result = fit([noisy], method, body)
+        result = solve([noisy], method, body)
         return subject_mean(windows, (result.body.joints - joints).norm(dim=-1).mean((1, 2)))
 
     def occluded_error(weights: CollocationWeights) -> float:
         method = dataclasses.replace(Collocation.for_noise(humor, 0.0), weights=weights)
-        predicted = occluded.predict(fit([occluded], method, body).estimate)
+        predicted = occluded.predict(solve([occluded], method, body).estimate)
         return subject_mean(windows, (predicted - points).norm(dim=-1).mean((1, 2)))
 
     for name, error, noise in (

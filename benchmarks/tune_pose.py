@@ -18,7 +18,7 @@ from benchmarks.windows import load_windows, noisy_joints, occluded_points
 from priors.pose.prior import PosePrior, PoseWeights
 from priors.training.dataset import SPLITS, Splits
 from recon.body.model import BodyModel
-from recon.method.reconstruction import fit
+from recon.method.reconstruction import solve
 
 Error = Callable[[PoseWeights], float]
 
@@ -38,11 +38,11 @@ def main() -> None:
     occluded, points = occluded_points(windows.truth, body)
 
     def noisy_error(weights: PoseWeights) -> float:
-        result = fit([noisy], prior.replace(weights=weights), body)
+        result = solve([noisy], prior.replace(weights=weights), body)
         return subject_mean(windows, (result.body.joints - joints).norm(dim=-1).mean((1, 2)))
 
     def occluded_error(weights: PoseWeights) -> float:
-        result = fit([occluded], prior.replace(weights=weights), body)
+        result = solve([occluded], prior.replace(weights=weights), body)
         errors = (occluded.predict(result.estimate) - points).norm(dim=-1)
         seen = errors.where(occluded.visible, 0.0).sum() / occluded.visible.sum()
         print(f"    visible {100 * seen.item():.3f} cm")

@@ -24,7 +24,7 @@ def main() -> None:
         truth = recon.load_motion(path).motion
 
     seen = joints3d(truth, body, Corruption(noise=0.04, missing_points=0.2), seed=0)
-    result = recon.fit([seen[None]], prior=PosePrior.load(), body=body)
+    result = recon.solve([seen[None]], prior=PosePrior.load(), body=body)
 
     print(result)
     metrics = recon.evaluate(result.clip(0), truth, body)

@@ -51,7 +51,7 @@ def main() -> None:
         visible = np.isfinite(chunk).all(-1)
         observation = Joints3D(chunk[None], visible[None], tuple(range(22)), FPS)
         start = None if last is None else hold(last, len(chunk))
-        result = recon.fit([observation], prior, start=start)
+        result = recon.solve([observation], prior, start=start)
         last = result.motion.detach()
         joints = result.body.joints[0].detach().numpy()  # (frames, 22, 3), complete
         steps = int(result.reports[-1].solution.iterations[0])

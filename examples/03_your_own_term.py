@@ -47,7 +47,7 @@ def main() -> None:
         truth = recon.load_motion(path).motion
     seen = joints3d(truth, body, Corruption(noise=0.04), seed=0)[None]
     for weight in (0.0, 10.0):
-        result = recon.fit([seen], LevelHead(PosePrior.load(), weight), body)
+        result = recon.solve([seen], LevelHead(PosePrior.load(), weight), body)
         print(f"weight {weight}: tilt {float(level_head(result.estimate)):.3f}")
 
 

@@ -10,20 +10,46 @@ __version__ = "0.1.0"
 __distribution__ = "motion-recon"
 
 if TYPE_CHECKING:
+    from observations.depth import PointCloud as PointCloud
+    from observations.joints3d import Joints3D as Joints3D
+    from observations.keypoints2d import Keypoints2D as Keypoints2D
+    from observations.markers3d import Markers3D as Markers3D
+    from recon.api.fit import fit as fit
+    from recon.api.load import load_observation as load_observation
+    from recon.api.result import Result as Result
     from recon.body.model import BodyModel as BodyModel
     from recon.body.motion_files import load_motion_of as load_motion_of
+    from recon.core.camera import Camera as Camera
+    from recon.core.errors import FormatError as FormatError
+    from recon.core.errors import ObservationError as ObservationError
+    from recon.core.errors import ReconError as ReconError
+    from recon.core.errors import UnitsError as UnitsError
+    from recon.core.errors import WeightsError as WeightsError
     from recon.core.motion import Motion as Motion
     from recon.fitting.long import LongReconstruction as LongReconstruction
     from recon.fitting.long import fit_long as fit_long
     from recon.formats.motions import load_motion as load_motion
     from recon.formats.motions import save_motion as save_motion
     from recon.method.reconstruction import Reconstruction as Reconstruction
-    from recon.method.reconstruction import fit as fit
+    from recon.method.reconstruction import solve as solve
     from recon.method.stages import Stage as Stage
     from recon.method.terms import Term as Term
     from recon.metrics.evaluation import evaluate as evaluate
 
 _HOMES = {
+    "fit": "recon.api.fit",
+    "load_observation": "recon.api.load",
+    "Result": "recon.api.result",
+    "Joints3D": "observations.joints3d",
+    "Markers3D": "observations.markers3d",
+    "Keypoints2D": "observations.keypoints2d",
+    "PointCloud": "observations.depth",
+    "Camera": "recon.core.camera",
+    "ReconError": "recon.core.errors",
+    "FormatError": "recon.core.errors",
+    "ObservationError": "recon.core.errors",
+    "UnitsError": "recon.core.errors",
+    "WeightsError": "recon.core.errors",
     "BodyModel": "recon.body.model",
     "evaluate": "recon.metrics.evaluation",
     "load_motion": "recon.formats.motions",
@@ -33,7 +59,7 @@ _HOMES = {
     "Motion": "recon.core.motion",
     "load_motion_of": "recon.body.motion_files",
     "Reconstruction": "recon.method.reconstruction",
-    "fit": "recon.method.reconstruction",
+    "solve": "recon.method.reconstruction",
     "Stage": "recon.method.stages",
     "Term": "recon.method.terms",
 }

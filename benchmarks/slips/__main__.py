@@ -46,14 +46,14 @@ from benchmarks.slips.table import (
     totals,
 )
 from recon.body.model import BodyModel
-from recon.fitting.settings import FitSettings
+from recon.fitting.options import FitOptions
 
 CLIPS = 20
 
 
 def main() -> None:
     arguments = parsed()
-    body, settings = BodyModel.load(), FitSettings(prior=arguments.prior)
+    body, settings = BodyModel.load(), FitOptions(prior=arguments.prior)
     every = windows_of(arguments.corpus, arguments.part, body)
     clips = evenly(every, arguments.clips)
     sources: Sources = corpus_source(arguments.corpus, every.files)

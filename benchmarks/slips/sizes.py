@@ -26,7 +26,7 @@ from observations.together.first_guess import Seen
 from recon.body.model import BodyModel
 from recon.core.struct import concatenate
 from recon.fitting.clip import ClipFit, fit_clip
-from recon.fitting.settings import FitSettings
+from recon.fitting.options import FitOptions
 
 SIZES = Path(__file__).parents[1] / "results" / "slip_sizes.json"
 ADDED = 0.05
@@ -74,7 +74,7 @@ def main() -> None:
     parser.add_argument("--only", default="", help="slips whose key contains this")
     parser.add_argument("--json", type=Path, default=SIZES)
     arguments = parser.parse_args()
-    body, settings = BodyModel.load(), FitSettings(prior=arguments.prior)
+    body, settings = BodyModel.load(), FitOptions(prior=arguments.prior)
     windows = windows_of(arguments.corpus, "validation", body)
     clips = evenly(windows, arguments.clips)
     rows = _earlier(arguments.json) if arguments.only else {}
@@ -100,7 +100,7 @@ def sized(
     slip: Slip,
     recordings: Sequence[Recording],
     clean: ClipFit,
-    settings: FitSettings,
+    settings: FitOptions,
     body: BodyModel,
 ) -> Sized:
     """Climb the ladder of a slip until a size spoils enough clips."""
@@ -126,7 +126,7 @@ def spoils(slip: Slip, clean: float, slipped: float) -> bool:
     return slipped >= min(MULTIPLIED * clean, clean + ADDED)
 
 
-def fitted(clips: Sequence[tuple[Seen, ...]], settings: FitSettings, body: BodyModel) -> ClipFit:
+def fitted(clips: Sequence[tuple[Seen, ...]], settings: FitOptions, body: BodyModel) -> ClipFit:
     """All clips in one batch, as they are."""
     return fit_clip([concatenate(list(part)) for part in zip(*clips, strict=True)], settings, body)
 

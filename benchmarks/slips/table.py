@@ -15,7 +15,7 @@ from benchmarks.windows import Windows
 from recon.body.model import BodyModel
 from recon.diagnosis.examination import fit_examined
 from recon.fitting.clip import ClipFit, fit_clip
-from recon.fitting.settings import FitSettings
+from recon.fitting.options import FitOptions
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ def judged(
     clips: Sequence[int],
     slips: Sequence[Slip],
     sizes: dict[str, float],
-    settings: FitSettings,
+    settings: FitOptions,
     body: BodyModel,
     *,
     unrepaired: bool,
@@ -76,7 +76,7 @@ def slipped(
     size: float,
     recording: Recording,
     clean: ClipFit,
-    settings: FitSettings,
+    settings: FitOptions,
     unrepaired: bool,
 ) -> Verdict:
     """One slip on one clip."""
@@ -153,7 +153,7 @@ def summary(table: Sequence[Judged]) -> str:
 def quiet(
     good: GoodWindows,
     windows: Sequence[GoodWindow],
-    settings: FitSettings,
+    settings: FitOptions,
     body: BodyModel,
 ) -> Iterator[dict[str, Any]]:
     """Fit good windows; print what is said about them and is not so."""

@@ -63,6 +63,18 @@ def camera_above(ground: tuple[float, float, float, float]) -> Float[np.ndarray,
             f"the ground {ground} is not below the camera: expected (nx, ny, nz, d) with the "
             "normal up and d < 0, such as (0, -1, 0, -1.2) for a level camera 1.2 m above it"
         )
+    return world_above(ground)
+
+
+def world_above(ground: tuple[float, float, float, float]) -> Float[np.ndarray, "4 4"]:
+    """T_world_frame of a frame in which the ground is n·x = d; z = 0 of the world is the ground.
+
+    The frame's origin comes to lie over the world's, and the plane z = 0 changes nothing.
+
+    Raises:
+        ValueError: when the normal is zero.
+    """
+    plane = Ground.create(torch.tensor(ground[:3]), torch.tensor(ground[3]))
     return world_from_camera(plane, torch.tensor(_FACING), torch.zeros(3)).double().numpy()
 
 

@@ -15,8 +15,8 @@ from tyro.conf import arg
 
 from recon.cli import console
 from recon.cli.inputs import check_inputs
-from recon.jobs.results.inputs import paths_in
-from recon.jobs.results.outputs import Kind, Output, check_outputs
+from recon.formats.results.inputs import paths_in
+from recon.formats.results.outputs import Kind, Output, check_outputs
 
 Overwrite = Annotated[bool, arg(help="Replace files that are there and recon did not write.")]
 """The option of every verb that writes."""

@@ -23,12 +23,12 @@ from recon.diagnosis.motions.belt import treadmill_finding
 from recon.diagnosis.motions.carried import carried_finding
 from recon.diagnosis.motions.pace import rate_finding
 from recon.diagnosis.motions.support import support_findings
-from recon.diagnosis.motions.treadmill import with_belt
+from recon.diagnosis.motions.treadmill import on_belt, with_belt
 from recon.diagnosis.points.screening import screen_points
 from recon.diagnosis.views.screening import screen_views
 from recon.fitting.clip import ClipFit, fit_clip
 from recon.fitting.completion import complete
-from recon.fitting.settings import FitSettings
+from recon.fitting.options import FitOptions
 from recon.method.protocols import Estimate
 from recon.method.stages import Watch
 
@@ -67,25 +67,33 @@ class Examined:
 def fit_examined(
     observations: Sequence[Seen],
     names: Sequence[str],
-    settings: FitSettings,
+    options: FitOptions,
     body: BodyModel,
     watch: Watch | None = None,
+    start: Motion | None = None,
 ) -> Examined:
     """Fit one clip's observations, checked before and after.
 
     Args:
         observations: sensors of one clip that share a frame; a batch axis of length one.
         names: of the sensors, for messages.
-        settings: how to fit; `repair` says whether faults are put right.
+        options: how to fit; `repair` says whether faults are put right.
         body: whose motion it is.
         watch: told about every iteration.
+        start: a first guess in the frame of the observations, axes (1, time).
 
     Raises:
         ValueError: as `recon.fitting.clip.fit_clip` and `recon.fitting.completion.complete` do.
     """
-    screened = screen(observations, names, settings, body)
-    completes = settings.prior == "anchor"
-    found = (complete if completes else fit_clip)(screened.observations, settings, body, watch)
+    if options.completes and start is not None:
+        raise ValueError("gait cycles are searched from many starts: leave `start` out")
+    screened = screen(observations, names, options, body)
+    if options.completes:
+        found = complete(screened.observations, options, body, watch)
+    else:
+        if screened.belt is not None and start is not None:
+            start = on_belt(start, screened.belt)
+        found = fit_clip(screened.observations, options, body, watch, start)
     return examine(found, names, screened)
 
 
@@ -101,10 +109,10 @@ class ScreenedClip:
 
 
 def screen(
-    observations: Sequence[Seen], names: Sequence[str], settings: FitSettings, body: BodyModel
+    observations: Sequence[Seen], names: Sequence[str], options: FitOptions, body: BodyModel
 ) -> ScreenedClip:
-    """Check all sensors of a clip before the fit; without `settings.repair` nothing is done."""
-    if not settings.repair:
+    """Check all sensors of a clip before the fit; without `options.repair` nothing is done."""
+    if not options.repair:
         return ScreenedClip(tuple(observations))
     kept = list(observations)
     rows = [k for k, one in enumerate(observations) if isinstance(one, Keypoints2D)]
@@ -124,7 +132,7 @@ def screen(
     points = [one for one in kept if isinstance(one, Joints3D | Markers3D)]
     if not belts:
         return clip
-    if len(points) < len(kept) or settings.prior == "anchor":  # these stay in the room
+    if len(points) < len(kept) or options.completes:  # these stay in the room
         return replace(
             clip,
             repairs=tuple(one for one in clip.repairs if one.code != "treadmill"),

@@ -38,6 +38,7 @@ Code = Literal[
     "gap",
     "jump",
     "joint centres",
+    "stopped",
 ]
 """The likeliest cause of a finding.
 
@@ -67,6 +68,7 @@ Code = Literal[
 * gap: a stretch of frames without data.
 * jump: the body moves faster between two frames than the data does.
 * joint centres: points that are called markers lie inside the body.
+* stopped: the caller ended the fit before it was done.
 """
 
 

@@ -19,11 +19,12 @@ from recon.core.motion import Motion
 from recon.core.scene import GROUND, HEIGHT, OFFSETS, Scene, UnknownGround
 from recon.core.struct import concatenate
 from recon.fitting.ground import ground_below, pelvis_path, sole_heights, upright_ground
-from recon.fitting.long import WINDOW, fit_long
+from recon.fitting.long import WINDOW, OneShape, fit_long
 from recon.fitting.methods import WithoutRoot, WithScene, method_of
-from recon.fitting.settings import FitSettings
-from recon.method.reconstruction import Method, Reconstruction, fit
+from recon.fitting.options import FitOptions
+from recon.method.reconstruction import Method, Reconstruction, solve
 from recon.method.stages import Watch
+from recon.method.start import checked_start
 from recon.method.terms import Term, ground_moved, offsets
 
 LONG = 10.0
@@ -36,7 +37,7 @@ It differs by a centimetre or two, but frames repeat each other."""
 GROUND_DEVIATION = 0.001
 """Metres and radians by which a plane that is given or seen may miss the ground: thousands of
 points see it, and no step of a person should outweigh them."""
-POSE = FitSettings(prior="pose")
+POSE = FitOptions(prior="pose")
 
 
 @dataclass(frozen=True)
@@ -55,9 +56,10 @@ class ClipFit:
 
 def fit_clip(
     observations: Sequence[Seen],
-    settings: FitSettings,
+    options: FitOptions,
     body: BodyModel,
     watch: Watch | None = None,
+    start: Motion | None = None,
 ) -> ClipFit:
     """Fit observations that share a frame, the recording's; with a leading axis of clips.
 
@@ -67,8 +69,17 @@ def fit_clip(
     a first ground, and the method moves both further. Recordings longer than `LONG` keep the
     ground that their first seconds tell.
 
+    Args:
+        observations: of the clips.
+        options: how to fit.
+        body: whose motion it is.
+        watch: told about every iteration.
+        start: a first guess in the frame of the observations, axes (clips, time), instead of what
+            the data tell.
+
     Raises:
-        ValueError: when some observations know the ground and others do not.
+        ValueError: when some observations know the ground and others do not, or the start does
+            not fit the observations.
     """
     known = {observation.ground_known for observation in observations}
     if len(known) > 1 and any(isinstance(o, Keypoints2D) for o in observations):
@@ -76,14 +87,17 @@ def fit_clip(
             "some observations know where the ground is and some do not: give every camera its "
             "pose (T_camera_world), or none"
         )
-    guess = first_guess(observations, body)
-    noises = tuple(noise_of(o, guess.motion, body, _told(o, settings)) for o in observations)
+    guess = _first_guess(observations, body, start, options)
+    noises = tuple(
+        noise_of(one, guess.motion, body, options.noise_of(row))
+        for row, one in enumerate(observations)
+    )
     seen, offsets = _with_offsets(tuple(observations))
-    job = _Job(seen, guess, noises, offsets, body, settings, watch).decided()
+    job = _Job(seen, guess, noises, offsets, body, options, watch).decided()
     if known == {True}:
         start = guess.motion if guess.distance_known else job.on_known_ground()
         T = torch.eye(4).expand(len(start.translation), 4, 4)
-        result = job.fit(settings, job.scene(start), start, job.moved)
+        result = job.fit(options, job.scene(start), start, job.moved)
         return ClipFit(result, noises, True, T, seen)
     result = job.with_ground()
     assert result.estimate.scene.ground is not None
@@ -103,9 +117,22 @@ def _with_offsets(observations: tuple[Seen, ...]) -> tuple[tuple[Seen, ...], int
     ), count
 
 
-def _told(observation: Seen, settings: FitSettings) -> float | None:
-    in_pixels = isinstance(observation, Keypoints2D)
-    return settings.noise_pixels if in_pixels else settings.noise
+def _first_guess(
+    observations: Sequence[Seen], body: BodyModel, start: Motion | None, options: FitOptions
+) -> FirstGuess:
+    """The caller's start, or what the data tell; of the shape that is held, if one is."""
+    if start is None:
+        guess = first_guess(observations, body)
+    else:
+        guess = FirstGuess(checked_start(start, tuple(observations), body), True)
+    if options.shape is None:
+        return guess
+    shape = options.shape.to(guess.motion.shape).expand_as(guess.motion.shape)
+    return FirstGuess(
+        guess.motion.replace(shape=shape),
+        guess.distance_known,
+        tuple(other.replace(shape=shape) for other in guess.others),
+    )
 
 
 @dataclass(frozen=True)
@@ -118,7 +145,7 @@ class _Job:
     offsets: int
     """Rows of `Scene.offsets`."""
     body: BodyModel
-    settings: FitSettings
+    options: FitOptions
     watch: Watch | None
 
     @property
@@ -137,32 +164,40 @@ class _Job:
         scene = Scene.create(clips, self.offsets, like=start.translation)
         return scene.replace(ground=ground)
 
-    def method(self, settings: FitSettings, moved: frozenset[str]) -> Method:
+    @property
+    def rough(self) -> FitOptions:
+        """The pose prior alone, which does not ask where the ground is, for first motions."""
+        return replace(POSE, shape=self.options.shape)
+
+    def method(self, options: FitOptions, moved: frozenset[str]) -> Method:
         noise = min(noise.metres for noise in self.noises)
-        method = method_of(settings, noise, self.body)
-        terms: tuple[Term, ...] = ()
+        method = method_of(options, noise, self.body)
+        if options.shape is not None:
+            method = OneShape(method)
+        terms = options.terms
         if moved >= OFFSETS:
-            terms = (Term("offsets", offsets, (noise * OFFSET_UNIT / OFFSET_DEVIATION) ** 2),)
+            weight = (noise * OFFSET_UNIT / OFFSET_DEVIATION) ** 2
+            terms = (*terms, Term("offsets", offsets, weight))
         if moved >= GROUND and self.ground_seen:
             terms = (*terms, Term("ground", ground_moved, (noise / GROUND_DEVIATION) ** 2))
-        method = WithScene(method, moved, terms) if moved else method
+        method = WithScene(method, moved, terms) if moved or terms else method
         return method if self.guess.distance_known else WithoutRoot(method)
 
     def fit(
-        self, settings: FitSettings, scene: Scene, start: Motion, moved: frozenset[str]
+        self, options: FitOptions, scene: Scene, start: Motion, moved: frozenset[str]
     ) -> Reconstruction:
         """The whole clip, from a start, moving some of the scene.
 
         Long clips find the scene in their first seconds and keep it.
         """
-        run = partial(fit_long if self.long else fit, body=self.body)
+        run = partial(fit_long if self.long else solve, body=self.body)
         if self.long and moved:
             first = self.first_seconds()
             shorter = start.window(0, first.guess.motion.frames)
-            scene, moved = first.fit(settings, scene, shorter, moved).estimate.scene, frozenset()
+            scene, moved = first.fit(options, scene, shorter, moved).estimate.scene, frozenset()
         return run(
             self.observations,
-            self.method(settings, moved),
+            self.method(options, moved),
             scene=scene,
             start=start,
             weights=weights_of(self.noises),
@@ -182,7 +217,7 @@ class _Job:
         quick = replace(self, observations=rough)
         every = (self.guess.motion, *self.guess.others)
         starts = [motion.resample(motion.fps / 2) for motion in every]
-        fits = [quick.fit(POSE, self.scene(start), start, frozenset()) for start in starts]
+        fits = [quick.fit(self.rough, self.scene(start), start, frozenset()) for start in starts]
         best = torch.stack([one.reports[-1].solution.value for one in fits]).argmin(0)
         rows = [every[k][[row]] for row, k in enumerate(best.tolist())]
         return replace(self, guess=FirstGuess(concatenate(rows), self.guess.distance_known))
@@ -205,12 +240,12 @@ class _Job:
     def ground_seen(self) -> bool:
         """Whether the recording's z = 0 was laid on a plane that is given or seen."""
         seen = any(isinstance(o, PointCloud) and o.ground_seen for o in self.observations)
-        return seen or self.settings.ground is not None
+        return seen or self.options.ground_given
 
     def free(self) -> Motion:
         """A first motion under the pose prior, which does not ask where the ground is."""
         start = self.guess.motion
-        return self.fit(POSE, self.scene(start), start, frozenset()).motion
+        return self.fit(self.rough, self.scene(start), start, frozenset()).motion
 
     def with_ground(self) -> Reconstruction:
         """The whole clip and its ground, found from the way people stand."""
@@ -224,9 +259,9 @@ class _Job:
         else:
             start, unknown = self.free(), GROUND
             ground = upright_ground(start, self.body)
-        if self.settings.prior == "pose":  # it knows nothing of gravity
+        if not self.options.knows_gravity:
             unknown = frozenset()
-        return self.fit(self.settings, self.scene(start, ground), start, self.moved | unknown)
+        return self.fit(self.options, self.scene(start, ground), start, self.moved | unknown)
 
     def first_seconds(self) -> "_Job":
         """The same clip cut off after a window's length."""

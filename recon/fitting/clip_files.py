@@ -41,6 +41,8 @@ class Clip:
     notes: tuple[str, ...]
     T_recording_camera: Float[np.ndarray, "4 4"] | None
     """Of the one camera whose pose is not known, if there is one; metres."""
+    ground_given: bool = False
+    """Whether the caller gave the plane that lies at z = 0 of the recording."""
 
 
 def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> Clip:
@@ -169,7 +171,8 @@ def _together(
                 file, name, body, unit=settings.unit, up=settings.up, robust=settings.robust
             )
     observations = tuple(found[k] for k in range(len(files)))
-    return Clip(observations, tuple(name for name, _ in files), tuple(notes), T)
+    names = tuple(name for name, _ in files)
+    return Clip(observations, names, tuple(notes), T, settings.ground is not None)
 
 
 def _has_pose(file: ObservationFile) -> bool:

@@ -28,7 +28,7 @@ from recon.core import rotations as so3
 from recon.core.scene import OFFSETS, Scene
 from recon.core.struct import concatenate
 from recon.fitting.clip import ClipFit
-from recon.fitting.settings import FitSettings
+from recon.fitting.options import FitOptions
 from recon.method.protocols import REFERENCE_FPS
 from recon.method.reconstruction import Reconstruction
 from recon.method.stages import Stage, StageReport, Watch, evaluate_stage, run_stage
@@ -58,7 +58,7 @@ Points = PointCloud | Joints3D | Markers3D
 
 def complete(
     observations: Sequence[Seen],
-    settings: FitSettings,
+    options: FitOptions,
     body: BodyModel,
     watch: Watch | None = None,
     kind: type[AnchorFit] = AnchorFit,
@@ -70,26 +70,34 @@ def complete(
 
     Args:
         observations: of the clips, which are independent of each other.
-        settings: of the fit; `weights` names those of the prior.
+        options: of the fit; its prior is `anchor`, by name or loaded.
         body: whose motion it is.
         watch: told about every iteration.
         kind: how misfits are weighed: by their noise, or as published.
 
     Raises:
         ValueError: when nothing tells where the body is, a clip does not last 0.3 to 3 s, or
-            physics is asked for.
+            physics, a shape that is held or further terms are asked for.
     """
-    if settings.physics != 0:
+    if options.physics != 0:
         raise ValueError("cycles are completed without physics; leave it out, or fit by humor")
-    seen = tuple(o.to(device=settings.device) for o in observations if isinstance(o, Points))
+    if options.shape is not None or options.terms:
+        raise ValueError(
+            "cycles are completed with a shape of their own and no further terms; leave shape and "
+            "terms out, or fit by humor"
+        )
+    device = body.template.device
+    seen = tuple(o.to(device=device) for o in observations if isinstance(o, Points))
     if len(seen) < len(observations):
         raise ValueError(
             "completing a cycle takes scans, landmarks or joints, got 2D keypoints as well; fit "
             "them with --prior humor"
         )
-    prior = AnchorFrames.load(settings.weights, body)
+    prior = options.prior
+    if not isinstance(prior, AnchorFrames):
+        prior = AnchorFrames.load(options.weights, body)
     seen, rows = _with_offsets(tuple(_thinned(o) for o in seen))
-    noises = tuple(_noise(o, settings) for o in seen)
+    noises = tuple(_noise(o, options.noise_of(row)) for row, o in enumerate(seen))
     dense = any(_fullest(o) >= DENSE for o in seen if isinstance(o, PointCloud))
     method = kind(prior, min(noise.metres for noise in noises), detailed=dense)
     return _Search(seen, noises, method, body, _Clock.of(seen), rows, watch).fitted()
@@ -342,7 +350,7 @@ def _fullest(cloud: PointCloud) -> int:
     return int(cloud.present.sum(-1).max())
 
 
-def _noise(one: Points, settings: FitSettings) -> Noise:
+def _noise(one: Points, told: float | None) -> Noise:
     """A frame's cloud is worth some points that know their place; few frames count one each.
 
     Energies are sums over all frames of the clock, empty or not, taken at 30 Hz.
@@ -355,9 +363,9 @@ def _noise(one: Points, settings: FitSettings) -> Noise:
     often = float(rate[seen].median()) if bool(seen.any()) else one.fps
     worth = one.fps / max(often, REFERENCE_FPS)
     if not isinstance(one, PointCloud):
-        noise = NAMED_NOISE if settings.noise is None else settings.noise
+        noise = NAMED_NOISE if told is None else told
         return Noise(noise / worth**0.5, noise)
-    noise = CLOUD_NOISE if settings.noise is None else settings.noise
+    noise = CLOUD_NOISE if told is None else told
     return Noise(noise * (max(typical / CLOUD_WORTH, 1.0) / worth) ** 0.5, noise)
 
 

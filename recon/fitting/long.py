@@ -92,11 +92,11 @@ def fit_long(
 
     shapes = job.fit("shape", some, recording.guess.shape, lambda _: _ShapeOnly(prior))
     shape = shapes.shape()
-    apart = job.fit("apart", every[::2], shape, lambda _: _OneShape(prior, ()))
+    apart = job.fit("apart", every[::2], shape, lambda _: OneShape(prior, ()))
 
     def tied(rows: Sequence[int]) -> Method:
         ties = [recording.tie(row, apart.beside(row), apart.fps, body) for row in rows]
-        return _OneShape(prior, (Term("overlap", stack(ties), TIE),))
+        return OneShape(prior, (Term("overlap", stack(ties), TIE),))
 
     between = job.fit("tied", every[1::2], shape, tied)
     pieces = apart.pieces | between.pieces
@@ -126,13 +126,14 @@ class _ShapeOnly:
 
 
 @dataclass(frozen=True)
-class _OneShape:
+class OneShape:
     """A method that takes the shape as given and heeds some more terms."""
 
     method: Method
-    terms: tuple[Term, ...]
+    terms: tuple[Term, ...] = ()
 
     def stages(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
+        """Its stages without the shape; those that would move nothing else are left out."""
         stages = self.method.stages((*data, *self.terms))
         held = [replace(stage, free=stage.free - {"shape"}) for stage in stages]
         return tuple(stage for stage in held if stage.free)
@@ -210,8 +211,8 @@ class _Job:
         if watch is None:
             return None
 
-        def told(stage: str, progress: Progress) -> None:
-            watch(f"{name}: {stage}", progress)
+        def told(stage: str, progress: Progress) -> bool | None:
+            return watch(f"{name}: {stage}", progress)
 
         return told
 

@@ -9,14 +9,17 @@ from priors.humos.collocation import HumosFit
 from priors.humos.prior import Humos
 from priors.pose.prior import PosePrior, PoseWeights
 from recon.body.model import BodyModel
-from recon.fitting.settings import FitSettings
+from recon.fitting.options import FitOptions
 from recon.method.reconstruction import Method
 from recon.method.stages import Stage
 from recon.method.terms import Term
 from recon.physics import energies as physics
 
+NAMES = ("humor", "pose", "anchor", "humos")
+"""Priors that are known by a name."""
 
-def method_of(settings: FitSettings, noise: float, body: BodyModel) -> Method:
+
+def method_of(options: FitOptions, noise: float, body: BodyModel) -> Method:
     """The method for observations whose coordinates are off by about `noise` metres.
 
     Raises:
@@ -24,30 +27,42 @@ def method_of(settings: FitSettings, noise: float, body: BodyModel) -> Method:
         ValueError: when the file of the weights holds none, the prior has a way of its own, or
             physics is to weigh less than nothing.
     """
-    method = _of_prior(settings, noise, body)
-    if settings.physics == 0:
+    method = _of_prior(options, noise, body)
+    if options.physics == 0:
         return method
-    return WithPhysics(method, physics_terms(noise, settings.physics))
+    return WithPhysics(method, physics_terms(noise, options.physics))
 
 
-def _of_prior(settings: FitSettings, noise: float, body: BodyModel) -> Method:
-    match settings.prior:
+def _of_prior(options: FitOptions, noise: float, body: BodyModel) -> Method:
+    match options.prior:
         case "pose":
             prior = PosePrior.load(weights=PoseWeights.for_noise(noise))
             return prior.to(device=body.template.device)
         case "humor":
-            humor = Humor.load(settings.weights, body.to(device="cpu"))
+            humor = Humor.load(options.weights, body.to(device="cpu"))
+            return Collocation.for_noise(humor.like(body.template), noise)
+        case Humor() as humor:
             return Collocation.for_noise(humor.like(body.template), noise)
         case "humos":
-            humos = Humos.load(settings.weights, body.to(device="cpu"))
-            if body.template.device.type != "cpu":
-                raise ValueError("the HUMOS prior runs on the processor: leave --device at cpu")
-            return HumosFit.for_noise(humos, noise)
-        case "anchor":
+            humos = Humos.load(options.weights, body.to(device="cpu"))
+            return _of_humos(humos, noise, body)
+        case Humos() as humos:
+            return _of_humos(humos, noise, body)
+        case Method() as method:
+            return method
+        case str() as name if name != "anchor":
+            raise ValueError(f"expected a prior called {' or '.join(NAMES)}, got {name!r}")
+        case _:
             raise ValueError(
                 "the prior anchor is of one whole cycle, for which beginnings are searched: "
                 "call recon.fitting.completion.complete, or `recon complete`"
             )
+
+
+def _of_humos(humos: Humos, noise: float, body: BodyModel) -> HumosFit:
+    if body.template.device.type != "cpu":
+        raise ValueError("the HUMOS prior runs on the processor: leave --device at cpu")
+    return HumosFit.for_noise(humos, noise)
 
 
 _PLACE = frozenset({"translation", "root"})

@@ -7,9 +7,9 @@ from typing import Any, Literal
 from recon.body.model import BodyModel
 from recon.core.units import Axis
 from recon.formats.mocap.asf_amc import find_skeleton
+from recon.formats.results.reports import checksums, versions
+from recon.formats.results.writing import writing_file
 from recon.ingest.single import convert
-from recon.jobs.results.reports import checksums, versions
-from recon.jobs.results.writing import writing_file
 
 
 @dataclass(frozen=True)

@@ -15,10 +15,10 @@ from priors.pose.prior import PosePrior, PoseWeights
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.formats.motions import load_motion
-from recon.jobs.results.outputs import Kind, Output
-from recon.jobs.results.reports import versions
-from recon.jobs.results.writing import writing
-from recon.method.reconstruction import Method, Reconstruction, fit
+from recon.formats.results.outputs import Kind, Output
+from recon.formats.results.reports import versions
+from recon.formats.results.writing import writing
+from recon.method.reconstruction import Method, Reconstruction, solve
 from recon.metrics.evaluation import (
     ObservedPoints,
     evaluate,
@@ -92,7 +92,7 @@ def _demo(out: Path) -> dict[str, dict[str, Metrics]]:
             "pose prior": PosePrior.load(weights=PoseWeights.for_noise(noise)),
             "HuMoR": Collocation.for_noise(humor, noise),
         }
-        results = {method: fit([seen[None]], prior, body) for method, prior in methods.items()}
+        results = {method: solve([seen[None]], prior, body) for method, prior in methods.items()}
         table[name] = {"observed": _observed(seen, truth, body)}
         for method, result in results.items():
             table[name][method] = _metrics(result, seen, truth, body)

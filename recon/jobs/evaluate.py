@@ -12,8 +12,8 @@ from recon.body.motion_files import load_motion_of
 from recon.core.motion import Motion
 from recon.formats.motions import MotionFile
 from recon.formats.observations import ObservationFile, PositionsFile, load_observation
-from recon.jobs.results.reports import checksums, versions
-from recon.jobs.results.writing import write_report
+from recon.formats.results.reports import checksums, versions
+from recon.formats.results.writing import write_report
 from recon.method.protocols import Estimate
 from recon.metrics.evaluation import ObservedPoints, evaluate, ground_errors, nearest_labels
 

@@ -15,9 +15,9 @@ from recon.body.identities import doubts, identity
 from recon.body.model import BodyModel
 from recon.body.motion_files import load_motion_of
 from recon.formats.motions import MotionFile, save_motion
-from recon.jobs.results.outputs import Kind, Output
-from recon.jobs.results.reports import checksums, versions
-from recon.jobs.results.writing import writing
+from recon.formats.results.outputs import Kind, Output
+from recon.formats.results.reports import checksums, versions
+from recon.formats.results.writing import writing
 from recon.method.protocols import REFERENCE_FPS, Decoded
 from recon.metrics.generation import stays_on_its_feet
 

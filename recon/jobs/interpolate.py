@@ -17,8 +17,8 @@ from recon.body.motion_files import load_motion_of
 from recon.core.motion import Motion
 from recon.fitting.interpolation import agreement, between, cycles_of, foot_lift, played
 from recon.fitting.settling import flies, grounded
+from recon.formats.results.reports import checksums, versions
 from recon.jobs.fit import write_result
-from recon.jobs.results.reports import checksums, versions
 
 
 @dataclass(frozen=True)

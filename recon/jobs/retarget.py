@@ -18,8 +18,8 @@ from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.fitting.retargeting import OVERLAP, SHORTEST, WINDOW, retarget
 from recon.formats.motions import MotionFile
+from recon.formats.results.reports import checksums, versions
 from recon.jobs.fit import UP, write_result
-from recon.jobs.results.reports import checksums, versions
 from recon.method.windows import Windows
 from recon.metrics.generation import FASTEST
 from recon.physics.metrics import physics_metrics

@@ -23,10 +23,10 @@ from recon.formats.observations import (
     PositionsFile,
     save_observation,
 )
-from recon.jobs.results.inputs import paths_in
-from recon.jobs.results.outputs import Kind, Output
-from recon.jobs.results.reports import checksums, versions
-from recon.jobs.results.writing import writing
+from recon.formats.results.inputs import paths_in
+from recon.formats.results.outputs import Kind, Output
+from recon.formats.results.reports import checksums, versions
+from recon.formats.results.writing import writing
 from recon.simulation.clothes import clothed
 from recon.simulation.depth import DepthSensor, depth_points, without_pose
 from recon.simulation.images import dome, keypoints2d, orbiting

@@ -10,9 +10,9 @@ from recon.body.motion_files import load_motion_of
 from recon.core.ground import Ground
 from recon.core.motion import Motion
 from recon.formats.motions import MotionFile
-from recon.jobs.results.outputs import Output
-from recon.jobs.results.reports import checksums, versions
-from recon.jobs.results.writing import writing
+from recon.formats.results.outputs import Output
+from recon.formats.results.reports import checksums, versions
+from recon.formats.results.writing import writing
 from recon.view.show.beside import beside, common
 from recon.view.show.colours import CORAL, GREY
 from recon.view.show.observed import observed

@@ -82,7 +82,7 @@ class Reconstruction:
         return "\n".join(lines)
 
 
-def fit(
+def solve(
     observations: Sequence[Observation],
     prior: Method,
     body: BodyModel | None = None,
@@ -92,7 +92,10 @@ def fit(
     weights: Sequence[float] | None = None,
     watch: Watch | None = None,
 ) -> Reconstruction:
-    """The motion that explains all observations and is likely under the prior.
+    """The raw core of a fit: the stages of a method, from a start, with the weights given.
+
+    `recon.fit` estimates noise, weights, the first guess and the ground and then calls this; here
+    they are the caller's: residuals in pixels and in metres are added as they are weighted.
 
     Observations of one clip add up; each carries a leading axis of clips, and clips are
     independent of each other. All are brought to the precision of the body.
@@ -126,7 +129,7 @@ def admitted(
     scene: Scene | None,
     weights: Sequence[float] | None,
 ) -> Admitted:
-    """The arguments of `fit` in the precision and on the device of the body.
+    """The arguments of `solve` in the precision and on the device of the body.
 
     Raises:
         ValueError: when they do not fit each other.
@@ -170,7 +173,7 @@ def reconstruct(
     weights: Sequence[float] | None = None,
     watch: Watch | None = None,
 ) -> Reconstruction:
-    """As `fit`, of arguments that are known to fit each other."""
+    """As `solve`, of arguments that are known to fit each other."""
     if start is None:
         with torch.no_grad():
             start = observations[0].start(body)

@@ -98,8 +98,8 @@ class Carried(Protocol):
         ...
 
 
-Watch = Callable[[str, Progress], None]
-"""Told the stage's name and how far its minimisation has come."""
+Watch = Callable[[str, Progress], bool | None]
+"""Told the stage's name and how far its minimisation has come; True ends that stage."""
 
 
 def run_stage(

@@ -75,11 +75,12 @@ class LBFGS:
         self,
         objective: Objective,
         start: Float[Tensor, "batch n"],
-        callback: Callable[[Progress], None] | None = None,
+        callback: Callable[[Progress], bool | None] | None = None,
     ) -> Solution:
         """Minimise `objective` from `start`, each batch element for itself.
 
-        The start is not changed. Exceptions of the objective and of the callback propagate.
+        The start is not changed. Exceptions of the objective and of the callback propagate. A
+        callback that returns True ends the minimisation of all elements where they are.
         """
         with torch.no_grad():
             return _minimise(self, objective, start.detach(), callback)
@@ -89,7 +90,7 @@ def _minimise(
     settings: LBFGS,
     objective: Objective,
     start: Float[Tensor, "batch n"],
-    callback: Callable[[Progress], None] | None,
+    callback: Callable[[Progress], bool | None] | None,
 ) -> Solution:
     if len(start) == 0:
         return Ledger.open(start, start.new_zeros(0, 0, dtype=torch.float64)).solution()
@@ -151,8 +152,14 @@ def _minimise(
         active.keep(goes_on)
         if (finished & goes_on).any():
             active.turn(finished[goes_on], moved[goes_on])
-        if callback is not None and moved.any():
-            callback(ledger.progress(active, evaluations))
+        if callback is None or not moved.any():
+            continue
+        # True alone stops: callbacks that were written for their effect return anything
+        if callback(ledger.progress(active, evaluations)) is True:
+            ledger.step(active, active.searches.low[0] > 0)  # line searches that got somewhere
+            every_active = np.full(len(active.number), True)
+            ledger.close(active, _first_reason((every_active, Termination.STOPPED)))
+            break
     return ledger.solution()
 
 

@@ -27,6 +27,7 @@ class Termination(enum.Enum):
     EVALUATION_LIMIT = "the evaluation limit was reached"
     LINE_SEARCH = "no further decrease could be found along the search direction"
     NONFINITE = "the objective became nan or inf; the last finite estimate was kept"
+    STOPPED = "the caller stopped it; the last estimate was kept"
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from recon.core.motion import Motion
 from recon.diagnosis.examination import screen
 from recon.diagnosis.findings import Finding
 from recon.diagnosis.views.screening import screen_views
-from recon.fitting.settings import FitSettings
+from recon.fitting.options import FitOptions
 from recon.simulation.images import keypoints2d
 from recon.simulation.points import Corruption
 from tests.filmed import bundled, cameras, turned, view, walk
@@ -382,9 +382,9 @@ def test_views_in_which_nothing_is_seen_say_nothing() -> None:
 
 def test_a_fit_screens_its_views_unless_told_not_to() -> None:
     spoilt = renamed(filmed(1)[0], slice(8, 18), SIDES)
-    found = screen([spoilt], ["one"], FitSettings(), bundled())
+    found = screen([spoilt], ["one"], FitOptions(), bundled())
     assert [f.code for f in found.repairs] == ["sides exchanged"]
     assert torch.equal(found.observations[0].pixels, filmed(1)[0].pixels)  # type: ignore[union-attr]
-    left = screen([spoilt], ["one"], FitSettings(repair=False), bundled())
+    left = screen([spoilt], ["one"], FitOptions(repair=False), bundled())
     assert left.repairs == ()
     assert left.observations[0] is spoilt

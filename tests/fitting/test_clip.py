@@ -13,13 +13,13 @@ from recon.core.struct import concatenate
 from recon.fitting import clip as clip_module
 from recon.fitting.clip import ClipFit, fit_clip
 from recon.fitting.ground import sole_heights
-from recon.fitting.settings import FitSettings
+from recon.fitting.options import FitOptions
 from recon.formats.observations import CameraArrays, KeypointsFile
 from recon.simulation.points import Corruption, joints3d
 from tests.filmed import bundled, cameras, joint_error, turned, view, walk
 
-POSE = FitSettings(prior="pose")
-HUMOR = FitSettings(prior="humor")
+POSE = FitOptions(prior="pose")
+HUMOR = FitOptions(prior="humor")
 
 
 def one_view(truth: Motion, angle: float = 0.0, seed: int = 0) -> Keypoints2D:
@@ -114,7 +114,7 @@ def test_joints_and_images_add_up():
 def test_clips_of_a_batch_are_fitted_as_alone():
     first, second = walk(16), turned(walk(16), 1.0)
     a, b = one_view(first), one_view(second, 0.5, seed=3)
-    told = FitSettings(prior="pose", noise_pixels=4.0)
+    told = FitOptions(prior="pose", noise=(4.0,))
     both = fit_clip([concatenate([a, b])], told, bundled())
     alone = fit_clip([b], told, bundled())
     away = (both.result.body.joints[1] - alone.result.body.joints[0]).detach().norm(dim=-1)
@@ -143,7 +143,7 @@ def test_posed_and_unposed_together_are_refused():
 def test_noise_may_be_told_in_pixels_and_metres():
     truth = walk(8)
     joints = joints3d(truth, bundled(), Corruption(noise=0.02), 0).map(lambda t: t[None])
-    told = FitSettings(prior="pose", noise=0.05, noise_pixels=7.0)
+    told = FitOptions(prior="pose", noise=(0.05, 7.0))
     found = fit_clip([joints, one_view(truth)], told, bundled())
     assert isinstance(joints, Joints3D)
     assert found.noises[0].own == 0.05

@@ -16,6 +16,7 @@ from recon.body.model import BodyModel
 from recon.diagnosis.fits.domain import SWING, swing_difference
 from recon.fitting import completion
 from recon.fitting.methods import method_of
+from recon.fitting.options import FitOptions
 from recon.fitting.settings import FitSettings
 from recon.formats.clouds.ply import write_ply
 from recon.formats.clouds.scans import write_scans
@@ -233,11 +234,11 @@ def test_hips_tell_cycles_of_gait():
     assert backwards is None or backwards > SWING
 
 
-def test_the_prior_has_a_way_of_its_own(settings):
+def test_the_prior_has_a_way_of_its_own():
     with pytest.raises(ValueError, match="recon complete"):
-        method_of(settings, 0.01, BodyModel.load())
+        method_of(FitOptions(prior="anchor"), 0.01, BodyModel.load())
 
 
-def test_physics_is_refused_rather_than_left_out(settings):
+def test_physics_is_refused_rather_than_left_out():
     with pytest.raises(ValueError, match="without physics"):
-        completion.complete([], replace(settings, physics=1.0), BodyModel.load())
+        completion.complete([], FitOptions(prior="anchor", physics=1.0), BodyModel.load())

@@ -18,7 +18,7 @@ from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS
 from recon.core.struct import concatenate
 from recon.fitting.completion import complete
-from recon.fitting.settings import FitSettings
+from recon.fitting.options import FitOptions
 from tests.filmed import cameras, view
 from tests.priors.tiny_anchor import tiny_prior, tiny_weights, walks
 
@@ -26,10 +26,10 @@ BODY = BodyModel.load()
 
 
 @pytest.fixture(scope="module")
-def settings(tmp_path_factory: pytest.TempPathFactory) -> FitSettings:
+def settings(tmp_path_factory: pytest.TempPathFactory) -> FitOptions:
     path = tmp_path_factory.mktemp("weights") / "tiny.safetensors"
     save_weights(path, tiny_weights(BODY), {})
-    return FitSettings(prior="anchor", weights=str(path))
+    return FitOptions(prior="anchor", weights=str(path))
 
 
 def truth(seed: int, turned: float = 0.0) -> Motion:

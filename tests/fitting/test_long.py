@@ -18,7 +18,7 @@ from recon.formats.observations import PositionsFile, save_observation
 from recon.jobs.fit import fit_files
 from recon.method import terms
 from recon.method.free import FreeMotion
-from recon.method.reconstruction import fit, reconstruct
+from recon.method.reconstruction import reconstruct, solve
 from recon.method.stages import Stage
 from recon.method.terms import Term
 from recon.method.windows import join
@@ -79,7 +79,7 @@ def error(body, motion, truth):
 def test_windows_give_what_one_piece_gives(toy_body):
     truth = swaying(toy_body)
     observation = seen(toy_body, truth, noise=0.04)
-    whole = fit([observation], Rigid(), toy_body).clip(0)
+    whole = solve([observation], Rigid(), toy_body).clip(0)
     result = fit_long([observation], Rigid(), toy_body, window=2.5, overlap=0.75)
     motion = result.clip(0)
     assert len(result.windows) == 3

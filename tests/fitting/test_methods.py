@@ -8,8 +8,8 @@ from priors.humor.collocation import Collocation
 from priors.pose.prior import PosePrior
 from recon.body.model import BodyModel
 from recon.fitting.methods import WithoutRoot, WithPhysics, method_of, physics_terms
-from recon.fitting.settings import FitSettings
-from recon.method.reconstruction import fit
+from recon.fitting.options import FitOptions
+from recon.method.reconstruction import solve
 from recon.method.terms import Term
 from recon.physics import energies as physics
 from tests.filmed import bundled
@@ -25,7 +25,7 @@ def data() -> tuple[Term, ...]:
 @pytest.mark.parametrize("prior", ["pose", "humor", "humos"])
 def test_every_prior_goes_with_physics(prior):
     """Terms of the same name are there once."""
-    settings = FitSettings(prior=prior, physics=1.0)
+    settings = FitOptions(prior=prior, physics=1.0)
     stages = method_of(settings, 0.02, BodyModel.load()).stages((Term("data", lambda e: e, 1.0),))
     names = [term.name for term in stages[-1].terms]
     assert len(names) == len(set(names))
@@ -33,18 +33,18 @@ def test_every_prior_goes_with_physics(prior):
 
 
 def test_the_prior_asked_for_with_weights_for_the_noise():
-    weak = method_of(FitSettings(prior="pose"), 0.02, bundled())
-    strong = method_of(FitSettings(prior="pose"), 0.08, bundled())
+    weak = method_of(FitOptions(prior="pose"), 0.02, bundled())
+    strong = method_of(FitOptions(prior="pose"), 0.08, bundled())
     assert isinstance(weak, PosePrior)
     assert isinstance(strong, PosePrior)
     assert strong.weights.pose == pytest.approx(16 * weak.weights.pose)
-    assert isinstance(method_of(FitSettings(prior="humor"), 0.02, bundled()), Collocation)
+    assert isinstance(method_of(FitOptions(prior="humor"), 0.02, bundled()), Collocation)
 
 
 @pytest.mark.parametrize("prior", ["pose", "humor"])
 def test_one_image_does_not_place_the_rest_body_again(prior):
     """It would trade stretched limbs against distance."""
-    method = method_of(FitSettings(prior=prior), 0.02, bundled())
+    method = method_of(FitOptions(prior=prior), 0.02, bundled())
     every, some = method.stages(data()), WithoutRoot(method).stages(data())
     assert [stage.name for stage in every[-len(some) :]] == [stage.name for stage in some]
     assert not some[0].free <= {"translation", "root"}
@@ -55,14 +55,14 @@ def test_one_image_does_not_place_the_rest_body_again(prior):
 
 def test_missing_weights_are_refused(tmp_path):
     with pytest.raises(FileNotFoundError):
-        method_of(FitSettings(weights=str(tmp_path / "none.safetensors")), 0.02, bundled())
+        method_of(FitOptions(weights=str(tmp_path / "none.safetensors")), 0.02, bundled())
 
 
 @pytest.mark.parametrize("prior", ["pose", "humor"])
 def test_physics_is_a_stage_more_that_weighs_what_was_asked_for(prior):
-    plain = method_of(FitSettings(prior=prior), 0.02, bundled())
+    plain = method_of(FitOptions(prior=prior), 0.02, bundled())
     weak, strong = (
-        method_of(FitSettings(prior=prior, physics=much), 0.02, bundled()).stages(data())
+        method_of(FitOptions(prior=prior, physics=much), 0.02, bundled()).stages(data())
         for much in (1.0, 2.0)
     )
     before = plain.stages(data())
@@ -86,7 +86,7 @@ def test_physics_grows_with_the_noise_as_data_do():
 @pytest.mark.parametrize("much", [-1.0, float("nan"), float("inf")])
 def test_physics_that_rewards_what_it_should_punish_is_refused(much):
     with pytest.raises(ValueError, match="at least 0"):
-        method_of(FitSettings(prior="pose", physics=much), 0.02, bundled())
+        method_of(FitOptions(prior="pose", physics=much), 0.02, bundled())
 
 
 def test_physics_puts_a_body_back_on_its_feet():
@@ -107,7 +107,7 @@ def test_physics_puts_a_body_back_on_its_feet():
     )
     plain = PosePrior.load()
     without, held = (
-        fit([seen], method, body)
+        solve([seen], method, body)
         for method in (plain, WithPhysics(plain, physics_terms(0.04), iterations=20))
     )
     for energy in (physics.penetration, physics.slide):

@@ -10,7 +10,7 @@ from recon.core.scene import Scene
 from recon.core.struct import concatenate
 from recon.method import terms
 from recon.method.free import FreeMotion
-from recon.method.reconstruction import fit
+from recon.method.reconstruction import solve
 from recon.method.stages import Stage, run_stages
 from recon.method.terms import Term
 from recon.solver.lbfgs import LBFGS, Termination
@@ -49,7 +49,7 @@ def observed(body, motion, noise=0.0, seed=1):
 def test_a_planted_motion_is_recovered_and_noise_lessened(body):
     motion = laws.a_motion(body, clips=2, frames=20)
     motion = motion.replace(shape=motion.shape * 0)
-    result = fit([observed(body, motion, noise=0.02)], Free(300), body)
+    result = solve([observed(body, motion, noise=0.02)], Free(300), body)
     noise = (observed(body, motion, noise=0.02).positions - body.pose(motion).joints).norm(dim=-1)
     error = (result.body.joints - body.pose(motion).joints).norm(dim=-1)
     assert error.mean() < 0.85 * noise.mean()
@@ -60,9 +60,9 @@ def test_a_planted_motion_is_recovered_and_noise_lessened(body):
 def test_a_clip_alone_is_the_clip_in_its_batch(body):
     motion = laws.a_motion(body, clips=3, frames=5)
     observation = observed(body, motion, noise=0.01)
-    together = fit([observation], Free(30), body)
+    together = solve([observation], Free(30), body)
     row = torch.tensor([1])
-    alone = fit([observation[row]], Free(30), body)
+    alone = solve([observation[row]], Free(30), body)
     gap = (together.body.joints[row] - alone.body.joints).norm(dim=-1)
     assert gap.max() < 1e-3  # metres
     value = [r.solution.value for r in (together.reports[-1], alone.reports[-1])]
@@ -145,7 +145,7 @@ def test_stages_refuse_what_does_not_exist(toy_body):
     with pytest.raises(ValueError, match="names of their own"):
         Stage("x", FreeMotion(), (*data, *data), frozenset({"root"}))
     with pytest.raises(ValueError, match="nothing to fit"):
-        fit([], Free(1), toy_body)
+        solve([], Free(1), toy_body)
 
 
 def test_joined_records_are_their_parts(toy_body):

@@ -13,7 +13,7 @@ from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion, pad
 from recon.method.protocols import Prior
-from recon.method.reconstruction import Method, fit
+from recon.method.reconstruction import Method, solve
 from recon.method.terms import Term
 from tests.priors.test_humor import humor, motions
 from tests.priors.test_pose import swinging
@@ -101,8 +101,8 @@ def test_a_noisy_motion_gets_better_than_by_the_pose_prior_alone(trained: Humor)
     )
     method = Collocation(trained)
     assert isinstance(method, Method)
-    result = fit([seen], method, body)
-    plain = fit([seen], PosePrior.load(), body)
+    result = solve([seen], method, body)
+    plain = solve([seen], PosePrior.load(), body)
 
     def error(motion: Motion) -> float:
         return (body.pose(motion).joints - joints).norm(dim=-1).mean().item()

@@ -17,7 +17,7 @@ from recon.body.model import BodyModel
 from recon.body.reshape import leg_length
 from recon.core import rotations as so3
 from recon.core.struct import stack
-from recon.method.reconstruction import fit
+from recon.method.reconstruction import solve
 from tests import laws
 from tests.priors.tiny_humos import tiny_prior, tiny_weights
 from tests.walking import a_walk
@@ -173,7 +173,7 @@ def test_a_fit_is_better_than_what_was_seen(prior, method):
     noise = 0.03 * torch.randn(joints.shape, generator=torch.Generator().manual_seed(0))
     every = torch.ones(joints.shape[:-1], dtype=torch.bool)
     seen = Joints3D(joints + noise, every, tuple(range(22)), motion.fps)
-    found = fit([seen], method.for_noise(prior, 0.03), BODY)
+    found = solve([seen], method.for_noise(prior, 0.03), BODY)
     error = (BODY.pose(found.motion).joints - joints).norm(dim=-1).mean()
     assert float(error) < 0.5 * float(noise.norm(dim=-1).mean())
     assert found.failed == (False, False)

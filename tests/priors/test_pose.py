@@ -17,7 +17,7 @@ from recon.core import rotations as so3
 from recon.core.motion import Motion, pad
 from recon.formats.motions import save_motion
 from recon.method.protocols import Prior
-from recon.method.reconstruction import Method, fit
+from recon.method.reconstruction import Method, solve
 from tests.laws import check_heading_invariance, check_prior
 
 pytestmark = pytest.mark.numerics
@@ -131,7 +131,7 @@ def test_a_planted_motion_is_recovered_and_noise_goes(prior: PosePrior, body: Bo
         seen = joints + noise * torch.randn(joints.shape, dtype=torch.float64)
         everything = torch.ones(joints.shape[:-1], dtype=torch.bool)
         observed = Joints3D(seen, everything, tuple(range(22)), 30.0)
-        result = fit([observed], prior.replace(weights=weights), body)
+        result = solve([observed], prior.replace(weights=weights), body)
         error = (result.body.joints - joints).norm(dim=-1).mean((1, 2))
         assert error.max() < limit  # metres
 

@@ -7,7 +7,7 @@ from tyro.conf import Positional, arg
 
 from recon.cli.errors import Failed
 from recon.cli.places import Arguments, Overwrite, Place, Quiet, writes
-from recon.jobs.results.outputs import Kind, Output
+from recon.formats.results.outputs import Kind, Output
 
 
 def _is_former(folder: Path) -> bool:

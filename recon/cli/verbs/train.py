@@ -8,7 +8,7 @@ from typing import Any, Literal
 from tyro.conf import Positional
 
 from recon.cli.places import Arguments, Overwrite, Place, Quiet, writes
-from recon.jobs.results.outputs import Kind, Output
+from recon.formats.results.outputs import Kind, Output
 
 
 def _is_former(folder: Path) -> bool:
@@ -68,8 +68,8 @@ def train(
     if prior in ("anchor", "humos") and device != "cpu":
         raise ValueError(f"{prior} is trained on the processor: give --device cpu")
 
-    from recon.jobs.results.reports import versions
-    from recon.jobs.results.writing import writing, writing_file
+    from recon.formats.results.reports import versions
+    from recon.formats.results.writing import writing, writing_file
 
     report = {"prior": prior, "corpus": str(corpus), "data": data, "seed": seed, **asked}
     report["versions"] = versions()

@@ -20,6 +20,11 @@ def with_belt(points: Joints3D | Markers3D, belt: Float[Tensor, " 2"]) -> Joints
     return points.replace(positions=moved.where(points.visible[..., None], 0.0))
 
 
+def on_belt(motion: Motion, belt: Float[Tensor, " 2"]) -> Motion:
+    """A motion in the room, in the frame that moves with the belt."""
+    return motion.replace(translation=motion.translation - path_of_belt(motion, belt))
+
+
 def in_room(motion: Motion, belt: Float[Tensor, " 2"]) -> Motion:
     """A motion in the frame that moves with the belt, in the room."""
     return motion.replace(translation=motion.translation + path_of_belt(motion, belt))

@@ -16,7 +16,7 @@ from recon.diagnosis.points.cleaning import smoothed
 from recon.diagnosis.points.named_points import NamedPoints, Points
 from recon.fitting.long import fit_long
 from recon.method.protocols import Decoded, Estimate
-from recon.method.reconstruction import fit
+from recon.method.reconstruction import solve
 from recon.method.stages import Stage
 from recon.method.terms import Term
 from recon.solver.lbfgs import LBFGS
@@ -53,7 +53,7 @@ def quick_fits(versions: Sequence[Points], body: BodyModel) -> list[QuickFit]:
     robust = concatenate(excerpts).replace(kernel=partial(geman_mcclure, sigma=SIGMA))
     method = _Quick(versions[0])
     starts = [smoothed(NamedPoints.of(one, body)).into(one).start(body) for one in excerpts]
-    result = fit([robust], method, body, start=concatenate(starts))
+    result = solve([robust], method, body, start=concatenate(starts))
     value = result.reports[-1].solution.value / robust.visible.sum((-2, -1)).clamp(min=1)
     if excerpts[0] is versions[0]:
         return [

@@ -10,11 +10,11 @@ from recon.body.motion_files import load_motion_of
 from recon.formats.clouds.ply import write_ply_sequence
 from recon.formats.mocap.recording import MarkerRecording, SkeletonRecording
 from recon.formats.mocap.trc import write_trc
+from recon.formats.results.outputs import Kind, Output
+from recon.formats.results.reports import checksums, versions
+from recon.formats.results.writing import writing
 from recon.jobs.export.bvh import skeleton_of, write_bvh
 from recon.jobs.export.gltf import write_glb
-from recon.jobs.results.outputs import Kind, Output
-from recon.jobs.results.reports import checksums, versions
-from recon.jobs.results.writing import writing
 from recon.jobs.view import draw_html, shown
 
 

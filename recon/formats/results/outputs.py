@@ -1,7 +1,7 @@
 """Where a verb may write, told before it works: not over its input, nor over others' files.
 
 recon's own files are those whose checksum stands in the report beside them
-(`recon.jobs.results.reports`).
+(`recon.formats.results.reports`).
 """
 
 import os
@@ -11,7 +11,7 @@ from enum import Enum
 from pathlib import Path
 
 from recon.formats.files.replacing import clear_leftovers, part_of
-from recon.jobs.results.reports import read_report
+from recon.formats.results.reports import read_report
 
 
 class Kind(Enum):

@@ -13,8 +13,8 @@ from typing import Any
 
 from recon.formats.files.checksums import file_checksum
 from recon.formats.files.replacing import part_of
-from recon.jobs.results.outputs import Kind, Output, own_files, refuse_place
-from recon.jobs.results.reports import report_text
+from recon.formats.results.outputs import Kind, Output, own_files, refuse_place
+from recon.formats.results.reports import report_text
 
 
 @contextmanager

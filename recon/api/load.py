@@ -1,0 +1,79 @@
+"""`recon.load_observation`: files and folders of any kind as observations."""
+
+import logging
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal
+
+from observations.together.first_guess import Seen
+from recon.body.model import BodyModel
+from recon.core.errors import FormatError, ReconError
+from recon.fitting.clip_files import load_clip
+from recon.fitting.settings import FitSettings
+
+_LOG = logging.getLogger("recon")
+
+
+def load_observation(
+    path: Path | str | Sequence[Path | str],
+    *,
+    body: BodyModel | None = None,
+    unit: Literal["m", "cm", "mm", "inch", "cmu"] | None = None,
+    up: Literal["x", "y", "z"] | None = None,
+    frame_rate: float | None = None,
+    layout: str | None = None,
+    person: int | None = None,
+    masks: Path | str | None = None,
+    camera: Path | str | None = None,
+    camera_unit: Literal["m", "mm"] | None = None,
+    camera_up: Literal["x", "y", "z"] | None = None,
+    image_size: tuple[int, int] | None = None,
+    ground: tuple[float, float, float, float] | None = None,
+    depth_scale: float = 0.001,
+    seed: int = 0,
+) -> Seen | list[Seen]:
+    """What `recon fit` takes: one observation, or a list where there are several views or paths.
+
+    Observation files (.npz); folders or files of 2D detections, one per view, with `camera`;
+    folders of scans (.ply, .pcd); folders of 16-bit depth images (.png) with `camera`. All have a
+    leading axis of length one. What was assumed in reading is logged (logger `recon`).
+
+    Args:
+        path: file or folder, or several of one clip.
+        body: whose points markers and keypoints are; None is the bundled body.
+        unit: of positions and scans, where the file is wrong about it.
+        up: axis that points up, where the file is wrong about it.
+        frame_rate: frames per second of detections and images, where files do not tell.
+        layout: which keypoints detections are, where files do not tell: openpose25, coco17, ...
+        person: number of the person to follow where detections show several.
+        masks: silhouettes of the person; keypoints outside are taken as occluded.
+        camera: calibration of the cameras that detections and depth images come from.
+        camera_unit: unit of the calibration, where it does not tell.
+        camera_up: axis of the calibration's world that points up.
+        image_size: width and height, pixels, where the calibration does not tell.
+        ground: plane n·x = d below a camera without pose, (nx, ny, nz, d) in its frame, metres.
+        depth_scale: metres per unit of depth images.
+        seed: of the draw of points from clouds.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+        FormatError: when something cannot be read, or arguments are missing; says what to do.
+    """
+    paths = [path] if isinstance(path, Path | str) else path
+    settings = FitSettings(
+        unit=unit, up=up, frame_rate=frame_rate, layout=layout, person=person,
+        masks=None if masks is None else Path(masks),
+        camera=None if camera is None else Path(camera), camera_unit=camera_unit,
+        camera_up=camera_up, image_size=image_size, ground=ground, depth_scale=depth_scale,
+        seed=seed,
+    )  # fmt: skip
+    try:
+        model = BodyModel.load() if body is None else body
+        clip = load_clip([Path(one) for one in paths], settings, model)
+    except ReconError:
+        raise
+    except ValueError as error:
+        raise FormatError(str(error)) from error
+    for note in clip.notes:
+        _LOG.info("%s", note)
+    return clip.observations[0] if len(clip.observations) == 1 else list(clip.observations)

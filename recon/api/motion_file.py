@@ -1,0 +1,59 @@
+"""What is known of a finished motion, as files hold it: joints, contacts, ground, camera."""
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from recon.body.contacts import contact_labels, rest_heights
+from recon.body.model import BodyModel
+from recon.core import rotations as so3
+from recon.core.motion import Motion
+from recon.formats.motions import MotionFile
+
+
+def described(
+    motion: Motion,
+    body: BodyModel,
+    ground: float = 0.0,
+    T_world_camera: Float[Tensor, "4 4"] | None = None,
+    observed: Bool[Tensor, "time 22"] | None = None,
+    belt: Float[Tensor, "time 3"] | None = None,
+) -> MotionFile:
+    """A motion with its joints, contacts and ground.
+
+    Where a camera's pose was found, the file has it and the root in the camera's frame besides.
+    On a treadmill, contacts are told against the belt, by how far it has come.
+
+    Args:
+        motion: one clip, no batch axis.
+        body: whose motion it is.
+        ground: height of the ground, metres.
+        T_world_camera: of a camera whose pose was found, metres.
+        observed: false where a joint was inferred rather than seen.
+        belt: how far the treadmill's belt has come at every frame, metres.
+    """
+    joints = body.pose(motion).joints
+    above = joints - joints.new_tensor([0.0, 0.0, ground])
+    if belt is not None:
+        above = above - belt[:, None]
+    labels = contact_labels(above, rest_heights(body, motion.shape), motion.fps)
+    return MotionFile(
+        motion,
+        body=body.name,
+        checksum=body.checksum,
+        joints=joints,
+        contacts=labels.to(joints),
+        ground=torch.tensor([0.0, 0.0, 1.0, ground]),
+        observed=observed,
+        T_world_camera=None if T_world_camera is None else T_world_camera[None],
+        in_camera=None if T_world_camera is None else in_camera(motion, T_world_camera, body),
+    )
+
+
+def in_camera(
+    motion: Motion, T_world_camera: Float[Tensor, "4 4"], body: BodyModel
+) -> Float[Tensor, "time 6"]:
+    """SMPL translation and root rotation vector of the same motion in the camera's frame."""
+    pelvis = body.rest_joints(motion.shape)[..., 0, :]
+    seen = motion.carried(torch.linalg.inv(T_world_camera), pelvis)
+    return torch.cat((seen.translation, so3.log(seen.rotations[:, 0].double()).float()), -1)

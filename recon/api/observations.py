@@ -1,0 +1,187 @@
+"""What the caller observed as one clip: one leading axis, one precision, one frame, names."""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from observations.depth import PointCloud
+from observations.files.images import LEVEL_CAMERA, camera_above, world_above
+from observations.frames import camera_frame_is_recording, carried
+from observations.joints3d import Joints3D
+from observations.keypoints2d import Keypoints2D
+from observations.markers3d import Markers3D
+from observations.together.first_guess import Seen
+from recon.body.model import BodyModel
+from recon.core.errors import ObservationError, ReconError
+from recon.core.robust import geman_mcclure
+from recon.fitting.clip_files import Clip
+
+Plane = tuple[float, float, float, float]
+"""(nx, ny, nz, d): the points x of the ground have n·x = d in the observations' frame, metres."""
+GroundChoice = Literal["auto", "known", "unknown"] | Plane
+
+_KINDS = {
+    Joints3D: "joints3d", Markers3D: "markers3d", Keypoints2D: "keypoints2d", PointCloud: "points"
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """A clip as it is fitted."""
+
+    clip: Clip
+    T_recording_given: Float[np.ndarray, "4 4"] | None = None
+    """Maps the frame in which the observations were given to the one in which they are fitted,
+    metres; None where it is the same."""
+
+
+def clip_of(given: Any, body: BodyModel) -> Clip:
+    """One clip of the caller's observations, in the precision and on the device of the body.
+
+    Args:
+        given: an observation, several, or a `Clip`.
+        body: that is to be fitted.
+
+    Raises:
+        ObservationError: when there is none, something is no observation, or there are several
+            clips.
+    """
+    if isinstance(given, Clip):
+        seen, names = given.observations, given.names
+    else:
+        seen = (given,) if isinstance(given, Seen) else tuple(given)
+        names = _names(seen)
+    if len(seen) == 0:
+        raise ObservationError("nothing to fit: expected at least one observation, got none")
+    like = body.template
+    one = tuple(_one_clip(each).to(device=like.device, dtype=like.dtype) for each in seen)
+    if isinstance(given, Clip):
+        return replace(given, observations=one)
+    return Clip(one, names, (), _unposed_camera(one))
+
+
+def on_ground(clip: Clip, ground: Any) -> Sighting:
+    """The clip with what the caller knows about the ground.
+
+    A camera whose pose is the identity has none: the recording's frame is its own, and the ground
+    is searched from that of a level camera.
+
+    Args:
+        clip: as it was given.
+        ground: a `GroundChoice`.
+
+    Raises:
+        ReconError: when the choice is none, or a plane is not below the camera.
+    """
+    if isinstance(ground, str):
+        if ground not in ("auto", "known", "unknown"):
+            raise ReconError(
+                "ground: expected 'auto', 'known', 'unknown' or a plane (nx, ny, nz, d), got "
+                f"{ground!r}"
+            )
+        if any(camera_frame_is_recording(one) for one in clip.observations):
+            if ground == "known":
+                raise ReconError(
+                    "ground: a camera has no pose (T_camera_world is the identity), so its ground "
+                    "is not at z = 0; give the pose, the plane (nx, ny, nz, d), or 'unknown'"
+                )
+            return _carried(clip, camera_above(LEVEL_CAMERA), known=False)
+        return Sighting(clip if ground == "auto" else _declared(clip, known=ground == "known"))
+    plane = _checked_plane(ground)
+    if clip.T_recording_camera is not None and clip.notes:
+        raise ReconError("ground: the files were read with a ground; give the plane to the reader")
+    if any(camera_frame_is_recording(one) for one in clip.observations):
+        found = _carried(clip, camera_above(plane), known=False)
+    else:
+        named = all(isinstance(one, Joints3D | Markers3D) for one in clip.observations)
+        found = _carried(clip, world_above(plane), known=named)
+    return replace(found, clip=replace(found.clip, ground_given=True))
+
+
+def counted_less_beyond(clip: Clip, distance: float) -> Clip:
+    """The clip with Geman and McClure's kernel for named points.
+
+    Args:
+        clip: whose keypoints in images and points of surfaces are robust already.
+        distance: metres beyond which a residual counts ever less.
+
+    Raises:
+        ReconError: when the distance is not a number above 0.
+    """
+    if not 0 < distance < float("inf"):
+        raise ReconError(f"robust: expected 'auto' or metres above 0, got {distance!r}")
+    kernel = partial(geman_mcclure, sigma=distance)
+    return replace(
+        clip,
+        observations=tuple(
+            one.derived(kernel=kernel) if isinstance(one, Joints3D | Markers3D) else one
+            for one in clip.observations
+        ),
+    )
+
+
+def _names(seen: Sequence[Any]) -> tuple[str, ...]:
+    """By kind, numbered where there are several of one."""
+    for one in seen:
+        if not isinstance(one, Seen):
+            raise ObservationError(
+                "expected observations (recon.Joints3D, Markers3D, Keypoints2D or PointCloud; "
+                f"recon.load_observation reads files), got {type(one).__name__}"
+            )
+    kinds = [_KINDS[type(one)] for one in seen]
+    count, number = Counter(kinds), Counter[str]()
+    names: list[str] = []
+    for kind in kinds:
+        number[kind] += 1
+        names.append(kind if count[kind] == 1 else f"{kind} {number[kind]}")
+    return tuple(names)
+
+
+def _one_clip(one: Seen) -> Seen:
+    """With a leading axis of length one."""
+    if one.clips == ():
+        return one.map(lambda tensor: tensor[None])
+    if one.clips != (1,):
+        raise ObservationError(
+            f"expected the observations of one clip, got leading axes {one.clips}; call recon.fit "
+            "for every clip, observation[k], or recon.solve for a batch"
+        )
+    return one
+
+
+def _unposed_camera(seen: Sequence[Seen]) -> Float[np.ndarray, "4 4"] | None:
+    """First pose of the first camera that does not know the ground, T_recording_camera."""
+    for one in seen:
+        if isinstance(one, Joints3D | Markers3D) or one.camera is None or one.ground_known:
+            continue
+        return one.camera.T_world_camera[0, 0].double().cpu().numpy()
+    return None
+
+
+def _declared(clip: Clip, *, known: bool) -> Clip:
+    seen = tuple(one.derived(ground_known=known) for one in clip.observations)
+    return replace(clip, observations=seen, T_recording_camera=_unposed_camera(seen))
+
+
+def _carried(clip: Clip, T: Float[np.ndarray, "4 4"], *, known: bool) -> Sighting:
+    moved = replace(clip, observations=tuple(carried(one, T) for one in clip.observations))
+    return Sighting(_declared(moved, known=known), T)
+
+
+def _checked_plane(ground: object) -> Plane:
+    try:
+        plane = np.asarray(ground, float)
+    except (TypeError, ValueError):
+        plane = np.zeros(0)
+    if plane.shape != (4,) or not np.isfinite(plane).all():
+        raise ReconError(
+            "ground: expected 'auto', 'known', 'unknown' or a plane (nx, ny, nz, d), got "
+            f"{ground!r}"
+        )
+    nx, ny, nz, d = plane.tolist()
+    return nx, ny, nz, d

@@ -1,0 +1,261 @@
+"""What comes out of a fit: the motion, what is known about it, and how to keep it."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from observations.together.weighing import Noise
+from recon.api.motion_file import described
+from recon.api.report import describe
+from recon.body.identities import height
+from recon.body.model import BodyModel
+from recon.core.motion import Motion
+from recon.diagnosis.examination import Examined
+from recon.diagnosis.findings import Finding
+from recon.diagnosis.fits.domain import cycle_report
+from recon.diagnosis.fits.summaries import ResidualSummary
+from recon.diagnosis.motions.treadmill import in_room, path_of_belt
+from recon.fitting.clip_files import Clip
+from recon.formats.motions import MotionFile, save_motion
+from recon.formats.results.writing import writing_file
+from recon.method.reconstruction import Reconstruction
+
+_UP = (0.0, 0.0, 1.0)
+_SENSORS, _FINDINGS = 3, 4
+"""Lines of them that a printed result has at most."""
+
+
+@dataclass(frozen=True, repr=False)
+class Result:
+    """One clip's motion and everything the fit knows about it; tensors have no leading axis."""
+
+    file: MotionFile
+    """What `save` writes: the motion, joints, contacts, ground and camera."""
+    body: BodyModel
+    """Whose motion it is."""
+    examined: Examined
+    """The fit, and what is known about the data and the result."""
+    warnings: tuple[Finding, ...]
+    """What should be read before the result is used."""
+    notes: tuple[str, ...]
+    """What was assumed in reading files."""
+    cycle: dict[str, Any] | None
+    """Of a completed gait cycle: seconds, moments seen, how far its code is from those of
+    recorded cycles."""
+    arguments: Mapping[str, Any]
+    """What `recon.fit` was called with, in plain values."""
+
+    @property
+    def motion(self) -> Motion:
+        """The motion: world with z up; metres, rotation matrices, frames per second."""
+        return self.file.motion
+
+    @property
+    def joints(self) -> Float[Tensor, "time 22 3"]:
+        """Positions of the 22 joints in the world, metres."""
+        assert self.file.joints is not None
+        return self.file.joints
+
+    @property
+    def vertices(self) -> Float[Tensor, "time vertices 3"]:
+        """Positions of the skin's vertices in the world, metres; computed at every call."""
+        return self.body.pose(self.motion).vertices
+
+    @property
+    def contacts(self) -> Float[Tensor, "time 22"]:
+        """1 where a joint stands on the ground, 0 elsewhere."""
+        assert self.file.contacts is not None
+        return self.file.contacts
+
+    @property
+    def ground(self) -> Float[Tensor, "4"]:
+        """(nx, ny, nz, d): the points x of the ground have n·x = d in the world, metres."""
+        assert self.file.ground is not None
+        return self.file.ground
+
+    @property
+    def observed(self) -> Bool[Tensor, "time 22"]:
+        """False where a joint was inferred rather than seen."""
+        assert self.file.observed is not None
+        return self.file.observed
+
+    @property
+    def T_world_camera(self) -> Float[Tensor, "4 4"] | None:
+        """Pose of the camera that was given without one, as it was found; metres."""
+        return None if self.file.T_world_camera is None else self.file.T_world_camera[0]
+
+    @property
+    def residuals(self) -> tuple[ResidualSummary, ...]:
+        """How far every observation is from the fitted body, in its own unit."""
+        return self.examined.residuals
+
+    @property
+    def noises(self) -> tuple[Noise, ...]:
+        """Standard deviation of every observation, given or estimated."""
+        return self.examined.fit.noises
+
+    @property
+    def diagnosis(self) -> tuple[Finding, ...]:
+        """What is worth knowing but is no fault: limbs that were not seen, steps, seats."""
+        return self.examined.diagnosis
+
+    @property
+    def repairs(self) -> tuple[Finding, ...]:
+        """What was wrong with the data and was repaired before the fit."""
+        return self.examined.repairs
+
+    @property
+    def failed(self) -> bool:
+        """Whether the fit met NaN or infinity; the motion is then its last finite estimate."""
+        return self.examined.fit.result.failed[0]
+
+    @property
+    def reconstruction(self) -> Reconstruction:
+        """The stages with their energies, as `recon.solve` returns them."""
+        return self.examined.fit.result
+
+    def report(
+        self, inputs: Mapping[str, str] | None = None, settings: Mapping[str, Any] | None = None
+    ) -> dict[str, Any]:
+        """What is written beside the motion: stages, noise, residuals, findings.
+
+        Args:
+            inputs: SHA-256 of the files that were read, by path; none by default.
+            settings: of the fit, by name; by default its arguments.
+        """
+        fit = self.examined.fit
+        report = describe(
+            fit.result, inputs or {}, self.arguments if settings is None else settings
+        )
+        report |= {
+            "noise": [asdict(noise) for noise in fit.noises],
+            "ground_known": fit.ground_known,
+            "read": self.notes,
+            "residuals": [summary.report() for summary in self.residuals],
+        }
+        if self.cycle is not None:
+            report["cycle"] = self.cycle
+        return report | {
+            "diagnosis": [finding.report() for finding in self.diagnosis],
+            "repairs": [finding.report() for finding in self.repairs],
+            "warnings": [finding.report() for finding in self.warnings],
+        }
+
+    def save(
+        self,
+        path: Path | str,
+        *,
+        overwrite: bool = False,
+        report: Mapping[str, Any] | None = None,
+    ) -> None:
+        """Write the motion file (AMASS .npz) and its report, PATH.json, together.
+
+        Args:
+            path: file to write.
+            overwrite: replace files that are there and recon did not write.
+            report: what to write beside it instead of `report()`.
+
+        Raises:
+            FileExistsError: when either is there and recon did not write it, unless `overwrite`.
+        """
+        said = self.report() if report is None else report
+        with writing_file(Path(path), said, overwrite=overwrite) as staged:
+            save_motion(staged, self.file)
+
+    def __repr__(self) -> str:
+        """At most ten lines: how long, who, how near the data, and what was found."""
+        motion, tall = self.motion, float(height(self.body, self.motion.shape))
+        seconds = (motion.frames - 1) / motion.fps
+        lines = [
+            f"Result: {motion.frames} frames, {seconds:.2f} s at {motion.fps:g} frames per second,"
+            f" a person of {tall:.2f} m" + (", FAILED: NaN or infinity" if self.failed else "")
+        ]
+        lines += _most([_sensor(one) for one in self.residuals], _SENSORS, "observations")
+        said = [f"repaired: {finding.message}" for finding in self.repairs]
+        said += [f"warning: {finding.message}" for finding in self.warnings]
+        return "\n".join(lines + _most([_line(one) for one in said], _FINDINGS, "findings"))
+
+
+def result_of(
+    examined: Examined,
+    clip: Clip,
+    body: BodyModel,
+    fps: float | None,
+    completes: bool,
+    arguments: Mapping[str, Any],
+    stopped: Finding | None,
+) -> Result:
+    """The motion at its times and in its frame, described.
+
+    Args:
+        examined: the fit.
+        clip: what was fitted.
+        body: whose motion it is, on the processor.
+        fps: rate of the result; None is that of the first observation.
+        completes: whether a gait cycle was completed.
+        arguments: of the fit, in plain values.
+        stopped: why the fit was ended early, if it was.
+    """
+    found = examined.fit
+    motion = found.result.clip(0).detach().to(device="cpu")
+    first = clip.observations[0]
+    # the clock of few scans is too slow to show a motion
+    rate = max(first.fps, motion.fps) if completes else first.fps
+    motion = motion.resample(rate if fps is None else fps)
+    T, ground = found.T_world_recording[0].double(), 0.0
+    if clip.T_recording_camera is None and not found.ground_known:
+        # 3D recordings with z up keep their frame; only the ground is lower or higher there
+        ground = -float(T[2, 3])
+        motion = motion.replace(
+            translation=motion.translation + ground * motion.translation.new_tensor(_UP)
+        )
+    T_world_camera = None
+    if clip.T_recording_camera is not None:
+        T_world_camera = (T @ torch.from_numpy(clip.T_recording_camera)).float()
+    cycle = cycle_report(found, examined.residuals) if completes else None
+    belt = None
+    if examined.belt is not None:
+        belt = path_of_belt(motion, examined.belt)
+        motion = in_room(motion, examined.belt)
+    observed = torch.from_numpy(examined.observed_at(motion))
+    return Result(
+        file=described(motion, body, ground, T_world_camera, observed, belt),
+        body=body,
+        examined=examined,
+        warnings=(
+            *(() if stopped is None else (stopped,)),
+            *examined.warnings,
+            *(() if cycle is None else cycle.warnings),
+        ),
+        notes=clip.notes,
+        cycle=None if cycle is None else cycle.numbers,
+        arguments=arguments,
+    )
+
+
+def _sensor(one: ResidualSummary) -> str:
+    """An observation in one line."""
+    seen = "nothing seen" if one.median is None else f"median residual {_size(one.median, one)}"
+    return f"  {one.name}: noise {_size(one.noise, one)}, {seen}"
+
+
+def _size(value: float, one: ResidualSummary) -> str:
+    return f"{100 * value:.1f} cm" if one.unit == "metres" else f"{value:.1f} {one.unit}"
+
+
+def _line(text: str, most: int = 96) -> str:
+    """The beginning of a message, in one line."""
+    text = "  " + " ".join(text.split())
+    return text if len(text) <= most else f"{text[: most - 3]}..."
+
+
+def _most(lines: Sequence[str], count: int, noun: str) -> list[str]:
+    """The first lines, and how many more there are."""
+    if len(lines) <= count:
+        return list(lines)
+    return [*lines[:count], f"  and {len(lines) - count} more {noun}"]

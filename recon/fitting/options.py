@@ -1,0 +1,53 @@
+"""How one clip is fitted, whatever it was read from."""
+
+from dataclasses import dataclass
+
+from jaxtyping import Float
+from torch import Tensor
+
+from priors.anchor.prior import AnchorFrames
+from priors.humor.prior import Humor
+from priors.humos.prior import Humos
+from priors.pose.prior import PosePrior
+from recon.method.reconstruction import Method
+from recon.method.terms import Term
+
+PriorObject = Method | Humor | Humos | AnchorFrames
+"""A prior that is loaded already, or a method of the caller's own."""
+
+
+@dataclass(frozen=True)
+class FitOptions:
+    """Which prior, how noisy the data are, and what else the fit should heed."""
+
+    prior: str | PriorObject = "humor"
+    """A name (humor, pose, anchor, humos), a loaded prior, or a method with `stages`."""
+    weights: str = "open"
+    """Weights of a prior that is given by its name: `open`, `nc` or a file."""
+    noise: tuple[float | None, ...] = ()
+    """Standard deviation of each observation's coordinates in its own unit (metres, or pixels of
+    keypoints); None, and an empty tuple, estimate it from the data."""
+    physics: float = 0.0
+    """Multiplier of the physics energies; 0 leaves them out."""
+    ground_given: bool = False
+    """Whether the caller gave the plane that lies at z = 0 of the recording."""
+    repair: bool = True
+    """Whether faults of the data are repaired before the fit."""
+    shape: Float[Tensor, " shape"] | None = None
+    """Shape coefficients that are held; None estimates them."""
+    terms: tuple[Term, ...] = ()
+    """Further energies, added in every stage that moves poses."""
+
+    @property
+    def completes(self) -> bool:
+        """Whether the prior knows whole gait cycles, for which beginnings are searched."""
+        return self.prior == "anchor" or isinstance(self.prior, AnchorFrames)
+
+    @property
+    def knows_gravity(self) -> bool:
+        """Whether the prior tells more of where the ground is than how people stand on it."""
+        return self.prior != "pose" and not isinstance(self.prior, PosePrior)
+
+    def noise_of(self, row: int) -> float | None:
+        """The standard deviation given for an observation, by its number."""
+        return self.noise[row] if self.noise else None
