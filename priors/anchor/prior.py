@@ -64,7 +64,7 @@ class AnchorVariables(TensorStruct):
 
 @dataclass(frozen=True)
 class AnchorFrames:
-    """Codes are normal about those of recorded cycles; details beside them are small and slow."""
+    """The prior of whole gait cycles: a normal distribution of codes, and small, slow details."""
 
     weights: AnchorWeights
     body: BodyModel
@@ -117,7 +117,7 @@ class AnchorFrames:
         fps: float,
         start_time: float = 0.0,
     ) -> AnchorVariables:
-        """Cycles of some codes, placed in the world, on a clock."""
+        """Variables of the cycles of given codes, placed in the world and on a clock."""
         spread = self.weights.spread
         away = (codes - spread.mean)[..., None]
         latent = torch.linalg.solve_triangular(spread.root, away, upper=False)[..., 0]

@@ -139,9 +139,9 @@ class Collocation:
         return PosePrior.load(weights=self.start).to(device=device)
 
     def stages(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
-        """Root; poses, smoothly; poses whose steps HuMoR finds likely; then feet held, too.
+        """First the root, then smooth poses, then likely steps, and at last held feet as well.
 
-        Feet come last: those of a first guess that stand wrongly would be held there.
+        Feet come last, because wrongly standing feet of a first guess would be held there.
         """
         w = self.weights
         steps = (

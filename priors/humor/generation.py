@@ -115,7 +115,7 @@ def predict(
     *,
     temperature: float = 1.0,
 ) -> Decoded:
-    """What may follow the last frame of motions; axes (samples · clips, frames), 30 Hz.
+    """Motions that continue the last frame of given ones; axes (samples · clips, frames), 30 Hz.
 
     The first frame is the motion's last. All clips of the first sample come first.
 
@@ -151,7 +151,7 @@ def predict(
 def sample(
     humor: Humor, frames: int, samples: int, random: torch.Generator, *, temperature: float = 1.0
 ) -> Decoded:
-    """Motions from nothing: first states from the mixture, latents from the prior.
+    """Motions drawn from the prior: first states from the mixture, latents from the prior.
 
     Axes (samples, frames), 30 Hz; the bodies are those that the first states ask for.
 

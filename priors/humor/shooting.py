@@ -79,7 +79,7 @@ class Shooting:
     """Weights of stages 1 and 2."""
 
     def stages(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
-        """Root, poses; the first 15 frames; then, the first state held, all latents; then all.
+        """The root, the poses, the first 15 frames, all latents (first state fixed), and then all.
 
         Contacts count in the first and the last phase.
         """

@@ -66,7 +66,7 @@ class HumosVariables(TensorStruct):
 
 @dataclass(frozen=True)
 class Humos:
-    """Codes follow each other as those of recorded motions; details are small and slow."""
+    """The HUMOS prior: codes of 0.8 s that follow each other as recorded ones do."""
 
     weights: HumosWeights
     body: BodyModel
@@ -152,7 +152,7 @@ class Humos:
     def sample(
         self, shape: Float[Tensor, "clips shape"], seconds: float, generator: torch.Generator
     ) -> Motion:
-        """Motions of these bodies out of nothing, at 20 Hz, from the origin on.
+        """Motions drawn from the prior for these bodies, at 20 Hz, beginning at the origin.
 
         Raises:
             ValueError: when they would be shorter than a second, or longer than clips that
@@ -173,7 +173,7 @@ class Humos:
 
     @property
     def longest(self) -> float:
-        """Seconds that a clip may last."""
+        """Longest duration of a clip, seconds."""
         return self.weights.frames / FPS if self.weights.one_code else float("inf")
 
     def _known(self, frames: int) -> None:

@@ -16,8 +16,8 @@ def load_motion_of(path: Path, body: BodyModel, remedy: str = WITH_BODY) -> Moti
     """Read a motion of a body, with all of the body's shape coefficients; those missing are zero.
 
     Shape coefficients mean nothing on another body, so a motion of one is refused: a file that
-    names another body, or one of another program (AMASS) beside the bundled body, as its betas
-    are of a body of the SMPL family. Beside a body of one's own such a file is taken for its.
+    names another body, or one of another program (AMASS) for the bundled body, because its betas
+    belong to the SMPL family. With a SMPL-family body of your own, such a file is accepted.
 
     Args:
         path: motion file.

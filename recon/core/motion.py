@@ -21,7 +21,7 @@ class Motion(TensorStruct):
     shape: Float[Tensor, "*batch shape"]
     """Coefficients of the body's shape directions, unit variance."""
     valid: Bool[Tensor, "*batch time"]
-    """Frames that exist; clips shorter than their batch-mates are padded at the end."""
+    """Whether a frame exists; the shorter clips of a batch are padded at the end."""
     fps: float
     """Frames per second."""
     start_time: float = 0.0
@@ -36,7 +36,7 @@ class Motion(TensorStruct):
         fps: float,
         start_time: float = 0.0,
     ) -> "Motion":
-        """A motion of which every frame exists."""
+        """A motion without padding."""
         valid = torch.ones(translation.shape[:-1], dtype=torch.bool, device=translation.device)
         return cls(translation, rotations, shape, valid, float(fps), float(start_time))
 
@@ -46,7 +46,7 @@ class Motion(TensorStruct):
         return self.translation.shape[-2]
 
     def inner(self, step: int = 1) -> Bool[Tensor, "*batch inner"]:
-        """Frames that exist together with those `step` before and after; none at the ends."""
+        """Whether a frame and those `step` frames before and after it exist; ends are left out."""
         stop = max(self.frames - step, step)
         before, after = self.valid[..., : stop - step], self.valid[..., 2 * step :]
         return before & self.valid[..., step:stop] & after

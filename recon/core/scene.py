@@ -64,9 +64,10 @@ class Scene(TensorStruct):
     """Unknowns shared by all frames of a clip, optimised beside the prior's variables."""
 
     offsets: Float[Tensor, "*batch offsets 3"]
-    """Where tracked points sit away from their place on the model, in the frame of their bone.
+    """Constant offsets of tracked points from their place on the model, metres, in the frame of
+    their bone.
 
-    Metres. Markers stand off the skin and joints of another skeleton lie elsewhere; an
+    Markers stand off the skin and joints of another skeleton lie elsewhere; an
     observation that allows for that names its rows here (MoSh's latent markers).
     """
     ground: UnknownGround | None = None
@@ -74,7 +75,7 @@ class Scene(TensorStruct):
 
     @classmethod
     def create(cls, clips: int, offsets: int = 0, *, like: Tensor) -> "Scene":
-        """A scene in which everything sits where the model says, on a ground that is known."""
+        """A scene with offsets of zero and a known ground."""
         return cls(offsets=torch.zeros(clips, offsets, 3, dtype=like.dtype, device=like.device))
 
     def to_recording(

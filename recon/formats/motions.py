@@ -52,7 +52,7 @@ class MotionFile:
     in_camera: Float[Tensor, "time 6"] | None = None
     """SMPL translation (metres) and root rotation vector (radians) in that camera's frame."""
     format_version: int = FORMAT_VERSION
-    """0 of a file that another program wrote, such as those of AMASS."""
+    """Version of the layout; 0 for files that other programs wrote, such as those of AMASS."""
 
 
 _EXTRA = {

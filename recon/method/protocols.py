@@ -19,20 +19,20 @@ REFERENCE_FPS = 30.0
 
 @dataclass(frozen=True)
 class Decoded:
-    """What a prior makes of its own variables."""
+    """The motion that a prior decodes from its variables, and its energies."""
 
     motion: Motion
     energies: Mapping[str, Float[Tensor, "*batch"]] = field(default_factory=dict)
     """Named parts of -log p(variables), up to a constant."""
     contacts: Float[Tensor, "*batch time 22"] | None = None
-    """Probability that a joint carries weight."""
+    """Probability, from 0 to 1, that a joint is in contact with the ground."""
     joints: Float[Tensor, "*batch time 22 3"] | None = None
-    """The network's own joints, metres, where it predicts them beside the pose."""
+    """Joints that the prior's network predicts beside the pose, metres; None if it does not."""
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """All that an energy may look at."""
+    """The current motion, its posed body and the scene: everything an energy may depend on."""
 
     decoded: Decoded
     body: PosedBody
@@ -46,7 +46,7 @@ class Estimate:
 
     @property
     def motion(self) -> Motion:
-        """The motion as it stands."""
+        """The current motion."""
         return self.decoded.motion
 
 
@@ -56,23 +56,23 @@ Energy = Callable[[Estimate], Float[Tensor, "*batch"]]
 
 @runtime_checkable
 class Prior(Protocol[S]):
-    """A change of variables plus a density over them."""
+    """A change of variables with a density over them."""
 
     def encode(self, motion: Motion) -> S:
-        """Variables that explain a motion as well as the prior can; axes (clips, ...)."""
+        """Variables of the motion nearest to the given one; axes (clips, ...)."""
         ...
 
     def decode(self, variables: S) -> Decoded:
-        """The motion of the variables and how unlikely they are."""
+        """The motion of the variables, and the parts of -log p of the variables."""
         ...
 
 
 @runtime_checkable
 class Observation(Protocol):
-    """Recorded data as an energy."""
+    """Data of one sensor, and the energy that compares them with an estimate."""
 
     def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
-        """Misfit between the data and the estimate."""
+        """Half the sum of squared residuals, one number per clip, in the sensor's unit squared."""
         ...
 
     def residuals(self, estimate: Estimate) -> Residuals:

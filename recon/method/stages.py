@@ -40,17 +40,17 @@ class Matched(Protocol):
 
 @dataclass(frozen=True)
 class Stage(Generic[S]):
-    """One minimisation: whose variables, of what, moving which, how."""
+    """One minimisation: a prior's variables, the terms of the objective, and the minimiser."""
 
     name: str
     prior: Prior[S]
     terms: tuple[Term, ...]
     free: frozenset[str]
-    """Paths of the tensors to move: the prior's own (`pose`) or the scene's (`scene.offsets`)."""
+    """Names of the optimised tensors, the prior's (`pose`) or the scene's (`scene.offsets`)."""
     minimiser: LBFGS = LBFGS()
     frames: int | None = None
-    """Decode and compare only the first so many frames; the prior's `decode` must then take
-    their number beside the variables. None decodes all."""
+    """Number of frames that are decoded and compared, from the first on; the prior's `decode` must
+    then take this number beside the variables. None decodes all frames."""
 
     def __post_init__(self) -> None:
         names = [term.name for term in self.terms]
@@ -58,7 +58,7 @@ class Stage(Generic[S]):
             raise ValueError(f"stage {self.name!r} needs terms with names of their own: {names}")
 
     def held(self, estimate: Estimate) -> "Stage[S]":
-        """The same with pairs found that its energies hold on to while it is minimised."""
+        """The stage with the correspondences of an estimate, fixed while it is minimised."""
         terms = tuple(
             replace(term, energy=term.energy.matched(estimate))
             if isinstance(term.energy, Matched)
@@ -78,14 +78,14 @@ class Unknowns(TensorStruct, Generic[S]):
 
 @dataclass(frozen=True)
 class StageReport:
-    """What one stage did to each clip."""
+    """How one stage ended for each clip of the batch."""
 
     stage: Stage[Any]
     solution: Solution
     seconds: float
 
     def rows(self, index: Int[Tensor, " rows"]) -> "StageReport":
-        """What it did to some clips of the batch."""
+        """The report for some clips of the batch."""
         return replace(self, solution=self.solution.rows(index))
 
 

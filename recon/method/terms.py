@@ -18,7 +18,7 @@ from recon.method.protocols import REFERENCE_FPS, Energy, Estimate
 
 @dataclass(frozen=True)
 class Term:
-    """One line of an objective: weight × energy."""
+    """One named, weighted energy of an objective."""
 
     name: str
     energy: Energy
@@ -32,7 +32,7 @@ class Term:
 
 
 def prior_energy(name: str) -> Energy:
-    """One named part of the prior's own -log p."""
+    """The energy that is one named part of -log p of the stage's prior."""
     return lambda estimate: estimate.decoded.energies[name]
 
 
