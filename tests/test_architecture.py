@@ -1,7 +1,6 @@
 """The house rules that a machine can check."""
 
 import ast
-import runpy
 import sys
 import tomllib
 from graphlib import CycleError, TopologicalSorter
@@ -38,15 +37,6 @@ def test_library_code_keeps_its_manners(path):
             assert node.module != "__future__", f"{path}: shapes are checked, so no lazy ones"
     assert ast.get_docstring(tree), f"{path} does not say what it is"
     assert path.name not in ("utils.py", "helpers.py", "misc.py", "common.py")
-
-
-@pytest.mark.parametrize("path", sorted((ROOT / "examples").glob("*.py")), ids=lambda p: p.name)
-@pytest.mark.filterwarnings("default")
-def test_examples_run(path, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "argv", [path.name])
-    runpy.run_path(str(path), run_name="__main__")
-    assert capsys.readouterr().out
 
 
 def test_another_package_of_the_name_is_noticed(monkeypatch):
