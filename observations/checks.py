@@ -21,6 +21,7 @@ from recon.core.arrays import (
     require_shape,
 )
 from recon.core.camera import Camera
+from recon.core.errors import ObservationError, UnitsError
 from recon.core.limits import CONFIDENCE, FRAME_RATE, PIXEL, POSITION, TIME
 
 FARTHEST = 5.0
@@ -94,7 +95,7 @@ def checked_places(kind: str, name: str, places: Any, points: int) -> tuple[int,
     """
     places = index_tuple(places, f"{kind}.{name}")
     if len(places) != points:
-        raise ValueError(
+        raise ObservationError(
             f"{kind}.{name}: expected one for each of the {points} points, got {len(places)}"
         )
     return places
@@ -107,7 +108,7 @@ def checked_view(kind: str, camera: Camera, values: Tensor) -> Camera:
         ValueError: when it has a distorting lens, or belongs to another number of clips.
     """
     if camera.distortion is not None:
-        raise ValueError(
+        raise ObservationError(
             f"{kind}.camera: expected a camera without distortion, got coefficients; correct the "
             "pixels first (cv2.undistortPoints with P=camera_matrix) and leave them out"
         )
@@ -121,7 +122,7 @@ def checked_view(kind: str, camera: Camera, values: Tensor) -> Camera:
             have in (1, want) for have, want in zip(clips, values.shape, strict=False)
         )
         if not fits:
-            raise ValueError(
+            raise ObservationError(
                 f"{kind}.camera.{name}: expected leading axes (clips, 1) or (clips, moments) of "
                 f"{tuple(values.shape[:-2])}, got the shape {tuple(tensor.shape)}"
             )
@@ -131,12 +132,12 @@ def checked_view(kind: str, camera: Camera, values: Tensor) -> Camera:
 def _same_points(kind: str, name: str, values: Tensor, mask_name: str, mask: Tensor) -> None:
     """Refuse a mask of other axes, and nothing at all."""
     if mask.shape != values.shape[:-1]:
-        raise ValueError(
+        raise ObservationError(
             f"{kind}.{mask_name}: expected the shape {tuple(values.shape[:-1])}, that of {name} "
             f"without its last axis; got {tuple(mask.shape)}"
         )
     if values.numel() == 0:
-        raise ValueError(
+        raise ObservationError(
             f"{kind}.{name}: expected at least one clip, moment and point, got the shape "
             f"{tuple(values.shape)}"
         )
@@ -148,7 +149,7 @@ def _seen_and_finite(
     """Values, zero where not visible; NaN and infinity elsewhere are refused."""
     bad = visible & ~values.isfinite().all(-1)
     if bool(bad.any()):
-        raise ValueError(
+        raise ObservationError(
             f"{kind}.{name}: expected finite numbers where {mask_name} says that a point was "
             f"seen, got NaN or infinity in {int(bad.sum())} places, the first at "
             f"{name}{first_where(bad)}; mark missing points in {mask_name}"
@@ -166,7 +167,7 @@ def _refuse_other_units(kind: str, name: str, positions: Tensor, visible: Tensor
     away = (some - middle).norm(dim=-1).flatten(-2).nanmedian(-1).values
     if bool((away > FARTHEST).any()):
         far = float(away[away > FARTHEST].max())
-        raise ValueError(
+        raise UnitsError(
             f"{kind}.{name}: expected metres, but the points of one moment lie {far:.3g} from "
             f"their middle, where a person's lie about half a metre from it; divide millimetres "
             "by 1000, centimetres by 100"

@@ -12,6 +12,7 @@ from observations.start.rigid import rigid_start
 from observations.timing import moments_between, point_misfit, point_residuals
 from recon.body.model import BodyModel
 from recon.core.arrays import Numbers
+from recon.core.errors import ObservationError
 from recon.core.motion import Motion
 from recon.core.residuals import Residuals
 from recon.core.robust import squared
@@ -67,7 +68,7 @@ class Joints3D(TensorStruct):
         )
         places = checked_places("Joints3D", "joints", joints, positions.shape[-2])
         if places and max(places) >= len(JOINTS):
-            raise ValueError(f"Joints3D.joints: expected numbers from 0 to 21, got {places}")
+            raise ObservationError(f"Joints3D.joints: expected numbers from 0 to 21, got {places}")
         fps, start_time = checked_clock("Joints3D", fps, start_time)
         self._settle(
             positions=positions, visible=visible, joints=places, fps=fps, start_time=start_time,

@@ -13,6 +13,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from recon.core.errors import WeightsError
 from recon.core.limits import BINARY, NETWORK_WEIGHT
 from recon.formats.files.opening import replacing
 from recon.formats.weight_files import weights_path
@@ -42,10 +43,10 @@ class Checkpoint:
             if found is not None and tuple(found.shape) != tuple(shape):
                 wrong.append(f"{name} has shape {tuple(found.shape)}, expected {tuple(shape)}")
         if len(wrong) > 0:
-            raise ValueError(f"{self.path}: weights do not fit this network: {'; '.join(wrong)}")
+            raise WeightsError(f"{self.path}: weights do not fit this network: {'; '.join(wrong)}")
         bad = [name for name in shapes if not bool(self.tensors[name].isfinite().all())]
         if len(bad) > 0:
-            raise ValueError(f"{self.path}: nan or infinity in {', '.join(bad)}; train again")
+            raise WeightsError(f"{self.path}: nan or infinity in {', '.join(bad)}; train again")
         return {name: self.tensors[name] for name in shapes}
 
     def under(self, prefix: str) -> "Checkpoint":
@@ -95,7 +96,7 @@ def save_checkpoint(
     rows = {name: t.detach().cpu().contiguous() for name, t in tensors.items()}
     bad = [f"{name} ({t.dtype})" for name, t in rows.items() if not bool(t.isfinite().all())]
     if len(bad) > 0:
-        raise ValueError(
+        raise WeightsError(
             f"{path}: weights not written, {', '.join(bad)} hold NaN or infinity; expected "
             "finite numbers, in float16 of at most 65504: look into the training that gave them"
         )
@@ -157,20 +158,20 @@ def load_checkpoint(path: str | Path, kind: str) -> Checkpoint:
                 name: file.get_tensor(name) for name in list(file.keys())
             }
     except (SafetensorError, RuntimeError, ValueError, OSError, AttributeError) as error:
-        raise ValueError(f"{path}: expected a safetensors file, got {error}") from error
+        raise WeightsError(f"{path}: expected a safetensors file, got {error}") from error
     try:
         about = json.loads(notes.get(_ABOUT, "{}"))
     except (ValueError, RecursionError) as error:
-        raise ValueError(f"{path}: its metadata is not JSON: {error}") from error
+        raise WeightsError(f"{path}: its metadata is not JSON: {error}") from error
     found = about.get("kind") if isinstance(about, dict) else None
     if found != kind:
-        raise ValueError(f"{path}: expected {kind} weights, the file says {found!r}")
+        raise WeightsError(f"{path}: expected {kind} weights, the file says {found!r}")
     settings = about.get("settings")
     if not isinstance(settings, dict):
-        raise ValueError(f"{path}: expected settings by name, got {type(settings).__name__}")
+        raise WeightsError(f"{path}: expected settings by name, got {type(settings).__name__}")
     stated = about.get("sha256")
     if stated is not None and stated != checksum(tensors, about):
-        raise ValueError(
+        raise WeightsError(
             f"{path}: the checksum of the weights is not the one in the file: it was damaged or "
             "changed since it was written; fetch or train it again"
         )

@@ -11,6 +11,7 @@ from observations.depth import PointCloud
 from observations.surfels import Surfels
 from recon.body.model import BodyModel
 from recon.core.camera import Camera
+from recon.core.errors import ObservationError
 from recon.core.geometry.planes import FoundGround, above, find_ground, largest_cluster, spacing
 from recon.core.ground import Ground
 from recon.formats.observations import CameraArrays, PointsFile
@@ -89,7 +90,7 @@ def cloud_of(
     if known and found.ground is not None:
         seen = abs(float(found.ground.offset)) < _KNOWN_GROUND
         if file.camera is None and not seen:
-            raise ValueError(
+            raise ObservationError(
                 f"the points show a ground at z = {float(found.ground.offset):.2f} m, expected it "
                 "at z = 0: move the points there, or leave out what is no person"
             )
@@ -113,7 +114,7 @@ def cloud_of(
     ]
     most = max(map(len, clouds))
     if most < _LEAST:
-        raise ValueError(
+        raise ObservationError(
             f"the fullest of {frames} frames has {most} points of a person; expected {_LEAST} or "
             "more, so check unit, axes and mask"
         )

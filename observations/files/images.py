@@ -8,6 +8,7 @@ from observations.correspondences import BodyPoints
 from observations.keypoints2d import SIGMA, Keypoints2D
 from recon.body.model import BodyModel
 from recon.core.camera import Camera
+from recon.core.errors import ObservationError
 from recon.core.ground import Ground, world_from_camera
 from recon.formats.observations import CameraArrays, KeypointsFile
 
@@ -33,7 +34,7 @@ def keypoints_of(
     """
     points = BodyPoints.of_layout(file.layout, body)
     if len(points.known) != file.pixels.shape[1]:
-        raise ValueError(
+        raise ObservationError(
             f"layout {file.layout} has {len(points.known)} keypoints, got {file.pixels.shape[1]}"
         )
     camera = pinhole(file.camera, T_recording_camera)
@@ -59,7 +60,7 @@ def camera_above(ground: tuple[float, float, float, float]) -> Float[np.ndarray,
     """
     plane = Ground.create(torch.tensor(ground[:3]), torch.tensor(ground[3]))
     if not float(plane.offset) < 0:
-        raise ValueError(
+        raise ObservationError(
             f"the ground {ground} is not below the camera: expected (nx, ny, nz, d) with the "
             "normal up and d < 0, such as (0, -1, 0, -1.2) for a level camera 1.2 m above it"
         )

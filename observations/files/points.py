@@ -11,6 +11,7 @@ from observations.joints3d import Joints3D
 from observations.markers3d import Markers3D
 from recon.body.landmarks import landmark, landmarks, match_markers
 from recon.body.model import BodyModel
+from recon.core.errors import ObservationError, UnitsError
 from recon.core.robust import geman_mcclure, squared
 from recon.core.skeleton import JOINTS
 from recon.core.units import METRES, Axis, check_override, decide_up, head_above_feet, to_z_up
@@ -45,7 +46,7 @@ def load(
     """
     file = load_observation(path, unit=unit)
     if not isinstance(file, PositionsFile):
-        raise ValueError(f"{path}: expected 3D joints or markers (joints3d, markers3d)")
+        raise ObservationError(f"{path}: expected 3D joints or markers (joints3d, markers3d)")
     return positions_of(file, path, body, unit=unit, up=up, robust=robust)
 
 
@@ -64,7 +65,9 @@ def positions_of(
         ValueError: as `load` does.
     """
     if not file.visible.any():
-        raise ValueError(f"{path}: no point is visible in any frame, so there is nothing to fit")
+        raise ObservationError(
+            f"{path}: no point is visible in any frame, so there is nothing to fit"
+        )
     check_override(unit)
     places, rest = _places(file, path, body)
     positions = _upright(file, path, up) * (METRES[unit] if unit else 1.0)
@@ -82,21 +85,21 @@ def _places(
     """Joint numbers or vertices of the named points, and where the rest body has them."""
     if file.kind == "joints3d":
         if unknown := [name for name in file.names if name not in JOINTS]:
-            raise ValueError(
+            raise ObservationError(
                 f"{path}: no joint is called {', '.join(unknown)}; name the points among "
                 f"{', '.join(JOINTS)} and leave the others out"
             )
         joints = tuple(JOINTS.index(name) for name in file.names)
         return joints, body.joint_template[list(joints)]
     if body.checksum != BodyModel.load().checksum:
-        raise ValueError(
+        raise ObservationError(
             f"{path}: markers sit on vertices of the bundled body, which {body.name!r} does not "
             "have; fit markers without --body, or build Markers3D with vertices of your own mesh"
         )
     matched, _ = match_markers(file.names)
     matched |= {name: name for name in file.names if name in landmarks()}
     if unknown := [name for name in file.names if name not in matched]:
-        raise ValueError(
+        raise ObservationError(
             f"{path}: the markers {', '.join(unknown)} are not known; use landmark names "
             f"({', '.join(sorted(landmarks())[:6])}, ...) or leave them out"
         )
@@ -115,7 +118,7 @@ def _upright(file: PositionsFile, path: str | Path, up: Axis | None) -> np.ndarr
     rise = head_above_feet(file.names, file.positions, file.visible)
     found, reason = decide_up(rise, "z", str(path)) if rise is not None else ("z", "")
     if found != "z":
-        raise ValueError(
+        raise ObservationError(
             f"{path}: says z is up, but {reason.removeprefix('up axis ')}; give --up {found}, "
             "or --up z if the person really lies"
         )
@@ -135,7 +138,7 @@ def _check_size(
         return
     fitting = [name for name, metres in METRES.items() if SIZE[0] <= ratio * metres <= SIZE[1]]
     hint = f"; give --unit {' or '.join(fitting)}" if fitting and not told else ""
-    raise ValueError(
+    raise UnitsError(
         f"{path}: expected metres, but the points spread {ratio:.3g} times as far as a "
         f"body's{hint}"
     )

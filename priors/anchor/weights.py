@@ -13,6 +13,7 @@ from priors.anchor.basis import CODES, CycleBasis
 from priors.anchor.frames import Alignment
 from priors.anchor.networks import AnchorNetworks
 from priors.checkpoints import named_checkpoint, save_checkpoint
+from recon.core.errors import WeightsError
 from recon.core.struct import TensorStruct
 
 _BASIS, _SPREAD = "basis.", "spread."
@@ -92,7 +93,7 @@ def load_weights(path: str | Path) -> AnchorWeights:
     if found.settings.get("alignment") not in known or not all(
         isinstance(size, int) and size > 0 for size in sizes
     ):
-        raise ValueError(
+        raise WeightsError(
             f"{found.path}: expected the settings {', '.join(_SETTINGS)} (whole numbers) and "
             f"alignment ({' or '.join(sorted(known))}), got {dict(found.settings)}"
         )

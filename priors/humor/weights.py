@@ -13,6 +13,7 @@ from torch import Tensor
 from priors.checkpoints import Checkpoint, named_checkpoint, save_checkpoint
 from priors.humor.mixture import Mixture
 from priors.humor.networks import HumorNetworks, width_of
+from recon.core.errors import WeightsError
 
 _INITIAL = "initial."
 """What names of the mixture's tensors begin with."""
@@ -109,9 +110,9 @@ def _pytorch(path: Path) -> Checkpoint:
     try:
         found = torch.load(path, map_location="cpu", weights_only=True)
     except _DAMAGED as error:
-        raise ValueError(f"{path}: expected a PyTorch checkpoint, got {error}") from error
+        raise WeightsError(f"{path}: expected a PyTorch checkpoint, got {error}") from error
     for name in ("average", "model"):
         own = found.get(name) if isinstance(found, dict) else None
         if isinstance(own, dict) and all(isinstance(t, Tensor) for t in own.values()):
             return Checkpoint(path, own, {})
-    raise ValueError(f"{path}: expected a checkpoint with the networks' weights under 'model'")
+    raise WeightsError(f"{path}: expected a checkpoint with the networks' weights under 'model'")

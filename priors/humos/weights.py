@@ -13,6 +13,7 @@ from priors.checkpoints import named_checkpoint, save_checkpoint
 from priors.humos.basis import WINDOW, LappedBasis
 from priors.humos.frames import NUMBERS
 from priors.humos.networks import ClipNetworks, Networks, WindowNetworks
+from recon.core.errors import WeightsError
 from recon.core.struct import TensorStruct
 
 _BASIS, _DENSITY = "basis.", "density."
@@ -148,7 +149,7 @@ def load_weights(path: str | Path) -> HumosWeights:
     sizes = [found.settings.get(name) for name in (*_SIZES, "frames")]
     kind = found.settings.get("codes")
     if kind not in _KINDS or not all(isinstance(size, int) and size > 0 for size in sizes):
-        raise ValueError(
+        raise WeightsError(
             f"{found.path}: expected the settings {', '.join(_SIZES)}, frames (whole numbers) and "
             f"codes ({' or '.join(_KINDS)}), got {dict(found.settings)}"
         )

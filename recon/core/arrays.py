@@ -7,6 +7,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from recon.core.errors import ReconError
+
 Numbers = Tensor | np.ndarray | Sequence[Any]
 """What users give as an array: a tensor, an array of numpy, nested lists."""
 
@@ -24,11 +26,11 @@ def float_tensor(values: Any, name: str) -> Tensor:
         if values.dtype in (torch.float32, torch.float64):
             return values
         if values.is_complex():
-            raise ValueError(f"{name}: expected real numbers, got {values.dtype}")
+            raise ReconError(f"{name}: expected real numbers, got {values.dtype}")
         return values.float()
     array = _array(values, name)
     if array.dtype.kind not in "fiub":
-        raise ValueError(f"{name}: expected an array of numbers, got {_described(values, array)}")
+        raise ReconError(f"{name}: expected an array of numbers, got {_described(values, array)}")
     with np.errstate(over="ignore"):  # what float32 cannot hold becomes infinite, and is refused
         return torch.from_numpy(np.array(array, np.float32, order="C"))
 
@@ -44,10 +46,10 @@ def bool_tensor(values: Any, name: str) -> Tensor:
     if not isinstance(values, Tensor):
         array = _array(values, name)
         if array.dtype.kind not in "fiub":
-            raise ValueError(f"{name}: expected true and false, got {_described(values, array)}")
+            raise ReconError(f"{name}: expected true and false, got {_described(values, array)}")
         values = torch.from_numpy(np.array(array, order="C"))
     if not bool(((values == 0) | (values == 1)).all()):
-        raise ValueError(
+        raise ReconError(
             f"{name}: expected true and false or 1 and 0, got other numbers; compare "
             "confidences with a threshold"
         )
@@ -62,7 +64,7 @@ def index_tuple(values: Any, name: str) -> tuple[int, ...]:
     """
     array = values.detach().cpu().numpy() if isinstance(values, Tensor) else _array(values, name)
     if array.ndim != 1 or (array.size > 0 and (array.dtype.kind not in "iu" or array.min() < 0)):
-        raise ValueError(
+        raise ReconError(
             f"{name}: expected a row of whole numbers from 0 on, got {_described(values, array)}"
         )
     return tuple(int(number) for number in array)
@@ -76,7 +78,7 @@ def positive(value: Any, name: str) -> float:
     """
     number = finite(value, name)
     if not number > 0:
-        raise ValueError(f"{name}: expected a number above 0, got {number:g}")
+        raise ReconError(f"{name}: expected a number above 0, got {number:g}")
     return number
 
 
@@ -89,9 +91,9 @@ def finite(value: Any, name: str) -> float:
     try:
         number = float(value)
     except (TypeError, ValueError):
-        raise ValueError(f"{name}: expected one number, got {value!r:.60}") from None
+        raise ReconError(f"{name}: expected one number, got {value!r:.60}") from None
     if not np.isfinite(number):
-        raise ValueError(f"{name}: expected a finite number, got {number:g}")
+        raise ReconError(f"{name}: expected a finite number, got {number:g}")
     return number
 
 
@@ -107,7 +109,7 @@ def require_shape(tensor: Tensor, name: str, shape: Sequence[str | int]) -> None
     )
     if not fits:
         wanted = ", ".join(map(str, shape))
-        raise ValueError(f"{name}: expected the shape (..., {wanted}), got {tuple(tensor.shape)}")
+        raise ReconError(f"{name}: expected the shape (..., {wanted}), got {tuple(tensor.shape)}")
 
 
 def first_where(mask: Tensor) -> list[int]:
@@ -119,7 +121,7 @@ def _array(values: Any, name: str) -> np.ndarray:
     try:
         return np.asarray(values)
     except ValueError:
-        raise ValueError(f"{name}: expected an array, got rows of different lengths") from None
+        raise ReconError(f"{name}: expected an array, got rows of different lengths") from None
 
 
 def _described(values: Any, array: np.ndarray) -> str:

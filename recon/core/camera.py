@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from recon.core.arrays import Numbers, float_tensor, index_tuple, require_shape
+from recon.core.errors import ReconError
 from recon.core.limits import check_camera, check_pose
 from recon.core.struct import TensorStruct
 
@@ -56,15 +57,15 @@ class Camera(TensorStruct):
     def __post_init__(self) -> None:
         focal = self.camera_matrix[..., [0, 1], [0, 1]]
         if not bool((focal > 0).all()):
-            raise ValueError(
+            raise ReconError(
                 f"focal lengths must be positive pixels, got {focal.tolist()}; "
                 "expected a camera matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]"
             )
         if len(self.image_size) != 2 or min(self.image_size) <= 0:
-            raise ValueError(f"image size must be positive (width, height), got {self.image_size}")
+            raise ReconError(f"image size must be positive (width, height), got {self.image_size}")
         lens = self.distortion
         if lens is not None and lens.shape[-1] not in COEFFICIENT_COUNTS:
-            raise ValueError(
+            raise ReconError(
                 f"expected {' or '.join(map(str, COEFFICIENT_COUNTS))} distortion coefficients "
                 f"(k1 k2 p1 p2 [k3 [k4 k5 k6]]), got {lens.shape[-1]}"
             )
@@ -193,7 +194,7 @@ def looking(position: Float[Tensor, "3"], target: Float[Tensor, "3"]) -> Float[T
     forward = torch.nn.functional.normalize(target - position, dim=0)
     right = torch.linalg.cross(forward, forward.new_tensor([0.0, 0.0, 1.0]))
     if not right.norm() > 1e-6:
-        raise ValueError(
+        raise ReconError(
             f"a camera at {position.tolist()} that looks at {target.tolist()} has no upright "
             "image; move either one sideways"
         )

@@ -7,6 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from recon.core import rotations as so3
+from recon.core.errors import ReconError
 from recon.core.struct import TensorStruct
 
 _UPRIGHT = 1e-6
@@ -35,7 +36,7 @@ class Ground(TensorStruct):
         """
         length = normal.norm(dim=-1)
         if not bool((length > 0).all()):
-            raise ValueError(f"a ground needs a normal that is not zero, got {normal.tolist()}")
+            raise ReconError(f"a ground needs a normal that is not zero, got {normal.tolist()}")
         return cls(normal / length[..., None], offset / length)
 
     @classmethod

@@ -7,6 +7,7 @@ hip is that of Halpe), except in `smpl22`, whose points are the joints of the bo
 from collections.abc import Mapping
 from types import MappingProxyType
 
+from recon.core.errors import ReconError
 from recon.core.skeleton import JOINTS
 
 
@@ -66,4 +67,4 @@ def keypoint_names(layout: str) -> tuple[str, ...]:
     try:
         return LAYOUTS[layout]
     except KeyError:
-        raise ValueError(f"no layout {layout!r}; there are {', '.join(LAYOUTS)}") from None
+        raise ReconError(f"no layout {layout!r}; there are {', '.join(LAYOUTS)}") from None

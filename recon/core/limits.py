@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from recon.core.errors import ReconError
+
 
 @dataclass(frozen=True)
 class Limit:
@@ -52,7 +54,7 @@ class Limit:
         unit = f" {self.unit}" if self.unit else ""
         value = numbers[index]
         shown = f"{value:.6g}" if isinstance(value, int | float | np.number) else str(value)[:40]
-        raise ValueError(
+        raise ReconError(
             f"{source}: expected a {self.quantity} of {self.low:.6g} to {self.high:.6g}{unit}, "
             f"got {shown}{place}; {self.reason}"
         )
@@ -254,7 +256,7 @@ def check_camera(matrix: Any, size: Any, distortion: Any, source: object, key: s
     IMAGE_SIZE.check(size, source, f"{key} image_size".strip())
     place = f"{key} camera_matrix".strip()
     if np.abs(K[[1, 2, 2], [0, 0, 1]]).max() > 1e-6 or abs(K[2, 2] - 1) > 1e-6:
-        raise ValueError(
+        raise ReconError(
             f"{source}: expected a camera matrix [[fx, s, cx], [0, fy, cy], [0, 0, 1]] at "
             f"{place}, got {K.tolist()}"
         )
@@ -288,7 +290,7 @@ def check_pose(pose: Any, source: object, key: str) -> None:
         mirrored = np.linalg.det(rotation) < 0
         bottom = np.abs(T[..., 3, :] - (0.0, 0.0, 0.0, 1.0)).max()
     if mirrored.any() or not bottom < 1e-6:
-        raise ValueError(
+        raise ReconError(
             f"{source}: expected rigid transforms in {key} with a last row 0 0 0 1, got one that "
             "mirrors or does not end so"
         )

@@ -7,6 +7,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from recon.core import rotations as so3
+from recon.core.errors import ReconError
 from recon.core.struct import TensorStruct
 
 
@@ -78,7 +79,7 @@ class Motion(TensorStruct):
         place = (times.double() - start) * self.fps
         slack = 1e-6 * self.fps
         if len(times) > 0 and (place.min() < -slack or place.max() > last + slack):
-            raise ValueError(
+            raise ReconError(
                 f"the motion lasts from {start:.4f} s to {start + last / self.fps:.4f} s, but was "
                 f"asked for {times.min():.4f} s to {times.max():.4f} s; cut the request first"
             )
@@ -137,7 +138,7 @@ def pad(motions: list[Motion]) -> Motion:
     """
     rates = {m.fps for m in motions}
     if len(rates) != 1:
-        raise ValueError(f"clips of one batch need one frame rate, got {sorted(rates)}")
+        raise ReconError(f"clips of one batch need one frame rate, got {sorted(rates)}")
     longest = max(m.frames for m in motions)
 
     def lengthen(m: Motion) -> Motion:

@@ -1,5 +1,7 @@
 """The 22 body joints of SMPL: names, tree, groups. The only place with joint numbers."""
 
+from recon.core.errors import ReconError
+
 JOINTS = (
     "pelvis", "left_hip", "right_hip", "spine1", "left_knee", "right_knee", "spine2",
     "left_ankle", "right_ankle", "spine3", "left_foot", "right_foot", "neck", "left_collar",
@@ -45,7 +47,7 @@ def joint_index(name: str) -> int:
         ValueError: when there is no such joint; the message lists them.
     """
     if name not in JOINTS:
-        raise ValueError(f"no joint is called {name!r}; the joints are {', '.join(JOINTS)}")
+        raise ReconError(f"no joint is called {name!r}; the joints are {', '.join(JOINTS)}")
     return JOINTS.index(name)
 
 

@@ -7,6 +7,8 @@ from typing import Literal, get_args
 import numpy as np
 from jaxtyping import Bool, Float
 
+from recon.core.errors import UnitsError
+
 Axis = Literal["x", "y", "z"]
 AXES: tuple[Axis, ...] = get_args(Axis)
 
@@ -54,7 +56,7 @@ def unit_from_bones(length: float, name: str) -> tuple[str, str]:
     low, high = _BODY_LENGTH
     fitting = [unit for unit, metres in METRES.items() if low <= length * metres <= high]
     if len(fitting) != 1:
-        raise ValueError(
+        raise UnitsError(
             f"{name}: the bones from head to foot measure {length:.4g} units, which is "
             f"{low} m to {high} m in none of {', '.join(METRES)}; give the unit with --unit"
         )
@@ -73,7 +75,7 @@ def unit_from_markers(extent: float, name: str) -> tuple[str, str]:
     low, high = _MARKER_EXTENT
     fitting = [unit for unit in ("m", "cm", "mm") if low <= extent * METRES[unit] <= high]
     if len(fitting) != 1:
-        raise ValueError(
+        raise UnitsError(
             f"{name}: the markers span {extent:.4g} units, which is {low} m to {high} m in none "
             "of m, cm, mm; give the unit with --unit"
         )
@@ -88,7 +90,7 @@ def check_declared(unit: str, size: float, name: str) -> str:
     """
     metres = size * METRES[unit]
     if not _SANE_EXTENT[0] <= metres <= _SANE_EXTENT[1]:
-        raise ValueError(
+        raise UnitsError(
             f"{name}: the file says its unit is {unit}, but then the body measures "
             f"{metres:.4g} m; give the true unit with --unit"
         )
@@ -102,7 +104,7 @@ def check_override(unit: str | None) -> None:
         ValueError: with the units that are.
     """
     if unit is not None and unit not in METRES:
-        raise ValueError(f"--unit is one of {', '.join(METRES)}, got {unit!r}")
+        raise UnitsError(f"--unit is one of {', '.join(METRES)}, got {unit!r}")
 
 
 def head_above_feet(
@@ -157,7 +159,7 @@ def decide_up(
     elif usual is not None:
         return usual, f"up axis {usual}: by the file's custom, no head and feet by name"
     described = "unknown" if rise is None else np.array2string(rise, precision=3)
-    raise ValueError(
+    raise UnitsError(
         f"{name}: cannot tell which axis points up (from feet to head: {described}); "
         "give it with --up x, y or z"
     )

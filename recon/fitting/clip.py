@@ -15,6 +15,7 @@ from observations.markers3d import Markers3D
 from observations.together.first_guess import FirstGuess, Seen, first_guess
 from observations.together.weighing import Noise, noise_of, weights_of
 from recon.body.model import BodyModel
+from recon.core.errors import ObservationError
 from recon.core.motion import Motion
 from recon.core.scene import GROUND, HEIGHT, OFFSETS, Scene, UnknownGround
 from recon.core.struct import concatenate
@@ -83,7 +84,7 @@ def fit_clip(
     """
     known = {observation.ground_known for observation in observations}
     if len(known) > 1 and any(isinstance(o, Keypoints2D) for o in observations):
-        raise ValueError(
+        raise ObservationError(
             "some observations know where the ground is and some do not: give every camera its "
             "pose (T_camera_world), or none"
         )

@@ -16,6 +16,7 @@ from observations.people.masks import load_silhouettes, masked
 from observations.people.views import load_views
 from observations.together.first_guess import Seen
 from recon.body.model import BodyModel
+from recon.core.errors import ObservationError
 from recon.fitting.settings import FitSettings
 from recon.formats.calibration.cameras import load_cameras
 from recon.formats.clouds.depth_images import read_depth_images
@@ -57,7 +58,7 @@ def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> 
         ValueError: when something cannot be read, or options are missing; says what to do.
     """
     if len(paths) == 0:
-        raise ValueError("nothing to fit: expected at least one observation file, got none")
+        raise ObservationError("nothing to fit: expected at least one observation file, got none")
     files: list[tuple[str, ObservationFile]] = []
     notes: list[str] = []
     detections: list[Path] = []
@@ -65,7 +66,7 @@ def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> 
         if not path.exists():
             raise FileNotFoundError(f"no observation at {path}")
         if path.is_dir() and next(path.iterdir(), None) is None:
-            raise ValueError(
+            raise ObservationError(
                 f"{path}: the folder is empty; expected scans (.ply, .pcd), depth images (.png) "
                 "or 2D detections (.json, .csv) in it"
             )
@@ -76,7 +77,7 @@ def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> 
         elif path.is_dir() or path.suffix.lower() in _DETECTIONS:
             detections.append(path)
         else:
-            raise ValueError(
+            raise ObservationError(
                 f"{path}: expected an observation (.npz), 2D keypoints (.json, .csv or folders of "
                 "them) or a folder of scans or depth images; `recon convert` takes recordings of "
                 "motion capture"
@@ -91,7 +92,7 @@ def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> 
         seen = views.files
         if settings.masks is not None:
             if len(seen) != 1:
-                raise ValueError(
+                raise ObservationError(
                     f"--masks are of one view, got {len(seen)} views; write the masked keypoints "
                     "of each view to an observation file first"
                 )
@@ -108,11 +109,11 @@ def window(clip: Clip, start: float, stop: float) -> Clip:
         ValueError: when the times do not rise or nothing was seen between them.
     """
     if not start < stop:
-        raise ValueError(f"--between takes two rising times in seconds, got {start} {stop}")
+        raise ObservationError(f"--between takes two rising times in seconds, got {start} {stop}")
     cut = tuple(observation.window(start, stop) for observation in clip.observations)
     if not any(len(seen_times(one)) > 0 for one in cut):
         every = np.concatenate([seen_times(one) for one in clip.observations])
-        raise ValueError(
+        raise ObservationError(
             f"{', '.join(clip.names)}: nothing was seen between {start:g} and {stop:g} s; "
             f"--between counts on the recording's clock, which shows something from "
             f"{every.min():.2f} to {every.max():.2f} s"
@@ -145,7 +146,7 @@ def _together(
         if not pose and isinstance(file, KeypointsFile)
     ]  # fmt: skip
     if len(views_without) > 1:
-        raise ValueError(
+        raise ObservationError(
             f"the cameras of {', '.join(views_without)} have no pose (T_camera_world), so nobody "
             "knows how they stand to each other; give a calibration, or fit one view alone"
         )
@@ -189,7 +190,7 @@ def _read_folder(path: Path, kinds: set[str], settings: FitSettings) -> PointsFi
             path, fps=settings.frame_rate, unit=settings.unit, up=up, seed=settings.seed
         )
     if settings.camera is None or settings.frame_rate is None:
-        raise ValueError(
+        raise ObservationError(
             f"{path}: depth images need the sensor's calibration (--camera) and --frame-rate"
         )
     cameras = load_cameras(
@@ -199,7 +200,7 @@ def _read_folder(path: Path, kinds: set[str], settings: FitSettings) -> PointsFi
         image_size=settings.image_size,
     ).cameras
     if len(cameras) != 1:
-        raise ValueError(
+        raise ObservationError(
             f"{settings.camera}: expected the one sensor of {path}, got {', '.join(cameras)}"
         )
     return read_depth_images(

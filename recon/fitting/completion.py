@@ -25,6 +25,7 @@ from priors.anchor.prior import AnchorFrames, AnchorVariables
 from recon.body.cycles import LONGEST, SHORTEST
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
+from recon.core.errors import ObservationError
 from recon.core.scene import OFFSETS, Scene
 from recon.core.struct import concatenate
 from recon.fitting.clip import ClipFit
@@ -80,16 +81,18 @@ def complete(
             physics, a shape that is held or further terms are asked for.
     """
     if options.physics != 0:
-        raise ValueError("cycles are completed without physics; leave it out, or fit by humor")
+        raise ObservationError(
+            "cycles are completed without physics; leave it out, or fit by humor"
+        )
     if options.shape is not None or options.terms:
-        raise ValueError(
+        raise ObservationError(
             "cycles are completed with a shape of their own and no further terms; leave shape and "
             "terms out, or fit by humor"
         )
     device = body.template.device
     seen = tuple(o.to(device=device) for o in observations if isinstance(o, Points))
     if len(seen) < len(observations):
-        raise ValueError(
+        raise ObservationError(
             "completing a cycle takes scans, landmarks or joints, got 2D keypoints as well; fit "
             "them with --prior humor"
         )
@@ -122,13 +125,13 @@ class _Clock:
         ends = [_seen_from_to(o) for o in observations]
         first, last = (torch.stack(one) for one in zip(*ends, strict=True))
         if not bool((last.amax(0) > first.amin(0)).all()):
-            raise ValueError(
+            raise ObservationError(
                 "at most one moment shows anything, which tells no motion; give two or more"
             )
         last = last.amax(0) - start
         worst = last[((last < SHORTEST) | (last > LONGEST)).nonzero()[:1, 0]]
         if len(worst) > 0:
-            raise ValueError(
+            raise ObservationError(
                 f"a cycle of gait lasts {SHORTEST} to {LONGEST:g} s, what is seen here "
                 f"{float(worst[0]):.2f} s; cut one cycle out (--between), or fit the whole with "
                 "--prior humor"

@@ -9,6 +9,7 @@ from priors.humos.collocation import HumosFit
 from priors.humos.prior import Humos
 from priors.pose.prior import PosePrior, PoseWeights
 from recon.body.model import BodyModel
+from recon.core.errors import ReconError
 from recon.fitting.options import FitOptions
 from recon.method.reconstruction import Method
 from recon.method.stages import Stage
@@ -51,9 +52,9 @@ def _of_prior(options: FitOptions, noise: float, body: BodyModel) -> Method:
         case Method() as method:
             return method
         case str() as name if name != "anchor":
-            raise ValueError(f"expected a prior called {' or '.join(NAMES)}, got {name!r}")
+            raise ReconError(f"expected a prior called {' or '.join(NAMES)}, got {name!r}")
         case _:
-            raise ValueError(
+            raise ReconError(
                 "the prior anchor is of one whole cycle, for which beginnings are searched: "
                 "call recon.fitting.completion.complete, or `recon complete`"
             )
@@ -61,7 +62,7 @@ def _of_prior(options: FitOptions, noise: float, body: BodyModel) -> Method:
 
 def _of_humos(humos: Humos, noise: float, body: BodyModel) -> HumosFit:
     if body.template.device.type != "cpu":
-        raise ValueError("the HUMOS prior runs on the processor: leave --device at cpu")
+        raise ReconError("the HUMOS prior runs on the processor: leave --device at cpu")
     return HumosFit.for_noise(humos, noise)
 
 
@@ -130,7 +131,7 @@ def physics_terms(noise: float, strength: float = 1.0) -> tuple[Term, ...]:
         ValueError: when the strength is not a number above 0.
     """
     if not 0 < strength < float("inf"):
-        raise ValueError(
+        raise ReconError(
             "physics multiplies the weights of contact with the ground: expected a number of at "
             f"least 0 (0 leaves them out, 1 is as chosen on validation), got {strength:g}"
         )

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, UInt8
 
+from recon.core.errors import FormatError
 from recon.core.limits import IMAGE, MASKS
 from recon.formats.files.npz_headers import DAMAGE, check_sizes
 from recon.formats.files.opening import existing
@@ -44,10 +45,10 @@ def read_packed_masks(path: Path) -> list[PackedMask]:
         with zipfile.ZipFile(path) as archive:
             names = archive.namelist()
             if f"{_KEY}.npy" not in names:
-                raise ValueError(f"it holds {', '.join(names)[:200]}")
+                raise FormatError(f"it holds {', '.join(names)[:200]}")
             return _frames(archive, path)
     except DAMAGE as error:
-        raise ValueError(
+        raise FormatError(
             f"{path}: expected an .npz file with mask of shape (frames, height, width), true or "
             f"whole numbers, but {error}"
         ) from error
@@ -62,7 +63,7 @@ def _frames(archive: zipfile.ZipFile, path: Path) -> list[PackedMask]:
             read = np.lib.format.read_array_header_2_0
         shape, fortran, dtype = read(member)
         if len(shape) != 3 or dtype.kind not in "bui" or fortran or shape[0] == 0:
-            raise ValueError(f"mask is {dtype} {shape}" + " in column order" * fortran)
+            raise FormatError(f"mask is {dtype} {shape}" + " in column order" * fortran)
         height, width = shape[1:]
         IMAGE.check(height * width, path, _KEY)
         for _ in range(shape[0]):

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from recon.core import limits
 from recon.core import rotations as so3
+from recon.core.errors import FormatError
 from recon.core.limits import Limit, check_pose
 from recon.core.motion import Motion
 from recon.core.units import snapped_rate
@@ -97,20 +98,20 @@ def load_motion(path: str | Path, dtype: torch.dtype = torch.float32) -> MotionF
     known = ("trans", "poses", "root_orient", "pose_body", "betas", "format_version", "start_time")
     for key in (*known, *_RATES, *_EXTRA):
         if key in arrays and key not in numeric:
-            raise ValueError(f"{path}: expected numbers in {key}, got {arrays[key].dtype}")
+            raise FormatError(f"{path}: expected numbers in {key}, got {arrays[key].dtype}")
     translation = _array(path, numeric, "trans", ("time", 3))
     poses = _poses(path, numeric)
     if len(poses) != len(translation) or len(poses) == 0:
-        raise ValueError(
+        raise FormatError(
             f"{path}: expected as many frames in trans as in poses, and at least one; got "
             f"{len(translation)} and {len(poses)}"
         )
     limits.FRAMES.check(len(poses), path, "poses")
     version = int(_scalar(path, numeric, "format_version", 0.0))
     if version > FORMAT_VERSION or version < 0:
-        raise ValueError(f"{path}: written by a newer version (format {version}); update recon")
+        raise FormatError(f"{path}: written by a newer version (format {version}); update recon")
     if (up := _text(arrays, "up_axis", "z")) != "z":
-        raise ValueError(f"{path}: expected a motion with z up, as in AMASS; it says {up} is up")
+        raise FormatError(f"{path}: expected a motion with z up, as in AMASS; it says {up} is up")
     rate = next(key for key in _RATES if key in arrays)
     fps = snapped_rate(_scalar(path, numeric, rate, 0.0, limits.FRAME_RATE))
     motion = Motion.create(
@@ -148,13 +149,13 @@ def save_motion(path: str | Path, file: MotionFile | Motion) -> None:
     file = MotionFile(file) if isinstance(file, Motion) else file
     motion = file.motion
     if motion.translation.ndim != 2:
-        raise ValueError(
+        raise FormatError(
             "expected one clip without a batch axis, got translations of shape "
             f"{tuple(motion.translation.shape)}; save motion[k]"
         )
     frames = int(motion.valid.sum())
     if frames == 0 or not bool(motion.valid[:frames].all()):
-        raise ValueError("expected a clip whose frames exist from the first on")
+        raise FormatError("expected a clip whose frames exist from the first on")
     precision = motion.translation.dtype
     # the logarithm is taken in double precision: near half turns it loses half the digits
     poses = so3.log(motion.rotations[:frames].detach().double().cpu()).to(precision)
@@ -179,7 +180,7 @@ def save_motion(path: str | Path, file: MotionFile | Motion) -> None:
             per_frame = shape[0] == "time" or len(value) == motion.frames
             arrays[key] = _numpy(value[:frames] if per_frame and key != "ground" else value)
     if bad := [k for k, v in arrays.items() if v.dtype.kind == "f" and not np.isfinite(v).all()]:
-        raise ValueError(f"{path}: not written, {', '.join(bad)} hold NaN or infinity")
+        raise FormatError(f"{path}: not written, {', '.join(bad)} hold NaN or infinity")
     save_arrays(path, arrays)
 
 
@@ -190,7 +191,7 @@ def _check_keys(path: Path, arrays: dict[str, np.ndarray]) -> None:
     if not any(key in arrays for key in _RATES):
         missing.append("mocap_framerate")
     if missing:
-        raise ValueError(
+        raise FormatError(
             f"{path}: expected a motion in AMASS layout with trans, poses, betas and "
             f"mocap_framerate; missing {', '.join(missing)}; found {', '.join(sorted(arrays))}"
         )
@@ -202,7 +203,7 @@ def _poses(path: Path, arrays: dict[str, np.ndarray]) -> np.ndarray:
     else:
         parts = [arrays[key] for key in ("root_orient", "pose_body")]
         if any(part.ndim not in (2, 3) for part in parts) or len(parts[0]) != len(parts[1]):
-            raise ValueError(
+            raise FormatError(
                 f"{path}: expected root_orient (T, 3) and pose_body (T, 63), got {parts[0].shape} "
                 f"and {parts[1].shape}"
             )
@@ -211,7 +212,7 @@ def _poses(path: Path, arrays: dict[str, np.ndarray]) -> np.ndarray:
     if poses.ndim == 3 and poses.shape[2] == 3:
         poses = poses.reshape(len(poses), -1)
     if poses.ndim != 2 or poses.shape[1] < 66 or poses.shape[1] % 3:
-        raise ValueError(
+        raise FormatError(
             f"{path}: expected poses (T, 66) or longer rows, axis-angle with the root first; got "
             f"{poses.shape}"
         )
@@ -230,7 +231,7 @@ def _check_places(path: Path, extra: dict[str, Tensor]) -> None:
         ground = extra["ground"].double().numpy()
         length = float(np.linalg.norm(ground[:3]))
         if not abs(length - 1) < _UNIT_NORMAL:
-            raise ValueError(
+            raise FormatError(
                 f"{path}: expected ground (nx, ny, nz, d) with a normal of length 1, got "
                 f"{length:g}"
             )
@@ -249,7 +250,9 @@ def _betas(path: Path, arrays: dict[str, np.ndarray]) -> np.ndarray:
     if betas.ndim == 2 and len(betas) > 0 and np.allclose(betas, betas[:1], atol=1e-6):
         betas = betas[0]
     if betas.ndim != 1:
-        raise ValueError(f"{path}: expected betas (S,), one shape for the clip; got {betas.shape}")
+        raise FormatError(
+            f"{path}: expected betas (S,), one shape for the clip; got {betas.shape}"
+        )
     limits.SHAPES.check(len(betas), path, "betas")
     limits.SHAPE.check(betas, path, "betas")
     return betas
@@ -263,7 +266,7 @@ def _array(
     time: int | None = None,
 ) -> np.ndarray:
     if key not in arrays:
-        raise ValueError(f"{path}: expected numbers in {key}")
+        raise FormatError(f"{path}: expected numbers in {key}")
     value = arrays[key]
     if key == "T_world_camera" and value.shape == (4, 4):
         value = value[None]
@@ -274,7 +277,7 @@ def _array(
     )
     if not fits:
         wanted = ", ".join(str(time) if s == "time" and time else str(s) for s in shape)
-        raise ValueError(f"{path}: expected {key} of shape ({wanted}), got {value.shape}")
+        raise FormatError(f"{path}: expected {key} of shape ({wanted}), got {value.shape}")
     _check_finite(path, key, value)
     if key in _RANGES:
         _RANGES[key].check(value, path, key)
@@ -283,7 +286,7 @@ def _array(
 
 def _check_finite(path: Path, key: str, value: np.ndarray) -> None:
     if not np.isfinite(value).all():
-        raise ValueError(f"{path}: {key} holds NaN or infinity; missing frames must be cut out")
+        raise FormatError(f"{path}: {key} holds NaN or infinity; missing frames must be cut out")
 
 
 def _scalar(
@@ -295,7 +298,7 @@ def _scalar(
 ) -> float:
     value = arrays.get(key, np.array(default))
     if value.size != 1 or not np.isfinite(value).all():
-        raise ValueError(f"{path}: expected one number in {key}, got {value.shape}")
+        raise FormatError(f"{path}: expected one number in {key}, got {value.shape}")
     if limit is not None:
         limit.check(value.reshape(()), path, key)
     return float(value.reshape(()))

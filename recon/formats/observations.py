@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from recon.core import limits
+from recon.core.errors import FormatError
 from recon.core.limits import Limit, check_camera, check_pose
 from recon.core.units import METRES, Axis, check_override, to_z_up
 from recon.formats.clocks.point_clock import PointClock, settled_clock
@@ -112,12 +113,12 @@ def load_observation(path: str | Path, *, unit: str | None = None) -> Observatio
     arrays = load_arrays(path)
     kind = _text(path, arrays, "kind", "") if "kind" in arrays else None
     if kind not in _KEYS:
-        raise ValueError(
+        raise FormatError(
             f"{path}: expected an observation whose kind is one of {', '.join(_KEYS)}; got "
             f"{kind!r}, with the keys {', '.join(sorted(arrays))}"
         )
     if missing := [key for key in _KEYS[kind] if key not in arrays]:
-        raise ValueError(
+        raise FormatError(
             f"{path}: an observation of kind {kind} needs {', '.join(_KEYS[kind])}; missing "
             f"{', '.join(missing)}; found {', '.join(sorted(arrays))}"
         )
@@ -168,7 +169,7 @@ def _positions(
     limits.POSITION.check(scaled, path, "positions", seen=visible)
     names = arrays["names"]
     if names.dtype.kind not in "US" or names.shape != visible.shape[1:]:
-        raise ValueError(
+        raise FormatError(
             f"{path}: expected {visible.shape[1]} texts in names, got {names.dtype} {names.shape}"
         )
     _check_frames(path, len(visible), common)
@@ -202,23 +203,23 @@ def _keypoints(path: Path, arrays: dict[str, np.ndarray], common: dict[str, Any]
 def _check_frames(path: Path, frames: int, common: dict[str, Any]) -> None:
     """Refuse an observation of nothing, and a truth of another length."""
     if frames == 0:
-        raise ValueError(f"{path}: expected at least one frame, got none")
+        raise FormatError(f"{path}: expected at least one frame, got none")
     limits.FRAMES.check(frames, path)
     truth = common.get("truth_visible")
     if truth is not None and len(truth) != frames:
-        raise ValueError(f"{path}: expected truth_visible for {frames} frames, got {len(truth)}")
+        raise FormatError(f"{path}: expected truth_visible for {frames} frames, got {len(truth)}")
 
 
 def _points(path: Path, arrays: dict[str, np.ndarray], common: dict[str, Any]) -> PointsFile:
     points = _floats(path, arrays, "points", (None, 3), limits.POSITION)
     frame = arrays["frame"]
     if frame.dtype.kind not in "iu" or frame.shape != points.shape[:1]:
-        raise ValueError(
+        raise FormatError(
             f"{path}: expected frame with {len(points)} whole numbers from 0, got {frame.dtype} "
             f"{frame.shape}"
         )
     if len(points) == 0:
-        raise ValueError(f"{path}: expected at least one point")
+        raise FormatError(f"{path}: expected at least one point")
     limits.FRAME_NUMBER.check(frame, path, "frame")
     limits.CLOUD.check(len(points), path, "points")
     camera = None
@@ -260,7 +261,7 @@ def _camera(path: Path, arrays: dict[str, np.ndarray], frames: int) -> CameraArr
     if "distortion" in arrays:
         distortion = _floats(path, arrays, "distortion", (None,))
         if len(distortion) not in (4, 5, 8):
-            raise ValueError(
+            raise FormatError(
                 f"{path}: expected 4, 5 or 8 numbers in distortion, got {len(distortion)}"
             )
     if "T_camera_world" in arrays:
@@ -268,7 +269,7 @@ def _camera(path: Path, arrays: dict[str, np.ndarray], frames: int) -> CameraArr
         arrays = {**arrays, "T_camera_world": pose[None] if pose.ndim == 2 else pose}
         pose = _floats(path, arrays, "T_camera_world", (None, 4, 4))
         if len(pose) not in (1, frames) and len(pose) < frames:
-            raise ValueError(f"{path}: expected 1 or {frames} poses in T_camera_world")
+            raise FormatError(f"{path}: expected 1 or {frames} poses in T_camera_world")
         check_pose(pose, path, "T_camera_world")
     matrix = _floats(path, arrays, "camera_matrix", (3, 3))
     check_camera(matrix, size, distortion, path)
@@ -291,7 +292,7 @@ def _turned(path: Path, arrays: dict[str, np.ndarray], points: np.ndarray) -> np
 def _turn(path: Path, arrays: dict[str, np.ndarray]) -> np.ndarray:
     up = _text(path, arrays, "up_axis", "z")
     if up not in ("y", "z"):
-        raise ValueError(f"{path}: expected up_axis y or z, got {up!r}")
+        raise FormatError(f"{path}: expected up_axis y or z, got {up!r}")
     axis: Axis = "y" if up == "y" else "z"
     return to_z_up(axis)
 
@@ -306,12 +307,12 @@ def _floats(
     value = arrays[key]
     if value.dtype.kind not in "fiu" or not _fits(value, shape):
         wanted = ", ".join("?" if size is None else str(size) for size in shape)
-        raise ValueError(
+        raise FormatError(
             f"{path}: expected numbers of shape ({wanted}) in {key}, got {value.dtype} "
             f"{value.shape}"
         )
     if not np.isfinite(value).all():
-        raise ValueError(
+        raise FormatError(
             f"{path}: {key} holds NaN or infinity; write zeros and mark them as not seen"
         )
     if limit is not None:
@@ -324,7 +325,7 @@ def _flags(
 ) -> np.ndarray:
     value = arrays[key]
     if value.dtype != np.bool_ or not _fits(value, shape):
-        raise ValueError(
+        raise FormatError(
             f"{path}: expected true or false for every frame and point in {key}, got "
             f"{value.dtype} {value.shape}"
         )
@@ -346,7 +347,7 @@ def _number(
 ) -> float:
     value = arrays.get(key, np.array(default if default is not None else np.nan))
     if value.size != 1 or value.dtype.kind not in "fiub" or not np.isfinite(value).all():
-        raise ValueError(f"{path}: expected one number in {key}, got {value.dtype} {value.shape}")
+        raise FormatError(f"{path}: expected one number in {key}, got {value.dtype} {value.shape}")
     if limit is not None:
         limit.check(value.reshape(()), path, key)
     return float(value.reshape(()))
@@ -355,5 +356,5 @@ def _number(
 def _text(path: Path, arrays: dict[str, np.ndarray], key: str, default: str) -> str:
     value = arrays.get(key, np.array(default))
     if value.size != 1 or value.dtype.kind not in "US":
-        raise ValueError(f"{path}: expected a text in {key}, got {value.dtype} {value.shape}")
+        raise FormatError(f"{path}: expected a text in {key}, got {value.dtype} {value.shape}")
     return str(value.astype(str).reshape(()))

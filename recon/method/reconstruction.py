@@ -10,6 +10,7 @@ from torch import Tensor
 
 from recon.body.model import BodyModel, PosedBody
 from recon.core.arrays import finite
+from recon.core.errors import ReconError
 from recon.core.motion import Motion
 from recon.core.scene import Scene
 from recon.core.struct import TensorStruct
@@ -135,18 +136,18 @@ def admitted(
         ValueError: when they do not fit each other.
     """
     if len(observations) == 0:
-        raise ValueError("nothing to fit: expected at least one observation, got none")
+        raise ReconError("nothing to fit: expected at least one observation, got none")
     body = _body_beside(observations[0]) if body is None else body
     like = body.template
     data = [_moved(observation, like) for observation in observations]
     recorded = tuple(one for one in data if isinstance(one, Recorded))
     if any(len(one.clips) != 1 for one in recorded):
-        raise ValueError(
+        raise ReconError(
             "expected one leading axis of clips, positions (clips, time, points, 3); got leading "
             f"axes {recorded[0].clips}; add it by indexing with [None]"
         )
     if len({one.clips for one in recorded}) > 1:
-        raise ValueError(
+        raise ReconError(
             "expected observations of the same clips, got "
             f"{', '.join(str(one.clips[0]) for one in recorded)} of them; give all as many"
         )
@@ -155,7 +156,7 @@ def admitted(
     if weights is not None:
         weights = [finite(weight, "weights") for weight in weights]
         if len(weights) != len(observations) or min(weights) < 0:
-            raise ValueError(
+            raise ReconError(
                 f"weights: expected {len(observations)} numbers from 0 on, one for each "
                 f"observation, got {weights}"
             )

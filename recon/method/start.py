@@ -5,6 +5,7 @@ from typing import Protocol, runtime_checkable
 import torch
 
 from recon.body.model import BodyModel
+from recon.core.errors import ReconError
 from recon.core.limits import ORTHOGONALITY, POSITION, SHAPE
 from recon.core.motion import Motion
 
@@ -48,27 +49,27 @@ def checked_start(start: Motion, seen: tuple[Recorded, ...], body: BodyModel) ->
             coefficients than the body, or holds what is no motion of a person.
     """
     if start.translation.ndim != 3:
-        raise ValueError(
+        raise ReconError(
             "start: expected one leading axis of clips, translation (clips, time, 3); got the "
             f"shape {tuple(start.translation.shape)}; add it by indexing with [None]"
         )
     counts = sorted({one.clips for one in seen})
     if counts and (len(start.translation),) not in counts:
-        raise ValueError(
+        raise ReconError(
             f"start: expected a motion of {counts[0][0]} clips, as observed, got "
             f"{len(start.translation)}"
         )
     if seen and not any(_covers(start, one) for one in seen):
         first = seen[0]
         frames = int((first.moments - 1) / first.fps * start.fps + _SLACK) + 1
-        raise ValueError(
+        raise ReconError(
             f"start: expected the time of an observation, {_span(first)}: {frames} frames at "
             f"{start.fps:g} per second from {first.start_time:g} s on; got {start.frames} frames "
             f"at {start.fps:g} from {start.start_time:g} s on; cut or hold the motion first"
         )
     missing = body.shape_size - start.shape.shape[-1]
     if missing < 0:
-        raise ValueError(
+        raise ReconError(
             f"start: expected at most {body.shape_size} shape coefficients, those of the body "
             f"{body.name!r}, got {start.shape.shape[-1]}: it is a motion of another body"
         )

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -33,7 +34,7 @@ def noisy(frames: int = 16, deviation: float = 0.02) -> np.ndarray:
 
 
 def seen(positions: np.ndarray, **fields) -> recon.Joints3D:
-    visible: np.ndarray = np.isfinite(positions).all(-1)
+    visible = np.asarray(np.isfinite(positions).all(-1))
     return recon.Joints3D(positions, visible, range(22), fps=30.0, **fields)
 
 
@@ -218,6 +219,15 @@ def test_files_are_read(tmp_path):
         recon.load_observation(tmp_path / "bad.txt")
     with pytest.raises(FileNotFoundError):
         recon.load_observation(tmp_path / "none.npz")
+
+
+def test_two_threads_do_not_disturb_each_other():
+    clips = [seen(noisy(8)), seen(noisy(8, 0.05))]
+    alone = [recon.fit(clip, Quick()) for clip in clips]
+    with ThreadPoolExecutor(2) as threads:
+        together = list(threads.map(lambda clip: recon.fit(clip, Quick()), clips))
+    for one, other in zip(alone, together, strict=True):
+        assert torch.equal(one.motion.translation, other.motion.translation)
 
 
 def test_importing_is_cheap_and_seeds_and_threads_are_left_alone():

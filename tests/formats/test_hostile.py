@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from recon.core.errors import ReconError
 from recon.formats.clouds.ply import read_ply, write_ply
 from recon.formats.mocap.reader import read_recording
 from recon.formats.mocap.trc import write_trc
@@ -55,7 +56,7 @@ def read(path: Path, suffix: str) -> None:
     except ValueError as error:
         problem = error
     if problem is not None:
-        assert type(problem) is ValueError, repr(problem)
+        assert isinstance(problem, ReconError), repr(problem)
         assert path.name.split("_")[0] in str(problem), problem
         assert len(str(problem)) < 1000
 

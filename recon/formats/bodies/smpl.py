@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from recon.core.errors import FormatError
 from recon.core.limits import BINARY, MODEL_LENGTH, MODEL_NUMBERS, MODEL_WEIGHT, Limit
 from recon.core.skeleton import JOINTS, PARENTS
 from recon.formats.bodies.smpl_pickle import read_pickle
@@ -72,21 +73,21 @@ def load_smpl(path: str | Path) -> SmplArrays:
     }
     reader = readers.get(path.suffix.lower())
     if reader is None:
-        raise ValueError(f"{path}: expected a body model, .npz or .pkl, got {path.suffix!r}")
+        raise FormatError(f"{path}: expected a body model, .npz or .pkl, got {path.suffix!r}")
     return _checked(reader(path), path)
 
 
 def _checked(fields: Mapping[str, np.ndarray], path: Path) -> SmplArrays:
     """The arrays in double precision, after their shapes have been compared."""
     if missing := [name for name in _NEEDED if name not in fields]:
-        raise ValueError(
+        raise FormatError(
             f"{path}: not a body model of the SMPL family: no {', '.join(missing)}; "
             f"it holds {', '.join(sorted(fields)[:20]) or 'nothing'}"
         )
     numbers = {name: _numbers(fields[name], name, path) for name in _NEEDED}
     template, weights = numbers["v_template"], numbers["weights"]
     if template.ndim != 2 or weights.ndim != 2 or numbers["shapedirs"].ndim != 3:
-        raise ValueError(f"{path}: v_template, weights, shapedirs should have 2, 2, 3 dimensions")
+        raise FormatError(f"{path}: v_template, weights, shapedirs should have 2, 2, 3 dimensions")
     vertices, joints = weights.shape
     expected = {
         "v_template": (vertices, 3),
@@ -97,14 +98,14 @@ def _checked(fields: Mapping[str, np.ndarray], path: Path) -> SmplArrays:
     }
     for name, shape in expected.items():
         if numbers[name].shape != shape:
-            raise ValueError(f"{path}: {name} should be {shape}, is {numbers[name].shape}")
+            raise FormatError(f"{path}: {name} should be {shape}, is {numbers[name].shape}")
     for name in ("weights", "J_regressor"):
         off = float(np.abs(numbers[name].sum(1) - 1).max())
         if not off < _SUM:
-            raise ValueError(f"{path}: rows of {name} should sum to 1, one is {off:.3g} away")
+            raise FormatError(f"{path}: rows of {name} should sum to 1, one is {off:.3g} away")
     faces = numbers["f"].astype(np.int64)
     if len(faces) == 0 or faces.min() < 0 or faces.max() >= vertices:
-        raise ValueError(f"{path}: faces name vertices outside 0..{vertices - 1}")
+        raise FormatError(f"{path}: faces name vertices outside 0..{vertices - 1}")
     return SmplArrays(
         template=template,
         shape_directions=_without_expressions(numbers["shapedirs"], joints),
@@ -118,11 +119,11 @@ def _checked(fields: Mapping[str, np.ndarray], path: Path) -> SmplArrays:
 
 def _numbers(array: np.ndarray, name: str, path: Path) -> np.ndarray:
     if array.dtype.kind not in "fiu":
-        raise ValueError(f"{path}: {name} should hold numbers, holds {array.dtype}")
+        raise FormatError(f"{path}: {name} should hold numbers, holds {array.dtype}")
     MODEL_NUMBERS.check(array.size, path, name)
     array = np.ascontiguousarray(array, np.float64)
     if not np.isfinite(array).all():
-        raise ValueError(f"{path}: {name} holds nan or infinite numbers")
+        raise FormatError(f"{path}: {name} holds nan or infinite numbers")
     if name in _RANGES:
         _RANGES[name].check(array, path, name)
     return array
@@ -133,12 +134,12 @@ def _tree(table: np.ndarray, path: Path) -> np.ndarray:
     parents = table[0].astype(np.int64)
     parents[0] = -1
     if tuple(parents[: len(JOINTS)]) != tuple(PARENTS):
-        raise ValueError(
+        raise FormatError(
             f"{path}: its first {len(JOINTS)} joints are not SMPL's; a model of a hand, a head or "
             "an animal cannot be used as a body"
         )
     if (parents[1:] < 0).any() or (parents[1:] >= np.arange(1, len(parents))).any():
-        raise ValueError(f"{path}: a joint comes before its parent in kintree_table")
+        raise FormatError(f"{path}: a joint comes before its parent in kintree_table")
     return parents
 
 
@@ -157,7 +158,7 @@ def _correctives(
     directions = _numbers(fields["posedirs"], "posedirs", path)
     shape = (vertices, 3, 9 * (joints - 1))
     if directions.shape != shape:
-        raise ValueError(
+        raise FormatError(
             f"{path}: posedirs should be {shape}, is {directions.shape}; models with other "
             "correctives (STAR) are not supported"
         )
@@ -172,7 +173,7 @@ def _read_npz(path: Path) -> dict[str, np.ndarray]:
             names = [name for name in (*_NEEDED, "posedirs") if name in file.files]
             return {name: np.asarray(file[name]) for name in names}
     except DAMAGE as error:
-        raise ValueError(
+        raise FormatError(
             f"{path}: expected an .npz body model of plain arrays, but {error}"
         ) from error
 

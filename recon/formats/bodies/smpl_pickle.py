@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from recon.core.errors import FormatError
 from recon.core.limits import BINARY, MODEL_NUMBERS
 
 
@@ -28,7 +29,7 @@ def read_pickle(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
         with path.open("rb") as file:
             content = _Unpickler(file, encoding="latin1").load()
     except _RefusedError as error:
-        raise ValueError(
+        raise FormatError(
             f"{path}: refusing to load {error.name}, which no body model contains; "
             "nothing in the file was run"
         ) from None
@@ -38,9 +39,9 @@ def read_pickle(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
         SystemError,
     ) as error:  # fmt: skip
         # the pickle documentation names these for damaged files
-        raise ValueError(f"{path}: expected a pickled body model, but {error!r:.200}") from error
+        raise FormatError(f"{path}: expected a pickled body model, but {error!r:.200}") from error
     if not isinstance(content, dict):
-        raise ValueError(f"{path}: expected a dictionary of arrays, got {type(content).__name__}")
+        raise FormatError(f"{path}: expected a dictionary of arrays, got {type(content).__name__}")
     return {name: _array(content[name], name, path) for name in names if name in content}
 
 
@@ -48,11 +49,11 @@ def _array(value: object, name: str, path: Path) -> np.ndarray:
     try:
         array = _plain(value)
     except (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError) as error:
-        raise ValueError(f"{path}: cannot read {name}: {error!r:.200}") from error
+        raise FormatError(f"{path}: cannot read {name}: {error!r:.200}") from error
     if isinstance(array, np.ndarray):
         MODEL_NUMBERS.check(array.size, path, name)
         return array
-    raise ValueError(f"{path}: {name} should be an array, is {type(value).__name__}")
+    raise FormatError(f"{path}: {name} should be an array, is {type(value).__name__}")
 
 
 class _Inert:
@@ -96,7 +97,7 @@ def _dense(state: Mapping[str, Any], lines: int, length: int) -> np.ndarray:
     """Compressed lines as a full matrix; entries named twice add up."""
     MODEL_NUMBERS.check(lines * length, "a sparse matrix", "its shape")
     if min(lines, length) < 0:
-        raise ValueError(f"a sparse matrix of shape {lines} x {length}")
+        raise FormatError(f"a sparse matrix of shape {lines} x {length}")
     dense = np.zeros((lines, length))
     starts = np.asarray(state["indptr"], np.int64)
     line = np.repeat(np.arange(lines), np.diff(starts))
@@ -113,7 +114,7 @@ def _plain(value: object) -> object:
 def _latin_bytes(text: str, encoding: str = "latin1") -> bytes:
     """How Python 3 pickles bytes for Python 2; no other codec is looked up."""
     if encoding not in ("latin1", "latin-1"):
-        raise ValueError(f"unexpected text encoding {encoding!r}")
+        raise FormatError(f"unexpected text encoding {encoding!r}")
     return text.encode("latin-1")
 
 

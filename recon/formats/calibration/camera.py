@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from recon.core.errors import FormatError
 from recon.core.limits import IMAGE_SIZE, check_camera, check_pose
 from recon.formats.observations import CameraArrays
 
@@ -39,7 +40,7 @@ def settle_camera(parts: Parts, image_size: tuple[int, int] | None, path: Path) 
     where = f"{path}, camera {parts.name}"
     matrix = _numbers(parts.matrix, "camera matrix", where)
     if matrix.shape != (3, 3):
-        raise ValueError(
+        raise FormatError(
             f"{where}: expected a camera matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], got "
             f"an array of shape {matrix.shape}"
         )
@@ -59,21 +60,21 @@ def _numbers(value: Any, what: str, where: str) -> np.ndarray:
         numbers = np.array(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
         shown = repr(value)[:80]
-        raise ValueError(f"{where}: expected numbers in the {what}, got {shown}") from error
+        raise FormatError(f"{where}: expected numbers in the {what}, got {shown}") from error
     if not np.isfinite(numbers).all():
-        raise ValueError(f"{where}: the {what} holds NaN or infinity")
+        raise FormatError(f"{where}: the {what} holds NaN or infinity")
     return numbers
 
 
 def _size(stated: Any, given: tuple[int, int] | None, where: str) -> tuple[int, int]:
     if stated is None and given is None:
-        raise ValueError(
+        raise FormatError(
             f"{where}: the calibration does not state the image size; give it with --image-size "
             "WIDTH HEIGHT"
         )
     size = _numbers(given if stated is None else stated, "image size", where)
     if size.shape != (2,):
-        raise ValueError(f"{where}: expected a width and a height in pixels, got {size.tolist()}")
+        raise FormatError(f"{where}: expected a width and a height in pixels, got {size.tolist()}")
     IMAGE_SIZE.check(size, where, "image size")
     return int(size[0]), int(size[1])
 
@@ -88,7 +89,7 @@ def _distortion(value: Any, where: str) -> np.ndarray | None:
     if len(numbers) < _COEFFICIENTS[0]:
         numbers = np.pad(numbers, (0, _COEFFICIENTS[0] - len(numbers)))
     if len(numbers) not in _COEFFICIENTS:
-        raise ValueError(
+        raise FormatError(
             f"{where}: expected up to 4, or 5 or 8 distortion coefficients (k1 k2 p1 p2 [k3 [k4 "
             f"k5 k6]]), got {len(numbers)}; calibrate without thin prism or tilt"
         )
@@ -100,12 +101,12 @@ def _pose(parts: Parts, where: str) -> np.ndarray | None:
         pose = _numbers(parts.pose, "pose", where)
         pose = pose[None] if pose.ndim == 2 else pose
         if pose.ndim != 3 or pose.shape[1:] not in ((3, 4), (4, 4)) or len(pose) == 0:
-            raise ValueError(f"{where}: expected poses of shape (4, 4), got {pose.shape}")
+            raise FormatError(f"{where}: expected poses of shape (4, 4), got {pose.shape}")
         rotation, translation = pose[:, :3, :3], pose[:, :3, 3]
     elif parts.rotation is None and parts.translation is None:
         return None
     elif parts.rotation is None or parts.translation is None:
-        raise ValueError(f"{where}: expected both rotation and translation, got only one")
+        raise FormatError(f"{where}: expected both rotation and translation, got only one")
     else:
         turn = _numbers(parts.rotation, "rotation", where)
         if turn.size == 3:
@@ -114,7 +115,7 @@ def _pose(parts: Parts, where: str) -> np.ndarray | None:
             turn = np.asarray(cv2.Rodrigues(turn.reshape(3, 1))[0])
         translation = _numbers(parts.translation, "translation", where).reshape(1, -1)
         if turn.shape != (3, 3) or translation.shape != (1, 3):
-            raise ValueError(
+            raise FormatError(
                 f"{where}: expected a rotation of 3 or 3x3 numbers and a translation of 3, got "
                 f"{turn.shape} and {translation.shape}"
             )

@@ -13,6 +13,7 @@ from typing import Literal
 
 import numpy as np
 
+from recon.core.errors import FormatError
 from recon.core.limits import TABLE, check_pose
 from recon.core.units import METRES, Axis, to_z_up
 from recon.formats.calibration.camera import Parts, settle_camera
@@ -74,7 +75,7 @@ def load_cameras(
         raise FileNotFoundError(f"{path}: no such calibration")
     parts, decisions = _read(path, level=up is not None)
     if len(parts) == 0:
-        raise ValueError(f"{path}: expected at least one camera, found none")
+        raise FormatError(f"{path}: expected at least one camera, found none")
     cameras = {name: settle_camera(part, image_size, path) for name, part in parts.items()}
     chosen, reason = _settle_unit(cameras, unit, path)
     turned = {name: _placed(camera, METRES[chosen], up or "z") for name, camera in cameras.items()}
@@ -94,7 +95,7 @@ def _read(path: Path, *, level: bool) -> tuple[dict[str, Parts], tuple[str, ...]
         if len(tables) == 1:
             return read_toml(tables[0]), ()
         if len(files) == 0:
-            raise ValueError(
+            raise FormatError(
                 f"{path}: expected intri.yml and extri.yml, one .toml, or one .yml or .npz file "
                 "per camera in this folder"
             )
@@ -109,14 +110,14 @@ def _read(path: Path, *, level: bool) -> tuple[dict[str, Parts], tuple[str, ...]
             return _read_prox(path, level=level)
         case ".npz":
             return {path.stem: _read_npz(path)}, ()
-    raise ValueError(f"{path}: expected a calibration in one of {', '.join(_SUFFIXES)}")
+    raise FormatError(f"{path}: expected a calibration in one of {', '.join(_SUFFIXES)}")
 
 
 def _read_prox(path: Path, *, level: bool) -> tuple[dict[str, Parts], tuple[str, ...]]:
     TABLE.check(existing(path).stat().st_size, path)
     value = read_json(path)
     if not isinstance(value, dict) or "camera_mtx" not in value:
-        raise ValueError(
+        raise FormatError(
             f"{path}: expected a calibration as in PROX, with camera_mtx, k, view_mtx"
         )
     part = Parts(
@@ -130,7 +131,7 @@ def _read_prox(path: Path, *, level: bool) -> tuple[dict[str, Parts], tuple[str,
 def _read_npz(path: Path) -> Parts:
     arrays = load_arrays(path)
     if "camera_matrix" not in arrays:
-        raise ValueError(
+        raise FormatError(
             f"{path}: expected camera_matrix, image_size, distortion and T_camera_world, found "
             f"{', '.join(sorted(arrays))}"
         )
@@ -145,7 +146,7 @@ def _settle_unit(
 ) -> tuple[CameraUnit, str]:
     if unit is not None:
         if unit not in ("m", "mm"):
-            raise ValueError(f"--camera-unit is m or mm, got {unit!r}")
+            raise FormatError(f"--camera-unit is m or mm, got {unit!r}")
         return unit, f"camera unit {unit}: given"
     poses = [c.T_camera_world for c in cameras.values() if c.T_camera_world is not None]
     if len(poses) == 0:
@@ -156,7 +157,7 @@ def _settle_unit(
     if far >= _NEAREST_MILLIMETRES:
         metres = far * METRES["mm"]
         return "mm", f"camera unit mm: the farthest camera is then {metres:.3g} m from the origin"
-    raise ValueError(
+    raise FormatError(
         f"{path}: the farthest camera is {far:.4g} units from the origin, which fits neither "
         "metres nor millimetres well; give --camera-unit m or --camera-unit mm"
     )

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from recon.core.errors import FormatError
 from recon.core.limits import TABLE
 from recon.formats.calibration.camera import Parts
 from recon.formats.files.opening import decode, read_bytes
@@ -49,7 +50,7 @@ def read_opencv_yaml(path: Path) -> dict[str, Parts]:
     beside = path.with_name("extri.yml")
     poses = _read(beside) if path.name.lower() == "intri.yml" and beside.is_file() else values
     if without := [name for name in names if f"K_{name}" not in values]:
-        raise ValueError(f"{path}: expected K_{without[0]}, the matrix of camera {without[0]}")
+        raise FormatError(f"{path}: expected K_{without[0]}, the matrix of camera {without[0]}")
     return {
         name: Parts(
             name=name,
@@ -66,12 +67,12 @@ def read_opencv_yaml(path: Path) -> dict[str, Parts]:
 def _single(path: Path, values: dict[str, Any]) -> Parts:
     matrix = _first(values, _MATRIX)
     if matrix is None:
-        raise ValueError(
+        raise FormatError(
             f"{path}: expected camera_matrix, or names and K_<name> as in EasyMocap's intri.yml; "
             f"found {', '.join(values) or 'nothing'}"
         )
     if any(values.get(key) in (1.0, "true", "True") for key in ("fisheye_model", "fisheye")):
-        raise ValueError(f"{path}: fisheye lenses are not read; undistort the keypoints first")
+        raise FormatError(f"{path}: fisheye lenses are not read; undistort the keypoints first")
     return Parts(
         name=path.stem, matrix=matrix, size=_pair(_first(values, _WIDTH), _first(values, _HEIGHT)),
         distortion=_first(values, _DISTORTION), rotation=_first(values, _ROTATION),
@@ -99,12 +100,12 @@ def _read(path: Path) -> dict[str, Any]:
     for name, rows, columns, data in _MATRIX_TEXT.findall(text):
         numbers = [_scalar(cell) for cell in data.replace("\n", " ").split(",")]
         if len(numbers) != int(rows) * int(columns) or any(isinstance(n, str) for n in numbers):
-            raise ValueError(
+            raise FormatError(
                 f"{path}: expected {rows} x {columns} numbers in {name}, but it is damaged"
             )
         values[name] = np.array(numbers, dtype=np.float64).reshape(int(rows), int(columns))
     if damaged := set(_MATRIX_NAME.findall(text)) - values.keys():
-        raise ValueError(f"{path}: the matrix {', '.join(sorted(damaged))} is damaged")
+        raise FormatError(f"{path}: the matrix {', '.join(sorted(damaged))} is damaged")
     for name, items in _LIST_TEXT.findall(text):
         values[name] = [_unquoted(item) for item in re.split(r"\n\s*-\s*", items)[1:]]
     for name, stated in _SCALAR_TEXT.findall(text):

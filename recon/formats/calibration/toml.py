@@ -3,6 +3,7 @@
 import tomllib
 from pathlib import Path
 
+from recon.core.errors import FormatError
 from recon.core.limits import TABLE
 from recon.formats.calibration.camera import Parts
 from recon.formats.files.opening import decode, read_bytes
@@ -19,16 +20,16 @@ def read_toml(path: Path) -> dict[str, Parts]:
         tables = tomllib.loads(decode(read_bytes(path, TABLE)))
     except (ValueError, RecursionError) as error:
         # besides damage, numbers of more digits than Python converts
-        raise ValueError(f"{path}: expected TOML, but it is damaged ({error})") from error
+        raise FormatError(f"{path}: expected TOML, but it is damaged ({error})") from error
     cameras: dict[str, Parts] = {}
     for key, table in tables.items():
         if not isinstance(table, dict) or "matrix" not in table:
             continue
         name = str(table.get("name") or key)
         if name in cameras:
-            raise ValueError(f"{path}: expected every camera's name once, got {name} twice")
+            raise FormatError(f"{path}: expected every camera's name once, got {name} twice")
         if table.get("fisheye"):
-            raise ValueError(
+            raise FormatError(
                 f"{path}, camera {name}: fisheye lenses are not read; undistort the keypoints or "
                 "the images, and give a calibration with fisheye = false"
             )
@@ -38,7 +39,7 @@ def read_toml(path: Path) -> dict[str, Parts]:
             translation=table.get("translation"),
         )  # fmt: skip
     if len(cameras) == 0:
-        raise ValueError(
+        raise FormatError(
             f"{path}: expected tables of cameras with matrix, rotation and translation, found "
             f"{', '.join(tables) or 'none'}"
         )

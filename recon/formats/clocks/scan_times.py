@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
+from recon.core.errors import FormatError
 from recon.core.limits import FRAME_RATE, TIME
 from recon.formats.files.opening import decode, read_bytes
 
@@ -67,14 +68,14 @@ def read_times(path: Path, files: list[Path]) -> tuple[Float[np.ndarray, " files
     if rows and not _is_number(rows[0][-1]):
         rows = rows[1:]
     if not all(len(row) in (1, 2) and _is_number(row[-1]) for row in rows):
-        raise ValueError(f"{path}: expected a line per file, its time in s, or its name and time")
+        raise FormatError(f"{path}: expected a line per file, its time in s, or its name and time")
     if any(len(row) == 2 for row in rows):
         named = {Path(row[0]).name: float(row[-1]) for row in rows}
         if missing := [file.name for file in files if file.name not in named]:
-            raise ValueError(f"{path}: has no time for {', '.join(missing[:5])}")
+            raise FormatError(f"{path}: has no time for {', '.join(missing[:5])}")
         return np.array([named[file.name] for file in files]), True
     if len(rows) != len(files):
-        raise ValueError(f"{path}: expected {len(files)} times, one per file, got {len(rows)}")
+        raise FormatError(f"{path}: expected {len(files)} times, one per file, got {len(rows)}")
     return np.array([float(row[0]) for row in rows]), False
 
 
@@ -88,14 +89,14 @@ def frames_of(times: Float[np.ndarray, " files"], path: Path) -> tuple[np.ndarra
         ValueError: when the times do not rise, or lie on no even clock for too long.
     """
     if len(times) < 2 or not np.isfinite(times).all():
-        raise ValueError(
+        raise FormatError(
             f"{path}: one scan tells no motion; expected two or more times in seconds, got "
             f"{len(times)}"
         )
     steps = np.diff(times)
     if not (steps > 0).all():
         row = int((steps <= 0).argmax())
-        raise ValueError(
+        raise FormatError(
             f"{path}: expected rising times in seconds, no two alike; got {times[row]:g} and then "
             f"{times[row + 1]:g}. Where files are not in the order of their names, give a line of "
             "name and time for each"
@@ -105,7 +106,7 @@ def frames_of(times: Float[np.ndarray, " files"], path: Path) -> tuple[np.ndarra
     count = max(round(span / step), 1)
     if span > _LONGEST and not crowded(count, len(times)):
         row = int(steps.argmax())
-        raise ValueError(
+        raise FormatError(
             f"{path}: {len(times)} times of {count} frames show anything, and nothing was seen "
             f"for {steps[row]:.6g} s after {times[row]:.6g} s; cut the recording there"
         )
@@ -114,12 +115,12 @@ def frames_of(times: Float[np.ndarray, " files"], path: Path) -> tuple[np.ndarra
     if off <= _EVEN and sharp and _apart(times, count):
         return _places(times, count), count / span, float(times[0])
     if span > _LONGEST:
-        raise ValueError(
+        raise FormatError(
             f"{path}: the times lie on no even clock (up to {off:.2f} frames off), "
             f"which is possible for {_LONGEST:g} s at most; resample first"
         )
     if float(steps.min()) < 1 / _FINEST:
-        raise ValueError(
+        raise FormatError(
             f"{path}: two scans are {1000 * float(steps.min()):.2g} ms apart, and the others lie "
             f"on no even clock; leave one of them out"
         )

@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Bool, Float
 
 from recon.core.camera import Camera
+from recon.core.errors import FormatError
 from recon.core.limits import DEPTH_SCALE, FRAME_RATE
 from recon.formats.clouds.scans import POINTS, naturally, thinned
 from recon.formats.files.png_files import read_png
@@ -56,7 +57,7 @@ def read_depth_images(
     generator = np.random.default_rng(seed)
     poses, lens = camera.T_camera_world, _lens(camera)
     if poses is not None and len(poses) not in (1, len(paths)):
-        raise ValueError(f"{folder}: {len(paths)} images, but {len(poses)} poses of the camera")
+        raise FormatError(f"{folder}: {len(paths)} images, but {len(poses)} poses of the camera")
     clouds: list[np.ndarray] = []
     depths: list[float] = []
     for k, path in enumerate(paths):
@@ -72,12 +73,12 @@ def read_depth_images(
             cloud = (cloud - T[:3, 3]) @ T[:3, :3]
         clouds.append(cloud)
     if not depths:
-        raise ValueError(
+        raise FormatError(
             f"{folder}: no image holds any depth" + (" inside its mask" * bool(masks))
         )
     middle = float(np.median(depths))
     if not _RANGE[0] <= middle <= _RANGE[1]:
-        raise ValueError(
+        raise FormatError(
             f"{folder}: with {depth_scale:g} m per unit the middle depth is {middle:.3g} m; "
             f"expected {_RANGE[0]} to {_RANGE[1]} m, so give the sensor's scale with --depth-scale"
         )
@@ -128,7 +129,7 @@ def _images(folder: Path) -> list[Path]:
         raise FileNotFoundError(f"{folder}: no such folder; expected one of .png images")
     paths = naturally(path for path in folder.iterdir() if path.suffix.lower() == ".png")
     if not paths:
-        raise ValueError(f"{folder}: expected .png images, one per frame, got none")
+        raise FormatError(f"{folder}: expected .png images, one per frame, got none")
     return paths
 
 
@@ -138,14 +139,14 @@ def _matched(paths: list[Path], masks: Path) -> list[Path]:
     if all(path.name in named for path in paths):
         return [named[path.name] for path in paths]
     if len(found) != len(paths):
-        raise ValueError(f"{masks}: expected {len(paths)} masks, one per image, got {len(found)}")
+        raise FormatError(f"{masks}: expected {len(paths)} masks, one per image, got {len(found)}")
     return found
 
 
 def _depth(path: Path, camera: CameraArrays) -> Float[np.ndarray, "height width"]:
     image = read_png(path, camera.image_size)
     if image.dtype != np.uint16 or image.ndim != 2:
-        raise ValueError(
+        raise FormatError(
             f"{path}: expected a 16-bit grey image of depths, got {image.dtype} {image.shape}"
         )
     return image.astype(np.float64)
@@ -156,5 +157,5 @@ def _mask(path: Path, size: tuple[int, ...]) -> Bool[np.ndarray, "height width"]
     if image.ndim == 3:
         image = image[..., :3].max(-1)
     if image.shape != size:
-        raise ValueError(f"{path}: expected a mask of the depth's size {size}, got {image.shape}")
+        raise FormatError(f"{path}: expected a mask of the depth's size {size}, got {image.shape}")
     return image > 0

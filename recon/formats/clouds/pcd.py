@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from recon.core.errors import FormatError
 from recon.core.limits import CLOUD, KEYPOINTS
 from recon.formats.files.numbers_in import numbers_in
 from recon.formats.files.opening import read_binary
@@ -33,7 +34,7 @@ def read_pcd(path: Path) -> Float[np.ndarray, "points 3"]:
         KEYPOINTS.check(sum(counts), path, "COUNT, fields of a point: ")
         columns = [names.index(axis) for axis in "xyz"]
         if count < 0 or min(counts) < 1 or any(counts[column] != 1 for column in columns):
-            raise ValueError("impossible numbers of points or values")
+            raise FormatError("impossible numbers of points or values")
         keyword = header["DATA"][0]
         if keyword == "ascii":
             points = _text(body, names, counts, columns, count)
@@ -49,9 +50,9 @@ def read_pcd(path: Path) -> Float[np.ndarray, "points 3"]:
                 _decompressed(body, expected), formats, sizes, counts, columns, count
             )
         else:
-            raise ValueError(f"data kind {keyword!r}")
+            raise FormatError(f"data kind {keyword!r}")
     except (KeyError, IndexError, ValueError, TypeError, OverflowError) as error:
-        raise ValueError(
+        raise FormatError(
             f"{path}: expected a PCD file with fields x y z as ascii, binary or "
             f"binary_compressed data, but it is damaged or lacks them ({error})"
         ) from error
@@ -65,7 +66,7 @@ def _header(path: Path, data: bytes) -> tuple[dict[str, list[str]], bytes]:
     while "DATA" not in header:
         end = data.find(b"\n", place)
         if end < 0 or end - place > 10_000 or len(header) > 50:
-            raise ValueError(f"{path}: expected a PCD file, but it has no DATA line")
+            raise FormatError(f"{path}: expected a PCD file, but it has no DATA line")
         words = data[place:end].decode("latin-1").split("#")[0].split()
         if words:
             header[words[0].upper()] = words[1:]
@@ -97,10 +98,10 @@ def _decompressed(body: bytes, expected: int) -> bytes:
     """LZF: runs of literal bytes and references to what was written before."""
     packed, size = (int.from_bytes(body[k : k + 4], "little") for k in (0, 4))
     if size < expected:
-        raise ValueError(f"{expected} bytes of points are announced, {size} were compressed")
+        raise FormatError(f"{expected} bytes of points are announced, {size} were compressed")
     source, out, place = body[8 : 8 + packed], bytearray(), 0
     if len(source) != packed:
-        raise ValueError("the compressed data is cut off")
+        raise FormatError("the compressed data is cut off")
     while place < len(source):
         control = source[place]
         place += 1
@@ -115,10 +116,10 @@ def _decompressed(body: bytes, expected: int) -> bytes:
         back = len(out) - ((control & 31) << 8) - source[place] - 1
         place += 1
         if back < 0 or len(out) > size:
-            raise ValueError("the compressed data is damaged")
+            raise FormatError("the compressed data is damaged")
         # a reference may reach into what it writes itself: a pattern, repeated
         pattern = out[back : back + length + 2]
         out += (pattern * ((length + 2) // len(pattern) + 1))[: length + 2]
     if len(out) != size:
-        raise ValueError(f"{size} bytes were compressed, {len(out)} came back")
+        raise FormatError(f"{size} bytes were compressed, {len(out)} came back")
     return bytes(out)

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
+from recon.core.errors import FormatError
 from recon.formats.clouds.ply_header import check_counts
 from recon.formats.files.opening import existing, replacing
 
@@ -70,9 +71,9 @@ def read_ply(
         OverflowError, RuntimeError, struct.error, AssertionError, NotImplementedError,
     ) as error:  # fmt: skip
         # trimesh raises all of these on damaged files
-        raise ValueError(f"{path}: damaged PLY file ({error})") from error
+        raise FormatError(f"{path}: damaged PLY file ({error})") from error
     if vertices.ndim != 2 or len(vertices) == 0 or not np.isfinite(vertices).all():
-        raise ValueError(f"{path}: expected finite vertices, got an array {vertices.shape}")
+        raise FormatError(f"{path}: expected finite vertices, got an array {vertices.shape}")
     if faces.size > 0 and (faces.min() < 0 or faces.max() >= len(vertices)):
-        raise ValueError(f"{path}: damaged PLY file, a face names a vertex that is not there")
+        raise FormatError(f"{path}: damaged PLY file, a face names a vertex that is not there")
     return vertices, faces.reshape(-1, 3)

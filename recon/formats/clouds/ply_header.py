@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from recon.core.errors import FormatError
 from recon.core.limits import BINARY, CLOUD
 
 _BYTES = {
@@ -24,24 +25,26 @@ def check_counts(path: Path) -> None:
         head = file.read(_LONGEST)
     end = head.find(b"end_header")
     if not head.startswith(b"ply") or end < 0:
-        raise ValueError(f"{path}: expected a PLY file, with a header from 'ply' to 'end_header'")
+        raise FormatError(f"{path}: expected a PLY file, with a header from 'ply' to 'end_header'")
     words = [line.split() for line in head[:end].decode("latin-1").splitlines()]
     text = ["format", "ascii"] in [line[:2] for line in words]
     needed, count = 0, 0
     for line in words:
         if line[:1] == ["element"]:
             if len(line) != 3 or not line[2][:20].isdecimal():
-                raise ValueError(f"{path}: damaged PLY file, got the line {' '.join(line)[:60]!r}")
+                raise FormatError(
+                    f"{path}: damaged PLY file, got the line {' '.join(line)[:60]!r}"
+                )
             count = int(line[2][:20])
             CLOUD.check(count, path, f"element {line[1][:20]}")
         elif line[:1] == ["property"] and len(line) >= 3:
             # a list has its length at least; a number of a text file a digit and a space
             kind = line[2] if line[1] == "list" else line[1]
             if kind not in _BYTES:
-                raise ValueError(f"{path}: damaged PLY file, no type is called {kind[:20]!r}")
+                raise FormatError(f"{path}: damaged PLY file, no type is called {kind[:20]!r}")
             needed += count * (2 if text else _BYTES[kind])
     if needed > path.stat().st_size + 1:
-        raise ValueError(
+        raise FormatError(
             f"{path}: the PLY header promises {needed} bytes or more; the file has "
             f"{path.stat().st_size} and is cut short or damaged"
         )

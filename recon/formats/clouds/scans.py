@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from recon.core.errors import FormatError
 from recon.core.limits import CLOUD, FRAME_RATE, POSITION
 from recon.core.units import METRES, Axis, check_override, to_z_up
 from recon.formats.clocks.scan_times import timed
@@ -64,7 +65,7 @@ def read_scans(
         paths, frames, fps = clock.files, clock.frames, clock.fps
         start, decisions = clock.start_time, clock.decisions
     elif fps is None:
-        raise ValueError(
+        raise FormatError(
             f"{folder}: no times.csv tells when its files were recorded; give frames per second "
             "with --frame-rate"
         )
@@ -74,7 +75,7 @@ def read_scans(
     clouds = [_read(path) for path in paths]
     CLOUD.check(sum(map(len, clouds)), folder, "all files together: ")
     if not any(map(len, clouds)):
-        raise ValueError(f"{folder}: no file holds any point")
+        raise FormatError(f"{folder}: no file holds any point")
     if unit is None and (unit := unit_of_clouds(clouds, str(folder))) != "m":
         decisions.append(f"by the size of the clouds, their unit is {unit}")
     metres = METRES[unit]
@@ -102,17 +103,17 @@ def write_scans(folder: str | Path, scans: PointsFile) -> tuple[Path, ...]:
     """
     folder = Path(folder)
     if folder.exists() and not folder.is_dir():
-        raise ValueError(
+        raise FormatError(
             f"{folder} is a file; give a folder, or a name ending in .npz for one file"
         )
     frames = np.unique(scans.frame)
     if len(frames) < 2:
-        raise ValueError(f"{folder}: a folder needs two frames with points, got {len(frames)}")
+        raise FormatError(f"{folder}: a folder needs two frames with points, got {len(frames)}")
     if scans.camera is not None:
-        raise ValueError(f"{folder}: PLY files say nothing of a camera; write .npz instead")
+        raise FormatError(f"{folder}: PLY files say nothing of a camera; write .npz instead")
     paths = tuple(folder / f"frame_{frame:06d}.ply" for frame in frames)
     if folder.is_dir() and (foreign := set(folder.glob("*.ply")) - set(paths)):
-        raise ValueError(f"{folder} holds other clouds ({min(foreign).name}); give a new folder")
+        raise FormatError(f"{folder} holds other clouds ({min(foreign).name}); give a new folder")
     folder.mkdir(parents=True, exist_ok=True)
     times = scans.start_time + frames / scans.fps
     lines = [f"{path.name},{time:.9f}" for path, time in zip(paths, times, strict=True)]
@@ -134,7 +135,7 @@ def scan_paths(folder: Path) -> list[Path]:
         raise FileNotFoundError(f"{folder}: no such folder; expected one of .ply or .pcd files")
     found = [path for path in folder.iterdir() if path.suffix.lower() in (".ply", ".pcd")]
     if len({path.suffix.lower() for path in found}) != 1:
-        raise ValueError(
+        raise FormatError(
             f"{folder}: expected files .ply or .pcd, one per frame, got "
             f"{'both' if found else 'none'}"
         )
@@ -164,12 +165,12 @@ def unit_of_clouds(clouds: list[np.ndarray], name: str) -> str:
         if len(cloud) >= 10
     ]
     if not sizes:
-        raise ValueError(f"{name}: too few points to tell their unit; give it with --unit")
+        raise FormatError(f"{name}: too few points to tell their unit; give it with --unit")
     size = float(np.median(sizes))
     for unit in ("m", "mm"):
         if _BODY[0] <= size * METRES[unit] <= _BODY[1]:
             return unit
-    raise ValueError(
+    raise FormatError(
         f"{name}: the clouds measure {size:.3g} units, which is {_BODY[0]} to {_BODY[1]} m "
         "neither in m nor in mm; give it with --unit"
     )

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from recon.core.errors import FormatError
 from recon.core.layouts import LAYOUTS, keypoint_names
 from recon.core.limits import JSON, KEYPOINTS, PEOPLE, SAMPLES
 from recon.formats.detections.records import Detections, Row, gather
@@ -37,11 +38,11 @@ def read_deeplabcut(path: Path, *, layout: str | None = None) -> Detections:
     try:
         table = list(csv.reader(decode(read_bytes(path, JSON)).splitlines()))
     except csv.Error as error:
-        raise ValueError(f"{name}: expected a table of commas, but {error}") from error
+        raise FormatError(f"{name}: expected a table of commas, but {error}") from error
     header = {row[0].strip().lower(): row[1:] for row in table[: len(_HEADERS)] if row}
     head = [key for key in _HEADERS if key in header]
     if not {"bodyparts", "coords"} <= header.keys():
-        raise ValueError(f"{name}: expected DeepLabCut's header rows scorer, bodyparts, coords")
+        raise FormatError(f"{name}: expected DeepLabCut's header rows scorer, bodyparts, coords")
     PEOPLE.check(len(set(header.get("individuals", []))), name, "individuals")
     KEYPOINTS.check(len(set(header["bodyparts"])), name, "bodyparts")
     SAMPLES.check(max(len(table) * len(header["coords"]), 1), name)
@@ -89,7 +90,7 @@ def _settle(parts: list[str], layout: str | None, name: str) -> tuple[str, list[
     best = max(candidates, key=lambda key: (found[key], -len(LAYOUTS[key])))
     known = words.keys() & set(LAYOUTS[best])
     if len(known) < _FEWEST:
-        raise ValueError(
+        raise FormatError(
             f"{name}: only {len(known)} of its body parts are known by name; found "
             f"{', '.join(parts)}, expected names such as {', '.join(LAYOUTS[best][:8])}"
         )
@@ -102,14 +103,14 @@ def _values(rows: list[list[str]], width: int, name: str) -> tuple[np.ndarray, l
     numbers: list[int] = []
     for line, row in enumerate(rows):
         if len(row) > width + 1:
-            raise ValueError(f"{name}: row {line} has {len(row)} cells, the header {width + 1}")
+            raise FormatError(f"{name}: row {line} has {len(row)} cells, the header {width + 1}")
         try:
             cells = [float(cell) if cell.strip() else np.nan for cell in row[1:]]
         except ValueError as error:
-            raise ValueError(f"{name}: expected numbers in row {line}, got {row[:4]}") from error
+            raise FormatError(f"{name}: expected numbers in row {line}, got {row[:4]}") from error
         values[line, : len(cells)] = cells
         last = re.search(r"(\d+)\D*$", Path(row[0]).stem[-_NAME:])
         numbers.append(int(last[1]) if last else line)
     if len(set(numbers)) < len(numbers) or numbers != sorted(numbers):
-        raise ValueError(f"{name}: expected increasing frame numbers in the first column")
+        raise FormatError(f"{name}: expected increasing frame numbers in the first column")
     return values, numbers

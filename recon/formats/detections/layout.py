@@ -3,6 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
+from recon.core.errors import FormatError
 from recon.core.layouts import LAYOUTS, keypoint_names
 
 _BY_COUNT = {
@@ -52,7 +53,7 @@ def settle_layout(
         if layout == "openpose25" and count == len(_COCO18):
             return layout, _from_coco18(points), f"layout {layout}: given, 18 of its keypoints"
         if len(keypoint_names(layout)) != points.shape[1]:
-            raise ValueError(
+            raise FormatError(
                 f"{name}: layout {layout} has {len(keypoint_names(layout))} keypoints, the file "
                 f"{count}; give the right one with --layout"
             )
@@ -63,7 +64,7 @@ def settle_layout(
         chosen = _openpose_model(points, name)
         return chosen, points, f"layout {chosen}: 25 keypoints, arms and legs are whole only so"
     if count not in _BY_COUNT:
-        raise ValueError(
+        raise FormatError(
             f"{name}: {count} keypoints are no layout known here; give one of "
             f"{', '.join(LAYOUTS)} with --layout"
         )
@@ -87,7 +88,7 @@ def _openpose_model(points: np.ndarray, name: str) -> str:
             return first
         if (ratio >= 1 / _SHORTER).mean() >= _AGREEMENT:
             return second
-    raise ValueError(
+    raise FormatError(
         f"{name}: 25 keypoints may be OpenPose's BODY_25 or BODY_25B, and "
         + ("nobody is seen well enough to tell" if len(ratio) == 0 else "people fit neither well")
         + f"; give --layout {first} or --layout {second}"

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from recon.core.errors import FormatError
 from recon.formats.detections.records import Row
 from recon.formats.files.json_files import Frames, as_floats
 
@@ -38,7 +39,7 @@ def mediapipe_rows(frames: Frames, image_size: tuple[int, int] | None, name: str
     if np.median(np.nan_to_num(places)) > _FRACTION:
         return rows
     if image_size is None:
-        raise ValueError(
+        raise FormatError(
             f"{name}: MediaPipe's landmarks are fractions of the image, whose size is unknown; "
             "give a camera with --camera"
         )
@@ -61,7 +62,7 @@ def _landmarks(person: list[Any], where: str) -> np.ndarray:
     if len(person) != _LANDMARKS or not all(
         isinstance(point, dict) and {"x", "y"} <= point.keys() for point in person
     ):
-        raise ValueError(f"{where}: expected {_LANDMARKS} landmarks with x, y and visibility")
+        raise FormatError(f"{where}: expected {_LANDMARKS} landmarks with x, y and visibility")
     return as_floats(
         [[point["x"], point["y"], point.get("visibility", 1.0)] for point in person], where
     )

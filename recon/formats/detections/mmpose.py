@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from recon.core.errors import FormatError
 from recon.formats.detections.records import Row
 from recon.formats.files.json_files import Frames, as_floats, as_identity
 
@@ -33,14 +34,14 @@ def mmpose_rows(frames: Frames, name: str) -> list[Row]:
         where = f"{name}, frame {number}"
         people = _instances(entry)
         if len(people) > 0 and not is_mmpose(entry):
-            raise ValueError(f"{where}: expected keypoints and keypoint_scores of every instance")
+            raise FormatError(f"{where}: expected keypoints and keypoint_scores of every instance")
         for person in people:
             scores = as_floats(next(person[key] for key in _SCORES if key in person), where)
             pixels = as_floats(person["keypoints"], where)
             if scores.size == 0:
                 continue
             if pixels.ndim < 2 or pixels.shape[:-1] != scores.shape or pixels.shape[-1] != 2:
-                raise ValueError(
+                raise FormatError(
                     f"{where}: expected keypoints (..., K, 2) with scores (..., K), got "
                     f"{pixels.shape} and {scores.shape}"
                 )

@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any
 
+from recon.core.errors import FormatError
 from recon.formats.detections.alphapose import alphapose_rows, is_alphapose
 from recon.formats.detections.deeplabcut import read_deeplabcut
 from recon.formats.detections.easymocap import easymocap_rows, is_easymocap
@@ -40,13 +41,13 @@ def read_keypoints(
     if path.is_dir():
         frames = read_frame_folder(path)
         if any(is_alphapose(entry) for _, entry in frames):
-            raise ValueError(f"{path}: give AlphaPose's file itself, not its folder")
+            raise FormatError(f"{path}: give AlphaPose's file itself, not its folder")
         return _from_frames(frames, name, layout, image_size)
     existing(path)
     if path.suffix.lower() == ".csv":
         return read_deeplabcut(path, layout=layout)
     if path.suffix.lower() != ".json":
-        raise ValueError(
+        raise FormatError(
             f"{path}: expected a folder of .json files, a .json file or a .csv table of keypoints"
         )
     value = read_json(path)
@@ -58,7 +59,7 @@ def read_keypoints(
     if isinstance(value, list) and _is_one_frame(value):
         value = [value]
     if not isinstance(value, list):
-        raise ValueError(f"{path}: expected {_EXPECTED}")
+        raise FormatError(f"{path}: expected {_EXPECTED}")
     return _from_frames(listed_frames(value, name), name, layout, image_size)
 
 
@@ -74,7 +75,7 @@ def _from_frames(
 ) -> Detections:
     entry = next((entry for _, entry in frames if _has_people(entry)), None)
     if entry is None and not any(_is_known_empty(entry) for _, entry in frames):
-        raise ValueError(f"{name}: expected {_EXPECTED}")
+        raise FormatError(f"{name}: expected {_EXPECTED}")
     if entry is None:
         rows = []
     elif is_openpose(entry):

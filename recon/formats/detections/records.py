@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
+from recon.core.errors import FormatError
 from recon.core.limits import FRAME_NUMBER, KEYPOINTS, PEOPLE, PERSON, PIXEL, SCORE
 from recon.formats.detections.layout import settle_layout
 
@@ -55,13 +56,13 @@ def gather(
     """
     rows = [row for row in rows if len(row[1]) > 0]
     if len(rows) == 0:
-        raise ValueError(
+        raise FormatError(
             f"{name}: expected people, but all {len(frame_numbers)} frames are empty; run the "
             "detector again, or leave this view out"
         )
     lengths = sorted({len(row[1]) for row in rows})
     if len(lengths) > 1:
-        raise ValueError(
+        raise FormatError(
             f"{name}: expected one number of keypoints for all people, got "
             f"{' and '.join(map(str, lengths))}"
         )

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from recon.core.errors import FormatError
 from recon.core.limits import FRAME_NUMBER, JSON, PERSON
 from recon.formats.files.opening import decode, read_bytes
 
@@ -31,12 +32,12 @@ def read_json(path: Path) -> Any:
     try:
         return json.loads(decode(read_bytes(path, JSON)))
     except (RecursionError, json.JSONDecodeError) as error:
-        raise ValueError(f"{path}: expected JSON, but it is damaged ({error})") from error
+        raise FormatError(f"{path}: expected JSON, but it is damaged ({error})") from error
     except ValueError as error:
         if str(path) in str(error):
             raise
         # a number of more digits than Python converts
-        raise ValueError(f"{path}: expected JSON, but it is damaged ({error})") from error
+        raise FormatError(f"{path}: expected JSON, but it is damaged ({error})") from error
 
 
 def read_frame_folder(folder: Path) -> Frames:
@@ -47,7 +48,7 @@ def read_frame_folder(folder: Path) -> Frames:
     """
     paths = sorted(path for path in folder.iterdir() if path.suffix.lower() == ".json")
     if len(paths) == 0:
-        raise ValueError(f"{folder}: expected one .json file per frame, found none")
+        raise FormatError(f"{folder}: expected one .json file per frame, found none")
     JSON.check(sum(path.stat().st_size for path in paths), folder)
     numbers = frame_numbers([path.stem for path in paths], str(folder))
     return [(numbers[k], read_json(paths[k])) for k in np.argsort(numbers, kind="stable").tolist()]
@@ -63,13 +64,15 @@ def frame_numbers(stems: Sequence[str], name: str) -> list[int]:
     cut = 0 if len(stems) == 1 else len(ending.lstrip("0123456789"))
     found = [_LAST_NUMBER.search(stem[: len(stem) - cut][-_NAME:]) for stem in stems]
     if without := [stem for stem, number in zip(stems, found, strict=True) if number is None]:
-        raise ValueError(f"{name}: expected a frame number in every file name, not {without[0]!r}")
+        raise FormatError(
+            f"{name}: expected a frame number in every file name, not {without[0]!r}"
+        )
     numbers = [int(number[1]) for number in found if number is not None]
     FRAME_NUMBER.check(max(numbers), name)
     if len(set(numbers)) < len(numbers):
         twice = Counter(numbers).most_common(1)[0][0]
         same = [stem for stem, number in zip(stems, numbers, strict=True) if number == twice][:2]
-        raise ValueError(
+        raise FormatError(
             f"{name}: expected one file per frame, but {' and '.join(same)} are both frame "
             f"{twice}; is this one camera?"
         )
@@ -97,7 +100,7 @@ def listed_frames(entries: Sequence[Any], name: str) -> Frames:
     numbers = [number for number in stated if number is not None]
     FRAME_NUMBER.check(max(numbers), name)
     if len(numbers) < len(entries) or len(set(numbers)) < len(numbers):
-        raise ValueError(f"{name}: expected one entry per frame, each with its own frame number")
+        raise FormatError(f"{name}: expected one entry per frame, each with its own frame number")
     return sorted(zip(numbers, entries, strict=True), key=lambda pair: pair[0])
 
 
@@ -125,7 +128,7 @@ def people_in(
         place = f"{name}, frame {number}"
         people = entry.get(key) if isinstance(entry, dict) else None
         if not isinstance(people, list) or not all(isinstance(one, dict) for one in people):
-            raise ValueError(f"{place}: expected {expected}")
+            raise FormatError(f"{place}: expected {expected}")
         for person in people:
             yield number, person, place
 
@@ -140,7 +143,7 @@ def as_floats(value: Any, name: str) -> np.ndarray:
         return np.array(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
         text = repr(value)
-        raise ValueError(
+        raise FormatError(
             f"{name}: expected numbers in rows of one length, got {text[:60]}"
         ) from error
 
@@ -153,7 +156,7 @@ def flat_points(value: Any, name: str) -> np.ndarray:
     """
     numbers = as_floats(value, name)
     if numbers.size % 3 or numbers.ndim > 2 or (numbers.ndim == 2 and numbers.shape[1] != 3):
-        raise ValueError(
+        raise FormatError(
             f"{name}: expected x, y, confidence of every keypoint, got {numbers.shape} numbers"
         )
     return numbers.reshape(-1, 3)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from recon.core.errors import FormatError
 from recon.core.limits import PAYLOAD, Limit
 
 DAMAGE = (
@@ -43,7 +44,7 @@ def check_sizes(path: Path, limit: Limit = PAYLOAD, only: tuple[str, ...] | None
     with zipfile.ZipFile(path) as archive:
         members = archive.infolist()
         if len(members) > _MEMBERS:
-            raise ValueError(f"{path}: expected at most {_MEMBERS} arrays, got {len(members)}")
+            raise FormatError(f"{path}: expected at most {_MEMBERS} arrays, got {len(members)}")
         for info in members:
             name = info.filename.removesuffix(".npy")
             if only is not None and name not in only:
@@ -55,7 +56,7 @@ def check_sizes(path: Path, limit: Limit = PAYLOAD, only: tuple[str, ...] | None
             shape, dtype, place = _header(archive, info)
             stated = int(np.prod([float(n) for n in shape])) * dtype.itemsize
             if place + stated != info.file_size:
-                raise ValueError(
+                raise FormatError(
                     f"{path}: {name} promises {dtype} {shape}, {stated} bytes, but holds "
                     f"{info.file_size - place}"
                 )
@@ -68,8 +69,8 @@ def _header(
     with archive.open(info) as member:
         version = np.lib.format.read_magic(member)
         if version not in _HEADERS:
-            raise ValueError(f"{info.filename} is an array of the unknown version {version}")
+            raise FormatError(f"{info.filename} is an array of the unknown version {version}")
         shape, _, dtype = _HEADERS[version](member)
         if dtype.hasobject:
-            raise ValueError(f"{info.filename} holds pickled objects, which are never opened")
+            raise FormatError(f"{info.filename} holds pickled objects, which are never opened")
         return shape, dtype, member.tell()

@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from recon.core.errors import FormatError
+
 _PIECE = 1 << 20
 """Characters looked at together."""
 _LONGEST = 1000
@@ -22,9 +24,9 @@ def numbers_in(text: str | bytes, count: int, start: int = 0) -> np.ndarray:
             end += 1
         words = text[start:end].split()
         if filled + len(words) > count:
-            raise ValueError(f"expected {count} numbers, got more")
+            raise FormatError(f"expected {count} numbers, got more")
         values[filled : filled + len(words)] = [float(word) for word in words]
         filled, start = filled + len(words), end
     if filled < count:
-        raise ValueError(f"expected {count} numbers, got {filled}")
+        raise FormatError(f"expected {count} numbers, got {filled}")
     return values

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from recon.core.errors import FormatError
 from recon.core.limits import BINARY, TEXT, Limit
 from recon.formats.files.npz_headers import DAMAGE, check_sizes
 from recon.formats.files.replacing import clear_leftovers
@@ -21,9 +22,9 @@ def existing(path: Path) -> Path:
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such file")
     if not path.is_file():
-        raise ValueError(f"{path}: expected a file, got a directory or device")
+        raise FormatError(f"{path}: expected a file, got a directory or device")
     if path.stat().st_size == 0:
-        raise ValueError(f"{path}: the file is empty")
+        raise FormatError(f"{path}: the file is empty")
     return path
 
 
@@ -43,7 +44,7 @@ def read_bytes(path: Path, limit: Limit = TEXT) -> bytes:
         with lzma.open(path) as file:
             data = file.read(int(most.high) + 1)
     except (lzma.LZMAError, EOFError) as error:
-        raise ValueError(f"{path}: expected xz-compressed data, but {error}") from error
+        raise FormatError(f"{path}: expected xz-compressed data, but {error}") from error
     most.check(len(data), path)
     return data
 
@@ -74,10 +75,10 @@ def load_arrays(path: Path) -> dict[str, np.ndarray]:
         with np.load(path, allow_pickle=False) as file:
             arrays = {key: file[key] for key in file.files}
         if foreign := [key for key, value in arrays.items() if not isinstance(value, np.ndarray)]:
-            raise ValueError(f"no arrays: {', '.join(foreign)}")
+            raise FormatError(f"no arrays: {', '.join(foreign)}")
         return arrays
     except DAMAGE as error:
-        raise ValueError(
+        raise FormatError(
             f"{path}: expected an .npz file of plain arrays, but it cannot be read ({error})"
         ) from error
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from recon.core.errors import FormatError
 from recon.core.limits import BINARY, IMAGE
 from recon.formats.files.opening import existing
 
@@ -29,13 +30,13 @@ def read_png(path: Path, size: tuple[int, int] | None = None) -> np.ndarray:
     BINARY.check(existing(path).stat().st_size, path)
     data = path.read_bytes()
     if len(data) < _HEAD.size or not data.startswith(_SIGNATURE):
-        raise ValueError(f"{path}: expected a PNG image, but it is damaged or something else")
+        raise FormatError(f"{path}: expected a PNG image, but it is damaged or something else")
     _, name, width, height = _HEAD.unpack_from(data)
     if name != b"IHDR" or width == 0 or height == 0:
-        raise ValueError(f"{path}: expected a PNG image, but its header is damaged")
+        raise FormatError(f"{path}: expected a PNG image, but its header is damaged")
     IMAGE.check(width * height, path, "header")
     if size is not None and (width, height) != size:
-        raise ValueError(
+        raise FormatError(
             f"{path}: the camera has images of {size[0]} x {size[1]}, this one is {width} x "
             f"{height} pixels; give its own intrinsics"
         )
@@ -44,5 +45,5 @@ def read_png(path: Path, size: tuple[int, int] | None = None) -> np.ndarray:
     except cv2.error:
         image = None
     if image is None:
-        raise ValueError(f"{path}: expected a PNG image, but it is damaged")
+        raise FormatError(f"{path}: expected a PNG image, but it is damaged")
     return np.asarray(image)

@@ -6,6 +6,7 @@ import zlib
 from collections.abc import Iterator
 from pathlib import Path
 
+from recon.core.errors import FormatError
 from recon.core.limits import TEXT
 from recon.core.units import Axis
 from recon.formats.files.opening import decode, existing
@@ -33,7 +34,7 @@ def iterate_texts(path: Path) -> Iterator[tuple[str, str]]:
                 assert file is not None  # regular files always open
                 yield member.name, decode(file.read())
     except (tarfile.TarError, lzma.LZMAError, zlib.error, EOFError, OSError) as error:
-        raise ValueError(f"{path}: expected a tar archive, but {error}") from error
+        raise FormatError(f"{path}: expected a tar archive, but {error}") from error
 
 
 def iterate_recordings(
@@ -67,6 +68,6 @@ def read_member(
         name, text = seen.popitem()
         return parse_bvh(text, name, unit=unit, up=up)
     some = ", ".join(list(seen)[:3])
-    raise ValueError(
+    raise FormatError(
         f"{path}: holds {len(seen)} BVH files ({some}, ...); choose one as {path.name}::NAME"
     )

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from recon.core.errors import FormatError
 from recon.core.limits import ANGLE, JOINTS, POSITION, SAMPLES, TABLE
 from recon.core.units import Axis
 from recon.formats.files.opening import decode, read_bytes
@@ -110,16 +111,16 @@ def _floats(words: list[str], count: int, name: str) -> list[float]:
     try:
         values = [float(word) for word in words]
     except ValueError as error:
-        raise ValueError(f"{name}: expected numbers, got {' '.join(words)[:60]!r}") from error
+        raise FormatError(f"{name}: expected numbers, got {' '.join(words)[:60]!r}") from error
     if len(values) != count or not np.isfinite(values).all():
-        raise ValueError(f"{name}: expected {count} numbers, got {' '.join(words)[:60]!r}")
+        raise FormatError(f"{name}: expected {count} numbers, got {' '.join(words)[:60]!r}")
     return values
 
 
 def _axis_matrix(angles: list[float], order: str, degrees: bool, name: str) -> np.ndarray:
     """Rotation by fixed axes, the first of `order` first."""
     if sorted(order.upper()) != ["X", "Y", "Z"]:
-        raise ValueError(f"{name}: expected an axis order such as XYZ, got {order!r}")
+        raise FormatError(f"{name}: expected an axis order such as XYZ, got {order!r}")
     ANGLE.check(angles if degrees else np.rad2deg(angles), name, "axis")
     radians = np.deg2rad(angles) if degrees else np.array(angles)
     matrix = np.eye(3)
@@ -139,7 +140,7 @@ def _parse_asf(text: str, name: str) -> _Skeleton:
         if words:
             current.append(words)
     if missing := [s for s in ("root", "bonedata", "hierarchy") if s not in sections]:
-        raise ValueError(f"{name}: expected an ASF skeleton, but there is no :{missing[0]}")
+        raise FormatError(f"{name}: expected an ASF skeleton, but there is no :{missing[0]}")
     units = {words[0].lower(): words[-1].lower() for words in sections.get("units", [])}
     degrees = not units.get("angle", "deg").startswith("rad")
     length = _floats([units.get("length", "1")], 1, f"{name}: units length")[0]
@@ -154,15 +155,15 @@ def _parse_asf(text: str, name: str) -> _Skeleton:
             continue
         for word in words:
             if word not in bones:
-                raise ValueError(f"{name}: the hierarchy names {word!r}, which is no bone")
+                raise FormatError(f"{name}: the hierarchy names {word!r}, which is no bone")
         if words[0] != "root" and words[0] not in parents:
-            raise ValueError(f"{name}: expected {words[0]!r} below the root before its children")
+            raise FormatError(f"{name}: expected {words[0]!r} below the root before its children")
         for child in words[1:]:
             if child in parents or child == "root":
-                raise ValueError(f"{name}: the hierarchy names {child!r} twice")
+                raise FormatError(f"{name}: the hierarchy names {child!r} twice")
             parents[child] = words[0]
     if not parents:
-        raise ValueError(f"{name}: the hierarchy is empty or cut short")
+        raise FormatError(f"{name}: the hierarchy is empty or cut short")
     return _Skeleton(bones, parents, origin, "cmu" if length == _CMU_LENGTH else None)
 
 
@@ -184,13 +185,13 @@ def _parse_root(lines: list[list[str]], degrees: bool, name: str) -> tuple[_Bone
     axis = _axis_matrix(angles, order, degrees, name)
     channels = tuple(w.lower() for w in fields.get("order", ["tx", "ty", "tz", "rx", "ry", "rz"]))
     if not set(channels) <= {"tx", "ty", "tz", "rx", "ry", "rz"}:
-        raise ValueError(f"{name}: expected root order TX TY TZ RX RY RZ, got {channels}")
+        raise FormatError(f"{name}: expected root order TX TY TZ RX RY RZ, got {channels}")
     return _Bone("root", np.zeros(3), axis, channels), origin
 
 
 def _parse_bone(block: dict[str, list[str]], degrees: bool, name: str) -> _Bone:
     if missing := [k for k in ("name", "direction", "length", "axis") if not block.get(k)]:
-        raise ValueError(f"{name}: expected every bone to have a {missing[0]}")
+        raise FormatError(f"{name}: expected every bone to have a {missing[0]}")
     place = f"{name}: bone {block['name'][0]}"
     direction = np.array(_floats(block["direction"], 3, place))
     POSITION.check(direction, place, "direction")
@@ -199,7 +200,7 @@ def _parse_bone(block: dict[str, list[str]], degrees: bool, name: str) -> _Bone:
     axis = _axis_matrix(_floats(block["axis"][:3], 3, place), order, degrees, place)
     channels = tuple(word.lower() for word in block.get("dof", []))
     if not set(channels) <= {"rx", "ry", "rz", "l"}:
-        raise ValueError(f"{place}: expected dof rx, ry, rz or l, got {' '.join(channels)}")
+        raise FormatError(f"{place}: expected dof rx, ry, rz or l, got {' '.join(channels)}")
     norm = float(np.linalg.norm(direction))
     return _Bone(block["name"][0], direction * (length / norm if norm else 0.0), axis, channels)
 
@@ -222,25 +223,25 @@ def _parse_amc(text: str, name: str) -> tuple[dict[str, np.ndarray], bool]:
                 values.extend([float(word) for word in words[1:]])
                 lengths.append(len(words) - 1)
             except ValueError as error:
-                raise ValueError(
+                raise FormatError(
                     f"{name}: expected a bone and its numbers, got {line[:60]!r}"
                 ) from error
         if len(rows) > JOINTS.high:
             JOINTS.check(len(rows), name)
     if frames == 0 or "root" not in rows:
-        raise ValueError(f"{name}: expected an AMC motion, frames with a line for the root")
+        raise FormatError(f"{name}: expected an AMC motion, frames with a line for the root")
     SAMPLES.check(frames * len(rows), name)
     arrays: dict[str, np.ndarray] = {}
     for bone, (values, lengths) in rows.items():
         width = len(values) // frames
         if len(lengths) != frames or set(lengths) != {width}:
-            raise ValueError(
+            raise FormatError(
                 f"{name}: expected equally many numbers for {bone!r} in all {frames} frames, got "
                 f"{len(values)} in {len(lengths)}; the file is cut short"
             )
         arrays[bone] = np.frombuffer(values).reshape(frames, width)
         if not np.isfinite(arrays[bone]).all():
-            raise ValueError(f"{name}: the numbers of {bone!r} hold NaN or infinity")
+            raise FormatError(f"{name}: the numbers of {bone!r} hold NaN or infinity")
     return arrays, degrees
 
 
@@ -251,7 +252,7 @@ def _pose(
     JOINTS.check(2 * len(tree.bones), name, "bones and their ends, of which there are ")
     SAMPLES.check(frames * 2 * len(tree.bones), name)
     if unknown := set(motion) - set(tree.bones):
-        raise ValueError(f"{name}: moves {sorted(unknown)[0]!r}, which the skeleton lacks")
+        raise FormatError(f"{name}: moves {sorted(unknown)[0]!r}, which the skeleton lacks")
     order = ["root", *tree.parents]
     number = {bone: k for k, bone in enumerate(order)}
     inner = set(tree.parents.values())
@@ -282,7 +283,7 @@ def _bone_motion(
 ) -> tuple[np.ndarray, np.ndarray]:
     """C M C^-1 and the shift of a bone; bone lengths (`l`) are not varied."""
     if values.shape[1] != len(bone.channels):
-        raise ValueError(
+        raise FormatError(
             f"{name}: expected {len(bone.channels)} numbers ({' '.join(bone.channels)}) for "
             f"{bone.name!r}, got {values.shape[1]}; the skeleton is of another subject"
         )

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from recon.core.errors import FormatError
 from recon.core.limits import ANGLE, FRAME_RATE, FRAMES, JOINTS, SAMPLES
 from recon.core.units import Axis, snapped_rate
 from recon.formats.files.numbers_in import numbers_in
@@ -48,7 +49,7 @@ def parse_bvh(
     """The recording in the text of a BVH file; see `read_bvh`."""
     head, keyword, body = text.partition("MOTION")
     if not keyword:
-        raise ValueError(f"{name}: expected a BVH file, but there is no line MOTION")
+        raise FormatError(f"{name}: expected a BVH file, but there is no line MOTION")
     tree = _parse_hierarchy(head, name)
     values, fps = _parse_motion(body, tree, name)
     orientations, positions, offsets = _pose(tree, values)
@@ -81,12 +82,14 @@ def _parse_hierarchy(head: str, name: str) -> _Hierarchy:
             if (keyword == "ROOT") != (len(tree.names) == 0) or not (
                 open_joints or not tree.names
             ):
-                raise ValueError(f"{name}: expected one tree of joints, got {line[:50]!r} outside")
+                raise FormatError(
+                    f"{name}: expected one tree of joints, got {line[:50]!r} outside"
+                )
             parent = open_joints[-1] if open_joints else -1
             current = len(tree.names)
             title = f"{tree.names[parent]}_end" if keyword == "END" else rest.strip()
             if not title or title in taken:
-                raise ValueError(f"{name}: expected a new joint name, got {line[:60]!r}")
+                raise FormatError(f"{name}: expected a new joint name, got {line[:60]!r}")
             taken.add(title)
             JOINTS.check(len(taken), name)
             tree.names.append(title)
@@ -102,11 +105,11 @@ def _parse_hierarchy(head: str, name: str) -> _Hierarchy:
         elif keyword == "CHANNELS" and open_joints:
             tree.channels[open_joints[-1]] = _parse_channels(rest.split(), name)
         else:
-            raise ValueError(f"{name}: expected a line of a BVH hierarchy, got {line[:60]!r}")
+            raise FormatError(f"{name}: expected a line of a BVH hierarchy, got {line[:60]!r}")
     if open_joints or not tree.names:
-        raise ValueError(f"{name}: the BVH hierarchy is cut short or empty")
+        raise FormatError(f"{name}: the BVH hierarchy is cut short or empty")
     if missing := [n for n, o in zip(tree.names, tree.offsets, strict=True) if not o]:
-        raise ValueError(f"{name}: expected an OFFSET of three numbers for joint {missing[0]!r}")
+        raise FormatError(f"{name}: expected an OFFSET of three numbers for joint {missing[0]!r}")
     return tree
 
 
@@ -114,16 +117,16 @@ def _numbers(words: Sequence[str], count: int, place: str) -> list[float]:
     try:
         values = [float(word) for word in words]
     except ValueError as error:
-        raise ValueError(f"{place}: expected numbers, got {' '.join(words)[:60]!r}") from error
+        raise FormatError(f"{place}: expected numbers, got {' '.join(words)[:60]!r}") from error
     if len(values) != count or not np.isfinite(values).all():
-        raise ValueError(f"{place}: expected {count} numbers, got {' '.join(words)[:60]!r}")
+        raise FormatError(f"{place}: expected {count} numbers, got {' '.join(words)[:60]!r}")
     return values
 
 
 def _parse_channels(words: list[str], name: str) -> list[tuple[int, bool]]:
     found = [_CHANNEL.match(word) for word in words[1:]]
     if not words or words[0] != str(len(found)) or not all(found):
-        raise ValueError(
+        raise FormatError(
             f"{name}: expected CHANNELS with their number and names such as Xposition or "
             f"Zrotation, got {' '.join(words)[:80]!r}"
         )
@@ -131,18 +134,18 @@ def _parse_channels(words: list[str], name: str) -> list[tuple[int, bool]]:
     turns = sum(1 for _, turn in channels if turn)
     shifts = [axis for axis, turn in channels if not turn]
     if turns > 3 or len(set(shifts)) != len(shifts):
-        raise ValueError(f"{name}: expected at most three rotations and one position per axis")
+        raise FormatError(f"{name}: expected at most three rotations and one position per axis")
     return channels
 
 
 def _parse_motion(body: str, tree: _Hierarchy, name: str) -> tuple[np.ndarray, float]:
     timing = _TIMING.match(body)
     if timing is None:
-        raise ValueError(f"{name}: expected 'Frames: N' and 'Frame Time: seconds' after MOTION")
+        raise FormatError(f"{name}: expected 'Frames: N' and 'Frame Time: seconds' after MOTION")
     try:
         frames, step = int(timing[1]), float(timing[2])
     except ValueError as error:
-        raise ValueError(f"{name}: expected numbers, got {timing[0].strip()[:80]!r}") from error
+        raise FormatError(f"{name}: expected numbers, got {timing[0].strip()[:80]!r}") from error
     width = sum(len(channels) for channels in tree.channels)
     FRAMES.check(frames, name, "Frames")
     SAMPLES.check(frames * len(tree.names), name, "Frames")
@@ -150,12 +153,12 @@ def _parse_motion(body: str, tree: _Hierarchy, name: str) -> tuple[np.ndarray, f
     try:
         values = numbers_in(body, frames * width, timing.end())
     except ValueError as error:
-        raise ValueError(
+        raise FormatError(
             f"{name}: expected {frames} frames of {width} channels, but {str(error)[:100]}; the "
             "file is cut short, damaged, or its header is wrong"
         ) from error
     if width == 0 or not np.isfinite(values).all():
-        raise ValueError(f"{name}: the motion has no channels, or holds NaN or infinity")
+        raise FormatError(f"{name}: the motion has no channels, or holds NaN or infinity")
     values = values.reshape(frames, width)
     turns = [turn for channels in tree.channels for _, turn in channels]
     ANGLE.check(values, name, "[frame, channel]", seen=np.broadcast_to(turns, values.shape))

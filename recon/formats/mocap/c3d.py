@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from recon.core.errors import FormatError
 from recon.core.limits import FRAME_RATE, JOINTS, SAMPLES
 from recon.core.units import Axis, parse_unit, snapped_rate
 from recon.formats.files.opening import read_binary
@@ -57,7 +58,7 @@ def read_c3d(path: Path, *, unit: str | None = None, up: Axis | None = None) -> 
         values, residuals = _read_points(data, processor, header, trial, path)
     except (struct.error, IndexError) as error:
         # an offset in the file leads out of it
-        raise ValueError(f"{path}: damaged C3D file, it ends where more was promised") from error
+        raise FormatError(f"{path}: damaged C3D file, it ends where more was promised") from error
     names = _labels(point, header.points)
     outputs = {label for key in _OUTPUTS for label in _texts(point, key)}
     chosen = [k for k, name in enumerate(names) if name not in outputs]
@@ -67,7 +68,7 @@ def read_c3d(path: Path, *, unit: str | None = None, up: Axis | None = None) -> 
         rate = float(stated.flat[0])
     FRAME_RATE.check(rate, path, "POINT:RATE")
     if not chosen:
-        raise ValueError(f"{path}: expected markers, but all points are angles, forces and such")
+        raise FormatError(f"{path}: expected markers, but all points are angles, forces and such")
     values, residuals = values[:, chosen], residuals[:, chosen]
     visible = np.isfinite(values).all(-1) & (residuals >= 0) & (values != 0).any(-1)
     fps = snapped_rate(rate)
@@ -91,15 +92,15 @@ def read_c3d(path: Path, *, unit: str | None = None, up: Axis | None = None) -> 
 
 def _read_header(data: bytes, path: Path) -> tuple[int, _Header]:
     if len(data) < 2 * _BLOCK or data[1] != 0x50 or data[0] == 0:
-        raise ValueError(f"{path}: expected a C3D file, but its first block is no C3D header")
+        raise FormatError(f"{path}: expected a C3D file, but its first block is no C3D header")
     processor = data[(data[0] - 1) * _BLOCK + 3]
     if processor not in (_INTEL, _DEC, _MIPS):
-        raise ValueError(f"{path}: damaged C3D file, its parameter section is missing")
+        raise FormatError(f"{path}: damaged C3D file, its parameter section is missing")
     words = np.frombuffer(data, ">u2" if processor == _MIPS else "<u2", 10, 2).tolist()
     scale, rate = _floats(data[12:16] + data[20:24], processor).tolist()
     header = _Header(words[0], words[1], words[2], words[3], scale, words[7], rate)
     if header.data_start == 0 or header.points == 0 or not np.isfinite(scale) or scale == 0:
-        raise ValueError(f"{path}: expected a C3D file with points, but its header has none")
+        raise FormatError(f"{path}: expected a C3D file with points, but its header has none")
     return processor, header
 
 
@@ -141,7 +142,7 @@ def _read_parameters(
         place = after + step
     by_name = {groups.get(number, ""): values for number, values in found.items()}
     if "POINT" not in by_name:
-        raise ValueError(f"{path}: damaged C3D file, it has no parameters for POINT")
+        raise FormatError(f"{path}: damaged C3D file, it has no parameters for POINT")
     return by_name["POINT"], by_name.get("TRIAL", {})
 
 
@@ -171,7 +172,7 @@ def _read_points(
     frames = _frame_count(header, trial)
     size = frames * width * (4 if real else 2)
     if frames < 1 or start + size > len(data):
-        raise ValueError(
+        raise FormatError(
             f"{path}: the C3D header promises {frames} frames of {header.points} points, "
             f"{start + size} bytes in all; the file has {len(data)} and is cut short or damaged"
         )

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from recon.core.errors import FormatError
 from recon.core.limits import BINARY, FRAME_RATE, JOINTS, SAMPLES
 from recon.core.units import Axis, snapped_rate
 from recon.formats.files.opening import existing
@@ -35,7 +36,7 @@ def read_mat(
     if variable is None and len(found) == 1:
         variable = found[0]
     if variable not in found:
-        raise ValueError(
+        raise FormatError(
             f"{path}: holds the recordings {', '.join(found) or '(none)'}; choose one as "
             f"{path.name}::NAME"
         )
@@ -45,7 +46,7 @@ def read_mat(
     FRAME_RATE.check(rate, name, "freq")
     JOINTS.check(len(labels), name, "markerName")
     if data.ndim != 2 or data.shape[1] != 3 * len(labels) or len(data) == 0:
-        raise ValueError(
+        raise FormatError(
             f"{name}: expected data of 3 columns for each of {len(labels)} markers, got "
             f"{data.shape}"
         )
@@ -75,7 +76,7 @@ def _arrays(path: Path) -> dict[str, np.ndarray]:
     except (subprocess.SubprocessError, zipfile.BadZipFile, ValueError, EOFError) as error:
         trace = getattr(error, "stderr", None) or b""
         reason = (trace.decode("utf-8", "replace").strip().splitlines() or ["it crashed"])[-1]
-        raise ValueError(
+        raise FormatError(
             f"{path}: expected a MATLAB file of version 7 or older, but reading it failed "
             f"({reason[:200]}); newer ones can be saved again with save(..., '-v7')"
         ) from error

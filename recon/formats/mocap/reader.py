@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from recon.core.errors import FormatError
 from recon.core.units import Axis
 from recon.formats.mocap.recording import MarkerRecording, SkeletonRecording
 
@@ -29,7 +30,7 @@ def read_recording(
     file, inside = Path(location), member or None
     name = file.name.lower()
     if inside is not None and not name.endswith((".mat", ".tar", ".tar.gz", ".tgz", ".tar.xz")):
-        raise ValueError(f"{path}: only archives and .mat files hold several recordings (::)")
+        raise FormatError(f"{path}: only archives and .mat files hold several recordings (::)")
     if name.endswith((".tar", ".tar.gz", ".tgz", ".tar.xz")):
         from recon.formats.mocap.archives import read_member
 
@@ -56,7 +57,7 @@ def read_recording(
 
         return read_mat(file, inside, unit=unit, up=up)
     if name.endswith(".asf"):
-        raise ValueError(f"{path}: a skeleton without motion; give one of its .amc files")
+        raise FormatError(f"{path}: a skeleton without motion; give one of its .amc files")
     if name.endswith(".npz"):
-        raise ValueError(f"{path}: a motion or observation already, not a recording to convert")
-    raise ValueError(f"{path}: not a known recording; expected one of {', '.join(RECORDINGS)}")
+        raise FormatError(f"{path}: a motion or observation already, not a recording to convert")
+    raise FormatError(f"{path}: not a known recording; expected one of {', '.join(RECORDINGS)}")

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from recon.core import limits, units
+from recon.core.errors import FormatError
 from recon.core.units import Axis
 
 LEAD_IN_SPEED = 10.0
@@ -61,7 +62,7 @@ class SkeletonRecording:
         """
         if name not in self.joint_names:
             known = ", ".join(self.joint_names)
-            raise ValueError(f"{self.name}: no joint is called {name!r}; there are {known}")
+            raise FormatError(f"{self.name}: no joint is called {name!r}; there are {known}")
         return self.joint_names.index(name)
 
     def descendants(self, joint: int) -> list[int]:
@@ -117,7 +118,7 @@ class MarkerRecording:
         """
         if missing := [name for name in names if name not in self.marker_names]:
             known = ", ".join(self.marker_names)
-            raise ValueError(f"{self.name}: no markers {', '.join(missing)}; there are {known}")
+            raise FormatError(f"{self.name}: no markers {', '.join(missing)}; there are {known}")
         chosen = [self.marker_names.index(name) for name in names]
         return dataclasses.replace(
             self,
@@ -149,7 +150,7 @@ def settle_skeleton(
     """
     units.check_override(unit)
     if raw.frames == 0:
-        raise ValueError(f"{raw.name}: expected at least one frame, got none")
+        raise FormatError(f"{raw.name}: expected at least one frame, got none")
     limits.FRAME_RATE.check(raw.fps, raw.name)
     _check_finite(raw.name, raw.positions, raw.orientations, raw.rest_offsets)
     if unit is not None:
@@ -194,7 +195,7 @@ def settle_markers(
     """
     units.check_override(unit)
     if not raw.visible.any():
-        raise ValueError(f"{raw.name}: expected markers, but none is visible in any frame")
+        raise FormatError(f"{raw.name}: expected markers, but none is visible in any frame")
     limits.FRAME_RATE.check(raw.fps, raw.name)
     positions = np.where(raw.visible[..., None], raw.positions, 0.0)
     _check_finite(raw.name, positions)
@@ -280,7 +281,7 @@ def _extent(positions: np.ndarray, visible: np.ndarray) -> np.ndarray:
 
 def _check_finite(name: str, *arrays: np.ndarray) -> None:
     if not all(np.isfinite(array).all() for array in arrays):
-        raise ValueError(f"{name}: expected finite numbers, got NaN or infinity")
+        raise FormatError(f"{name}: expected finite numbers, got NaN or infinity")
 
 
 def _unique(names: Sequence[str]) -> tuple[str, ...]:

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
+from recon.core.errors import FormatError
 from recon.core.limits import FRAME_RATE, JOINTS, SAMPLES, TIME
 from recon.core.units import METRES, Axis, parse_unit, snapped_rate, to_z_up
 from recon.formats.files.opening import decode, read_bytes, replacing
@@ -23,11 +24,11 @@ def read_trc(path: Path, *, unit: str | None = None, up: Axis | None = None) -> 
     name = path.name
     lines = decode(read_bytes(path)).splitlines()
     if len(lines) <= _HEADER or not lines[0].lower().startswith("pathfiletype"):
-        raise ValueError(f"{name}: expected a TRC file, five header lines from PathFileType on")
+        raise FormatError(f"{name}: expected a TRC file, five header lines from PathFileType on")
     header = dict(zip(lines[1].split(), lines[2].split(), strict=False))
     labels = [cell.strip() for cell in lines[3].rstrip().split("\t")[2:] if cell.strip()]
     if len(labels) == 0 or lines[3].split()[0].lower() != "frame#":
-        raise ValueError(f"{name}: expected 'Frame# Time' and marker names in line 4")
+        raise FormatError(f"{name}: expected 'Frame# Time' and marker names in line 4")
     times, values = _parse_table(lines[_HEADER:], len(labels), name)
     _check_count(header.get("NumFrames"), len(values), name)
     visible = np.isfinite(values).all(-1) & (values != 0).any(-1)
@@ -57,21 +58,23 @@ def _parse_table(lines: list[str], markers: int, name: str) -> tuple[np.ndarray,
         try:
             row = [float(cell) if cell.strip() else np.nan for cell in cells]
         except ValueError as error:
-            raise ValueError(f"{name}: expected numbers, got {line[:60]!r}") from error
+            raise FormatError(f"{name}: expected numbers, got {line[:60]!r}") from error
         if len(row) > width and not all(np.isnan(row[width:])):
-            raise ValueError(f"{name}: a row has {len(row)} cells, {markers} markers fill {width}")
+            raise FormatError(
+                f"{name}: a row has {len(row)} cells, {markers} markers fill {width}"
+            )
         table[rows, : len(row)] = row[:width]
         rows += 1
     table = table[:rows]
     if len(table) == 0 or np.isinf(table).any() or np.isnan(table[:, :2]).any():
-        raise ValueError(f"{name}: expected rows of frame number, time and finite coordinates")
+        raise FormatError(f"{name}: expected rows of frame number, time and finite coordinates")
     TIME.check(table[:, 1], name, "column Time, row ")
     return table[:, 1], table[:, 2:].reshape(len(table), markers, 3)
 
 
 def _check_count(stated: str | None, frames: int, name: str) -> None:
     if stated is not None and stated[:9].isdigit() and int(stated[:9]) > frames:
-        raise ValueError(f"{name}: expected {stated} frames, got {frames}; the file is cut short")
+        raise FormatError(f"{name}: expected {stated} frames, got {frames}; the file is cut short")
 
 
 def _rate(stated: str, times: np.ndarray, name: str) -> tuple[float, str]:
@@ -85,7 +88,7 @@ def _rate(stated: str, times: np.ndarray, name: str) -> tuple[float, str]:
     if FRAME_RATE.holds(header) and (measured == 0 or abs(measured - header) <= 0.01 * header):
         return snapped_rate(header), f"{header:g} frames per second: stated by the file"
     if not FRAME_RATE.holds(measured):
-        raise ValueError(f"{name}: neither DataRate nor the time column gives a frame rate")
+        raise FormatError(f"{name}: neither DataRate nor the time column gives a frame rate")
     return snapped_rate(measured), (
         f"{measured:.4g} frames per second: by the time column, though DataRate is {stated[:20]!r}"
     )
