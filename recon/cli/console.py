@@ -5,7 +5,7 @@ import logging
 import os
 import sys
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any
 
@@ -107,20 +107,31 @@ def _cell(value: Any) -> str:
 
 @contextmanager
 def fitting(limits: Mapping[str, int]) -> Iterator[Any]:
-    """A bar per stage; yields the `watch` that `recon.fit` calls."""
-    from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
+    """A bar per stage; yields the `watch` that `recon.fit` calls.
 
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed} steps"),
-               TimeElapsedColumn())  # fmt: skip
-    with progress(*columns) as bars:
+    The bars appear with the first call, so that nothing is loaded for a fit that is refused.
+    """
+    with ExitStack() as until_the_end:
+        bars: list[Progress] = []
         tasks: dict[str, Any] = {}
 
         def watch(stage: str, progress: Any) -> None:
+            if _quiet.get():
+                return
+            if len(bars) == 0:
+                bars.append(until_the_end.enter_context(_stage_bars()))
             if stage not in tasks:
-                tasks[stage] = bars.add_task(stage, total=limits.get(stage))
-            bars.update(tasks[stage], completed=int(progress.iterations.max()))
+                tasks[stage] = bars[0].add_task(stage, total=limits.get(stage))
+            bars[0].update(tasks[stage], completed=int(progress.iterations.max()))
 
         yield watch
+
+
+def _stage_bars() -> "Progress":
+    from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
+
+    steps = TextColumn("{task.completed} steps")
+    return progress(TextColumn("{task.description}"), BarColumn(), steps, TimeElapsedColumn())
 
 
 def progress(*columns: Any) -> "Progress":
