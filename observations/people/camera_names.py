@@ -4,6 +4,8 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
+from recon.core.errors import ObservationError
+
 _FOLDERS = ("annots", "pose-associated", "pose-sync", "pose", "openpose", "json")
 """Where projects of EasyMocap and Pose2Sim keep the folders of their cameras; the first wins."""
 _SAME = {"camera": "cam", "view": "cam", "c": "cam"}
@@ -31,14 +33,14 @@ def expand(paths: Sequence[Path]) -> tuple[list[Path], tuple[str, ...]]:
         if len(inside) == 0 and project is not None:
             inside = [project] if _holds(project, ".json") else _inside(project)
         if len(inside) == 0:
-            raise ValueError(
+            raise ObservationError(
                 f"{path}: expected .json files of one camera, or a folder per camera with them"
             )
         if inside != [path]:
             notes.append(f"{path}: {len(inside)} views, {', '.join(str(one) for one in inside)}")
         views += inside
     if len(views) == 0:
-        raise ValueError("expected at least one file or folder of keypoints")
+        raise ObservationError("expected at least one file or folder of keypoints")
     return views, tuple(notes)
 
 
@@ -63,9 +65,11 @@ def match_cameras(
     both = f"views: {', '.join(views)}; cameras: {', '.join(cameras)}"
     if given is not None:
         if len(given) != len(views):
-            raise ValueError(f"expected a camera name for each of {len(views)} views; {both}")
+            raise ObservationError(
+                f"expected a camera name for each of {len(views)} views; {both}"
+            )
         if unknown := [name for name in given if name not in cameras]:
-            raise ValueError(f"no camera {', '.join(unknown)} in the calibration; {both}")
+            raise ObservationError(f"no camera {', '.join(unknown)} in the calibration; {both}")
         chosen = list(given)
     elif len(views) == len(cameras) == 1:
         chosen = list(cameras)
@@ -74,14 +78,14 @@ def match_cameras(
         for view, candidates in zip(views, found, strict=True):
             if len(candidates) != 1:
                 which = " and ".join(candidates) or "no camera"
-                raise ValueError(
+                raise ObservationError(
                     f"view {view} matches {which} by name; rename it or give the camera's name. "
                     f"There are {both}"
                 )
         chosen = [candidates[0] for candidates in found]
     if twice := sorted({name for name in chosen if chosen.count(name) > 1}):
         same = [view for view, name in zip(views, chosen, strict=True) if name in twice]
-        raise ValueError(
+        raise ObservationError(
             f"camera {', '.join(twice)} belongs to several views, {', '.join(same)}; give each "
             f"camera once. There are {both}"
         )

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool
 
+from recon.core.errors import ObservationError
 from recon.formats.files.json_files import frame_numbers
 from recon.formats.files.png_files import read_png
 from recon.formats.masks import PackedMask, read_packed_masks
@@ -56,7 +57,7 @@ def load_silhouettes(path: str | Path) -> Silhouettes:
     if path.is_dir():
         files = sorted(one for one in path.iterdir() if one.suffix.lower() == ".png")
         if len(files) == 0:
-            raise ValueError(f"{path}: expected one .png mask per frame, found none")
+            raise ObservationError(f"{path}: expected one .png mask per frame, found none")
         numbers = frame_numbers([one.stem for one in files], str(path))
         return Silhouettes(str(path), dict(zip(numbers, files, strict=True)))
     return Silhouettes(str(path), dict(enumerate(read_packed_masks(path))))
@@ -80,7 +81,7 @@ def masked(file: KeypointsFile, masks: Silhouettes, *, first_frame: int = 0) -> 
 
     frames = range(first_frame, first_frame + len(file.confidence))
     if not any(frame in masks.images for frame in frames):
-        raise ValueError(
+        raise ObservationError(
             f"{masks.name}: no mask is of a frame from {frames[0]} to {frames[-1]}; masks are "
             f"numbered from {min(masks.images)} to {max(masks.images)}"
         )
@@ -92,7 +93,7 @@ def masked(file: KeypointsFile, masks: Silhouettes, *, first_frame: int = 0) -> 
         if visible is None:
             continue
         if visible.shape != (height, width):
-            raise ValueError(
+            raise ObservationError(
                 f"{masks.name}, frame {frame}: expected a mask of {width} x {height} pixels, got "
                 f"{visible.shape[1]} x {visible.shape[0]}"
             )

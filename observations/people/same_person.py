@@ -7,6 +7,7 @@ import numpy as np
 
 from observations.people.track_pairs import TrackPair, View, joint_errors, triangulated
 from observations.people.tracks import Track
+from recon.core.errors import ObservationError
 from recon.core.units import AXES, Axis, head_above_feet
 
 _CONSISTENT = 0.03
@@ -49,13 +50,13 @@ def across_views(
     """
     pairs = _Pairs(views)
     if person is not None and not 0 <= person < len(views[0].tracks):
-        raise ValueError(
+        raise ObservationError(
             f"{views[0].name}: there is no person {person}; there are {_listed(views[:1])}"
         )
     seeds = [(0, person)] if person is not None else _seeds(views)
     groups = [group for group in (pairs.group(*seed) for seed in seeds) if len(group) > 1]
     if len(groups) == 0:
-        raise ValueError(
+        raise ObservationError(
             "no person found in one view is found in another: rays of the same keypoints miss "
             f"each other (least median error {pairs.least():.1%} of the body, at most "
             f"{_CONSISTENT:.0%} expected). Does each view have its own camera, is the calibration "
@@ -66,7 +67,7 @@ def across_views(
     for other in groups[1:]:
         same = any(set(best.get(v, ())) & set(other.get(v, ())) for v in other)
         if not same and _completeness(views, other) >= _EQUAL * _completeness(views, best):
-            raise ValueError(
+            raise ObservationError(
                 "two persons are seen about equally well; choose one with --person, by number in "
                 f"{views[0].name}. There are {_listed(views)}"
             )
@@ -150,7 +151,7 @@ class _Pairs:
                     if v != w and a not in group.get(v, ())
                 ]
                 if min(errors, default=np.inf) > _CONSISTENT:
-                    raise ValueError(
+                    raise ObservationError(
                         f"{view.name} does not agree with the other views: its person {b} is "
                         "neither the one they see nor another of theirs. Is this its camera? Else "
                         f"leave the view out. There are {_listed(self.views)}"
@@ -165,14 +166,14 @@ class _Pairs:
         errors = joint_errors(chosen, [number for _, number in members])
         if max(errors) > _JOINTLY:
             worst = ", ".join(f"{v.name} {e:.1%}" for v, e in zip(chosen, errors, strict=True))
-            raise ValueError(
+            raise ObservationError(
                 "rays of the views meet by pairs, but not all in one place: points of all miss "
                 f"the keypoints by {worst} of the body (at most {_JOINTLY:.0%} expected). Does "
                 "each view have its own camera?"
             )
         trunk = _trunk(pair)
         if trunk is not None and not _TRUNK[0] <= trunk <= _TRUNK[1]:
-            raise ValueError(
+            raise ObservationError(
                 f"the calibration makes the body's trunk {trunk:.3g} m long, not {_TRUNK[0]} to "
                 f"{_TRUNK[1]} m; give its unit with --camera-unit"
             )
@@ -182,7 +183,7 @@ class _Pairs:
             others = [abs(rise[k]) for k in range(3) if AXES[k] != best]
             down = rise[AXES.index(best)] < 0
             if abs(rise[AXES.index(best)]) >= _UPRIGHT * max(others) and (best != "z" or down):
-                raise ValueError(
+                raise ObservationError(
                     f"in the calibration's world the body stands along {'-' if down else ''}{best}"
                     ", z was believed to point up; give --camera-up x, y or z (z also for "
                     "somebody who lies); a world whose axis points down must be calibrated anew"
@@ -214,7 +215,7 @@ def _fitting(view: View, errors: Mapping[int, float]) -> tuple[int, ...]:
             if rival != chosen[0]:
                 chosen.remove(rival)
                 continue
-            raise ValueError(
+            raise ObservationError(
                 f"{view.name}: persons {rival} and {b} fit the other views about equally well; "
                 f"give fewer views or files of one person. There are {_listed([view])}"
             )

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from observations.people.tracks import Track, body_size
+from recon.core.errors import ObservationError
 from recon.core.layouts import keypoint_names
 from recon.formats.observations import CameraArrays
 
@@ -144,5 +145,5 @@ def _poses(view: View, frames: np.ndarray) -> np.ndarray:
     """World to camera by frame number."""
     pose = view.camera.T_camera_world
     if pose is None:
-        raise ValueError(f"{view.name}: expected a camera with a pose")
+        raise ObservationError(f"{view.name}: expected a camera with a pose")
     return pose[frames - view.first_frame] if len(pose) > 1 else pose.repeat(len(frames), 0)

@@ -6,6 +6,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float, Int
 
+from recon.core.errors import ObservationError
 from recon.formats.detections.records import Detections
 
 FEWEST_KEYPOINTS = 4
@@ -94,14 +95,14 @@ def choose(tracks: tuple[Track, ...], person: int | None, name: str) -> Track:
     """
     listed = "; ".join(map(str, tracks))
     if len(tracks) == 0:
-        raise ValueError(f"{name}: nobody shows {FEWEST_KEYPOINTS} keypoints in any frame")
+        raise ObservationError(f"{name}: nobody shows {FEWEST_KEYPOINTS} keypoints in any frame")
     if person is not None:
         if not 0 <= person < len(tracks):
-            raise ValueError(f"{name}: there is no person {person}; there are {listed}")
+            raise ObservationError(f"{name}: there is no person {person}; there are {listed}")
         return tracks[person]
     best = sorted(tracks, key=lambda track: -track.completeness)[:2]
     if len(best) > 1 and best[1].completeness >= _EQUAL * best[0].completeness:
-        raise ValueError(
+        raise ObservationError(
             f"{name}: persons {best[0].number} and {best[1].number} are seen about equally well; "
             f"choose one with --person. There are {listed}"
         )

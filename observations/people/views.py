@@ -10,6 +10,7 @@ from observations.people.camera_names import expand, match_cameras, view_name
 from observations.people.same_person import across_views
 from observations.people.track_pairs import View
 from observations.people.tracks import Track, choose, follow
+from recon.core.errors import ObservationError
 from recon.core.limits import FRAME_RATE
 from recon.core.units import Axis
 from recon.formats.calibration.cameras import Calibration, CameraUnit, load_cameras
@@ -73,9 +74,11 @@ def load_views(
     """
     folders, notes = expand([Path(path) for path in paths])
     if calibration is None:
-        raise ValueError("2D keypoints need a calibrated camera; give its file with --camera")
+        raise ObservationError(
+            "2D keypoints need a calibrated camera; give its file with --camera"
+        )
     if fps is None or not FRAME_RATE.holds(fps):
-        raise ValueError(
+        raise ObservationError(
             f"files of 2D keypoints do not state the frame rate, and it was given as {fps}; give "
             "frames per second with --frame-rate"
         )
@@ -134,7 +137,7 @@ def _one_person(
         who = "the only one" if len(tracks[0]) == 1 else "given" if person is not None else "most"
         return [track], (f"{names[0]}: {track} ({who} of {len(tracks[0])} tracks)",)
     if posed := [n for n, c in zip(names, cameras, strict=True) if c.T_camera_world is None]:
-        raise ValueError(
+        raise ObservationError(
             f"several views need the poses of their cameras; {', '.join(posed)} has none"
         )
     views = [
@@ -154,7 +157,7 @@ def _timed(camera: CameraArrays, first: int, frames: int, name: str) -> CameraAr
     if pose is None or len(pose) in (1, frames):
         return camera
     if len(pose) < first + frames:
-        raise ValueError(
+        raise ObservationError(
             f"camera {name}: expected 1 pose, or {frames} from frame {first} on, or more from "
             f"frame 0 on, got {len(pose)}"
         )
@@ -175,7 +178,7 @@ def _frame_range(found: Sequence[Detections]) -> tuple[int, int]:
     )
     span = last - first + 1
     if span > _SPARSE * most or not crowded(span, most):
-        raise ValueError(
+        raise ObservationError(
             f"expected frame numbers that count frames, got {described}, of which {most} have a "
             "file; cut the recording at its gap, or number its frames one by one"
         )
@@ -183,7 +186,7 @@ def _frame_range(found: Sequence[Detections]) -> tuple[int, int]:
     shortest = min(b - a + 1 for a, b in spans)
     shifted = len(set(spans)) > 1 and len({b - a for a, b in spans}) == 1
     if common < shortest / 2 or shifted:
-        raise ValueError(
+        raise ObservationError(
             f"the views count their frames differently: {described}; number the frames of all "
             "views from the same moment"
         )
@@ -201,7 +204,7 @@ def _check_pixels(found: Detections, camera: CameraArrays) -> None:
     if len(places) == 0:
         return
     if np.abs(places).max() <= 2.0:
-        raise ValueError(
+        raise ObservationError(
             f"{found.name}: expected pixels, but all coordinates lie near [0, 1]; write them in "
             "pixels (OpenPose: --keypoint_scale 0)"
         )
@@ -214,7 +217,7 @@ def _check_pixels(found: Detections, camera: CameraArrays) -> None:
         if swapped < 1 - _OUTSIDE
         else "the keypoints seem to be of another camera or resolution"
     )
-    raise ValueError(
+    raise ObservationError(
         f"{found.name}: {outside:.0%} of the keypoints lie outside the image of {width} x "
         f"{height} pixels; {reason}"
     )

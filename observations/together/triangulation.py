@@ -9,6 +9,7 @@ from torch import Tensor
 from observations.keypoints2d import Keypoints2D
 from observations.start.rigid import rigid_start
 from recon.body.model import BodyModel
+from recon.core.errors import ObservationError
 from recon.core.motion import Motion
 
 _LEAST_ANGLE = 0.03
@@ -29,7 +30,7 @@ def triangulate(
     """
     clocks = {(v.fps, v.start_time, *v.pixels.shape[:-1]) for v in views}
     if len(clocks) != 1:
-        raise ValueError(
+        raise ObservationError(
             "views are triangulated moment by moment: expected one clock and layout, got "
             + " and ".join(f"{fps:g} fps from {t:g} s, {tuple(n)}" for fps, t, *n in clocks)
         )

@@ -14,6 +14,7 @@ from priors import PosePrior
 from recon.api.observations import clip_of, on_ground
 from recon.api.priors import prior_of
 from recon.core.skeleton import JOINTS
+from recon.fitting import clip as clip_module
 from recon.formats.observations import PositionsFile, save_observation
 from recon.method.terms import Term
 from recon.solver.lbfgs import LBFGS
@@ -219,6 +220,18 @@ def test_files_are_read(tmp_path):
         recon.load_observation(tmp_path / "bad.txt")
     with pytest.raises(FileNotFoundError):
         recon.load_observation(tmp_path / "none.npz")
+
+
+def test_long_recordings_hold_a_shape_and_may_be_ended(monkeypatch):
+    """Windows share the shape that is held; a fit that was ended still has all of them."""
+    monkeypatch.setattr(clip_module, "LONG", 1.0)
+    monkeypatch.setattr(clip_module, "WINDOW", 1.0)
+    shape = [1.5, -1.0]
+    result = recon.fit(seen(noisy(36)), Quick(), shape=shape, callback=lambda *_: True)
+    assert result.motion.frames == 36
+    assert result.motion.shape[:2].tolist() == shape
+    assert result.warnings[0].code == "stopped"
+    assert joint_error(result.motion, walk(36)) < 0.5
 
 
 def test_two_threads_do_not_disturb_each_other():

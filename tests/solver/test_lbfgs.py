@@ -347,3 +347,21 @@ def test_the_callback_sees_every_iterate() -> None:
         np.testing.assert_allclose(values, solution.trace[i, 1 : end + 1].sum(-1), rtol=1e-12)
     assert len(seen[-1].active) == 0
     assert seen[-1].evaluations == int(solution.evaluations.max())
+
+
+@pytest.mark.parametrize("steps", [1, 2, 5])
+def test_a_callback_that_returns_true_ends_all_where_they_are(steps: int) -> None:
+    """Elements in the middle of a line search keep the best of it, and their record says so."""
+    x = starts(5)
+
+    def enough(progress: Progress) -> bool:
+        return int(progress.iterations.max()) >= steps
+
+    solution = NINE(Mixed(5), x, enough)
+    check_record(solution, Mixed(5)(x, torch.arange(5)))
+    assert Termination.STOPPED in solution.termination
+    assert int(solution.iterations.max()) <= steps + 1
+    reached = Mixed(5)(solution.x, torch.arange(5)).sum(-1)
+    torch.testing.assert_close(reached, solution.value)
+    others = NINE(Mixed(5), x, lambda _: None)
+    assert Termination.STOPPED not in others.termination
