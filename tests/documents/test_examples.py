@@ -9,7 +9,7 @@ import pytest
 from tests.documents.blocks import ROOT
 
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
-QUICK = ("08_own_sensor.py", "10_stream.py")
+QUICK = ("08_own_sensor.py", "09_own_prior.py")
 """Run in every test run; the others are slow."""
 
 
