@@ -1,6 +1,6 @@
 """What comes out of a fit: the motion, what is known about it, and how to keep it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,7 @@ from torch import Tensor
 
 from observations.together.weighing import Noise
 from recon.api.motion_file import described
+from recon.api.printing import in_ten_lines
 from recon.api.report import describe
 from recon.body.identities import height
 from recon.body.model import BodyModel
@@ -26,8 +27,6 @@ from recon.formats.results.writing import writing_file
 from recon.method.reconstruction import Reconstruction
 
 _UP = (0.0, 0.0, 1.0)
-_SENSORS, _FINDINGS = 3, 4
-"""Lines of them that a printed result has at most."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -169,16 +168,10 @@ class Result:
 
     def __repr__(self) -> str:
         """At most ten lines: how long, who, how near the data, and what was found."""
-        motion, tall = self.motion, float(height(self.body, self.motion.shape))
-        seconds = (motion.frames - 1) / motion.fps
-        lines = [
-            f"Result: {motion.frames} frames, {seconds:.2f} s at {motion.fps:g} frames per second,"
-            f" a person of {tall:.2f} m" + (", FAILED: NaN or infinity" if self.failed else "")
-        ]
-        lines += _most([_sensor(one) for one in self.residuals], _SENSORS, "observations")
-        said = [f"repaired: {finding.message}" for finding in self.repairs]
-        said += [f"warning: {finding.message}" for finding in self.warnings]
-        return "\n".join(lines + _most([_line(one) for one in said], _FINDINGS, "findings"))
+        tall = float(height(self.body, self.motion.shape))
+        found = [f"repaired: {finding.message}" for finding in self.repairs]
+        found += [f"warning: {finding.message}" for finding in self.warnings]
+        return in_ten_lines(self.motion, tall, self.failed, self.residuals, found)
 
 
 def result_of(
@@ -236,26 +229,3 @@ def result_of(
         cycle=None if cycle is None else cycle.numbers,
         arguments=arguments,
     )
-
-
-def _sensor(one: ResidualSummary) -> str:
-    """An observation in one line."""
-    seen = "nothing seen" if one.median is None else f"median residual {_size(one.median, one)}"
-    return f"  {one.name}: noise {_size(one.noise, one)}, {seen}"
-
-
-def _size(value: float, one: ResidualSummary) -> str:
-    return f"{100 * value:.1f} cm" if one.unit == "metres" else f"{value:.1f} {one.unit}"
-
-
-def _line(text: str, most: int = 96) -> str:
-    """The beginning of a message, in one line."""
-    text = "  " + " ".join(text.split())
-    return text if len(text) <= most else f"{text[: most - 3]}..."
-
-
-def _most(lines: Sequence[str], count: int, noun: str) -> list[str]:
-    """The first lines, and how many more there are."""
-    if len(lines) <= count:
-        return list(lines)
-    return [*lines[:count], f"  and {len(lines) - count} more {noun}"]
