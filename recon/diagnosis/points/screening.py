@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import combinations
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -10,6 +11,7 @@ from torch import Tensor
 
 from recon.body.model import BodyModel
 from recon.core.robust import geman_mcclure, squared
+from recon.core.skeleton import PARENTS
 from recon.diagnosis.findings import Finding, listed, spans, stretches
 from recon.diagnosis.motions.belt import belt_velocity
 from recon.diagnosis.points.cleaning import plausible
@@ -193,7 +195,7 @@ def _against_a_body(state: Screened, fitted: QuickFit, body: BodyModel) -> Scree
     noise = temporal_noise(NamedPoints.of(fitted.points, body))
     predicted = Predicted.of(named, fitted.points, fitted.estimate)
     kept, misplaced = misplaced_points(predicted, noise)
-    if len(misplaced) > _FEW * len(named.names):
+    if len(misplaced) > _FEW * len(named.names) or _limbs(named, misplaced):
         return state  # the quick fit itself is wrong, so it cannot judge points
     kept, wild = outliers(replace(predicted, points=kept), noise)
     # what is left out throughout is inferred, which a user should know
@@ -216,6 +218,15 @@ def _against_a_body(state: Screened, fitted: QuickFit, body: BodyModel) -> Scree
         value=float(belt.norm()),
     )
     return replace(state.after(state.points, said), belt=belt)
+
+
+def _limbs(named: NamedPoints, misplaced: Sequence[Finding]) -> bool:
+    """Whether several points of one limb are misplaced: then the limb is, in the quick fit.
+
+    An acrobat's planted foot or hand was said to be left behind by a body that was fitted wrong.
+    """
+    bones = [named.bones[named.names.index(one.joints[0])] for one in misplaced]
+    return any(a == b or PARENTS[a] == b or PARENTS[b] == a for a, b in combinations(bones, 2))
 
 
 def _robust(points: Points, noise: float) -> Points:
