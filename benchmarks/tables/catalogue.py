@@ -25,6 +25,7 @@ TABLES: Mapping[str, Table] = {
     "corpus": others.corpus,
     "solver": others.solver,
     "speed": others.speed,
+    "start": others.start,
     "rollout": others.rollout,
     "fuzz": others.fuzz,
     "cameras-summary": cameras.summary,

@@ -146,6 +146,15 @@ def speed() -> str:
     return markdown(["one thread", "value"], rows) + source("speed")
 
 
+def start() -> str:
+    """Starts of commands, beside version 0.1.0."""
+    rows = [
+        [name, *(number(row[key], 1, 2) for key in ("baseline", "ours", "ratio"))]
+        for name, row in result("start")["rows"].items()
+    ]
+    return markdown(["CPU s", "0.1.0", "now", "ratio"], rows) + source("start")
+
+
 def rollout() -> str:
     """One objective and gradient of the published fit's last stage."""
     rows = [
