@@ -59,7 +59,7 @@ def recordings_source(folder: Path, names: Iterable[str] = ()) -> Sources:
     """
     chosen = [folder / name.split("::")[0] for name in names] or [folder]
     files = [f for path in chosen for f in ([path] if path.is_file() else path.rglob("*"))]
-    return {"OBSERVATIONS": (folder, (file for file in files if file.is_file()))}
+    return {"OBSERVATIONS": (folder, tuple(file for file in files if file.is_file()))}
 
 
 def write(path: Path, seed: int | None, sources: Sources | None = None, **tables: Any) -> None:
