@@ -183,7 +183,7 @@ def test_a_camera_without_a_pose_finds_its_ground():
         ({"noise": [0.1, 0.2]}, "noise: expected one number, or 1"),
         ({"weights": "nc", "prior": Quick()}, "weights"),
     ],
-    ids=str,
+    ids=lambda given: given if isinstance(given, str) else "+".join(given),
 )
 def test_other_arguments_are_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
