@@ -16,7 +16,7 @@ from observations.people.masks import load_silhouettes, masked
 from observations.people.views import load_views
 from observations.together.first_guess import Seen
 from recon.body.model import BodyModel
-from recon.core.errors import ObservationError
+from recon.core.errors import FormatError, ObservationError
 from recon.fitting.settings import FitSettings
 from recon.formats.calibration.cameras import load_cameras
 from recon.formats.clouds.depth_images import read_depth_images
@@ -77,7 +77,7 @@ def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> 
         elif path.is_dir() or path.suffix.lower() in _DETECTIONS:
             detections.append(path)
         else:
-            raise ObservationError(
+            raise FormatError(
                 f"{path}: expected an observation (.npz), 2D keypoints (.json, .csv or folders of "
                 "them) or a folder of scans or depth images; `recon convert` takes recordings of "
                 "motion capture"
