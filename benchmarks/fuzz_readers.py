@@ -30,6 +30,7 @@ from benchmarks.fuzz_mutations import Mutation
 from benchmarks.fuzz_plausible import implausible
 from benchmarks.fuzz_seeds import Seed, seeds
 from benchmarks.results import recordings_source, write
+from recon.core.errors import ReconError
 
 SECONDS, MEMORY = 20.0, 2 << 30
 """Computing and memory that a file may take."""
@@ -186,7 +187,8 @@ def outcome(one: Seed, path: Path) -> str:
     except (ValueError, FileNotFoundError) as error:
         known = (path.name, path.parent.name, Path(one.name).stem)
         unnamed = not any(name in str(error) for name in known)
-        if type(error) not in (ValueError, FileNotFoundError) or unnamed:
+        ours = isinstance(error, ReconError) or type(error) in (ValueError, FileNotFoundError)
+        if not ours or unnamed:
             return f"refused without naming the file: {error!r}"[:300]
         return "refused"
     except _TooSlowError:

@@ -121,6 +121,7 @@ def test_clips_of_a_batch_are_fitted_as_alone():
     assert away.mean() < 0.01  # metres
 
 
+@pytest.mark.slow
 def test_long_recordings_keep_one_ground(monkeypatch):
     monkeypatch.setattr(clip_module, "LONG", 1.0)
     monkeypatch.setattr(clip_module, "WINDOW", 1.0)

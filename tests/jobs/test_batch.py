@@ -59,6 +59,7 @@ def test_changing_one_byte_of_any_input_redoes_exactly_that_clip(clips, tmp_path
     assert statuses(clips, out) == dict.fromkeys("abcd", "skipped")
 
 
+@pytest.mark.slow
 def test_changing_a_setting_or_a_file_that_it_names_redoes_all(clips, tmp_path):
     """Of a calibration only the path counted: rewritten, it left all results as they were."""
     out, camera = tmp_path / "out", tmp_path / "camera.toml"

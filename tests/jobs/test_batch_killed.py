@@ -75,6 +75,7 @@ def compared(out: Path, plain: Path, names: list[str]) -> None:
     assert not [name for name in left if not name.endswith(".part")]
 
 
+@pytest.mark.slow
 def test_a_killed_batch_is_resumed(tmp_path):
     names = [f"clip{k}" for k in range(30)]
     for seed, name in enumerate(names):

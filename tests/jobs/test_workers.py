@@ -30,6 +30,7 @@ def mark(path: str) -> None:
     Path(path).write_text("done")
 
 
+@pytest.mark.slow
 def test_ten_ways_to_fail_stop_nobody():
     """Only ValueError and OSError were caught: any other error ended the batch for ever."""
     jobs = [(name,) for way in WAYS for name in ("good", way, "good")]
