@@ -38,10 +38,7 @@ class Judged:
     @classmethod
     def of(cls, slip: Slip, row: dict[str, Any]) -> "Judged":
         """From a result file."""
-        verdicts = tuple(
-            Verdict(**{**c, "repairs": tuple(c["repairs"]), "warnings": tuple(c["warnings"])})
-            for c in row["clips"]
-        )
+        verdicts = tuple(Verdict.of(clip) for clip in row["clips"])
         return cls(slip, row["size"], verdicts, row["seconds"])
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from benchmarks.slips.kinds import Slip
 from recon.diagnosis.findings import Finding
@@ -31,6 +32,12 @@ class Verdict:
     """Whether one of the codes is a right name of the cause."""
     first: bool
     """Whether the first code that names a cause is a right one."""
+
+    @classmethod
+    def of(cls, row: dict[str, Any]) -> "Verdict":
+        """The verdict that a result file holds as a record."""
+        codes = {key: tuple(row[key]) for key in ("repairs", "warnings")}
+        return cls(**{**row, **codes})
 
     @property
     def as_good(self) -> bool:

@@ -5,22 +5,20 @@ from collections.abc import Sequence
 from typing import Any
 
 from benchmarks.intervals import interval
-from benchmarks.slips.verdict import AS_GOOD
+from benchmarks.slips.verdict import Verdict
 from benchmarks.tables.values import NONE, markdown, number, result, source
-
-Clips = Sequence[dict[str, Any]]
-"""Verdicts of one slip, clip by clip."""
 
 
 def slips() -> str:
     """Every slip on test windows: what became of it."""
     found = result("slips")["slips"]
+    clips = {key: [Verdict.of(clip) for clip in row["clips"]] for key, row in found.items()}
     rows = [
-        [key, f"{row['size']:g} {row['unit']}".strip(), *_errors(key, row["clips"]),
-         *_counts(row["clips"])]
+        [key, f"{row['size']:g} {row['unit']}".strip(), *_errors(key, clips[key]),
+         *_counts(clips[key])]
         for key, row in found.items()
     ]  # fmt: skip
-    every = [clip for row in found.values() for clip in row["clips"]]
+    every = [clip for row in clips.values() for clip in row]
     rows.append(["all", NONE, NONE, NONE, *_counts(every)])
     headings = ["sensor: slip", "size", "clean", "examined", "as good", "as good or warned",
                 "named"]  # fmt: skip
@@ -72,47 +70,37 @@ def mutants() -> str:
     return markdown(["module", "faults tried", "noticed"], rows) + source("mutants")
 
 
-def _errors(key: str, clips: Clips) -> list[str]:
+def _errors(key: str, clips: Sequence[Verdict]) -> list[str]:
     """Mean errors of the clean and of the slipped clips: centimetres, or factors for rates."""
     factor, digits = (1, 2) if ": rate" in key else (100, 1)
-    means = [sum(clip[which] for clip in clips) / len(clips) for which in ("clean", "error")]
+    means = [
+        sum(values) / len(clips)
+        for values in ([clip.clean for clip in clips], [clip.error for clip in clips])
+    ]
     return [number(value, factor, digits) for value in means]
 
 
-def _counts(clips: Clips) -> list[str]:
-    judged = [clip for clip in clips if _judged(clip)]
+def _counts(clips: Sequence[Verdict]) -> list[str]:
+    judged = [clip for clip in clips if clip.judged]
     return [
-        f"{sum(_as_good(clip) for clip in clips)}/{len(clips)}",
-        f"{sum(_caught(clip) for clip in clips)}/{len(clips)}",
-        f"{sum(clip['named'] for clip in judged)}/{len(judged)}",
+        f"{sum(clip.as_good for clip in clips)}/{len(clips)}",
+        f"{sum(clip.caught for clip in clips)}/{len(clips)}",
+        f"{sum(clip.named for clip in judged)}/{len(judged)}",
     ]
 
 
-def _shares(clips: Clips) -> str:
-    judged = [clip for clip in clips if _judged(clip)]
-    caught = _share([_caught(clip) for clip in clips], clips)
-    named = _share([clip["named"] for clip in judged], judged)
+def _shares(clips: Sequence[Verdict]) -> str:
+    judged = [clip for clip in clips if clip.judged]
+    caught = _share([clip.caught for clip in clips], clips)
+    named = _share([clip.named for clip in judged], judged)
     return f"\n\nAs good or warned: {caught}. Cause named: {named}."
 
 
-def _share(flags: Sequence[bool], clips: Clips) -> str:
+def _share(flags: Sequence[bool], clips: Sequence[Verdict]) -> str:
     """A share in percent with its 95 % interval over clips."""
-    names = [clip["clip"] for clip in clips]
+    names = [clip.clip for clip in clips]
     found = interval([float(flag) for flag in flags], names, ["all"] * len(names))
     return f"{100 * found.mean:.1f} % [{100 * found.low:.1f}, {100 * found.high:.1f}]"
-
-
-def _as_good(clip: dict[str, Any]) -> bool:
-    return clip["error"] <= AS_GOOD * clip["clean"]
-
-
-def _caught(clip: dict[str, Any]) -> bool:
-    return _as_good(clip) or bool(clip["warnings"])
-
-
-def _judged(clip: dict[str, Any]) -> bool:
-    """Whether there is a cause to name: a slip that does no harm need not be found."""
-    return not _as_good(clip) or bool(clip["warnings"] or clip["repairs"])
 
 
 def _kind(row: dict[str, Any]) -> str:

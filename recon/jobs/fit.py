@@ -22,8 +22,6 @@ from recon.formats.results.outputs import Output, check_outputs
 from recon.formats.results.writing import writing_file
 from recon.method.stages import Watch
 
-UP = (0.0, 0.0, 1.0)
-
 
 def fit_files(
     paths: Sequence[Path],

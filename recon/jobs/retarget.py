@@ -19,7 +19,7 @@ from recon.core.motion import Motion
 from recon.fitting.retargeting import OVERLAP, SHORTEST, WINDOW, retarget
 from recon.formats.motions import MotionFile
 from recon.formats.results.reports import checksums, versions
-from recon.jobs.fit import UP, write_result
+from recon.jobs.fit import write_result
 from recon.method.windows import Windows
 from recon.metrics.generation import FASTEST
 from recon.physics.metrics import physics_metrics
@@ -129,7 +129,7 @@ def ground_height(path: Path, file: MotionFile, asked: float | None) -> float:
 
 def raised(motion: Motion, metres: float) -> Motion:
     """The same motion higher up."""
-    up = motion.translation.new_tensor(UP)
+    up = motion.translation.new_tensor((0.0, 0.0, 1.0))
     return motion.replace(translation=motion.translation + metres * up)
 
 

@@ -5,7 +5,6 @@ fall at another acceleration than g, or as a body that the ground under its feet
 """
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -34,14 +33,6 @@ _WITH = 0.5
 on something higher leaves it where it is."""
 _WRISTS = tuple(joint_index(f"{side}_wrist") for side in ("left", "right"))
 _NECK, _PELVIS = joint_index("neck"), joint_index("pelvis")
-
-
-@dataclass(frozen=True)
-class _Parabola:
-    acceleration: float
-    """Downward, times g."""
-    deviation: float
-    """Root mean square, metres."""
 
 
 def fastest_fall(movement: Movement) -> float:
