@@ -32,7 +32,6 @@ from benchmarks.scores import Columns, Row, Rows, by_subject, tables
 from benchmarks.windows import Windows, load_windows
 from observations.files.clouds import cloud_of
 from observations.files.images import keypoints_of
-from observations.together.first_guess import Seen
 from priors.training.dataset import Splits
 from recon.body.model import BodyModel
 from recon.core.camera import Camera, depth_camera, full_hd_camera
@@ -40,6 +39,7 @@ from recon.core.motion import Motion
 from recon.core.struct import concatenate
 from recon.fitting.clip import fit_clip
 from recon.fitting.options import FitOptions
+from recon.method.protocols import Sensor as Seen
 from recon.metrics.evaluation import evaluate, ground_errors
 from recon.simulation.depth import Surface, depth_points, without_pose
 from recon.simulation.images import dome, keypoints2d, orbiting

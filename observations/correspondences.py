@@ -1,8 +1,9 @@
-"""Where on the body the keypoints of 2D detectors are: one table for all layouts."""
+"""Where on the body the points of sensors are: one table for the layouts of all 2D detectors."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
@@ -10,7 +11,10 @@ from torch import Tensor
 from recon.body.landmarks import landmark
 from recon.body.model import BodyModel, PosedBody
 from recon.core.layouts import keypoint_names
-from recon.core.skeleton import JOINTS, joint_index
+from recon.core.skeleton import JOINTS, PARENTS, joint_index
+
+_NEAR = 0.2
+"""Metres at rest within which a point on a neighbouring bone tells where a joint is."""
 
 
 @dataclass(frozen=True)
@@ -128,3 +132,23 @@ class BodyPoints:
         return points + self.of_vertices.to(shape) @ body.rest_vertices(
             shape, self.vertices.to(shape.device)
         )
+
+
+def joints_shown(
+    bones: Sequence[int], rest: Float[np.ndarray, "points 3"], body: BodyModel
+) -> Bool[np.ndarray, "points 22"]:
+    """Which joints each point tells the place of.
+
+    They lie near it at rest, and its bone ends or begins there.
+
+    Args:
+        bones: the joint whose bone carries each point.
+        rest: the points on the average body in its rest pose, metres.
+        body: whose joints they are.
+    """
+    joints = body.joint_template.double().cpu().numpy()
+    near = np.linalg.norm(rest[:, None] - joints[None], axis=-1) < _NEAR
+    touches = np.array(
+        [[b == j or PARENTS[j] == b or PARENTS[b] == j for j in range(len(JOINTS))] for b in bones]
+    )
+    return near & touches

@@ -2,7 +2,9 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import ClassVar
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
@@ -16,7 +18,7 @@ from recon.core.arrays import Numbers
 from recon.core.camera import Camera
 from recon.core.geometry.nearest import nearest
 from recon.core.motion import Motion
-from recon.core.residuals import Residuals
+from recon.core.residuals import Noise, Residuals, Unit
 from recon.core.robust import (
     NORMAL_MAD,
     TUNING,
@@ -29,6 +31,13 @@ from recon.core.struct import TensorStruct
 from recon.method.protocols import REFERENCE_FPS, Estimate
 
 _FEW_POINTS, _FEW_SURFELS = 96, 500
+_FLESH, _FLESH_POINTS = 0.15, 3
+"""Metres from a joint within which this many points of a cloud show it."""
+CLOUD_NOISE = 0.01
+"""Metres that depth sensors, clothes and hair put between points and a smooth body."""
+CLOUD_WORTH = 16
+"""Points that know their place on the body, as which the cloud of a frame counts, however many
+points it has: neighbours err alike, and none of them says more than how far the surface is."""
 LEAST_SCALE = 0.005
 """Metres; surfaces are not taken for nearer to each other than this."""
 
@@ -120,6 +129,7 @@ class PointCloud(TensorStruct):
     Points have no names: those of one moment do not correspond to those of the next.
     """
 
+    unit: ClassVar[Unit] = "metres"
     points: Float[Tensor, "*batch moments points 3"]
     """Positions in metres, in the frame of the recording; zero where not present."""
     present: Bool[Tensor, "*batch moments points"]
@@ -189,6 +199,42 @@ class PointCloud(TensorStruct):
     def moments(self) -> int:
         """Number of moments of a clip."""
         return self.points.shape[-3]
+
+    @property
+    def places(self) -> Float[Tensor, "*batch moments points 3"]:
+        """Where the points were seen, frame of the recording, metres."""
+        return self.points
+
+    @property
+    def shown(self) -> Bool[Tensor, "*batch moments points"]:
+        """Which points there are."""
+        return self.present
+
+    def point_names(self, body: BodyModel) -> tuple[str, ...]:
+        """No names: the points of a moment are not those of the next."""
+        del body
+        return ()
+
+    def noise(self, guess: Motion, body: BodyModel, given: float | None = None) -> Noise:
+        """The noise of the sensor, given or `CLOUD_NOISE`; see `CLOUD_WORTH` for its weight."""
+        del guess, body
+        noise = CLOUD_NOISE if given is None else given
+        count = self.present.sum(-1)
+        typical = float(count[count > 0].float().median()) if bool((count > 0).any()) else 1.0
+        return Noise(noise * max(typical / CLOUD_WORTH, 1.0) ** 0.5, noise)
+
+    def shown_joints(self, estimate: Estimate) -> Bool[np.ndarray, "moments 22"]:
+        """Joints of the first clip with points on the flesh around them, at every moment."""
+        joints, covered = at_observation_times(
+            estimate.scene.to_recording(estimate.body.joints), estimate.motion,
+            fps=self.fps, start_time=self.start_time, moments=self.moments,
+        )  # fmt: skip
+        found = np.zeros((self.moments, joints.shape[-2]), dtype=bool)
+        for moment in range(covered.start, covered.stop):
+            points = self.points[0, moment][self.present[0, moment]]
+            away = torch.cdist(joints[0, moment - covered.start], points)
+            found[moment] = ((away < _FLESH).sum(-1) >= _FLESH_POINTS).cpu().numpy()
+        return found
 
     def matched(self, estimate: Estimate) -> "PointCloud":
         """The smooth energy whose correspondences and scale are fixed at those of the estimate."""
@@ -302,6 +348,13 @@ class PointCloud(TensorStruct):
         points, present, first = moments_between(self.points, self.present, **clock)
         camera = None if self.camera is None else self.camera.at(moment_numbers(**clock))
         return self.derived(points=points, present=present, camera=camera, start_time=first)
+
+    def thinned(self, most: int) -> "PointCloud":
+        """At most so many points of a moment; they come in no order."""
+        if self.points.shape[-2] <= most:
+            return self
+        number = torch.linspace(0, self.points.shape[-2] - 1, most).long()
+        return self.derived(points=self.points[..., number, :], present=self.present[..., number])
 
     def coarse(self, body: BodyModel, step: int = 2) -> "PointCloud":
         """Every `step`-th moment, few points, a rough surface: enough to tell headings apart.

@@ -2,33 +2,29 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import ClassVar
 
 from jaxtyping import Bool, Float
 from torch import Tensor
 
 from observations.checks import checked_clock, checked_places, checked_positions
-from observations.offsets import displaced
-from observations.start.rigid import rigid_start
-from observations.timing import moments_between, point_misfit, point_residuals
-from recon.body.model import BodyModel
+from observations.tracked import TrackedPoints
+from recon.body.model import BodyModel, PosedBody
 from recon.core.arrays import Numbers
 from recon.core.errors import ObservationError
-from recon.core.motion import Motion
-from recon.core.residuals import Residuals
 from recon.core.robust import squared
 from recon.core.skeleton import JOINTS
-from recon.core.struct import TensorStruct
-from recon.method.protocols import Estimate
 
 
 @dataclass(frozen=True, init=False)
-class Joints3D(TensorStruct):
+class Joints3D(TrackedPoints):
     """Measured 3D positions of body joints.
 
     The energy is half the squared distance of every visible joint from the body's joint, in
     metres².
     """
 
+    on_skin: ClassVar[bool] = False
     positions: Float[Tensor, "*batch moments points 3"]
     """Positions in metres, in the frame of the recording (z up); zero where not visible."""
     visible: Bool[Tensor, "*batch moments points"]
@@ -75,51 +71,20 @@ class Joints3D(TensorStruct):
             kernel=kernel, ground_known=ground_known, offset_rows=offset_rows,
         )  # fmt: skip
 
-    @property
-    def clips(self) -> tuple[int, ...]:
-        """Sizes of the leading axes; one axis of clips, or none."""
-        return tuple(self.positions.shape[:-3])
+    def on(self, posed: PosedBody) -> Float[Tensor, "*batch time points 3"]:
+        """Where a posed body has the joints, world, metres."""
+        return posed.joints[..., list(self.joints), :]
 
-    @property
-    def moments(self) -> int:
-        """Number of moments of a clip."""
-        return self.positions.shape[-3]
+    def at_rest(self, body: BodyModel) -> Float[Tensor, "points 3"]:
+        """The joints of the average body in its rest pose, metres."""
+        return body.joint_template[list(self.joints)]
 
-    def predict(self, estimate: Estimate) -> Float[Tensor, "*batch time points 3"]:
-        """Positions of these points on the estimated body, in the world, metres."""
-        points = estimate.body.joints[..., list(self.joints), :]
-        return displaced(points, estimate, self.joints, self.offset_rows)
+    def bones(self, body: BodyModel) -> tuple[int, ...]:
+        """Every joint carries itself."""
+        del body
+        return self.joints
 
-    def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
-        """½ Σ kernel(|observed - predicted|²) over visible points, taken at 30 Hz.
-
-        HuMoR section 6.5: joints3d.
-        """
-        return point_misfit(
-            estimate.scene.to_recording(self.predict(estimate)), estimate.motion,
-            self.positions, self.visible,
-            fps=self.fps, start_time=self.start_time, kernel=self.kernel,
-        )  # fmt: skip
-
-    def residuals(self, estimate: Estimate) -> Residuals:
-        """Observed minus predicted position of every joint at every moment, metres."""
-        return point_residuals(
-            estimate.scene.to_recording(self.predict(estimate)), estimate.motion,
-            self.positions, self.visible, fps=self.fps, start_time=self.start_time,
-        )  # fmt: skip
-
-    def window(self, start: float, stop: float) -> "Joints3D":
-        """The part of the observation from one time to another, both included, in seconds."""
-        positions, visible, first = moments_between(
-            self.positions, self.visible,
-            fps=self.fps, start_time=self.start_time, start=start, stop=stop,
-        )  # fmt: skip
-        return self.derived(positions=positions, visible=visible, start_time=first)
-
-    def start(self, body: BodyModel) -> Motion:
-        """A first guess: the rest pose, aligned with the points of the torso in every frame."""
-        rest = body.joint_template.to(self.positions)[list(self.joints)]
-        return rigid_start(
-            body, rest, self.joints, self.positions, self.visible,
-            fps=self.fps, start_time=self.start_time,
-        )  # fmt: skip
+    def point_names(self, body: BodyModel) -> tuple[str, ...]:
+        """Names of the joints."""
+        del body
+        return tuple(JOINTS[joint] for joint in self.joints)

@@ -1,13 +1,16 @@
 """2D keypoints: where a detector sees points of the body in the image of a calibrated camera."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
+import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from observations.checks import checked_clock, checked_pixels, checked_places, checked_view
-from observations.correspondences import BodyPoints
+from observations.correspondences import BodyPoints, joints_shown
+from observations.noise import LIMITS, estimate_noise
 from observations.offsets import displaced
 from observations.start.images import image_start
 from observations.timing import at_observation_times, moment_numbers, moments_between, padded
@@ -15,7 +18,7 @@ from recon.body.model import BodyModel
 from recon.core.arrays import Numbers, positive
 from recon.core.camera import Camera, Projection
 from recon.core.motion import Motion
-from recon.core.residuals import Residuals
+from recon.core.residuals import Noise, Residuals, Unit
 from recon.core.robust import geman_mcclure
 from recon.core.struct import TensorStruct
 from recon.method.protocols import REFERENCE_FPS, Estimate
@@ -34,6 +37,7 @@ class Keypoints2D(TensorStruct):
     same point of the body, times the square of the confidence, in pixels².
     """
 
+    unit: ClassVar[Unit] = "pixels"
     pixels: Float[Tensor, "*batch moments points 2"]
     """Pixels without lens distortion; zero where the confidence is zero."""
     confidence: Float[Tensor, "*batch moments points"]
@@ -94,6 +98,16 @@ class Keypoints2D(TensorStruct):
         """Number of moments of a clip."""
         return self.pixels.shape[-3]
 
+    @property
+    def shown(self) -> Bool[Tensor, "*batch moments points"]:
+        """Which keypoints were seen."""
+        return self.confidence > 0
+
+    def point_names(self, body: BodyModel) -> tuple[str, ...]:
+        """Names of the keypoints."""
+        del body
+        return self.points.names
+
     def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
         """½ Σ c² (ρ(Δu) + ρ(Δv)) with ρ(e) = σ² e² / (σ² + e²), taken at 30 Hz.
 
@@ -142,6 +156,35 @@ class Keypoints2D(TensorStruct):
             camera=self.camera.at(moment_numbers(**clock)),
             start_time=first,
         )
+
+    def noise(self, guess: Motion, body: BodyModel, given: float | None = None) -> Noise:
+        """The standard deviation of a pixel coordinate: given, or estimated from the paths.
+
+        A detector's error is taken for no smaller than a centimetre at the body, as its idea of a
+        knee is not the model's.
+        """
+        pixel = self.pixel_size(guess, body)
+        limits = (LIMITS[0] / pixel, LIMITS[1] / pixel)
+        found = given or estimate_noise(self.pixels, self.shown, limits)
+        return Noise(found, found * pixel)
+
+    def pixel_size(self, guess: Motion, body: BodyModel) -> float:
+        """Metres that a pixel is wide at the body: median distance over focal length."""
+        pelvis = body.pose(guess).joints[..., :1, :].mean(-3, keepdim=True)
+        distance = float(self.camera.to_camera(pelvis)[..., 2].clamp(min=0.1).median())
+        return distance / float(self.camera.camera_matrix[..., [0, 1], [0, 1]].mean())
+
+    def coarse(self, body: BodyModel, step: int = 2) -> "Keypoints2D":
+        """All moments: images are cheap to compare with."""
+        del body, step
+        return self
+
+    def shown_joints(self, estimate: Estimate) -> Bool[np.ndarray, "moments 22"]:
+        """Joints of the first clip that a keypoint tells the place of, at every moment."""
+        body = estimate.body.model
+        rest = self.points.at_rest(body, body.template.new_zeros(body.shape_size))
+        shows = joints_shown(self.points.bones, rest.double().cpu().numpy(), body)
+        return self.shown[0].cpu().numpy() @ shows
 
     def start(self, body: BodyModel) -> Motion:
         """The rest pose where the torso's keypoints suggest; see `image_start`."""

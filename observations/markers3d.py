@@ -2,32 +2,29 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import ClassVar
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
 from observations.checks import checked_clock, checked_places, checked_positions
-from observations.offsets import displaced
-from observations.start.rigid import rigid_start
-from observations.timing import moments_between, point_misfit, point_residuals
-from recon.body.model import BodyModel
+from observations.tracked import TrackedPoints
+from recon.body.landmarks import landmarks
+from recon.body.model import BodyModel, PosedBody
 from recon.core.arrays import Numbers
-from recon.core.motion import Motion
-from recon.core.residuals import Residuals
 from recon.core.robust import squared
-from recon.core.struct import TensorStruct
-from recon.method.protocols import Estimate
 
 
 @dataclass(frozen=True, init=False)
-class Markers3D(TensorStruct):
+class Markers3D(TrackedPoints):
     """Measured 3D positions of markers on the skin.
 
     The energy is half the squared distance of every visible marker from its vertex of the body,
     in metres².
     """
 
+    on_skin: ClassVar[bool] = True
     positions: Float[Tensor, "*batch moments points 3"]
     """Positions in metres, in the frame of the recording (z up); zero where not visible."""
     visible: Bool[Tensor, "*batch moments points"]
@@ -72,59 +69,20 @@ class Markers3D(TensorStruct):
             kernel=kernel, ground_known=ground_known, offset_rows=offset_rows,
         )  # fmt: skip
 
-    @property
-    def clips(self) -> tuple[int, ...]:
-        """Sizes of the leading axes; one axis of clips, or none."""
-        return tuple(self.positions.shape[:-3])
+    def on(self, posed: PosedBody) -> Float[Tensor, "*batch time points 3"]:
+        """Where a posed body has the vertices, world, metres."""
+        return posed.points(torch.tensor(self.vertices, device=self.positions.device))
 
-    @property
-    def moments(self) -> int:
-        """Number of moments of a clip."""
-        return self.positions.shape[-3]
-
-    def predict(self, estimate: Estimate) -> Float[Tensor, "*batch time points 3"]:
-        """Where the estimate has the markers, world, in its own frames."""
-        index = torch.tensor(self.vertices, device=self.positions.device)
-        points = estimate.body.points(index)
-        if self.offset_rows is None:
-            return points
-        bones = self.bones(estimate.body.model)
-        return displaced(points, estimate, bones, self.offset_rows)
-
-    def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
-        """½ Σ kernel(|observed - predicted|²) over visible markers, taken at 30 Hz.
-
-        HuMoR section 6.5: verts3d.
-        """
-        return point_misfit(
-            estimate.scene.to_recording(self.predict(estimate)), estimate.motion,
-            self.positions, self.visible,
-            fps=self.fps, start_time=self.start_time, kernel=self.kernel,
-        )  # fmt: skip
-
-    def residuals(self, estimate: Estimate) -> Residuals:
-        """Observed minus predicted position of every marker at every moment, metres."""
-        return point_residuals(
-            estimate.scene.to_recording(self.predict(estimate)), estimate.motion,
-            self.positions, self.visible, fps=self.fps, start_time=self.start_time,
-        )  # fmt: skip
-
-    def window(self, start: float, stop: float) -> "Markers3D":
-        """The part of the observation from one time to another, both included, in seconds."""
-        positions, visible, first = moments_between(
-            self.positions, self.visible,
-            fps=self.fps, start_time=self.start_time, start=start, stop=stop,
-        )  # fmt: skip
-        return self.derived(positions=positions, visible=visible, start_time=first)
-
-    def start(self, body: BodyModel) -> Motion:
-        """The rest pose laid on the torso, frame by frame."""
-        rest = body.template.to(self.positions)[list(self.vertices)]
-        return rigid_start(
-            body, rest, self.bones(body), self.positions, self.visible,
-            fps=self.fps, start_time=self.start_time,
-        )  # fmt: skip
+    def at_rest(self, body: BodyModel) -> Float[Tensor, "points 3"]:
+        """The vertices of the average body in its rest pose, metres."""
+        return body.template[list(self.vertices)]
 
     def bones(self, body: BodyModel) -> tuple[int, ...]:
         """The bone that moves each marker most."""
         return tuple(body.weights[list(self.vertices)].argmax(-1).tolist())
+
+    def point_names(self, body: BodyModel) -> tuple[str, ...]:
+        """Names of the landmarks that the markers sit on; numbers of vertices elsewhere."""
+        del body
+        named = {vertex: name for name, vertex in landmarks().items()}
+        return tuple(named.get(vertex, f"vertex {vertex}") for vertex in self.vertices)

@@ -1,9 +1,12 @@
-"""How noisy recorded points are, told from the data alone."""
+"""How noisy observations are, estimated from the data alone, and what that makes them weigh."""
 
 import math
+from collections.abc import Sequence
 
 from jaxtyping import Bool, Float
 from torch import Tensor
+
+from recon.core.residuals import Noise
 
 LIMITS = (0.01, 0.1)
 """Metres. Below the first the model errs more than the sensor; above the second it is outliers."""
@@ -12,6 +15,12 @@ _THIRD_DIFFERENCE = math.sqrt(1 + 9 + 9 + 1)
 """Standard deviation of x3 - 3 x2 + 3 x1 - x0 for unit white noise."""
 _NORMAL_MEDIAN = 0.67449
 """Median of |x| for unit normal x."""
+
+
+def weights_of(noises: Sequence[Noise]) -> list[float]:
+    """Multipliers that make the misfits worth what the least noisy one is, in metres²."""
+    least = min(noise.metres for noise in noises)
+    return [(least / noise.own) ** 2 for noise in noises]
 
 
 def estimate_noise(

@@ -25,13 +25,13 @@ from pathlib import Path
 from benchmarks.slips.recorded import VIEWS, cut, views
 from benchmarks.slips.recordings import Sensor, recording_of, windows_of
 from benchmarks.windows import Windows
-from observations.together.first_guess import Seen
 from priors.training.dataset import Part
 from recon.body.model import BodyModel
 from recon.diagnosis.findings import Code, Finding
 from recon.formats.mocap.reader import read_recording
 from recon.formats.mocap.recording import MarkerRecording
 from recon.ingest.markers.coverage import full_body_markers
+from recon.method.protocols import Sensor as Seen
 from recon.simulation.points import Corruption
 
 LIST = Path(__file__).with_name("good_windows.json")

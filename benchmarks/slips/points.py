@@ -9,9 +9,9 @@ from torch import Generator, Tensor
 from observations.joints3d import Joints3D
 from observations.keypoints2d import Keypoints2D
 from observations.markers3d import Markers3D
-from observations.together.first_guess import Seen
 from recon.body.landmarks import KEYPOINTS_43
 from recon.core.skeleton import JOINTS
+from recon.method.protocols import Sensor as Seen
 
 Values = Float[Tensor, "clips time points dims"]
 _WILD = 0.5

@@ -8,13 +8,13 @@ import torch
 
 from benchmarks.windows import FPS, FRAMES
 from observations.markers3d import Markers3D
-from observations.together.first_guess import Seen
 from recon.body.model import BodyModel
 from recon.fitting.clip_files import load_clip
 from recon.fitting.settings import FitSettings
 from recon.formats.mocap.reader import read_recording
 from recon.formats.mocap.recording import MarkerRecording
 from recon.ingest.markers.coverage import full_body_markers
+from recon.method.protocols import Sensor as Seen
 
 VIEWS = ".zip"
 """Detections of several cameras are packed in these."""

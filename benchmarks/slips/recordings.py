@@ -12,12 +12,12 @@ from torch import Tensor
 from benchmarks.windows import FRAMES, Windows, load_windows
 from observations.files.images import keypoints_of
 from observations.keypoints2d import Keypoints2D
-from observations.together.first_guess import Seen
 from priors.training.dataset import Part, Splits, clip_files
 from recon.body.model import BodyModel
 from recon.core.camera import Camera, full_hd_camera
 from recon.core.motion import Motion
 from recon.core.struct import stack
+from recon.method.protocols import Sensor as Seen
 from recon.simulation.images import dome, keypoints2d
 from recon.simulation.points import Corruption, joints3d, markers3d
 

@@ -22,11 +22,11 @@ from benchmarks.results import corpus_source, write
 from benchmarks.slips.errors import error, spoiled_samples
 from benchmarks.slips.kinds import SLIPS, Slip
 from benchmarks.slips.recordings import SENSORS, Recording, evenly, recording_of, windows_of
-from observations.together.first_guess import Seen
 from recon.body.model import BodyModel
 from recon.core.struct import concatenate
 from recon.fitting.clip import ClipFit, fit_clip
 from recon.fitting.options import FitOptions
+from recon.method.protocols import Sensor as Seen
 
 SIZES = Path(__file__).parents[1] / "results" / "slip_sizes.json"
 ADDED = 0.05

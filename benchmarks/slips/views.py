@@ -8,9 +8,9 @@ from torch import Generator, Tensor
 
 from benchmarks.slips.points import edited, values_of, weights_of
 from observations.keypoints2d import Keypoints2D
-from observations.together.first_guess import Seen
 from recon.core import rotations as so3
 from recon.core.camera import Camera
+from recon.method.protocols import Sensor as Seen
 
 
 def mirrored(view: Seen) -> Seen:

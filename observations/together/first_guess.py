@@ -9,17 +9,14 @@ from jaxtyping import Float
 from torch import Tensor
 
 from observations.depth import PointCloud
-from observations.joints3d import Joints3D
 from observations.keypoints2d import Keypoints2D
-from observations.markers3d import Markers3D
 from observations.timing import at_observation_times
+from observations.together import kinds
 from observations.together.triangulation import views_start
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion
-
-Seen = Joints3D | Markers3D | Keypoints2D | PointCloud
-"""What a clip is observed by."""
+from recon.method.protocols import Sensor
 
 _OTHER_HEADINGS = (math.pi / 2, math.pi, 3 * math.pi / 2)
 
@@ -39,15 +36,17 @@ class FirstGuess:
     """What it may be as well; only a fit can tell."""
 
 
-def first_guess(observations: Sequence[Seen], body: BodyModel) -> FirstGuess:
+def first_guess(observations: Sequence[Sensor], body: BodyModel) -> FirstGuess:
     """The rest body placed by the observations that tell most.
 
     Points that are known by name come first, then what several cameras see, then what one camera
-    sees, at the distance of the depth where there is depth, and depth alone last.
+    sees, at the distance of the depth where there is depth, and depth alone last. Where there is
+    none of these, the first sensor's own guess is taken.
     """
-    named = [o for o in observations if isinstance(o, Joints3D | Markers3D)]
-    views = [o for o in observations if isinstance(o, Keypoints2D)]
-    clouds = [o for o in observations if isinstance(o, PointCloud)]
+    named, views = kinds.tracked(observations), kinds.views(observations)
+    clouds = kinds.clouds(observations)
+    if not named and not views and not clouds:
+        return FirstGuess(observations[0].start(body), True)
     if named:
         return FirstGuess(named[0].start(body), True)
     if len(alike := one_clock(views)) > 1:

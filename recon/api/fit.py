@@ -10,7 +10,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from observations.together.first_guess import Seen
 from recon.api.observations import GroundChoice, Sighting, clip_of, counted_less_beyond, on_ground
 from recon.api.priors import prior_of
 from recon.api.result import Result, result_of
@@ -24,6 +23,7 @@ from recon.diagnosis.examination import fit_examined
 from recon.diagnosis.findings import Finding
 from recon.fitting.clip_files import Clip, window
 from recon.fitting.options import FitOptions, PriorObject
+from recon.method.protocols import Sensor
 from recon.method.stages import Watch
 from recon.method.terms import Term
 
@@ -31,7 +31,7 @@ _LOG = logging.getLogger("recon")
 
 
 def fit(
-    observations: Seen | Sequence[Seen] | Clip,
+    observations: Sensor | Sequence[Sensor] | Clip,
     prior: str | PriorObject = "humor",
     *,
     weights: str = "open",

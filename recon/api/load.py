@@ -5,11 +5,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
-from observations.together.first_guess import Seen
 from recon.body.model import BodyModel
 from recon.core.errors import FormatError, ReconError
 from recon.fitting.clip_files import load_clip
 from recon.fitting.settings import FitSettings
+from recon.method.protocols import Sensor
 
 _LOG = logging.getLogger("recon")
 
@@ -31,7 +31,7 @@ def load_observation(
     ground: tuple[float, float, float, float] | None = None,
     depth_scale: float = 0.001,
     seed: int = 0,
-) -> Seen | list[Seen]:
+) -> Sensor | list[Sensor]:
     """What `recon fit` takes: one observation, or a list where there are several views or paths.
 
     Observation files (.npz); folders or files of 2D detections, one per view, with `camera`;

@@ -11,15 +11,16 @@ from jaxtyping import Float
 
 from observations.depth import PointCloud
 from observations.files.images import LEVEL_CAMERA, camera_above, world_above
-from observations.frames import camera_frame_is_recording, carried
 from observations.joints3d import Joints3D
 from observations.keypoints2d import Keypoints2D
 from observations.markers3d import Markers3D
-from observations.together.first_guess import Seen
+from observations.together import kinds as sensors
+from observations.together.frames import camera_frame_is_recording, carried
 from recon.body.model import BodyModel
 from recon.core.errors import ObservationError, ReconError
 from recon.core.robust import geman_mcclure
 from recon.fitting.clip_files import Clip
+from recon.method.protocols import Sensor
 
 Plane = tuple[float, float, float, float]
 """(nx, ny, nz, d): the points x of the ground have n·x = d in the observations' frame, metres."""
@@ -54,7 +55,7 @@ def clip_of(given: Any, body: BodyModel) -> Clip:
     if isinstance(given, Clip):
         seen, names = given.observations, given.names
     else:
-        seen = (given,) if isinstance(given, Seen) else tuple(given)
+        seen = (given,) if isinstance(given, Sensor) else tuple(given)
         names = _names(seen)
     if len(seen) == 0:
         raise ObservationError("nothing to fit: expected at least one observation, got none")
@@ -98,7 +99,7 @@ def on_ground(clip: Clip, ground: Any) -> Sighting:
     if any(camera_frame_is_recording(one) for one in clip.observations):
         found = _carried(clip, camera_above(plane), known=False)
     else:
-        named = all(isinstance(one, Joints3D | Markers3D) for one in clip.observations)
+        named = len(sensors.tracked(clip.observations)) == len(clip.observations)
         found = _carried(clip, world_above(plane), known=named)
     return replace(found, clip=replace(found.clip, ground_given=True))
 
@@ -119,7 +120,7 @@ def counted_less_beyond(clip: Clip, distance: float) -> Clip:
     return replace(
         clip,
         observations=tuple(
-            one.derived(kernel=kernel) if isinstance(one, Joints3D | Markers3D) else one
+            one.derived(kernel=kernel) if sensors.tracked([one]) else one
             for one in clip.observations
         ),
     )
@@ -128,12 +129,12 @@ def counted_less_beyond(clip: Clip, distance: float) -> Clip:
 def _names(seen: Sequence[Any]) -> tuple[str, ...]:
     """By kind, numbered where there are several of one."""
     for one in seen:
-        if not isinstance(one, Seen):
+        if not isinstance(one, Sensor):
             raise ObservationError(
                 "expected observations (recon.Joints3D, Markers3D, Keypoints2D or PointCloud; "
                 f"recon.load_observation reads files), got {type(one).__name__}"
             )
-    kinds = [_KINDS[type(one)] for one in seen]
+    kinds = [_KINDS.get(type(one), type(one).__name__.lower()) for one in seen]
     count, number = Counter(kinds), Counter[str]()
     names: list[str] = []
     for kind in kinds:
@@ -142,10 +143,10 @@ def _names(seen: Sequence[Any]) -> tuple[str, ...]:
     return tuple(names)
 
 
-def _one_clip(one: Seen) -> Seen:
+def _one_clip(one: Sensor) -> Sensor:
     """With a leading axis of length one."""
     if one.clips == ():
-        return one.map(lambda tensor: tensor[None])
+        return one[None]
     if one.clips != (1,):
         raise ObservationError(
             f"expected the observations of one clip, got leading axes {one.clips}; call recon.fit "
@@ -154,12 +155,11 @@ def _one_clip(one: Seen) -> Seen:
     return one
 
 
-def _unposed_camera(seen: Sequence[Seen]) -> Float[np.ndarray, "4 4"] | None:
+def _unposed_camera(seen: Sequence[Sensor]) -> Float[np.ndarray, "4 4"] | None:
     """First pose of the first camera that does not know the ground, T_recording_camera."""
-    for one in seen:
-        if isinstance(one, Joints3D | Markers3D) or one.camera is None or one.ground_known:
-            continue
-        return one.camera.T_world_camera[0, 0].double().cpu().numpy()
+    for one in (*sensors.views(seen), *sensors.clouds(seen)):
+        if one.camera is not None and not one.ground_known:
+            return one.camera.T_world_camera[0, 0].double().cpu().numpy()
     return None
 
 

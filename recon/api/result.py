@@ -9,13 +9,13 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from observations.together.weighing import Noise
 from recon.api.motion_file import described
 from recon.api.printing import in_ten_lines
 from recon.api.report import describe
 from recon.body.identities import height
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
+from recon.core.residuals import Noise
 from recon.diagnosis.examination import Examined
 from recon.diagnosis.findings import Finding
 from recon.diagnosis.fits.domain import cycle_report

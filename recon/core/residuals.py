@@ -1,4 +1,4 @@
-"""Residuals: what was observed less what an estimate predicts, by moment and by point."""
+"""Residuals: what was observed less what an estimate predicts, and their standard deviation."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -9,6 +9,19 @@ from torch import Tensor
 from recon.core.struct import TensorStruct
 
 Unit = Literal["metres", "pixels"]
+
+
+@dataclass(frozen=True)
+class Noise:
+    """How noisy one observation is."""
+
+    own: float
+    """Standard deviation of every coordinate in the observation's own unit, metres or pixels.
+
+    Where neighbouring points err alike, it is so much larger that together they count as one.
+    """
+    metres: float
+    """Standard deviation at the body, metres."""
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from observations.joints3d import Joints3D
-from observations.keypoints2d import Keypoints2D
-from observations.markers3d import Markers3D
-from observations.together.first_guess import Seen
+from observations.together import kinds
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.diagnosis.findings import Finding
@@ -29,7 +26,7 @@ from recon.diagnosis.views.screening import screen_views
 from recon.fitting.clip import ClipFit, fit_clip
 from recon.fitting.completion import complete
 from recon.fitting.options import FitOptions
-from recon.method.protocols import Estimate
+from recon.method.protocols import Estimate, Sensor
 from recon.method.stages import Watch
 
 _NO_SPEED = frozenset({"identity change", "frame order"})
@@ -65,7 +62,7 @@ class Examined:
 
 
 def fit_examined(
-    observations: Sequence[Seen],
+    observations: Sequence[Sensor],
     names: Sequence[str],
     options: FitOptions,
     body: BodyModel,
@@ -101,7 +98,7 @@ def fit_examined(
 class ScreenedClip:
     """A clip's observations as they should be fitted, and what was found."""
 
-    observations: tuple[Seen, ...]
+    observations: tuple[Sensor, ...]
     repairs: tuple[Finding, ...] = ()
     warnings: tuple[Finding, ...] = ()
     belt: Float[Tensor, " 2"] | None = None
@@ -109,36 +106,36 @@ class ScreenedClip:
 
 
 def screen(
-    observations: Sequence[Seen], names: Sequence[str], options: FitOptions, body: BodyModel
+    observations: Sequence[Sensor], names: Sequence[str], options: FitOptions, body: BodyModel
 ) -> ScreenedClip:
     """Check all sensors of a clip before the fit; without `options.repair` nothing is done."""
     if not options.repair:
         return ScreenedClip(tuple(observations))
     kept = list(observations)
-    rows = [k for k, one in enumerate(observations) if isinstance(one, Keypoints2D)]
-    views = [one for one in observations if isinstance(one, Keypoints2D)]
+    rows = [k for k, one in enumerate(observations) if kinds.views([one])]
+    views = kinds.views(observations)
     checked, repairs, warnings = screen_views(views, [names[k] for k in rows], body)
     for row, view in zip(rows, checked, strict=True):
         kept[row] = view
     belts: list[Float[Tensor, " 2"]] = []
     for row, one in enumerate(observations):
-        if isinstance(one, Joints3D | Markers3D):
-            found = screen_points(one, body)
+        for points in kinds.tracked([one]):
+            found = screen_points(points, body)
             kept[row] = found.points
             repairs += [_of(names[row], finding) for finding in found.repairs]
             warnings += [_of(names[row], finding) for finding in found.warnings]
             belts += [] if found.belt is None else [found.belt]
     clip = ScreenedClip(tuple(kept), tuple(repairs), tuple(warnings))
-    points = [one for one in kept if isinstance(one, Joints3D | Markers3D)]
+    tracked = kinds.tracked(kept)
     if not belts:
         return clip
-    if len(points) < len(kept) or options.completes:  # these stay in the room
+    if len(tracked) < len(kept) or options.completes:  # these stay in the room
         return replace(
             clip,
             repairs=tuple(one for one in clip.repairs if one.code != "treadmill"),
             warnings=(*clip.warnings, treadmill_finding(belts[0])),
         )
-    carried = tuple(with_belt(one, belts[0]) for one in points)
+    carried = tuple(with_belt(one, belts[0]) for one in tracked)
     return replace(clip, observations=carried, belt=belts[0])
 
 
@@ -149,7 +146,7 @@ def examine(found: ClipFit, names: Sequence[str], screened: ScreenedClip) -> Exa
     here = Estimate(estimate.decoded, estimate.body, estimate.scene.detach())
     sensors = list(zip(names, found.observations, found.noises, strict=True))
     summaries = tuple(summarise(name, seen, noise, here) for name, seen, noise in sensors)
-    views = [seen for seen in found.observations if isinstance(seen, Keypoints2D)]
+    views = kinds.views(found.observations)
     observed = observed_joints(found.observations, here)
     motion = found.result.clip(0).detach().to(device="cpu")
     seen = torch.from_numpy(observed[: motion.frames])
@@ -179,15 +176,16 @@ def examine(found: ClipFit, names: Sequence[str], screened: ScreenedClip) -> Exa
 
 def _carried(
     names: Sequence[str],
-    observations: Sequence[Seen],
+    observations: Sequence[Sensor],
     motion: Motion,
     body: BodyModel,
     observed: Bool[Tensor, "time 22"],
 ) -> Finding | None:
     """Whether a camera turned that alone has seen the clip, and that is declared fixed."""
-    if len(observations) > 1 or not isinstance(seen := observations[0], Keypoints2D):
+    views = kinds.views(observations)
+    if len(observations) > 1 or not views:
         return None
-    fixed = seen.camera.T_camera_world.shape[-3] == 1
+    fixed = views[0].camera.T_camera_world.shape[-3] == 1
     return carried_finding(names[0], motion, body, observed) if fixed else None
 
 

@@ -8,21 +8,21 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from observations.depth import PointCloud
-from observations.joints3d import Joints3D
-from observations.keypoints2d import OFFSET_UNIT, Keypoints2D
-from observations.markers3d import Markers3D
-from observations.together.first_guess import FirstGuess, Seen, first_guess
-from observations.together.weighing import Noise, noise_of, weights_of
+from observations.keypoints2d import OFFSET_UNIT
+from observations.noise import weights_of
+from observations.together import kinds
+from observations.together.first_guess import FirstGuess, first_guess
 from recon.body.model import BodyModel
 from recon.core.errors import ObservationError
 from recon.core.motion import Motion
+from recon.core.residuals import Noise
 from recon.core.scene import GROUND, HEIGHT, OFFSETS, Scene, UnknownGround
 from recon.core.struct import concatenate
 from recon.fitting.ground import ground_below, pelvis_path, sole_heights, upright_ground
 from recon.fitting.long import WINDOW, OneShape, fit_long
 from recon.fitting.methods import WithoutRoot, WithScene, method_of
 from recon.fitting.options import FitOptions
+from recon.method.protocols import Sensor
 from recon.method.reconstruction import Method, Reconstruction, solve
 from recon.method.stages import Watch
 from recon.method.start import checked_start
@@ -51,12 +51,12 @@ class ClipFit:
     ground_known: bool
     T_world_recording: Float[Tensor, "clips 4 4"]
     """Maps the frame of the observations to the world; metres."""
-    observations: tuple[Seen, ...]
+    observations: tuple[Sensor, ...]
     """As they were compared, with the rows of their offsets."""
 
 
 def fit_clip(
-    observations: Sequence[Seen],
+    observations: Sequence[Sensor],
     options: FitOptions,
     body: BodyModel,
     watch: Watch | None = None,
@@ -83,14 +83,14 @@ def fit_clip(
             not fit the observations.
     """
     known = {observation.ground_known for observation in observations}
-    if len(known) > 1 and any(isinstance(o, Keypoints2D) for o in observations):
+    if len(known) > 1 and kinds.views(observations):
         raise ObservationError(
             "some observations know where the ground is and some do not: give every camera its "
             "pose (T_camera_world), or none"
         )
     guess = _first_guess(observations, body, start, options)
     noises = tuple(
-        noise_of(one, guess.motion, body, options.noise_of(row))
+        one.noise(guess.motion, body, options.noise_of(row))
         for row, one in enumerate(observations)
     )
     seen, offsets = _with_offsets(tuple(observations))
@@ -106,20 +106,20 @@ def fit_clip(
     return ClipFit(result, noises, False, T, seen)
 
 
-def _with_offsets(observations: tuple[Seen, ...]) -> tuple[tuple[Seen, ...], int]:
+def _with_offsets(observations: tuple[Sensor, ...]) -> tuple[tuple[Sensor, ...], int]:
     """Several views of one layout tell where this person's keypoints are; and how many rows."""
-    views = [o for o in observations if isinstance(o, Keypoints2D)]
+    views = kinds.views(observations)
     if len(views) < 2 or len({o.points.names for o in views}) > 1:
         return observations, 0
     count = len(views[0].points.names)
     rows = (0, count)
     return tuple(
-        o.replace(offset_rows=rows) if isinstance(o, Keypoints2D) else o for o in observations
+        o.derived(offset_rows=rows) if o.unit == "pixels" else o for o in observations
     ), count
 
 
 def _first_guess(
-    observations: Sequence[Seen], body: BodyModel, start: Motion | None, options: FitOptions
+    observations: Sequence[Sensor], body: BodyModel, start: Motion | None, options: FitOptions
 ) -> FirstGuess:
     """The caller's start, or what the data tell; of the shape that is held, if one is."""
     if start is None:
@@ -140,7 +140,7 @@ def _first_guess(
 class _Job:
     """What stays the same while a clip is fitted more than once."""
 
-    observations: tuple[Seen, ...]
+    observations: tuple[Sensor, ...]
     guess: FirstGuess
     noises: tuple[Noise, ...]
     offsets: int
@@ -213,7 +213,7 @@ class _Job:
         if not self.guess.others:
             return self
         rough = tuple(
-            o.coarse(self.body) if isinstance(o, PointCloud) else o for o in self.observations
+            o.coarse(self.body) if not o.point_names(self.body) else o for o in self.observations
         )
         quick = replace(self, observations=rough)
         every = (self.guess.motion, *self.guess.others)
@@ -229,7 +229,7 @@ class _Job:
         What a camera sees does not change when everything is farther and larger by one factor.
         """
         free = self.free()
-        view = next(o for o in self.observations if isinstance(o, Keypoints2D))
+        view = kinds.views(self.observations)[0]
         eye = view.camera.T_world_camera[..., :3, 3].mean(-2)
         factor = eye[:, 2] / (eye[:, 2] - sole_heights(free, self.body))
         factor = torch.where((factor > 1 / _MOST) & (factor < _MOST), factor, 1.0)
@@ -240,7 +240,7 @@ class _Job:
     @property
     def ground_seen(self) -> bool:
         """Whether the recording's z = 0 was laid on a plane that is given or seen."""
-        seen = any(isinstance(o, PointCloud) and o.ground_seen for o in self.observations)
+        seen = any(cloud.ground_seen for cloud in kinds.clouds(self.observations))
         return seen or self.options.ground_given
 
     def free(self) -> Motion:
@@ -251,7 +251,7 @@ class _Job:
     def with_ground(self) -> Reconstruction:
         """The whole clip and its ground, found from the way people stand."""
         start = self.guess.motion
-        level = all(isinstance(o, Joints3D | Markers3D) for o in self.observations)
+        level = len(kinds.tracked(self.observations)) == len(self.observations)
         if level:  # the recording's z is up, only heights are not known
             start, unknown = self.free(), HEIGHT
             ground = ground_below(start, self.body)

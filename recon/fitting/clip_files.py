@@ -7,14 +7,11 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from observations.depth import PointCloud
 from observations.files.clouds import cloud_of
 from observations.files.images import camera_above, keypoints_of
 from observations.files.points import positions_of
-from observations.keypoints2d import Keypoints2D
 from observations.people.masks import load_silhouettes, masked
 from observations.people.views import load_views
-from observations.together.first_guess import Seen
 from recon.body.model import BodyModel
 from recon.core.errors import FormatError, ObservationError
 from recon.fitting.settings import FitSettings
@@ -28,6 +25,7 @@ from recon.formats.observations import (
     PositionsFile,
     load_observation,
 )
+from recon.method.protocols import Sensor
 
 _CLOUDS, _IMAGES, _DETECTIONS = {".ply", ".pcd"}, {".png"}, {".json", ".csv"}
 
@@ -36,7 +34,7 @@ _CLOUDS, _IMAGES, _DETECTIONS = {".ply", ".pcd"}, {".png"}, {".json", ".csv"}
 class Clip:
     """One clip's observations, and what was assumed in reading them."""
 
-    observations: tuple[Seen, ...]
+    observations: tuple[Sensor, ...]
     """All in the frame of the recording."""
     names: tuple[str, ...]
     notes: tuple[str, ...]
@@ -121,15 +119,9 @@ def window(clip: Clip, start: float, stop: float) -> Clip:
     return replace(clip, observations=cut)
 
 
-def seen_times(observation: Seen) -> Float[np.ndarray, " moments"]:
+def seen_times(observation: Sensor) -> Float[np.ndarray, " moments"]:
     """Times at which one clip's observation shows anything, seconds."""
-    if isinstance(observation, PointCloud):
-        there = observation.present
-    elif isinstance(observation, Keypoints2D):
-        there = observation.confidence > 0
-    else:
-        there = observation.visible
-    moments = there[0].any(-1).nonzero()[:, 0].cpu().numpy()
+    moments = observation.shown[0].any(-1).nonzero()[:, 0].cpu().numpy()
     return observation.start_time + moments / observation.fps
 
 
@@ -151,7 +143,7 @@ def _together(
             "knows how they stand to each other; give a calibration, or fit one view alone"
         )
     T = None if settings.ground is None else camera_above(settings.ground)
-    found: dict[int, Seen] = {}
+    found: dict[int, Sensor] = {}
     for k, (name, file) in enumerate(files):
         if isinstance(file, PointsFile):
             notes += [f"{name}: {decision}" for decision in file.decisions]

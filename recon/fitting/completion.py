@@ -14,11 +14,10 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from observations.depth import PointCloud, bounded
-from observations.joints3d import Joints3D
-from observations.markers3d import Markers3D
-from observations.together.first_guess import Seen
-from observations.together.weighing import CLOUD_NOISE, CLOUD_WORTH, Noise, weights_of
+from observations.depth import CLOUD_NOISE, CLOUD_WORTH, PointCloud, bounded
+from observations.noise import weights_of
+from observations.together import kinds
+from observations.together.kinds import InSpace
 from priors.anchor.fit import AnchorFit
 from priors.anchor.frames import ANCHORS, rest_pelvis
 from priors.anchor.prior import AnchorFrames, AnchorVariables
@@ -26,11 +25,12 @@ from recon.body.cycles import LONGEST, SHORTEST
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.errors import ObservationError
+from recon.core.residuals import Noise
 from recon.core.scene import OFFSETS, Scene
 from recon.core.struct import concatenate
 from recon.fitting.clip import ClipFit
 from recon.fitting.options import FitOptions
-from recon.method.protocols import REFERENCE_FPS
+from recon.method.protocols import REFERENCE_FPS, Sensor
 from recon.method.reconstruction import Reconstruction
 from recon.method.stages import Stage, StageReport, Watch, evaluate_stage, run_stage
 from recon.method.terms import Term, offsets
@@ -53,12 +53,10 @@ ROUGH_RATE = 15.0
 """The same, about, while beginnings are told apart: a code moves all moments together."""
 _AT_ONCE = 96
 """Beginnings that are looked at together."""
-Points = PointCloud | Joints3D | Markers3D
-"""What a cycle can be completed from."""
 
 
 def complete(
-    observations: Sequence[Seen],
+    observations: Sequence[Sensor],
     options: FitOptions,
     body: BodyModel,
     watch: Watch | None = None,
@@ -90,7 +88,7 @@ def complete(
             "terms out, or fit by humor"
         )
     device = body.template.device
-    seen = tuple(o.to(device=device) for o in observations if isinstance(o, Points))
+    seen = tuple(o.to(device=device) for o in kinds.in_space(observations))
     if len(seen) < len(observations):
         raise ObservationError(
             "completing a cycle takes scans, landmarks or joints, got 2D keypoints as well; fit "
@@ -99,9 +97,9 @@ def complete(
     prior = options.prior
     if not isinstance(prior, AnchorFrames):
         prior = AnchorFrames.load(options.weights, body)
-    seen, rows = _with_offsets(tuple(_thinned(o) for o in seen))
+    seen, rows = _with_offsets(tuple(o.thinned(FITTED) for o in seen))
     noises = tuple(_noise(o, options.noise_of(row)) for row, o in enumerate(seen))
-    dense = any(_fullest(o) >= DENSE for o in seen if isinstance(o, PointCloud))
+    dense = any(_fullest(o) >= DENSE for o in kinds.clouds(seen))
     method = kind(prior, min(noise.metres for noise in noises), detailed=dense)
     return _Search(seen, noises, method, body, _Clock.of(seen), rows, watch).fitted()
 
@@ -115,7 +113,7 @@ class _Clock:
     start_time: float
 
     @classmethod
-    def of(cls, observations: Sequence[Points]) -> "_Clock":
+    def of(cls, observations: Sequence[InSpace]) -> "_Clock":
         """The first observation's rate or a multiple or part of it, over all that is seen.
 
         Raises:
@@ -144,7 +142,7 @@ class _Clock:
 class _Search:
     """What stays the same while beginnings are compared."""
 
-    observations: tuple[Points, ...]
+    observations: tuple[InSpace, ...]
     noises: tuple[Noise, ...]
     method: AnchorFit
     body: BodyModel
@@ -241,7 +239,7 @@ class _Search:
         """Markers where the model has them."""
         return Scene.create(len(clip), self.offsets, like=self.body.template)
 
-    def data(self, clip: Int[Tensor, " rows"], seen: Sequence[Points]) -> tuple[Term, ...]:
+    def data(self, clip: Int[Tensor, " rows"], seen: Sequence[InSpace]) -> tuple[Term, ...]:
         """Observations of the rows' clips as weighted terms."""
         weights = weights_of(self.noises)
         return tuple(
@@ -250,7 +248,7 @@ class _Search:
         )
 
     @cached_property
-    def rough(self) -> tuple[Points, ...]:
+    def rough(self) -> tuple[InSpace, ...]:
         """Few moments and points, a rough surface, a kernel of fixed scale."""
         rate = self.clock.fps / self.rough_step
         return tuple(_rough(o, max(round(o.fps / rate), 1), self.body) for o in self.observations)
@@ -287,8 +285,8 @@ class _Search:
         total = self.body.template.new_zeros(clips, moments, 3)
         count = self.body.template.new_zeros(clips, moments, 1)
         for one in self.observations:
-            points, present = _points(one)
-            middle = points.where(present[..., None], torch.nan).nanmedian(-2).values
+            present = one.shown
+            middle = one.places.where(present[..., None], torch.nan).nanmedian(-2).values
             there = present.any(-1)
             times = one.start_time - self.clock.start_time + torch.arange(there.shape[1]) / one.fps
             frame = (times * self.clock.fps).round().long().clamp(0, moments - 1)
@@ -310,16 +308,9 @@ def _best(
     return variables[rows], clip[rows], rows
 
 
-def _points(one: Points) -> tuple[Tensor, Tensor]:
-    """Positions (clips, moments, points, 3), and which there are."""
-    if isinstance(one, PointCloud):
-        return one.points, one.present
-    return one.positions, one.visible
-
-
-def _seen_from_to(one: Points) -> tuple[Float[Tensor, " clips"], Float[Tensor, " clips"]]:
+def _seen_from_to(one: InSpace) -> tuple[Float[Tensor, " clips"], Float[Tensor, " clips"]]:
     """Times of the first and last moment of each clip that show anything; infinite where none."""
-    there = _points(one)[1].any(-1).cpu()
+    there = one.shown.any(-1).cpu()
     times = one.start_time + torch.arange(there.shape[-1], dtype=torch.float64) / one.fps
     return times.where(there, torch.inf).amin(-1), times.where(there, -torch.inf).amax(-1)
 
@@ -331,54 +322,42 @@ def _rate(fps: float) -> float:
     return fps / math.ceil(fps / RATES[1] - 1e-6)
 
 
-def _thinned(one: Points) -> Points:
-    """At most so many points of a frame; they come in no order."""
-    if not isinstance(one, PointCloud) or one.points.shape[-2] <= FITTED:
-        return one
-    number = torch.linspace(0, one.points.shape[-2] - 1, FITTED).long()
-    return one.replace(points=one.points[..., number, :], present=one.present[..., number])
-
-
-def _rough(one: Points, step: int, body: BodyModel) -> Points:
-    """Every `step`-th moment; all of them where most are empty."""
-    if isinstance(one, PointCloud):
-        return one.coarse(body, step).replace(kernel=bounded)
-    if 2 * int(one.visible.any(-1).sum()) < one.visible[..., 0].numel():
-        return one
-    few = {"positions": one.positions[:, ::step], "visible": one.visible[:, ::step]}
-    return one.replace(fps=one.fps / step, **few)
+def _rough(one: InSpace, step: int, body: BodyModel) -> InSpace:
+    """Every `step`-th moment, of clouds few points and a kernel of fixed scale."""
+    few = one.coarse(body, step)
+    return few.derived(kernel=bounded) if kinds.clouds([few]) else few
 
 
 def _fullest(cloud: PointCloud) -> int:
     return int(cloud.present.sum(-1).max())
 
 
-def _noise(one: Points, told: float | None) -> Noise:
+def _noise(one: InSpace, told: float | None) -> Noise:
     """A frame's cloud is worth some points that know their place; few frames count one each.
 
     Energies are sums over all frames of the clock, empty or not, taken at 30 Hz.
     """
-    count = _points(one)[1].sum(-1)
+    count = one.shown.sum(-1)
     typical = float(count[count > 0].float().quantile(0.5)) if bool((count > 0).any()) else 1.0
     first, last = _seen_from_to(one)
     rate = ((count > 0).sum(-1).cpu() - 1) / (last - first)
     seen = rate.isfinite() & (rate > 0)
     often = float(rate[seen].median()) if bool(seen.any()) else one.fps
     worth = one.fps / max(often, REFERENCE_FPS)
-    if not isinstance(one, PointCloud):
-        noise = NAMED_NOISE if told is None else told
-        return Noise(noise / worth**0.5, noise)
-    noise = CLOUD_NOISE if told is None else told
-    return Noise(noise * (max(typical / CLOUD_WORTH, 1.0) / worth) ** 0.5, noise)
+    named = bool(kinds.tracked([one]))
+    usual = NAMED_NOISE if named else CLOUD_NOISE
+    noise = usual if told is None else told
+    alike = 1.0 if named else max(typical / CLOUD_WORTH, 1.0)
+    return Noise(noise * (alike / worth) ** 0.5, noise)
 
 
-def _with_offsets(observations: tuple[Points, ...]) -> tuple[tuple[Points, ...], int]:
+def _with_offsets(observations: tuple[InSpace, ...]) -> tuple[tuple[InSpace, ...], int]:
     """Markers stand off the skin: rows of their offsets, and how many."""
-    changed: list[Points] = []
+    changed: list[InSpace] = []
     count = 0
     for one in observations:
-        if isinstance(one, Markers3D):
-            rows = (count, count + len(one.vertices))
-            one, count = one.replace(offset_rows=rows), rows[1]
+        for markers in kinds.markers([one]):
+            rows = (count, count + len(markers.vertices))
+            one, count = markers.replace(offset_rows=rows), rows[1]
         changed.append(one)
     return tuple(changed), count

@@ -119,7 +119,7 @@ def _observed(seen: Joints3D | Markers3D, truth: Motion, body: BodyModel) -> Met
     exact = simulate.exact(seen, truth, body)
     errors = observed_errors(ObservedPoints(seen.positions, exact, seen.visible))
     metrics: Metrics = {"observed_visible": errors["observed_visible"]}
-    if isinstance(seen, Joints3D):
+    if not seen.on_skin:
         metrics |= joint_errors(seen.positions, exact, None)
         metrics |= smoothness(seen.positions, exact, seen.fps)
     return metrics

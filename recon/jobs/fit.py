@@ -8,7 +8,6 @@ from typing import Any
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from observations.keypoints2d import Keypoints2D
 from recon.api.fit import fit
 from recon.api.motion_file import described
 from recon.body.model import BodyModel
@@ -68,7 +67,7 @@ def fit_files(
 def _noise(clip: Clip, settings: FitSettings) -> list[float | None]:
     """What --noise and --noise-pixels say of every observation."""
     return [
-        settings.noise_pixels if isinstance(one, Keypoints2D) else settings.noise
+        settings.noise_pixels if one.unit == "pixels" else settings.noise
         for one in clip.observations
     ]
 

@@ -2,14 +2,15 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Protocol, runtime_checkable
+from typing import Any, ClassVar, Protocol, TypeVar, runtime_checkable
 
-from jaxtyping import Float
+import numpy as np
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from recon.body.model import BodyModel, PosedBody
 from recon.core.motion import Motion
-from recon.core.residuals import Residuals
+from recon.core.residuals import Noise, Residuals, Unit
 from recon.core.scene import Scene
 from recon.core.struct import S
 
@@ -53,6 +54,8 @@ class Estimate:
 Energy = Callable[[Estimate], Float[Tensor, "*batch"]]
 """One unweighted number per clip, in physical units; depends on no other clip of the batch."""
 
+Observed = TypeVar("Observed", bound="Sensor")
+
 
 @runtime_checkable
 class Prior(Protocol[S]):
@@ -81,4 +84,82 @@ class Observation(Protocol):
 
     def start(self, body: BodyModel) -> Motion:
         """A first guess from the data alone, at the data's own times."""
+        ...
+
+
+@runtime_checkable
+class Sensor(Observation, Protocol):
+    """An observation with all that a fit asks of it; one more sensor is one class with these.
+
+    It is a frozen record of tensors (`recon.core.struct.TensorStruct`) with a leading axis of
+    clips. In its own frame, that of the recording, z = 0 may be the ground.
+    """
+
+    unit: ClassVar[Unit]
+    """The unit of its residuals."""
+
+    @property
+    def fps(self) -> float:
+        """Moments per second."""
+        ...
+
+    @property
+    def start_time(self) -> float:
+        """Seconds, on the clock that all sensors of a clip share."""
+        ...
+
+    @property
+    def ground_known(self) -> bool:
+        """Whether z = 0 of the recording's frame is the ground."""
+        ...
+
+    @property
+    def clips(self) -> tuple[int, ...]:
+        """Sizes of the leading axes; one axis of clips, or none."""
+        ...
+
+    @property
+    def moments(self) -> int:
+        """Number of moments of a clip."""
+        ...
+
+    @property
+    def shown(self) -> Bool[Tensor, "*batch moments points"]:
+        """Which points were seen at every moment."""
+        ...
+
+    def point_names(self, body: BodyModel) -> tuple[str, ...]:
+        """Names of the points, for reports; none where points come in no order."""
+        ...
+
+    def shown_joints(self, estimate: Estimate) -> Bool[np.ndarray, "moments 22"]:
+        """Joints of the first clip whose place the sensor tells, at every moment."""
+        ...
+
+    def noise(self, guess: Motion, body: BodyModel, given: float | None = None) -> Noise:
+        """How noisy the data are: as given, in `unit`, or estimated from the data alone."""
+        ...
+
+    def window(self: Observed, start: float, stop: float) -> Observed:
+        """What was seen from one time to another, both included, seconds; the clock goes on."""
+        ...
+
+    def coarse(self: Observed, body: BodyModel, step: int = 2) -> Observed:
+        """Fewer moments and points, for a quick comparison of hypotheses."""
+        ...
+
+    def derived(self: Observed, **fields: Any) -> Observed:
+        """The same record with some fields exchanged, unchecked."""
+        ...
+
+    def to(self: Observed, *, device: Any = None, dtype: Any = None) -> Observed:
+        """On another device, in another precision."""
+        ...
+
+    def __getitem__(self: Observed, index: Any) -> Observed:
+        """Some clips, or with None one more leading axis."""
+        ...
+
+    def detach(self: Observed) -> Observed:
+        """Cut from the graph that computed it."""
         ...

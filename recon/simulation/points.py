@@ -133,10 +133,7 @@ def exact(
     seen: Joints3D | Markers3D, truth: Motion, body: BodyModel
 ) -> Float[Tensor, "time points 3"]:
     """Where the tracked points really were."""
-    posed = body.pose(truth)
-    if isinstance(seen, Joints3D):
-        return posed.joints[..., list(seen.joints), :]
-    return posed.points(torch.tensor(seen.vertices))
+    return seen.on(body.pose(truth))
 
 
 def visible_joints(

@@ -6,7 +6,7 @@ from itertools import combinations
 import pytest
 
 import recon
-from observations.together.first_guess import Seen
+from recon.method.protocols import Sensor
 from recon.simulation.points import Corruption, joints3d, markers3d
 from tests.filmed import bundled, cameras, joint_error, view, walk
 
@@ -15,7 +15,7 @@ KINDS = ("joints", "markers", "camera")
 
 
 @functools.cache
-def sensor(kind: str) -> Seen:
+def sensor(kind: str) -> Sensor:
     """One sensor's noisy data of the walk, all on the same clock."""
     truth = walk(FRAMES)
     if kind == "joints":

@@ -25,10 +25,10 @@ from benchmarks.slips.sizes import spoils
 from benchmarks.slips.table import Judged
 from benchmarks.slips.verdict import verdict_of
 from observations.keypoints2d import Keypoints2D
-from observations.together.first_guess import Seen
 from recon.body.model import BodyModel
 from recon.core.skeleton import JOINTS
 from recon.diagnosis.findings import Finding
+from recon.method.protocols import Sensor as Seen
 
 FRAMES = 30
 BODY = BodyModel.load()

@@ -4,8 +4,8 @@ import pytest
 import torch
 
 from observations import Joints3D
+from observations.noise import weights_of
 from observations.together.first_guess import first_guess
-from observations.together.weighing import noise_of, pixel_size, weights_of
 from recon.simulation.points import Corruption, joints3d
 from tests.filmed import NOISE, bundled, cameras, joint_error, view, walk
 
@@ -58,20 +58,20 @@ def test_a_pixel_is_as_wide_as_its_distance_says():
     truth, (seen,) = views(1)
     guess = truth.map(lambda t: t[None])
     depth = seen.camera.to_camera(bundled().pose(guess).joints[..., :1, :])[..., 2].median()
-    assert abs(pixel_size(seen, guess, bundled()) * 1500.0 / float(depth) - 1) < 0.05
+    assert abs(seen.pixel_size(guess, bundled()) * 1500.0 / float(depth) - 1) < 0.05
 
 
 def test_noise_in_pixels_is_found_and_weighed_against_metres():
     truth, (seen,) = views(1)
     named = joints(truth)
     guess = truth.map(lambda t: t[None])
-    pixels = noise_of(seen, guess, bundled())
-    metres = noise_of(named, guess, bundled())
+    pixels = seen.noise(guess, bundled())
+    metres = named.noise(guess, bundled())
     # of 3 pixels; a detector is taken to err by a centimetre at the body at least
-    least = 0.01 / pixel_size(seen, guess, bundled())
+    least = 0.01 / seen.pixel_size(guess, bundled())
     assert abs(pixels.own / max(NOISE, least) - 1) < 0.25
     assert metres.own == metres.metres
-    told = noise_of(seen, guess, bundled(), 5.0)
+    told = seen.noise(guess, bundled(), 5.0)
     assert told.own == 5.0
     weights = weights_of([told, metres])
     sizes = [weights[0] * told.own**2, weights[1] * metres.own**2]

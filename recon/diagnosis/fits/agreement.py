@@ -2,14 +2,12 @@
 
 from collections.abc import Sequence
 
-from observations.depth import PointCloud
-from observations.keypoints2d import Keypoints2D
-from observations.together.first_guess import Seen
+from observations.together import kinds
 from recon.diagnosis.findings import Finding
 from recon.diagnosis.fits.plausibility import distance_warnings
 from recon.diagnosis.fits.silhouette import basin_findings
 from recon.diagnosis.fits.summaries import ResidualSummary
-from recon.method.protocols import Estimate
+from recon.method.protocols import Estimate, Sensor
 
 _SUSPECT = 5.0
 """Times the noise that was told from the data, from which on a median residual is suspicious."""
@@ -18,16 +16,16 @@ _LEAST = {"pixels": 15.0, "metres": 0.06}
 
 
 def agreement_warnings(
-    summaries: Sequence[ResidualSummary], observations: Sequence[Seen], estimate: Estimate
+    summaries: Sequence[ResidualSummary], observations: Sequence[Sensor], estimate: Estimate
 ) -> list[Finding]:
     """Sensors whose residuals are far above their noise: model and data contradict each other."""
     warnings: list[Finding] = []
     for summary, seen in zip(summaries, observations, strict=True):
         warnings += _of(summary)
-        if isinstance(seen, Keypoints2D):
-            warnings += distance_warnings(summary.name, seen, estimate)
-        if isinstance(seen, PointCloud):
-            warnings += basin_findings(summary.name, seen, summary, estimate)
+        for view in kinds.views([seen]):
+            warnings += distance_warnings(summary.name, view, estimate)
+        for cloud in kinds.clouds([seen]):
+            warnings += basin_findings(summary.name, cloud, summary, estimate)
     return warnings
 
 

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from observations.keypoints2d import Keypoints2D
-from observations.markers3d import Markers3D
+from observations.together import kinds
 from observations.together.first_guess import one_clock
 from observations.together.triangulation import triangulate
 from recon.body.identities import ODDEST, SHORTEST, TALLEST, height
@@ -88,15 +88,14 @@ def body_warnings(found: ClipFit) -> list[Finding]:
 
 def _sizes(found: ClipFit) -> str:
     """What tells the size of a body, for messages."""
-    if any(isinstance(seen, Keypoints2D) for seen in found.observations):
+    if kinds.views(found.observations):
         return "focal lengths, units and the poses of the cameras"
     return "the unit, the scale and the labels of the points"
 
 
 def _oddest(found: ClipFit) -> float:
     """Standard deviations from which on a shape is odd; markers beside the skin bend it."""
-    markers = any(isinstance(seen, Markers3D) for seen in found.observations)
-    return _ODDEST_MARKERS if markers else ODDEST
+    return _ODDEST_MARKERS if kinds.markers(found.observations) else ODDEST
 
 
 def mirror_warnings(views: Sequence[Keypoints2D]) -> list[Finding]:

@@ -3,19 +3,12 @@
 from collections.abc import Sequence
 
 import numpy as np
-import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Int
 
-from observations.depth import PointCloud
-from observations.keypoints2d import Keypoints2D
-from observations.timing import at_observation_times
-from observations.together.first_guess import Seen
-from recon.body.model import BodyModel
 from recon.core.motion import Motion
-from recon.core.skeleton import JOINTS, PARENTS
+from recon.core.skeleton import JOINTS
 from recon.diagnosis.findings import Finding, listed, spans, stretches
-from recon.diagnosis.points.named_points import NamedPoints
-from recon.method.protocols import Estimate
+from recon.method.protocols import Estimate, Sensor
 
 _NEAR = 0.2
 """Metres at rest within which a point on a neighbouring bone shows where a joint is."""
@@ -26,7 +19,7 @@ _CLOUD_POINTS = 3
 
 
 def observed_joints(
-    observations: Sequence[Seen], estimate: Estimate
+    observations: Sequence[Sensor], estimate: Estimate
 ) -> Bool[np.ndarray, "time 22"]:
     """For every frame of the first clip's motion, which joints some sensor saw.
 
@@ -36,7 +29,7 @@ def observed_joints(
     motion = estimate.motion
     seen = np.zeros((motion.frames, len(JOINTS)), dtype=bool)
     for observation in observations:
-        moments = _of(observation, estimate)
+        moments = observation.shown_joints(estimate)
         number = _nearest_moments(observation, motion)
         within = (number >= 0) & (number < len(moments))
         seen[within] |= moments[number[within]]
@@ -74,50 +67,7 @@ def unseen_findings(observed: Bool[np.ndarray, "time 22"]) -> list[Finding]:
     return found
 
 
-def _of(observation: Seen, estimate: Estimate) -> Bool[np.ndarray, "moments 22"]:
-    """Which joints one sensor saw, at its own moments."""
-    body = estimate.body.model
-    if isinstance(observation, PointCloud):
-        return _near_points(observation, estimate)
-    if isinstance(observation, Keypoints2D):
-        visible = observation.confidence[0].cpu().numpy() > 0
-        bones = observation.points.bones
-        rest = observation.points.at_rest(body, body.template.new_zeros(body.shape_size))
-        rest = rest.double().cpu().numpy()
-    else:
-        points = NamedPoints.of(observation, body)
-        visible, bones, rest = points.visible, points.bones, points.rest
-    return visible @ _shows(bones, rest, body)
-
-
-def _shows(
-    bones: Sequence[int], rest: Float[np.ndarray, "points 3"], body: BodyModel
-) -> Bool[np.ndarray, "points 22"]:
-    """Which joints each point tells the place of."""
-    joints = body.joint_template.double().cpu().numpy()
-    near = np.linalg.norm(rest[:, None] - joints[None], axis=-1) < _NEAR
-    touches = np.array(
-        [[b == j or PARENTS[j] == b or PARENTS[b] == j for j in range(len(JOINTS))] for b in bones]
-    )
-    return near & touches
-
-
-def _near_points(cloud: PointCloud, estimate: Estimate) -> Bool[np.ndarray, "moments 22"]:
-    """Joints with points of the cloud around them."""
-    moments = cloud.points.shape[-3]
-    joints, covered = at_observation_times(
-        estimate.scene.to_recording(estimate.body.joints), estimate.motion,
-        fps=cloud.fps, start_time=cloud.start_time, moments=moments,
-    )  # fmt: skip
-    seen = np.zeros((moments, len(JOINTS)), dtype=bool)
-    for moment in range(covered.start, covered.stop):
-        points = cloud.points[0, moment][cloud.present[0, moment]]
-        away = torch.cdist(joints[0, moment - covered.start], points)
-        seen[moment] = ((away < _CLOUD_NEAR).sum(-1) >= _CLOUD_POINTS).cpu().numpy()
-    return seen
-
-
-def _nearest_moments(observation: Seen, motion: Motion) -> Int[np.ndarray, " time"]:
+def _nearest_moments(observation: Sensor, motion: Motion) -> Int[np.ndarray, " time"]:
     """For every frame of the motion the number of the nearest tick of the observation's clock.
 
     Frames before its first and after its last moment have numbers beyond its own.

@@ -7,14 +7,8 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from observations.depth import PointCloud
-from observations.keypoints2d import Keypoints2D
-from observations.together.first_guess import Seen
-from observations.together.weighing import Noise
-from recon.body.model import BodyModel
-from recon.core.residuals import Unit
-from recon.diagnosis.points.named_points import NamedPoints
-from recon.method.protocols import Estimate
+from recon.core.residuals import Noise, Unit
+from recon.method.protocols import Estimate, Sensor
 
 _QUANTILES = (0.5, 0.9, 0.99)
 
@@ -41,14 +35,14 @@ class ResidualSummary:
         return asdict(self)
 
 
-def summarise(name: str, seen: Seen, noise: Noise, estimate: Estimate) -> ResidualSummary:
+def summarise(name: str, seen: Sensor, noise: Noise, estimate: Estimate) -> ResidualSummary:
     """Numbers about the residuals of the first clip for its report."""
     with torch.no_grad():
         residuals = seen.residuals(estimate)
     lengths = residuals.distances[0].double().cpu().numpy()
     lengths[~residuals.seen[0].cpu().numpy()] = np.nan
     flat = lengths[np.isfinite(lengths)]
-    names = point_names(seen, estimate.body.model)
+    names = seen.point_names(estimate.body.model)
     return ResidualSummary(
         name=name,
         unit=residuals.unit,
@@ -58,15 +52,6 @@ def summarise(name: str, seen: Seen, noise: Noise, estimate: Estimate) -> Residu
         by_point=dict(zip(names, _medians(lengths.T), strict=True)) if names else {},
         by_frame=tuple(_medians(lengths)),
     )
-
-
-def point_names(seen: Seen, body: BodyModel) -> tuple[str, ...]:
-    """What the points of a sensor are called; nothing for clouds."""
-    if isinstance(seen, PointCloud):
-        return ()
-    if isinstance(seen, Keypoints2D):
-        return seen.points.names
-    return NamedPoints.of(seen, body).names
 
 
 def _medians(rows: Float[np.ndarray, "rows samples"]) -> list[float | None]:

@@ -8,9 +8,8 @@ from jaxtyping import Bool, Float
 
 from observations.joints3d import Joints3D
 from observations.markers3d import Markers3D
-from recon.body.landmarks import landmarks
 from recon.body.model import BodyModel
-from recon.core.skeleton import JOINTS, MIRROR
+from recon.core.skeleton import MIRROR
 
 Points = Joints3D | Markers3D
 """Sensors that give the places of named points in space."""
@@ -39,23 +38,14 @@ class NamedPoints:
     @classmethod
     def of(cls, observation: Points, body: BodyModel) -> "NamedPoints":
         """The points of an observation of one clip, whose batch axis has length one."""
-        if isinstance(observation, Joints3D):
-            bones = observation.joints
-            names = tuple(JOINTS[joint] for joint in bones)
-            rest = body.joint_template[list(bones)]
-        else:
-            bones = observation.bones(body)
-            named = {vertex: name for name, vertex in landmarks().items()}
-            names = tuple(named.get(v, f"vertex {v}") for v in observation.vertices)
-            rest = body.template[list(observation.vertices)]
         return cls(
             positions=observation.positions[0].double().cpu().numpy(),
             visible=observation.visible[0].cpu().numpy(),
-            names=names,
-            bones=bones,
-            rest=rest.double().cpu().numpy(),
+            names=observation.point_names(body),
+            bones=observation.bones(body),
+            rest=observation.at_rest(body).double().cpu().numpy(),
             fps=observation.fps,
-            are_joints=isinstance(observation, Joints3D),
+            are_joints=not observation.on_skin,
         )
 
     def into(self, observation: Points) -> Points:

@@ -1,0 +1,37 @@
+"""What kinds of sensors a clip has: points with names, images, clouds."""
+
+from collections.abc import Sequence
+
+from observations.depth import PointCloud
+from observations.joints3d import Joints3D
+from observations.keypoints2d import Keypoints2D
+from observations.markers3d import Markers3D
+from recon.method.protocols import Sensor
+
+InSpace = Joints3D | Markers3D | PointCloud
+"""Sensors that give places in space, metres."""
+
+
+def tracked(observations: Sequence[Sensor]) -> list[Joints3D | Markers3D]:
+    """Joints and markers: points in space with names."""
+    return [one for one in observations if isinstance(one, Joints3D | Markers3D)]
+
+
+def markers(observations: Sequence[Sensor]) -> list[Markers3D]:
+    """Markers on the skin."""
+    return [one for one in observations if isinstance(one, Markers3D)]
+
+
+def in_space(observations: Sequence[Sensor]) -> list[InSpace]:
+    """Joints, markers and clouds, in the order given."""
+    return [one for one in observations if isinstance(one, InSpace)]
+
+
+def views(observations: Sequence[Sensor]) -> list[Keypoints2D]:
+    """Keypoints in images."""
+    return [one for one in observations if isinstance(one, Keypoints2D)]
+
+
+def clouds(observations: Sequence[Sensor]) -> list[PointCloud]:
+    """Points without names."""
+    return [one for one in observations if isinstance(one, PointCloud)]

@@ -1,0 +1,143 @@
+"""What joints and markers have in common: points with names, tracked in space."""
+
+from abc import abstractmethod
+from collections.abc import Callable
+from typing import Any, ClassVar, TypeVar
+
+import numpy as np
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from observations.correspondences import joints_shown
+from observations.noise import estimate_noise
+from observations.offsets import displaced
+from observations.start.rigid import rigid_start
+from observations.timing import moments_between, point_misfit, point_residuals
+from recon.body.model import BodyModel, PosedBody
+from recon.core.motion import Motion
+from recon.core.residuals import Noise, Residuals, Unit
+from recon.core.struct import TensorStruct
+from recon.method.protocols import Estimate
+
+P = TypeVar("P", bound="TrackedPoints")
+
+
+class TrackedPoints(TensorStruct):
+    """Positions of points whose places on the body are known; an energy in metres²."""
+
+    unit: ClassVar[Unit] = "metres"
+    on_skin: ClassVar[bool]
+    """Whether the points lie on the skin rather than being joints of the skeleton."""
+    positions: Float[Tensor, "*batch moments points 3"]
+    visible: Bool[Tensor, "*batch moments points"]
+    fps: float
+    start_time: float
+    kernel: Callable[[Tensor], Tensor]
+    ground_known: bool
+    offset_rows: tuple[int, int] | None
+
+    @abstractmethod
+    def on(self, posed: PosedBody) -> Float[Tensor, "*batch time points 3"]:
+        """Where a posed body has the points, world, metres."""
+
+    @abstractmethod
+    def at_rest(self, body: BodyModel) -> Float[Tensor, "points 3"]:
+        """Where the average body in its rest pose has the points, metres."""
+
+    @abstractmethod
+    def bones(self, body: BodyModel) -> tuple[int, ...]:
+        """The body joint whose bone carries each point."""
+
+    @abstractmethod
+    def point_names(self, body: BodyModel) -> tuple[str, ...]:
+        """Names of the points, for reports."""
+
+    @property
+    def clips(self) -> tuple[int, ...]:
+        """Sizes of the leading axes; one axis of clips, or none."""
+        return tuple(self.positions.shape[:-3])
+
+    @property
+    def moments(self) -> int:
+        """Number of moments of a clip."""
+        return self.positions.shape[-3]
+
+    @property
+    def places(self) -> Float[Tensor, "*batch moments points 3"]:
+        """Where the points were seen, frame of the recording, metres."""
+        return self.positions
+
+    @property
+    def shown(self) -> Bool[Tensor, "*batch moments points"]:
+        """Which points were seen."""
+        return self.visible
+
+    def predict(self, estimate: Estimate) -> Float[Tensor, "*batch time points 3"]:
+        """Positions of these points on the estimated body, in the world, metres."""
+        points = self.on(estimate.body)
+        if self.offset_rows is None:
+            return points
+        return displaced(points, estimate, self.bones(estimate.body.model), self.offset_rows)
+
+    def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
+        """½ Σ kernel(|observed - predicted|²) over visible points, taken at 30 Hz.
+
+        HuMoR section 6.5: joints3d and verts3d.
+        """
+        return point_misfit(
+            estimate.scene.to_recording(self.predict(estimate)), estimate.motion,
+            self.positions, self.visible,
+            fps=self.fps, start_time=self.start_time, kernel=self.kernel,
+        )  # fmt: skip
+
+    def residuals(self, estimate: Estimate) -> Residuals:
+        """Observed minus predicted position of every point at every moment, metres."""
+        return point_residuals(
+            estimate.scene.to_recording(self.predict(estimate)), estimate.motion,
+            self.positions, self.visible, fps=self.fps, start_time=self.start_time,
+        )  # fmt: skip
+
+    def noise(self, guess: Motion, body: BodyModel, given: float | None = None) -> Noise:
+        """The standard deviation of a coordinate: given, or estimated from the points' paths."""
+        del guess, body
+        found = given or estimate_noise(self.positions, self.visible)
+        return Noise(found, found)
+
+    def window(self: P, start: float, stop: float) -> P:
+        """The part of the observation from one time to another, both included, in seconds."""
+        positions, visible, first = moments_between(
+            self.positions, self.visible,
+            fps=self.fps, start_time=self.start_time, start=start, stop=stop,
+        )  # fmt: skip
+        return self.derived(positions=positions, visible=visible, start_time=first)
+
+    def thinned(self: P, most: int) -> P:
+        """All points: each has a name."""
+        del most
+        return self
+
+    def coarse(self: P, body: BodyModel, step: int = 2) -> P:
+        """Every `step`-th moment; all of them where most are empty."""
+        del body
+        if 2 * int(self.visible.any(-1).sum()) < self.visible[..., 0].numel():
+            return self
+        every = (..., slice(None, None, step), slice(None))
+        few: dict[str, Any] = {
+            "positions": self.positions[..., ::step, :, :],
+            "visible": self.visible[every],
+        }
+        return self.derived(fps=self.fps / step, **few)
+
+    def start(self, body: BodyModel) -> Motion:
+        """A first guess: the rest pose, aligned with the points of the torso in every frame."""
+        return rigid_start(
+            body, self.at_rest(body).to(self.positions), self.bones(body), self.positions,
+            self.visible, fps=self.fps, start_time=self.start_time,
+        )  # fmt: skip
+
+    def shown_joints(self, estimate: Estimate) -> Bool[np.ndarray, "moments 22"]:
+        """Joints of the first clip that a visible point tells the place of, at every moment."""
+        body = estimate.body.model
+        rest = self.at_rest(body).double().cpu().numpy()
+        visible = self.visible[0].cpu().numpy()
+        return visible @ joints_shown(self.bones(body), rest, body)
