@@ -14,7 +14,6 @@ import numpy as np
 
 import recon
 from recon.body.landmarks import landmark, match_markers
-from recon.ingest.single import convert
 
 PAIRS = (
     "FHD", "BHD", "SHO", "UPA", "ELB", "WRA", "WRB", "FIN",
@@ -45,13 +44,13 @@ def written(path: Path) -> Path:
 
 def main() -> None:
     trial = Path(sys.argv[1]) if len(sys.argv) > 1 else written(Path("trial.c3d"))
-    found = convert(trial)
-    for decision in found.decisions:
+    found = recon.convert(trial)
+    for decision in found.about["decisions"]:
         print("decided:", decision)
     for finding in (*found.repairs, *found.warnings):
         print(f"{finding.code}: {finding.message}")
-    print(f"residual {found.report['residual_mm']:.1f} mm, {found.report['frames']} frames")
-    found.save("trial.npz", recon.BodyModel.load())
+    print(found)
+    found.save("trial.npz", overwrite=True)
 
 
 if __name__ == "__main__":

@@ -17,6 +17,15 @@ if TYPE_CHECKING:
     from recon.api.fit import fit as fit
     from recon.api.load import load_observation as load_observation
     from recon.api.result import Result as Result
+    from recon.api.results.motion import MotionResult as MotionResult
+    from recon.api.verbs.complete import complete as complete
+    from recon.api.verbs.convert import convert as convert
+    from recon.api.verbs.evaluate import evaluate as evaluate
+    from recon.api.verbs.generate import predict as predict
+    from recon.api.verbs.generate import sample as sample
+    from recon.api.verbs.interpolate import interpolate as interpolate
+    from recon.api.verbs.retarget import retarget as retarget
+    from recon.api.verbs.simulate import simulate as simulate
     from recon.body.model import BodyModel as BodyModel
     from recon.body.motion_files import load_motion_of as load_motion_of
     from recon.core.camera import Camera as Camera
@@ -34,12 +43,20 @@ if TYPE_CHECKING:
     from recon.method.reconstruction import solve as solve
     from recon.method.stages import Stage as Stage
     from recon.method.terms import Term as Term
-    from recon.metrics.evaluation import evaluate as evaluate
 
 _HOMES = {
     "fit": "recon.api.fit",
     "load_observation": "recon.api.load",
     "Result": "recon.api.result",
+    "complete": "recon.api.verbs.complete",
+    "retarget": "recon.api.verbs.retarget",
+    "sample": "recon.api.verbs.generate",
+    "predict": "recon.api.verbs.generate",
+    "interpolate": "recon.api.verbs.interpolate",
+    "convert": "recon.api.verbs.convert",
+    "evaluate": "recon.api.verbs.evaluate",
+    "simulate": "recon.api.verbs.simulate",
+    "MotionResult": "recon.api.results.motion",
     "Joints3D": "observations.joints3d",
     "Markers3D": "observations.markers3d",
     "Keypoints2D": "observations.keypoints2d",
@@ -51,7 +68,6 @@ _HOMES = {
     "UnitsError": "recon.core.errors",
     "WeightsError": "recon.core.errors",
     "BodyModel": "recon.body.model",
-    "evaluate": "recon.metrics.evaluation",
     "load_motion": "recon.formats.motions",
     "save_motion": "recon.formats.motions",
     "LongReconstruction": "recon.fitting.long",

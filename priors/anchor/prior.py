@@ -16,6 +16,7 @@ from priors.anchor.weights import AnchorWeights, load_weights
 from priors.cosines import cosines
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
+from recon.core.errors import ReconError
 from recon.core.motion import Motion
 from recon.core.struct import TensorStruct, stack
 from recon.method.protocols import Decoded
@@ -81,7 +82,7 @@ class AnchorFrames:
         found = load_weights(weights)
         expected = found.networks.shape
         if body.shape_size != expected:
-            raise ValueError(
+            raise ReconError(
                 f"the anchor weights know bodies of {expected} shape coefficients, "
                 f"{body.name!r} has {body.shape_size}; train weights for it"
             )

@@ -10,6 +10,7 @@ from priors.humor.first import first_states
 from priors.humor.prior import Humor
 from priors.humor.state import Frame, State, compose, contact_probabilities, states_of
 from recon.body.kinematics import forward_kinematics
+from recon.core.errors import ReconError
 from recon.core.motion import Motion
 from recon.core.struct import stack
 from recon.method.protocols import REFERENCE_FPS, Decoded
@@ -78,7 +79,7 @@ def roll_from(
         ValueError: when fewer than two frames are asked for.
     """
     if frames < 2:
-        raise ValueError(f"a motion from HuMoR has two frames at least, asked for {frames}")
+        raise ReconError(f"a motion from HuMoR has two frames at least, asked for {frames}")
     networks, pelvis, rest = humor.networks, humor.pelvis(shape), humor.body.rest_joints(shape)
     states, logits = [first], []
     for _ in range(frames - 1):
@@ -132,7 +133,7 @@ def predict(
         ValueError: when a clip is padded or shorter than two frames.
     """
     if not bool(motion.valid.all()):
-        raise ValueError("expected clips that exist to their last frame; predict each alone")
+        raise ReconError("expected clips that exist to their last frame; predict each alone")
     humor = humor.like(motion.translation)
     end = motion.window(max(motion.frames - 2, 0), motion.frames)
     first = states_of(end, humor.body)[:, -1]

@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from recon.core.errors import ReconError
 from recon.core.struct import TensorStruct
 from recon.formats.files.opening import load_arrays
 
@@ -45,7 +46,7 @@ class Mixture(TensorStruct):
         factor, failed = torch.linalg.cholesky_ex(covariances.double())
         if bool(failed.any()):
             bad = failed.nonzero()[:, 0].tolist()
-            raise ValueError(
+            raise ReconError(
                 f"expected positive definite covariances, but those of components {bad} are not; "
                 "leave out numbers that follow from others, or regularise more"
             )
@@ -97,7 +98,7 @@ class Mixture(TensorStruct):
         arrays = load_arrays(Path(path))
         names = ("weights", "means", "covariances")
         if missing := [name for name in names if name not in arrays]:
-            raise ValueError(
+            raise ReconError(
                 f"{path}: expected a mixture with {', '.join(names)}; missing {missing}, found "
                 f"{sorted(arrays)}"
             )

@@ -20,6 +20,7 @@ from priors.humos.weights import HumosWeights, load_weights
 from recon.body.model import BodyModel
 from recon.body.reshape import leg_length
 from recon.core import rotations as so3
+from recon.core.errors import ReconError
 from recon.core.motion import Motion
 from recon.core.struct import TensorStruct
 from recon.method.protocols import Decoded
@@ -82,7 +83,7 @@ class Humos:
         body = BodyModel.load() if body is None else body
         found = load_weights(weights)
         if body.checksum != BodyModel.load().checksum:
-            raise ValueError(
+            raise ReconError(
                 f"the HUMOS weights know the bundled body alone, got {body.name!r}; fit a motion "
                 "of the bundled body first, or take the prior `humor`"
             )
@@ -159,7 +160,7 @@ class Humos:
                 networks of one code per clip know.
         """
         if not 1 <= seconds < float("inf"):
-            raise ValueError(f"expected at least 1 second, got {seconds:g}; ask for more")
+            raise ReconError(f"expected at least 1 second, got {seconds:g}; ask for more")
         frames = round(seconds * FPS) + 1
         self._known(frames)
         memory = 1 if self.weights.one_code else windows_of(frames)
@@ -178,7 +179,7 @@ class Humos:
 
     def _known(self, frames: int) -> None:
         if frames > self.longest * FPS:
-            raise ValueError(
+            raise ReconError(
                 f"these weights know clips of {self.longest:g} s, got {frames / FPS:g} s; cut it, "
                 "or take weights with a code per window"
             )

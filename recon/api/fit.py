@@ -2,28 +2,33 @@
 
 import logging
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float
-from torch import Tensor
 
-from recon.api.observations import GroundChoice, Sighting, clip_of, counted_less_beyond, on_ground
+from recon.api.given import BodyLike, body_given
+from recon.api.observations import (
+    GroundChoice,
+    ObservationsLike,
+    Sighting,
+    clip_of,
+    counted_less_beyond,
+    on_ground,
+)
 from recon.api.priors import prior_of
 from recon.api.result import Result, result_of
+from recon.api.shapes import ShapeLike, shape_given
 from recon.api.stopping import Stopper
 from recon.body.model import BodyModel
-from recon.core.arrays import Numbers, finite, float_tensor, positive
-from recon.core.errors import ObservationError, ReconError
-from recon.core.limits import FRAME_RATE, SHAPE
+from recon.core.arrays import finite, positive
+from recon.core.errors import ObservationError
+from recon.core.limits import FRAME_RATE
 from recon.core.motion import Motion
 from recon.diagnosis.examination import fit_examined
 from recon.diagnosis.findings import Finding
 from recon.fitting.clip_files import Clip, window
 from recon.fitting.options import FitOptions, PriorObject
-from recon.method.protocols import Sensor
 from recon.method.stages import Watch
 from recon.method.terms import Term
 
@@ -31,12 +36,12 @@ _LOG = logging.getLogger("recon")
 
 
 def fit(
-    observations: Sensor | Sequence[Sensor] | Clip,
+    observations: ObservationsLike,
     prior: str | PriorObject = "humor",
     *,
     weights: str = "open",
-    body: BodyModel | Path | str | None = None,
-    shape: Numbers | Motion | Result | None = None,
+    body: BodyLike = None,
+    shape: ShapeLike | None = None,
     terms: Sequence[Term] = (),
     noise: float | Sequence[float | None] | None = None,
     robust: float | str = "auto",
@@ -60,7 +65,7 @@ def fit(
     Args:
         observations: one or several of `Joints3D`, `Markers3D`, `Keypoints2D`, `PointCloud`,
             without a leading axis or with one of length one; `recon.load_observation` reads them
-            from files. Or a `Clip` of `recon.fitting.clip_files.load_clip`.
+            from files. Or paths of such files and folders, or what `recon.simulate` returned.
         prior: a name (`humor`, `pose`, `anchor` for one gait cycle, `humos`), a loaded prior, a
             method with `stages(data)`, or "package.module:Class".
         weights: of a prior given by its name: `open`, `nc` (not for commercial use) or a file.
@@ -92,7 +97,7 @@ def fit(
         ReconError: for what cannot be fitted or understood; the message says what to do.
         FileNotFoundError: when there is no such body or weights.
     """
-    model = _body(body).to(device=device, dtype=torch.float32)
+    model = body_given(body).to(device=device, dtype=torch.float32)
     clip = clip_of(observations, model)
     if between is not None:
         clip = window(clip, *between)
@@ -109,7 +114,7 @@ def fit(
         physics=finite(physics, "physics"),
         ground_given=clip.ground_given,
         repair=repair,
-        shape=None if shape is None else _shape(shape, model),
+        shape=None if shape is None else shape_given(shape, model),
         terms=tuple(terms),
     )
     stopper = None
@@ -132,10 +137,6 @@ def fit(
     return result
 
 
-def _body(given: BodyModel | Path | str | None) -> BodyModel:
-    return given if isinstance(given, BodyModel) else BodyModel.load(given)
-
-
 def _noises(given: float | Sequence[float | None] | None, clip: Clip) -> tuple[float | None, ...]:
     """One for every observation; empty where all are estimated."""
     if given is None:
@@ -155,21 +156,6 @@ def _noises(given: float | Sequence[float | None] | None, clip: Clip) -> tuple[f
             f"got {len(given)}"
         )
     return tuple(None if one is None else positive(one, "noise") for one in given)
-
-
-def _shape(given: Numbers | Motion | Result, body: BodyModel) -> Float[Tensor, " shape"]:
-    """Shape coefficients of the body, those that are missing at the end zero."""
-    if isinstance(given, Result):
-        given = given.motion
-    coefficients = given.shape if isinstance(given, Motion) else float_tensor(given, "shape")
-    found = coefficients.detach().to(body.template)
-    if found.ndim != 1 or not 0 < len(found) <= body.shape_size:
-        raise ReconError(
-            f"shape: expected 1 to {body.shape_size} coefficients, those of the body "
-            f"{body.name!r}, got the shape {tuple(found.shape)}"
-        )
-    SHAPE.check(found.cpu(), "fit", "shape")
-    return torch.nn.functional.pad(found, (0, body.shape_size - len(found)))
 
 
 def _start(given: Motion | Result | None, sighting: Sighting, body: BodyModel) -> Motion | None:

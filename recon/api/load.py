@@ -7,7 +7,7 @@ from typing import Literal
 
 from recon.body.model import BodyModel
 from recon.core.errors import FormatError, ReconError
-from recon.fitting.clip_files import load_clip
+from recon.fitting.clip_files import Clip, load_clip
 from recon.fitting.settings import FitSettings
 from recon.method.protocols import Sensor
 
@@ -67,13 +67,22 @@ def load_observation(
         camera_up=camera_up, image_size=image_size, ground=ground, depth_scale=depth_scale,
         seed=seed,
     )  # fmt: skip
+    clip = read_clip(paths, settings, BodyModel.load() if body is None else body)
+    for note in clip.notes:
+        _LOG.info("%s", note)
+    return clip.observations[0] if len(clip.observations) == 1 else list(clip.observations)
+
+
+def read_clip(paths: Sequence[Path | str], settings: FitSettings, body: BodyModel) -> Clip:
+    """Everything that was recorded of one clip, from files and folders of any kind.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+        FormatError: when something cannot be read, or settings are missing; says what to do.
+    """
     try:
-        model = BodyModel.load() if body is None else body
-        clip = load_clip([Path(one) for one in paths], settings, model)
+        return load_clip([Path(one) for one in paths], settings, body)
     except ReconError:
         raise
     except ValueError as error:
         raise FormatError(str(error)) from error
-    for note in clip.notes:
-        _LOG.info("%s", note)
-    return clip.observations[0] if len(clip.observations) == 1 else list(clip.observations)

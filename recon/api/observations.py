@@ -1,9 +1,10 @@
 """What the caller observed as one clip: one leading axis, one precision, one frame, names."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -16,14 +17,19 @@ from observations.keypoints2d import Keypoints2D
 from observations.markers3d import Markers3D
 from observations.together import kinds as sensors
 from observations.together.frames import camera_frame_is_recording, carried
+from recon.api.load import read_clip
 from recon.body.model import BodyModel
 from recon.core.errors import ObservationError, ReconError
 from recon.core.robust import geman_mcclure
 from recon.fitting.clip_files import Clip
+from recon.fitting.settings import DEFAULTS
 from recon.method.protocols import Sensor
 
 Plane = tuple[float, float, float, float]
 """(nx, ny, nz, d): the points x of the ground have n·x = d in the observations' frame, metres."""
+ObservationsLike = Sensor | Path | str | Sequence[Sensor | Path | str] | Iterable[Sensor] | Clip
+"""One or several observations of one clip: records, files and folders that
+`recon.load_observation` reads, or what `recon.simulate` returned."""
 GroundChoice = Literal["auto", "known", "unknown"] | Plane
 
 _KINDS = {
@@ -45,13 +51,21 @@ def clip_of(given: Any, body: BodyModel) -> Clip:
     """One clip of the caller's observations, in the precision and on the device of the body.
 
     Args:
-        given: an observation, several, or a `Clip`.
+        given: an observation, several, files or folders of them, or a `Clip`.
         body: that is to be fitted.
 
     Raises:
         ObservationError: when there is none, something is no observation, or there are several
             clips.
+        FileNotFoundError: when there is no such file.
     """
+    given = [given] if isinstance(given, Path | str) else given
+    if not isinstance(given, Sensor | Clip):
+        if not isinstance(given, Iterable):
+            raise _no_observation(given)
+        given = tuple(given)
+        if len(given) > 0 and all(isinstance(one, Path | str) for one in given):
+            given = read_clip(given, DEFAULTS, body)
     if isinstance(given, Clip):
         seen, names = given.observations, given.names
     else:
@@ -130,10 +144,7 @@ def _names(seen: Sequence[Any]) -> tuple[str, ...]:
     """By kind, numbered where there are several of one."""
     for one in seen:
         if not isinstance(one, Sensor):
-            raise ObservationError(
-                "expected observations (recon.Joints3D, Markers3D, Keypoints2D or PointCloud; "
-                f"recon.load_observation reads files), got {type(one).__name__}"
-            )
+            raise _no_observation(one)
     kinds = [_KINDS.get(type(one), type(one).__name__.lower()) for one in seen]
     count, number = Counter(kinds), Counter[str]()
     names: list[str] = []
@@ -141,6 +152,13 @@ def _names(seen: Sequence[Any]) -> tuple[str, ...]:
         number[kind] += 1
         names.append(kind if count[kind] == 1 else f"{kind} {number[kind]}")
     return tuple(names)
+
+
+def _no_observation(given: object) -> ObservationError:
+    return ObservationError(
+        "expected observations (recon.Joints3D, Markers3D, Keypoints2D or PointCloud; "
+        f"recon.load_observation reads files), got {type(given).__name__}"
+    )
 
 
 def _one_clip(one: Sensor) -> Sensor:

@@ -2,19 +2,17 @@
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
 from recon.api.motion_file import described
-from recon.api.printing import in_ten_lines
 from recon.api.report import describe
-from recon.body.identities import height
+from recon.api.results.motion import MotionResult
+from recon.api.results.printing import described_residuals, in_ten_lines
 from recon.body.model import BodyModel
-from recon.core.motion import Motion
 from recon.core.residuals import Noise
 from recon.diagnosis.examination import Examined
 from recon.diagnosis.findings import Finding
@@ -22,25 +20,17 @@ from recon.diagnosis.fits.domain import cycle_report
 from recon.diagnosis.fits.summaries import ResidualSummary
 from recon.diagnosis.motions.treadmill import in_room, path_of_belt
 from recon.fitting.clip_files import Clip
-from recon.formats.motions import MotionFile, save_motion
-from recon.formats.results.writing import writing_file
 from recon.method.reconstruction import Reconstruction
 
 _UP = (0.0, 0.0, 1.0)
 
 
 @dataclass(frozen=True, repr=False)
-class Result:
+class Result(MotionResult):
     """One clip's motion and everything the fit knows about it; tensors have no leading axis."""
 
-    file: MotionFile
-    """What `save` writes: the motion, joints, contacts, ground and camera."""
-    body: BodyModel
-    """Whose motion it is."""
     examined: Examined
     """The fit, and what is known about the data and the result."""
-    warnings: tuple[Finding, ...]
-    """What should be read before the result is used."""
     notes: tuple[str, ...]
     """What was assumed in reading files."""
     cycle: dict[str, Any] | None
@@ -48,40 +38,6 @@ class Result:
     recorded cycles."""
     arguments: Mapping[str, Any]
     """What `recon.fit` was called with, in plain values."""
-
-    @property
-    def motion(self) -> Motion:
-        """The motion: world with z up; metres, rotation matrices, frames per second."""
-        return self.file.motion
-
-    @property
-    def joints(self) -> Float[Tensor, "time 22 3"]:
-        """Positions of the 22 joints in the world, metres."""
-        assert self.file.joints is not None
-        return self.file.joints
-
-    @property
-    def vertices(self) -> Float[Tensor, "time vertices 3"]:
-        """Positions of the skin's vertices in the world, metres; computed at every call."""
-        return self.body.pose(self.motion).vertices
-
-    @property
-    def contacts(self) -> Float[Tensor, "time 22"]:
-        """1 where a joint stands on the ground, 0 elsewhere."""
-        assert self.file.contacts is not None
-        return self.file.contacts
-
-    @property
-    def ground(self) -> Float[Tensor, "4"]:
-        """(nx, ny, nz, d): the points x of the ground have n·x = d in the world, metres."""
-        assert self.file.ground is not None
-        return self.file.ground
-
-    @property
-    def observed(self) -> Bool[Tensor, "time 22"]:
-        """False where a joint was inferred rather than seen."""
-        assert self.file.observed is not None
-        return self.file.observed
 
     @property
     def T_world_camera(self) -> Float[Tensor, "4 4"] | None:
@@ -145,33 +101,12 @@ class Result:
             "warnings": [finding.report() for finding in self.warnings],
         }
 
-    def save(
-        self,
-        path: Path | str,
-        *,
-        overwrite: bool = False,
-        report: Mapping[str, Any] | None = None,
-    ) -> None:
-        """Write the motion file (AMASS .npz) and its report, PATH.json, together.
-
-        Args:
-            path: file to write.
-            overwrite: replace files that are there and recon did not write.
-            report: what to write beside it instead of `report()`.
-
-        Raises:
-            FileExistsError: when either is there and recon did not write it, unless `overwrite`.
-        """
-        said = self.report() if report is None else report
-        with writing_file(Path(path), said, overwrite=overwrite) as staged:
-            save_motion(staged, self.file)
-
     def __repr__(self) -> str:
         """At most ten lines: how long, who, how near the data, and what was found."""
-        tall = float(height(self.body, self.motion.shape))
+        first = self._headline() + (", FAILED: NaN or infinity" if self.failed else "")
         found = [f"repaired: {finding.message}" for finding in self.repairs]
         found += [f"warning: {finding.message}" for finding in self.warnings]
-        return in_ten_lines(self.motion, tall, self.failed, self.residuals, found)
+        return in_ten_lines(first, described_residuals(self.residuals), found)
 
 
 def result_of(

@@ -15,6 +15,7 @@ from torch import Tensor
 from recon.body.model import BodyModel
 from recon.body.motion_files import load_motion_of
 from recon.body.parts import Parts, part_volumes
+from recon.core.errors import ReconError
 
 DENSITY = 1010.0
 """kg/m³ of a living person, lungs half full."""
@@ -146,7 +147,7 @@ def nearest_shape(
         if not float(away.norm()) < _FAR:
             break
         shape = base + away
-    raise ValueError("no body of this model has these measures; ask for milder ones")
+    raise ReconError("no body of this model has these measures; ask for milder ones")
 
 
 def _numbers(words: list[str]) -> bool:
@@ -159,12 +160,12 @@ def _numbers(words: list[str]) -> bool:
 def _coefficients(spec: str, words: list[str], body: BodyModel) -> Tensor:
     values = [float(word) for word in words]
     if len(values) > body.shape_size:
-        raise ValueError(
-            f"--shape {spec}: the body {body.name!r} has {body.shape_size} coefficients, got "
+        raise ReconError(
+            f"shape {spec!r}: the body {body.name!r} has {body.shape_size} coefficients, got "
             f"{len(values)}"
         )
     if not all(map(math.isfinite, values)):
-        raise ValueError(f"--shape {spec}: coefficients are finite numbers")
+        raise ReconError(f"shape {spec!r}: coefficients are finite numbers")
     return body.template.new_tensor(values + [0.0] * (body.shape_size - len(values)))
 
 
@@ -178,9 +179,9 @@ def _wishes(spec: str, words: list[str]) -> _Wishes:
         elif not equals and name in _WORDS:
             slot, wish = _WORDS[name]
         else:
-            raise ValueError(f"--shape {spec}: {word or 'nothing'!r} is not known; give {FORMS}")
+            raise ReconError(f"shape {spec!r}: {word or 'nothing'!r} is not known; give {FORMS}")
         if slot in found:
-            raise ValueError(f"--shape {spec}: says the {slot} twice")
+            raise ReconError(f"shape {spec!r}: says the {slot} twice")
         found[slot] = wish
     return _Wishes(**found)
 
@@ -190,12 +191,12 @@ def _measure(spec: str, name: str, value: str) -> float:
     try:
         number = float(value)
     except ValueError:
-        raise ValueError(
-            f"--shape {spec}: expected a number of {unit} for the {name}, got {value!r}"
+        raise ReconError(
+            f"shape {spec!r}: expected a number of {unit} for the {name}, got {value!r}"
         ) from None
     if not least <= number <= most:
-        raise ValueError(
-            f"--shape {spec}: expected a {name} of {least:g} to {most:g} {unit}, got {value}"
+        raise ReconError(
+            f"shape {spec!r}: expected a {name} of {least:g} to {most:g} {unit}, got {value}"
         )
     return number
 
@@ -230,7 +231,7 @@ def _sex(wish: Lean | None, body: BodyModel) -> tuple[Tensor, Tensor]:
         return torch.zeros_like(body.male), free
     between = body.male - body.female
     if not bool((between != 0).any()):
-        raise ValueError(
+        raise ReconError(
             f"the body {body.name!r} knows one sex only: give height and weight, or coefficients"
         )
     axis = between / between.norm()

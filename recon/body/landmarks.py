@@ -16,6 +16,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import cast
 
+from recon.core.errors import ReconError
+
 _SIDED = (
     "acromion", "elbow_lateral", "elbow_medial", "wrist_radial", "wrist_ulnar", "hand",
     "thigh_lateral", "knee_lateral", "knee_medial", "ankle_lateral", "ankle_medial", "heel",
@@ -67,7 +69,7 @@ def landmark(name: str) -> int:
     try:
         return landmarks()[name]
     except KeyError:
-        raise ValueError(
+        raise ReconError(
             f"no landmark {name!r}; there are: {', '.join(sorted(landmarks()))}"
         ) from None
 
@@ -107,7 +109,7 @@ def load_marker_map(path: str | Path) -> dict[str, int]:
     try:
         entries = tomllib.loads(path.read_text(encoding="utf-8"))
     except tomllib.TOMLDecodeError as error:
-        raise ValueError(
+        raise ReconError(
             f'{path} is not TOML ({error}); write one line per marker, like "LASI" = "left_asis"'
         ) from error
     return {label: _vertex(path, label, point) for label, point in entries.items()}
@@ -118,15 +120,15 @@ def _vertex(path: Path, label: str, point: object) -> int:
         try:
             return landmark(point)
         except ValueError as error:
-            raise ValueError(f"{path}, marker {label!r}: {error}") from None
+            raise ReconError(f"{path}, marker {label!r}: {error}") from None
     if isinstance(point, int) and not isinstance(point, bool) and point >= 0:
         return point
     if isinstance(point, dict):
-        raise ValueError(
+        raise ReconError(
             f"{path}: {label!r} became a table; labels with dots need quotes, "
             f'like "{label}.ASIS" = "left_asis"'
         )
-    raise ValueError(
+    raise ReconError(
         f"{path}, marker {label!r}: expected a landmark's name or a vertex number, got {point!r}"
     )
 
@@ -141,7 +143,7 @@ def _synonyms() -> Mapping[str, str]:
     def add(label: str, point: str) -> None:
         known = table.setdefault(normalised(label), point)
         if known != point or point not in landmarks():
-            raise ValueError(f"markers.toml: label {label!r} -> {point!r}, but also {known!r}")
+            raise ReconError(f"markers.toml: label {label!r} -> {point!r}, but also {known!r}")
 
     for section in ("middle", "single"):
         for point, labels in sections[section].items():

@@ -14,7 +14,7 @@ from observations.people.masks import load_silhouettes, masked
 from observations.people.views import load_views
 from recon.body.model import BodyModel
 from recon.core.errors import FormatError, ObservationError
-from recon.fitting.settings import FitSettings
+from recon.fitting.settings import DEFAULTS, FitSettings
 from recon.formats.calibration.cameras import load_cameras
 from recon.formats.clouds.depth_images import read_depth_images
 from recon.formats.clouds.scans import read_scans
@@ -98,6 +98,15 @@ def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> 
             seen = (masked(seen[0], mask, first_frame=views.first_frame),)
         files += zip(views.names, seen, strict=True)
     return _together(files, notes, settings, body)
+
+
+def clip_from(files: Sequence[tuple[str, ObservationFile]], body: BodyModel) -> Clip:
+    """One clip of what observation files hold, each with a name for messages.
+
+    Raises:
+        ValueError: as `load_clip` does.
+    """
+    return _together(files, [], DEFAULTS, body)
 
 
 def window(clip: Clip, start: float, stop: float) -> Clip:

@@ -10,6 +10,7 @@ from priors.anchor.frames import ANCHORS, Anchors, rest_pelvis
 from priors.anchor.prior import AnchorFrames, AnchorVariables
 from recon.body.cycles import LONGEST, SHORTEST, THRESHOLD, Cycle, find_cycles, hip_flexion
 from recon.core import rotations as so3
+from recon.core.errors import ReconError
 from recon.core.motion import Motion
 
 _RETURN = math.radians(10)
@@ -53,7 +54,7 @@ def played(prior: AnchorFrames, variables: AnchorVariables, fps: float) -> Motio
         anchors: Anchors = prior.anchors(variables)
     duration = float(anchors.duration[0])
     if not SHORTEST / 2 <= duration <= 2 * LONGEST:
-        raise ValueError(
+        raise ReconError(
             f"the weights decode a cycle of {duration:.2f} s, which no cycle of gait lasts; one "
             "of the motions is unlike all they know"
         )

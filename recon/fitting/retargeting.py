@@ -9,6 +9,7 @@ from torch import Tensor
 from priors.humos.prior import Humos, at_rate, frames_at_rate, spline
 from recon.body.reshape import leg_length, with_shape
 from recon.core import rotations as so3
+from recon.core.errors import ReconError
 from recon.core.motion import Motion
 from recon.fitting.settling import flies, grounded
 from recon.method.windows import Piece, Windows, join
@@ -115,23 +116,23 @@ def _checked(
 ) -> tuple[Motion, Float[Tensor, " shape"]]:
     """Both in single precision, or a message that says what is wrong."""
     if motion.translation.ndim != 2 or not bool(motion.valid.all()):
-        raise ValueError(
+        raise ReconError(
             "expected one clip all of whose frames exist; take the clips of a batch one by one, "
             "without their padding"
         )
     if motion.frames < max(2, SHORTEST * motion.fps):
-        raise ValueError(
+        raise ReconError(
             f"expected at least {SHORTEST:g} s of motion and two frames, got {motion.frames} "
             f"frames, {motion.frames / motion.fps:.2f} s; give a longer clip"
         )
     size = prior.body.shape_size
     if shape.shape != (size,) or motion.shape.shape != (size,):
-        raise ValueError(
+        raise ReconError(
             f"expected shapes of {size} coefficients, got {tuple(shape.shape)} for a motion of "
             f"{tuple(motion.shape.shape)}; fill the missing ones with zeros"
         )
     numbers = {"motion": (*motion.tensors().values(),), "shape": (shape,)}
     for name, tensors in numbers.items():
         if not all(bool(tensor.isfinite().all()) for tensor in tensors):
-            raise ValueError(f"the {name} has nan or infinity; fill its gaps first")
+            raise ReconError(f"the {name} has nan or infinity; fill its gaps first")
     return motion.to(dtype=torch.float32), shape.float()

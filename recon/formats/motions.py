@@ -92,7 +92,22 @@ def load_motion(path: str | Path, dtype: torch.dtype = torch.float32) -> MotionF
             ranges of `recon.core.limits`.
     """
     path = Path(path)
-    arrays = load_arrays(path)
+    return motion_from(load_arrays(path), path, dtype)
+
+
+def motion_from(
+    arrays: dict[str, np.ndarray], path: Path, dtype: torch.dtype = torch.float32
+) -> MotionFile:
+    """The motion that the arrays of a file hold.
+
+    Args:
+        arrays: by the names of the AMASS layout.
+        path: what they are called in messages.
+        dtype: precision of the motion.
+
+    Raises:
+        ValueError: as `load_motion` does.
+    """
     _check_keys(path, arrays)
     numeric = {k: v for k, v in arrays.items() if v.dtype.kind in "fiub"}
     known = ("trans", "poses", "root_orient", "pose_body", "betas", "format_version", "start_time")

@@ -64,20 +64,21 @@ class Conversion:
         lists = {"diagnosis": self.diagnosis, "repairs": self.repairs, "warnings": self.warnings}
         return {name: [one.report() for one in found] for name, found in lists.items()}
 
-    def save(self, path: str | Path, body: BodyModel, *, contacts: bool = True) -> None:
-        """Write an AMASS file with joints and, unless they are not to be trusted, contacts."""
-        save_motion(
-            path,
-            MotionFile(
-                motion=self.motion,
-                body=body.name,
-                checksum=body.checksum,
-                joints=self.joints,
-                contacts=self.contacts.to(self.joints) if contacts and not self.on_belt else None,
-                observed=self.observed,
-                ground=torch.tensor([0.0, 0.0, 1.0, 0.0]),
-            ),
+    def file(self, body: BodyModel, *, contacts: bool = True) -> MotionFile:
+        """The motion with joints and, unless they are not to be trusted, contacts."""
+        return MotionFile(
+            motion=self.motion,
+            body=body.name,
+            checksum=body.checksum,
+            joints=self.joints,
+            contacts=self.contacts.to(self.joints) if contacts and not self.on_belt else None,
+            observed=self.observed,
+            ground=torch.tensor([0.0, 0.0, 1.0, 0.0]),
         )
+
+    def save(self, path: str | Path, body: BodyModel, *, contacts: bool = True) -> None:
+        """Write `file` as an AMASS file."""
+        save_motion(path, self.file(body, contacts=contacts))
 
 
 def convert_skeletons(

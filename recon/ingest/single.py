@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from recon.body.model import BodyModel
+from recon.core.errors import ReconError
 from recon.core.units import Axis
 from recon.formats.mocap.reader import read_recording
 from recon.formats.mocap.recording import MarkerRecording, SkeletonRecording, drop_lead_in
@@ -40,7 +41,7 @@ def convert(
             markers are not known or do not cover the body, or the rate is not positive.
     """
     if fps is not None and not fps > 0:
-        raise ValueError(f"expected a positive frame rate, got {fps}")
+        raise ReconError(f"expected a positive frame rate, got {fps}")
     if isinstance(recording, (str, Path)):
         recording = read_recording(recording, unit=unit, up=up)
     body = BodyModel.load() if body is None else body

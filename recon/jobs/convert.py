@@ -4,12 +4,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from recon.body.model import BodyModel
+from recon.api.verbs.convert import convert
 from recon.core.units import Axis
 from recon.formats.mocap.asf_amc import find_skeleton
 from recon.formats.results.reports import checksums, versions
-from recon.formats.results.writing import writing_file
-from recon.ingest.single import convert
 
 
 @dataclass(frozen=True)
@@ -37,28 +35,23 @@ def convert_file(
     under `conversion`.
 
     Raises:
-        FileNotFoundError, ValueError: as `recon.ingest.convert`; nothing is written then.
+        FileNotFoundError, ValueError: as `recon.convert`; nothing is written then.
         FileExistsError: when OUT or OUT.json is there and recon did not write it, unless
             `overwrite`.
     """
-    body = BodyModel.load(settings.body)
     read = recording_files(recording)
     found = convert(
-        str(recording), body, unit=settings.unit, up=settings.up, mapping=settings.mapping,
-        fps=settings.fps,
+        recording, unit=settings.unit, up=settings.up, mapping=settings.mapping, fps=settings.fps,
+        body=settings.body,
     )  # fmt: skip
     read += [path for path in (settings.mapping, settings.body) if path is not None]
     report = {
-        "conversion": dict(found.report),
-        "decisions": list(found.decisions),
-        "residuals_mm": {name: round(value, 2) for name, value in found.residuals.items()},
-        **found.findings(),
+        **found.about,
         "settings": asdict(settings),
         "inputs": checksums(read),
         "versions": versions(),
     }
-    with writing_file(out, report, overwrite=overwrite) as staged:
-        found.save(staged, body)
+    found.save(out, overwrite=overwrite, report=report)
     return report
 
 

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from recon.body.contacts import contact_labels, rest_heights
 from recon.body.model import BodyModel, PosedBody
+from recon.core.errors import ReconError
 from recon.core.ground import Ground
 from recon.core.motion import Motion
 from recon.core.skeleton import LEGS, TOES
@@ -122,20 +123,20 @@ def _common_frames(estimate: Motion, truth: Motion) -> tuple[Motion, int]:
     """The truth at the estimate's times, and how many leading frames exist in both."""
     for name, motion in (("estimate", estimate), ("truth", truth)):
         if motion.translation.dim() != 2:
-            raise ValueError(
+            raise ReconError(
                 f"expected one clip as {name}, got a batch of shape "
                 f"{tuple(motion.translation.shape[:-2])}; evaluate its clips one by one"
             )
     count = int((estimate.valid.long().cumprod(0)).sum())
     if count == 0:
-        raise ValueError("the estimate has no valid frame, so there is nothing to evaluate")
+        raise ReconError("the estimate has no valid frame, so there is nothing to evaluate")
     try:
         aligned = truth.at(estimate.times[:count], estimate.fps)
     except ValueError as error:
-        raise ValueError(f"the truth does not cover the estimate: {error}") from error
+        raise ReconError(f"the truth does not cover the estimate: {error}") from error
     count = int(aligned.valid.long().cumprod(0).sum())
     if count == 0:
-        raise ValueError("the truth has no valid frame at the estimate's times")
+        raise ReconError("the truth has no valid frame at the estimate's times")
     return aligned.window(0, count), count
 
 

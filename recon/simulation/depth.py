@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float, Int
 
 from recon.body.model import BodyModel
 from recon.core.camera import NEAREST, Camera
+from recon.core.errors import ReconError
 from recon.core.geometry.raster import rasterise
 from recon.core.motion import Motion
 from recon.formats.observations import PointsFile
@@ -118,7 +119,7 @@ def depth_points(
             cloud = _sampled(depth, kept, view, corruption, points, random)
         clouds.append(cloud)
     if not any(map(len, clouds)):
-        raise ValueError(
+        raise ReconError(
             "the sensor sees nothing of this motion; place it 2 to 4 m away, looking at the body"
         )
     joints = body.pose(motion).joints
@@ -141,7 +142,7 @@ def without_pose(file: PointsFile) -> PointsFile:
     """
     camera = file.camera
     if camera is None or camera.T_camera_world is None or len(camera.T_camera_world) != 1:
-        raise ValueError("only the pose of a fixed sensor can be left out")
+        raise ReconError("only the pose of a fixed sensor can be left out")
     T = camera.T_camera_world[0]
     points = file.points @ T[:3, :3].T + T[:3, 3]
     return replace(file, points=points, camera=replace(camera, T_camera_world=None))

@@ -11,6 +11,7 @@ from observations.joints3d import Joints3D
 from observations.markers3d import Markers3D
 from recon.body.landmarks import KEYPOINTS_43, LANDMARKS_16, landmark
 from recon.body.model import BodyModel
+from recon.core.errors import ReconError
 from recon.core.motion import Motion
 
 Corner = tuple[float, float, float]
@@ -39,11 +40,11 @@ class Corruption:
         for name in ("missing_points", "missing_frames", "outliers"):
             share = getattr(self, name)
             if not 0 <= share <= 1:
-                raise ValueError(f"{name} is a share between 0 and 1, got {share}")
+                raise ReconError(f"{name} is a share between 0 and 1, got {share}")
         if not self.noise >= 0:
-            raise ValueError(f"noise is a standard deviation, zero or more, got {self.noise}")
+            raise ReconError(f"noise is a standard deviation, zero or more, got {self.noise}")
         if self.during is not None and not self.during[0] < self.during[1]:
-            raise ValueError(f"during is from A to B seconds with A < B, got {self.during}")
+            raise ReconError(f"during is from A to B seconds with A < B, got {self.during}")
 
     def active(self, times: Float[Tensor, " time"]) -> Bool[Tensor, " time"]:
         """When things are hidden."""
@@ -116,7 +117,7 @@ def landmarks3d(
         ValueError: when the offset's standard deviation is negative.
     """
     if not skin_offset >= 0:
-        raise ValueError(f"skin_offset is a standard deviation, zero or more, got {skin_offset}")
+        raise ReconError(f"skin_offset is a standard deviation, zero or more, got {skin_offset}")
     vertices = tuple(landmark(name) for name in names)
     posed = body.pose(motion)
     bones = body.weights[list(vertices)].argmax(-1)

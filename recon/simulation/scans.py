@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Float, Int
 
 from recon.body.model import BodyModel
+from recon.core.errors import ReconError
 from recon.core.motion import Motion
 from recon.formats.observations import PointsFile
 from recon.simulation.points import Corruption
@@ -39,7 +40,7 @@ def scan_points(
         ValueError: when there are no points, or the corruption hides all of them.
     """
     if points < 1:
-        raise ValueError(f"scans have one point a frame or more, got {points}")
+        raise ReconError(f"scans have one point a frame or more, got {points}")
     random, generator = np.random.default_rng(seed), torch.Generator().manual_seed(seed)
     posed = body.pose(motion)
     faces = body.faces.cpu().numpy()
@@ -50,7 +51,7 @@ def scan_points(
     visible = corruption.visible(true, generator, motion.times)
     seen = corruption.disturb(true, generator)
     if not visible.any():
-        raise ValueError("the corruption hides every point of every frame")
+        raise ReconError("the corruption hides every point of every frame")
     clear = replace(corruption, missing_points=0.0, missing_frames=0.0)
     return PointsFile(
         points=seen[visible].numpy(),

@@ -141,9 +141,9 @@ def test_bad_input_is_named(weights, body, tmp_path):
     out = tmp_path / "out.npz"
     with pytest.raises(ValueError, match=r"standing\.npz: found no cycle"):
         interpolate_files(good, bad, out, InterpolationSettings(0.5, weights))
-    with pytest.raises(ValueError, match="--at lies between 0"):
+    with pytest.raises(ValueError, match="at: lies between 0"):
         interpolate_files(good, good, out, InterpolationSettings(1.5, weights))
-    with pytest.raises(ValueError, match="--fps"):
+    with pytest.raises(ValueError, match="fps: expected"):
         interpolate_files(good, good, out, InterpolationSettings(0.5, weights, fps=0.0))
     save_motion(bad, MotionFile(motion, "other", "0" * 16))
     with pytest.raises(ValueError, match=r"standing\.npz: made with the body other"):

@@ -149,7 +149,7 @@ def test_what_was_seen_is_written(
 def test_the_report_beside_the_motion_holds_the_lists(
     with_gaps: Conversion, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("recon.jobs.convert.convert", lambda *_, **__: with_gaps)
+    monkeypatch.setattr("recon.ingest.single.convert", lambda *_, **__: with_gaps)
     (tmp_path / "raw.trc").write_bytes(b"markers")
     out = tmp_path / "m.npz"
     convert_file(tmp_path / "raw.trc", out, ConversionSettings())

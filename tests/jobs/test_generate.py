@@ -123,7 +123,7 @@ class StandIn:
 
 
 def test_a_body_of_choice_is_sampled_from_humos(tmp_path: Path, monkeypatch, capsys) -> None:
-    monkeypatch.setattr("recon.jobs.generate._humos", lambda *_: StandIn())
+    monkeypatch.setattr("recon.api.verbs.generate._humos", lambda *_: StandIn())
     ask = ("sample", "--prior", "humos", "--count", 2, "--seconds", 1, "--shape", "height=1.7")
     assert recon_(*ask, "--out", tmp_path / "made", "--json") == cli.OK
     report = json.loads(capsys.readouterr().out)
@@ -145,21 +145,21 @@ def test_a_body_of_choice_is_sampled_from_humos(tmp_path: Path, monkeypatch, cap
     ("arguments", "words"),
     [
         (("sample", "--out", "a", "--shape", "tall"), "--prior humos"),
-        (("sample", "--out", "a", "--prior", "humos", "--temperature", 2), "--temperature"),
-        (("sample", "--out", "a", "--prior", "humos", "--fps", 0), "--fps"),
-        (("sample", "--out", "a", "--prior", "humos", "--device", "cuda"), "--device"),
+        (("sample", "--out", "a", "--prior", "humos", "--temperature", 2), "temperature: is"),
+        (("sample", "--out", "a", "--prior", "humos", "--fps", 0), "fps: expected"),
+        (("sample", "--out", "a", "--prior", "humos", "--device", "cuda"), "device: HUMOS"),
         (("sample", "--out", "a", "--prior", "humos", "--shape", "blue"), "blue"),
         (("sample", "--out", "a.npz", "--count", 2), "give a folder"),
         (("sample", "--out", "a", "--count", 0), "got 0"),
-        (("sample", "--out", "a", "--seconds", "nan"), "--seconds"),
+        (("sample", "--out", "a", "--seconds", "nan"), "seconds: expected"),
         (("sample", "--out", "a", "--weights", "nowhere.pt"), "nowhere.pt"),
         (("sample", "--out", "a", "--body", "nobody.npz"), "nobody.npz"),
         (("predict", "nowhere.npz", "--out", "a.npz"), "nowhere.npz"),
         (("predict", "WALK", "--out", "a.npz", "--samples", 2), "give a folder"),
-        (("predict", "WALK", "--out", "a.npz", "--seconds", -1), "--seconds"),
-        (("predict", "WALK", "--out", "a.npz", "--at", 0), "--at"),
+        (("predict", "WALK", "--out", "a.npz", "--seconds", -1), "seconds: expected"),
+        (("predict", "WALK", "--out", "a.npz", "--at", 0), "at: expected"),
         (("predict", "WALK", "--out", "a.npz", "--at", 0.3), "0.250 s"),
-        (("predict", "WALK", "--out", "a.npz", "--at", "nan"), "--at"),
+        (("predict", "WALK", "--out", "a.npz", "--at", "nan"), "at: expected"),
         (("predict", "ONE", "--out", "a.npz"), "one frame"),
         (("predict", "OTHER", "--out", "a.npz"), "--body"),
     ],

@@ -39,10 +39,10 @@ def save(file: Path, motion: Motion, ground: list[float] | None = None) -> Path:
 def _stand_in(monkeypatch) -> None:  # pyright: ignore[reportUnusedFunction]
     """The path scaled to the legs, soles where they were."""
 
-    def retargeted(motion, shape, body, settings):
+    def retargeted(motion, shape, body, weights):
         return with_shape(motion, body, shape)
 
-    monkeypatch.setattr("recon.jobs.retarget._retargeted", retargeted)
+    monkeypatch.setattr("recon.api.verbs.retarget._retargeted", retargeted)
 
 
 def test_another_body_does_the_same(tmp_path: Path, capsys) -> None:
@@ -122,7 +122,7 @@ def test_a_body_without_ground_is_refused_or_warned_about(tmp_path: Path, capsys
     assert recon_("retarget", lost, *ask) == cli.BAD_INPUT
     words = " ".join(capsys.readouterr().err.split())
     assert "0.80 m above it" in words
-    assert "--ground 0.80" in words
+    assert "`ground`: 0.80" in words
     assert not (tmp_path / "b.npz").exists()
     assert recon_("retarget", lost, *ask, "--ground", 0) == cli.OK
     assert "never comes within 5 cm of the ground" in " ".join(capsys.readouterr().err.split())
@@ -139,7 +139,7 @@ def test_implausible_bodies_and_rates_are_warned_about(tmp_path: Path, capsys) -
     assert recon_("retarget", clip, "--shape", "height=2.1", "--out", tmp_path / "b.npz") == cli.OK
     words = " ".join(capsys.readouterr().err.split())
     assert "18 m/s; check that 30 is its frame rate" in words
-    assert "--shape height=2.1: the body is 2.10 m tall" in words
+    assert "shape height=2.1: the body is 2.10 m tall" in words
 
 
 @pytest.mark.parametrize(
@@ -148,8 +148,8 @@ def test_implausible_bodies_and_rates_are_warned_about(tmp_path: Path, capsys) -
         ("good", ("--shape", "blue"), "'blue' is not known"),
         ("good", ("--shape", "height=180"), "metres"),
         ("good", ("--shape", "nobody.npz"), "nobody.npz"),
-        ("good", ("--shape", "0", "--fps", 0), "--fps"),
-        ("good", ("--shape", "0", "--ground", "nan"), "--ground"),
+        ("good", ("--shape", "0", "--fps", 0), "fps: expected"),
+        ("good", ("--shape", "0", "--ground", "nan"), "ground: expected"),
         ("short", ("--shape", "0"), "lasts 0.93 s"),
         ("one", ("--shape", "0"), "two frames or more"),
         ("tilted", ("--shape", "0"), "not level"),

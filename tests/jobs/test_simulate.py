@@ -16,7 +16,8 @@ from recon.core.motion import Motion
 from recon.formats.clouds.scans import read_scans
 from recon.formats.motions import load_motion, save_motion
 from recon.formats.observations import KeypointsFile, PointsFile, PositionsFile, load_observation
-from recon.jobs.simulate import cameras_around, simulate_file
+from recon.jobs.simulate import simulate_file
+from recon.simulation.cameras import cameras_around
 from recon.simulation.points import Corruption
 from recon.simulation.settings import FilmSettings, SurfaceSettings
 from tests.keypoint_scene import camera, write_toml
@@ -223,9 +224,9 @@ def test_scans_become_a_folder_of_clouds(clip, walk, tmp_path):
 @pytest.mark.parametrize(
     ("kind", "surface", "words"),
     [
-        ("landmarks", SurfaceSettings(points=100), "--points"),
-        ("joints3d", SurfaceSettings(clothed=1), "--clothed"),
-        ("scans", SurfaceSettings(skin_offset=0.02), "--skin-offset"),
+        ("landmarks", SurfaceSettings(points=100), "points and clothed"),
+        ("joints3d", SurfaceSettings(clothed=1), "points and clothed"),
+        ("scans", SurfaceSettings(skin_offset=0.02), "skin offset"),
         ("landmarks", SurfaceSettings(skin_offset=-0.01), "zero or more"),
         ("depth", SurfaceSettings(points=0), "one or more"),
     ],
@@ -240,10 +241,10 @@ def test_options_of_other_sensors_are_refused(kind, surface, words, clip, tmp_pa
     ("kind", "film", "unknown", "words"),
     [
         ("joints3d", FilmSettings(layout="coco17"), False, "do not apply"),
-        ("scans", FilmSettings(), True, "--unknown-ground"),
-        ("depth", FilmSettings(layout="coco17"), False, "--layout"),
+        ("scans", FilmSettings(), True, "unknown ground"),
+        ("depth", FilmSettings(layout="coco17"), False, "layout is"),
         ("keypoints2d", FilmSettings(layout="frobnicate"), False, "frobnicate"),
-        ("keypoints2d", FilmSettings(views=0), False, "--views"),
+        ("keypoints2d", FilmSettings(views=0), False, "views:"),
         ("keypoints2d", FilmSettings(views=2), True, "cannot be put together"),
         ("keypoints2d", FilmSettings(orbit=1.0), True, "moving camera"),
         ("keypoints2d", FilmSettings(views=2), False, "give a folder"),
@@ -263,7 +264,7 @@ def test_contradictions_are_refused_and_nothing_is_written(
 def test_a_time_of_hiding_without_anything_hidden_is_refused(kind, clip, tmp_path):
     """--during alone was ignored without a word."""
     when = Corruption(during=(0.0, 1.0))
-    with pytest.raises(ValueError, match="--hide-below or --occluder"):
+    with pytest.raises(ValueError, match="hide what is below"):
         simulate_file(clip, tmp_path / "o.npz", kind, when, seed=0)
     assert list(tmp_path.iterdir()) == []
 

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from recon.body.landmarks import landmark, load_marker_map, match_markers
 from recon.body.model import BodyModel
+from recon.core.errors import ReconError
 from recon.core.skeleton import descendants, joint_index
 from recon.formats.mocap.recording import MarkerRecording
 from recon.ingest.markers.joint_centres import are_keypoints, keypoint_of, keypoint_places
@@ -59,7 +60,7 @@ def full_body_markers(
             when too few markers are known or parts of the body have none.
     """
     if mapping is None and body.checksum != BodyModel.load().checksum:
-        raise ValueError(
+        raise ReconError(
             f"marker names are points of the bundled body, not of {body.name!r}; give vertex "
             "numbers of that body with --mapping"
         )
@@ -124,9 +125,9 @@ def _check_cover(
     left = f"; labels not known: {', '.join(unknown)}" if unknown else ""
     how = "; say where markers sit in a TOML file, label = landmark, with --mapping"
     if bare == ["trunk"]:
-        raise ValueError(f"{name}: lower-body only: no marker on the trunk{left}{how}")
+        raise ReconError(f"{name}: lower-body only: no marker on the trunk{left}{how}")
     if bare or len(bones) < _LEAST:
-        raise ValueError(
+        raise ReconError(
             f"{name}: expected a full-body marker set of at least {_LEAST} known markers, got "
             f"{len(bones)} ({', '.join(vertices)}); without a marker: {', '.join(bare) or 'none'}"
             f"{left}{how}"

@@ -17,6 +17,7 @@ from torch import Tensor
 from observations.markers3d import Markers3D
 from recon.body.model import BodyModel
 from recon.body.soles import Soles
+from recon.core.errors import ReconError
 from recon.core.motion import Motion
 from recon.core.robust import geman_mcclure, squared
 from recon.core.scene import Scene
@@ -131,7 +132,7 @@ def fit_markers(
     bones = data.observation().bones(body)
     placed = placed_frames(visible, bones).nonzero()[:, 0]
     if len(placed) == 0:
-        raise ValueError(
+        raise ReconError(
             f"{recording.name}: no frame shows enough markers of one body to place it; there are "
             f"{int(visible.sum(-1).max())} of {len(markers.labels)} at most"
         )

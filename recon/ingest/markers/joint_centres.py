@@ -13,6 +13,7 @@ from torch import Tensor
 from observations.correspondences import PLACES, Place
 from recon.body.landmarks import landmark
 from recon.body.model import BodyModel
+from recon.core.errors import ReconError
 from recon.core.skeleton import JOINTS, joint_index
 from recon.diagnosis.findings import Finding, listed
 from recon.formats.detections.deeplabcut import normalised
@@ -53,7 +54,7 @@ def keypoint_places(
     for label in labels:
         name = keypoint_of(label)
         if name is None:
-            raise ValueError(f"{label!r} is no keypoint; there are {', '.join(PLACES)}")
+            raise ReconError(f"{label!r} is no keypoint; there are {', '.join(PLACES)}")
         place = _at_rest(PLACES[name], body)
         bone = _bone(name, PLACES[name], body)
         rigid = body.weights[:, bone] > body.weights[:, bone].max() - 1e-3

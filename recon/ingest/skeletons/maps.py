@@ -8,6 +8,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import cast
 
+from recon.core.errors import ReconError
 from recon.core.skeleton import FEET, JOINTS, joint_index
 from recon.formats.mocap.recording import SkeletonRecording
 
@@ -69,7 +70,7 @@ def recognise(recording: SkeletonRecording, mapping: str | Path | None = None) -
         <= set(theirs)
     ]
     if not fitting:
-        raise ValueError(
+        raise ReconError(
             f"{recording.name}: its skeleton is none of {', '.join(_known())}; its joints are "
             f"{', '.join(recording.joint_names)}. Say which are ours in a TOML file, with lines "
             'like left_knee = "LeftLeg" under [joints], and give it with --mapping'
@@ -84,23 +85,23 @@ def _user_map(path: Path, theirs: Mapping[str, str], recording: SkeletonRecordin
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path}: not TOML ({error})") from error
+        raise ReconError(f"{path}: not TOML ({error})") from error
     parts = {"joints", "positions", "orientations"}
     if not table or set(table) - parts or not all(isinstance(p, dict) for p in table.values()):
-        raise ValueError(
+        raise ReconError(
             f"{path}: expected the tables {', '.join(sorted(parts))}, got {', '.join(table)}"
         )
     for part in table.values():
         for ours, joint in part.items():
             joint_index(ours)
             if not isinstance(joint, str) or _plain(joint) not in theirs:
-                raise ValueError(
+                raise ReconError(
                     f"{path}: {ours} = {joint!r}, but {recording.name} has "
                     f"{', '.join(recording.joint_names)}"
                 )
     found = _build(path.stem, cast(_Table, table), theirs)
     if missing := [n for n in _NEEDED if joint_index(n) not in found.joints]:
-        raise ValueError(f"{path}: positions of {', '.join(missing)} are needed for a full body")
+        raise ReconError(f"{path}: positions of {', '.join(missing)} are needed for a full body")
     return found
 
 

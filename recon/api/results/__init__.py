@@ -1,0 +1,1 @@
+"""What functions of `recon` return: motions, metrics and observations that print and save."""

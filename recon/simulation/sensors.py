@@ -1,0 +1,188 @@
+"""What a sensor of any kind would have seen of a known motion, as observation files hold it."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from recon.body.landmarks import KEYPOINTS_43, LANDMARKS_16
+from recon.body.model import BodyModel
+from recon.core.camera import depth_camera
+from recon.core.errors import ReconError
+from recon.core.motion import Motion
+from recon.core.skeleton import JOINTS
+from recon.formats.observations import (
+    KeypointsFile,
+    ObservationFile,
+    PointsFile,
+    PositionsFile,
+)
+from recon.simulation.cameras import cameras_around
+from recon.simulation.clothes import clothed
+from recon.simulation.depth import DepthSensor, depth_points, without_pose
+from recon.simulation.images import keypoints2d
+from recon.simulation.points import Corruption, joints3d, landmarks3d, markers3d, visible_joints
+from recon.simulation.scans import scan_points
+from recon.simulation.settings import (
+    FILM_DEFAULTS,
+    SURFACE_DEFAULTS,
+    FilmSettings,
+    SensorKind,
+    SurfaceSettings,
+)
+
+
+def seen_by(
+    truth: Motion,
+    body: BodyModel,
+    kind: SensorKind,
+    corruption: Corruption,
+    seed: int,
+    film: FilmSettings = FILM_DEFAULTS,
+    surface: SurfaceSettings = SURFACE_DEFAULTS,
+    *,
+    unknown_ground: bool = False,
+) -> dict[str, ObservationFile]:
+    """One observation per camera, by its name; of sensors without cameras one without a name.
+
+    Args:
+        truth: one clip (no batch axis).
+        body: whose motion it is.
+        kind: what the sensor gives.
+        corruption: what stands between the truth and the sensor.
+        seed: of everything random.
+        film: which cameras look, for keypoints2d and depth.
+        surface: what is seen of the surface, for landmarks, depth and scans.
+        unknown_ground: leave out where the ground is and where the camera stands.
+
+    Raises:
+        FileNotFoundError: when there is no such calibration.
+        ReconError: when it is damaged, or options contradict each other.
+    """
+    check_apply(kind, film, surface, corruption)
+    if kind in ("keypoints2d", "depth"):
+        return _filmed(
+            truth, body, kind, corruption, seed, film, surface, unknown_ground=unknown_ground
+        )
+    if kind == "scans":
+        if unknown_ground:
+            raise ReconError("scans stand in the world; an unknown ground does not apply to them")
+        seen = _dressed(body, surface)
+        return {"": scan_points(truth, seen, corruption, seed, points=surface.points)}
+    known = not unknown_ground
+    return {"": _tracked(truth, body, kind, corruption, seed, surface, ground_known=known)}
+
+
+def check_apply(
+    kind: SensorKind, film: FilmSettings, surface: SurfaceSettings, corruption: Corruption
+) -> None:
+    """Refuse options that would have no effect."""
+    if kind not in ("keypoints2d", "depth") and film != FILM_DEFAULTS:
+        raise ReconError(f"camera, views, orbit and layout do not apply to {kind}")
+    clouds = replace(surface, skin_offset=SURFACE_DEFAULTS.skin_offset)
+    if kind not in ("depth", "scans") and clouds != SURFACE_DEFAULTS:
+        raise ReconError(f"points and clothed are of depth and scans, not of {kind}")
+    hides = corruption.hide_below is not None or corruption.hide_box is not None
+    if corruption.during is not None and not hides:
+        raise ReconError(
+            "during: says when things are hidden, but nothing is; hide what is below a height or "
+            "in a box, or leave during out"
+        )
+    if surface.points < 1:
+        raise ReconError(f"points: expected one or more, got {surface.points}")
+    if kind != "landmarks" and surface.skin_offset != SURFACE_DEFAULTS.skin_offset:
+        raise ReconError(f"a skin offset is of landmarks, not of {kind}")
+
+
+def _dressed(body: BodyModel, surface: SurfaceSettings) -> BodyModel:
+    return body if surface.clothed is None else clothed(body, surface.clothed)
+
+
+def _tracked(
+    truth: Motion,
+    body: BodyModel,
+    kind: SensorKind,
+    corruption: Corruption,
+    seed: int,
+    surface: SurfaceSettings,
+    *,
+    ground_known: bool,
+) -> PositionsFile:
+    """Joints or markers."""
+    if kind == "joints3d":
+        seen, names = joints3d(truth, body, corruption, seed), JOINTS
+    elif kind == "markers3d":
+        seen, names = markers3d(truth, body, corruption, seed), KEYPOINTS_43
+    else:
+        away = surface.skin_offset
+        seen = landmarks3d(truth, body, corruption, seed, skin_offset=away)
+        names = LANDMARKS_16
+    return PositionsFile(
+        kind="joints3d" if kind == "joints3d" else "markers3d",
+        positions=seen.positions.double().numpy(),
+        visible=seen.visible.numpy(),
+        names=names,
+        fps=truth.fps,
+        start_time=truth.start_time,
+        ground_known=ground_known,
+        truth_visible=visible_joints(truth, body, corruption, seed).numpy(),
+    )
+
+
+def _filmed(
+    truth: Motion,
+    body: BodyModel,
+    kind: SensorKind,
+    corruption: Corruption,
+    seed: int,
+    film: FilmSettings,
+    surface: SurfaceSettings,
+    *,
+    unknown_ground: bool,
+) -> dict[str, ObservationFile]:
+    """One observation per camera, by its name."""
+    if kind == "depth" and film.layout != FILM_DEFAULTS.layout:
+        raise ReconError("layout is of keypoints; depth has none")
+    cameras = cameras_around(truth, body, film, depth_camera() if kind == "depth" else None)
+    if unknown_ground and len(cameras) > 1:
+        raise ReconError(
+            f"{len(cameras)} views without their poses cannot be put together; film with one "
+            "camera, or say where the ground is"
+        )
+    files: dict[str, ObservationFile] = {}
+    for k, (name, camera) in enumerate(cameras.items()):
+        # 100 views have seeds of their own before they meet those of the next --seed
+        own = 100 * seed + k
+        if kind == "depth":
+            quiet, sensor = replace(corruption, noise=0.0), DepthSensor()
+            sensor = replace(sensor, constant=math.hypot(sensor.constant, corruption.noise))
+            file = depth_points(
+                truth, _dressed(body, surface), camera, quiet, own,
+                sensor=sensor, points=surface.points,
+            )  # fmt: skip
+        else:
+            file = keypoints2d(truth, body, camera, corruption, own, film.layout)
+            if not (file.confidence > 0).any():
+                raise ReconError(f"camera {name} sees nothing of the motion in any frame")
+        files[name] = _lost(file) if unknown_ground else file
+    return files
+
+
+def _lost(file: KeypointsFile | PointsFile) -> KeypointsFile | PointsFile:
+    """The same from a camera that does not know where it stands, and where it really stood.
+
+    Raises:
+        ValueError: when the camera moves.
+    """
+    camera = file.camera
+    assert camera is not None
+    assert camera.T_camera_world is not None
+    if len(camera.T_camera_world) != 1:
+        raise ReconError(
+            "a moving camera must know its poses; leave orbit out, or say where the ground is"
+        )
+    true = np.linalg.inv(camera.T_camera_world[0])
+    if isinstance(file, PointsFile):
+        return replace(without_pose(file), truth_T_world_camera=true)
+    lost = replace(camera, T_camera_world=None)
+    return replace(file, camera=lost, truth_T_world_camera=true)
