@@ -26,8 +26,9 @@ from benchmarks.complete import COLUMNS, observe, together
 from benchmarks.cycles import chosen, found_cycles
 from benchmarks.results import corpus_source, show, write
 from benchmarks.scans import ScannedCycle, scanned_cycle
+from observations.together.kinds import InSpace
 from recon.body.model import BodyModel
-from recon.fitting.completion import Points, complete
+from recon.fitting.completion import complete
 from recon.fitting.options import FitOptions
 from recon.formats.observations import save_observation
 
@@ -84,7 +85,7 @@ def main() -> None:
                   weights=ask.weights, batch=arguments.batch, seconds=table)  # fmt: skip
 
 
-def _in_turn(seen: list[list[Points]], settings: FitOptions, body: BodyModel) -> None:
+def _in_turn(seen: list[list[InSpace]], settings: FitOptions, body: BodyModel) -> None:
     for one in seen:
         complete(one, settings, body)
 

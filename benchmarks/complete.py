@@ -33,6 +33,7 @@ from benchmarks.scans import (
 from observations.depth import PointCloud
 from observations.files.points import positions_of
 from observations.surfels import Surfels
+from observations.together.kinds import InSpace
 from priors.anchor.fit import AnchorFit, PublishedAnchorFit
 from priors.pose.prior import PosePrior, PoseWeights
 from priors.training.dataset import Part, Splits
@@ -40,7 +41,7 @@ from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.struct import concatenate
 from recon.fitting.clip import fit_clip
-from recon.fitting.completion import NAMED_NOISE, Points, complete
+from recon.fitting.completion import NAMED_NOISE, complete
 from recon.fitting.options import FitOptions
 from recon.method.reconstruction import solve
 from recon.metrics.chamfer import chamfer_of_clip
@@ -69,16 +70,16 @@ COLUMNS = {
     **{f"f={f}+lm": Column(frames=f) for f in (5, 20, 100)},
     **{f"f={f}": Column(frames=f, landmarks=False) for f in (5, 20, 100)},
 }
-Fitter = Callable[[list[Points]], list[Motion]]
+Fitter = Callable[[list[InSpace]], list[Motion]]
 
 
-def observe(scanned: ScannedCycle, column: Column, body: BodyModel) -> list[Points]:
+def observe(scanned: ScannedCycle, column: Column, body: BodyModel) -> list[InSpace]:
     """The observations of one cycle."""
     scans, landmarks = scanned.scans, scanned.landmarks
     if column.frames is not None:
         scans = thinned_frames(scans, column.frames)
         landmarks = thinned_landmarks(landmarks, column.frames)
-    found: list[Points] = []
+    found: list[InSpace] = []
     if column.points != 0:
         most = min(column.points or READ, READ)
         thin = thinned_points(scans, most, 0)
@@ -88,7 +89,7 @@ def observe(scanned: ScannedCycle, column: Column, body: BodyModel) -> list[Poin
     return found
 
 
-def together(cycles: Sequence[list[Points]]) -> list[Points]:
+def together(cycles: Sequence[list[InSpace]]) -> list[InSpace]:
     """Observations of several cycles as one batch; shorter ones see nothing at their end."""
     return [concatenate([_longer(o, kind) for o in kind]) for kind in zip(*cycles, strict=True)]
 
@@ -96,7 +97,7 @@ def together(cycles: Sequence[list[Points]]) -> list[Points]:
 def completed(weights: str, body: BodyModel, kind: type[AnchorFit] = AnchorFit) -> Fitter:
     """The anchor-frame prior."""
 
-    def run(observations: list[Points]) -> list[Motion]:
+    def run(observations: list[InSpace]) -> list[Motion]:
         result = complete(observations, FitOptions(weights=weights), body, kind=kind).result
         return [result.clip(k).detach() for k in range(len(result.motion.shape))]
 
@@ -110,7 +111,7 @@ def frame_by_frame(body: BodyModel, *, smooth: bool) -> Fitter:
         weights = replace(weights, velocity=0.0, acceleration=0.0)
     prior = PosePrior.load(weights=weights)
 
-    def run(observations: list[Points]) -> list[Motion]:
+    def run(observations: list[InSpace]) -> list[Motion]:
         start = (observations[-1]).start(body)
         result = solve(observations, prior, body, start=start)
         return [result.clip(k).detach() for k in range(len(result.motion.shape))]
@@ -121,7 +122,7 @@ def frame_by_frame(body: BodyModel, *, smooth: bool) -> Fitter:
 def fitted(settings: FitOptions, body: BodyModel) -> Fitter:
     """What `recon fit` does with the same observations, all frames of the batch."""
 
-    def run(observations: list[Points]) -> list[Motion]:
+    def run(observations: list[InSpace]) -> list[Motion]:
         result = fit_clip(observations, settings, body).result
         return [result.clip(k).detach() for k in range(len(result.motion.shape))]
 
@@ -178,7 +179,7 @@ def _cloud(
     )
 
 
-def _longer(one: Points, others: Sequence[Points]) -> Points:
+def _longer(one: InSpace, others: Sequence[InSpace]) -> InSpace:
     longest = max(_moments(other) for other in others) - _moments(one)
 
     def pad(tensor: torch.Tensor) -> torch.Tensor:
@@ -190,7 +191,7 @@ def _longer(one: Points, others: Sequence[Points]) -> Points:
     return one.replace(positions=pad(one.positions), visible=pad(one.visible))
 
 
-def _moments(one: Points) -> int:
+def _moments(one: InSpace) -> int:
     return (one.present if isinstance(one, PointCloud) else one.visible).shape[1]
 
 
