@@ -18,9 +18,10 @@ from recon.method.protocols import Estimate
 
 _NEAR, _FAR = 0.7, 40.0
 """Metres at which people are filmed."""
-_ODDEST_MARKERS = 10.0
-"""Standard deviations of shape that real markers lead to where they stand off the skin or beside
-the landmark that they are named after; good recordings reach 7."""
+_ODDEST, _ODDEST_MARKERS = 1.5 * ODDEST, 15.0
+"""Standard deviations of shape beyond which a fit is no person's. Noise and acrobatics add to what
+people differ by, and real markers stand off the skin or beside the landmark that they are named
+after: good recordings of dancers reach 12. Wrong units and scales are told by the height."""
 _OFF_GROUND = 0.15
 """Metres between the soles that stand and the ground."""
 _CLEARLY = 0.6
@@ -95,7 +96,7 @@ def _sizes(found: ClipFit) -> str:
 
 def _oddest(found: ClipFit) -> float:
     """Standard deviations from which on a shape is odd; markers beside the skin bend it."""
-    return _ODDEST_MARKERS if kinds.markers(found.observations) else ODDEST
+    return _ODDEST_MARKERS if kinds.markers(found.observations) else _ODDEST
 
 
 def mirror_warnings(views: Sequence[Keypoints2D]) -> list[Finding]:

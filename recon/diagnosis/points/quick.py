@@ -9,7 +9,7 @@ from observations.noise import estimate_noise
 from priors.pose.prior import PosePrior, PoseWeights
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
-from recon.core.robust import geman_mcclure
+from recon.core.robust import geman_mcclure, squared
 from recon.core.scene import Scene
 from recon.core.struct import concatenate
 from recon.diagnosis.points.cleaning import smoothed
@@ -41,6 +41,8 @@ class QuickFit:
     """The motion that most of the points agree on, one clip."""
     cost: float
     """Objective per visible point, metres²; of an excerpt where the recording is long."""
+    whole: bool
+    """Whether the cost is that of the whole recording."""
 
 
 def quick_fits(versions: Sequence[Points], body: BodyModel) -> list[QuickFit]:
@@ -57,14 +59,38 @@ def quick_fits(versions: Sequence[Points], body: BodyModel) -> list[QuickFit]:
     value = result.reports[-1].solution.value / robust.visible.sum((-2, -1)).clamp(min=1)
     if excerpts[0] is versions[0]:
         return [
-            QuickFit(one, _estimate(result.motion[[row]], body), float(value[row]))
+            QuickFit(one, estimate_of(result.motion[[row]], body), float(value[row]), True)
             for row, one in enumerate(versions)
         ]
     best = int(value.argmin())
     whole = versions[best].replace(kernel=partial(geman_mcclure, sigma=SIGMA))
     start = smoothed(NamedPoints.of(whole, body)).into(whole).start(body)
     motion = fit_long([whole], method, body, start=start).motion
-    return [QuickFit(versions[best], _estimate(motion, body), float(value[best]))]
+    return [QuickFit(versions[best], estimate_of(motion, body), float(value[best]), False)]
+
+
+def pursued(fit: QuickFit, body: BodyModel) -> QuickFit:
+    """The better of a quick fit and of one that begins where the body reaches for every point.
+
+    A robust fit gives up on a limb that it begins too far from, and then blames its points: a
+    handspring's hands and planted feet were called misplaced. With squared residuals the limb
+    follows its points as far as its bones let it, and the robust fit that begins there has the
+    lower objective unless the points really are misplaced. Long recordings are left as they are:
+    no limb is lost throughout them.
+    """
+    if not fit.whole:
+        return fit
+    method, start = _Quick(fit.points), fit.estimate.motion
+    reached = solve([fit.points.replace(kernel=squared)], method, body, start=start).motion
+    robust = fit.points.replace(kernel=partial(geman_mcclure, sigma=SIGMA))
+    result = solve([robust], method, body, start=reached.detach())
+    count = max(int(fit.points.visible.sum()), 1)
+    cost = float(result.reports[-1].solution.value[0]) / count
+    return min(fit, replace(fit, estimate=estimate_of(result.motion, body), cost=cost), key=_cost)
+
+
+def _cost(fit: QuickFit) -> float:
+    return fit.cost
 
 
 @dataclass(frozen=True)
@@ -84,7 +110,8 @@ class _Quick:
         )
 
 
-def _estimate(motion: Motion, body: BodyModel) -> Estimate:
+def estimate_of(motion: Motion, body: BodyModel) -> Estimate:
+    """A motion, with a leading axis of one clip, as what energies see."""
     motion = motion.detach()
     return Estimate(Decoded(motion), body.pose(motion), Scene.create(1, like=motion.translation))
 

@@ -21,7 +21,7 @@ from recon.diagnosis.points.named_points import NamedPoints, Points
 from recon.diagnosis.points.outlying import misplaced_points, outliers
 from recon.diagnosis.points.placement import floor_finding, floor_height, scale_findings
 from recon.diagnosis.points.predicted import Predicted
-from recon.diagnosis.points.quick import QuickFit, quick_fits
+from recon.diagnosis.points.quick import QuickFit, pursued, quick_fits
 from recon.diagnosis.points.sides import exchanged_pairs, find_exchanges
 from recon.diagnosis.points.tracks import frame_order, identity_changes, temporal_noise
 
@@ -144,8 +144,11 @@ def _exchanged(state: Screened, fitted: QuickFit, body: BodyModel) -> tuple[Scre
         if better.cost < _CLEARLY_BETTER * fitted.cost:
             said = _exchange_finding(named, pair, everywhere)
             state, fitted, named = state.after(other.into(state.points), said), better, other
-    predicted = Predicted.of(named, fitted.points, fitted.estimate)
     noise = temporal_noise(NamedPoints.of(fitted.points, body))
+    predicted = Predicted.of(named, fitted.points, fitted.estimate)
+    if _suspicious(predicted, noise):  # before points are blamed, the body reaches for them
+        fitted = pursued(fitted, body)
+        predicted = Predicted.of(named, fitted.points, fitted.estimate)
     pairs = exchanged_moments(predicted, noise)
     for pair, moments in pairs:
         state = _exchanged_back(state, pair, moments, body)
@@ -153,6 +156,15 @@ def _exchanged(state: Screened, fitted: QuickFit, body: BodyModel) -> tuple[Scre
         named = NamedPoints.of(state.points, body)
         (fitted,) = quick_fits([_cleaned(named, state.points)], body)
     return state, fitted
+
+
+def _suspicious(predicted: Predicted, noise: float) -> bool:
+    """Whether a quick fit would blame any point."""
+    return (
+        len(exchanged_moments(predicted, noise)) > 0
+        or len(misplaced_points(predicted, noise)[1]) > 0
+        or outliers(predicted, noise)[1] is not None
+    )
 
 
 def _exchanged_back(
