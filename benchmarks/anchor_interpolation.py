@@ -42,7 +42,7 @@ from recon.body.contacts import TOE_REACH, rest_heights, touching_heights
 from recon.core.skeleton import FEET
 from recon.core.struct import concatenate
 from recon.fitting.interpolation import agreement, foot_lift
-from recon.fitting.settling import flies, grounded
+from recon.fitting.settling import flies, settled
 from recon.formats.files.opening import replacing
 from recon.metrics import errors as metrics
 
@@ -135,7 +135,7 @@ def _settled(prior: AnchorFrames, cycle: CycleBatch) -> CycleBatch:
     anchors = cycle.anchors
     fps = (ANCHORS - 1) / float(anchors.duration)
     made = anchors.motion(cycle.shape, fps)
-    motion = grounded(made, made, flies(made, prior.body), prior.body).detach()
+    motion = settled(made, made, flies(made, prior.body), prior.body).detach()
     rotations = motion.rotations[..., POSED, :, :]
     moved = anchors.replace(rotations=rotations, translation=motion.translation)
     return cycle.replace(anchors=moved)

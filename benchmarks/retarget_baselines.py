@@ -14,8 +14,7 @@ from recon.body.model import BodyModel, PosedBody
 from recon.body.reshape import leg_length, with_shape
 from recon.core import rotations as so3
 from recon.core.motion import Motion
-from recon.fitting.settling import flies
-from recon.fitting.settling import grounded as obeying
+from recon.fitting.settling import flies, settled
 
 LEGS = ((1, 4, 7, 10), (2, 5, 8, 11))
 """Hip, knee, ankle and toe joints of the left and the right leg."""
@@ -72,7 +71,7 @@ def foot_ik(body: BodyModel, motion: Motion, shape: Float[Tensor, " shape"]) -> 
 def physics_only(body: BodyModel, motion: Motion, shape: Float[Tensor, " shape"]) -> Motion:
     """The smooth motion nearest to the scaled one that obeys the physics energies."""
     start = scaled(body, motion, shape)[None].replace(valid=motion.valid[None])
-    return obeying(start, start, flies(motion, body)[None], body)[0]
+    return settled(start, start, flies(motion, body)[None], body)[0]
 
 
 def sole_heights(posed: PosedBody) -> Float[Tensor, "time 2"]:

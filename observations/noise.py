@@ -18,7 +18,11 @@ _NORMAL_MEDIAN = 0.67449
 
 
 def weights_of(noises: Sequence[Noise]) -> list[float]:
-    """Multipliers that make the misfits worth what the least noisy one is, in metres²."""
+    """Weights of the energies of several observations, by the inverse of their variances.
+
+    The least noisy observation weighs one per metre², and an energy in pixels² is brought to
+    metres² at the body: weight = (smallest standard deviation in metres / own one in own unit)².
+    """
     least = min(noise.metres for noise in noises)
     return [(least / noise.own) ** 2 for noise in noises]
 

@@ -1,6 +1,7 @@
 """The house rules that a machine can check."""
 
 import ast
+import re
 import sys
 import tomllib
 from graphlib import CycleError, TopologicalSorter
@@ -118,3 +119,25 @@ def test_no_entries_of_a_folder_import_each_other_in_a_circle(folder):
         tuple(TopologicalSorter(graph).static_order())
     except CycleError as error:
         pytest.fail(f"{here}: a circle of imports: {' <- '.join(error.args[1])}")
+
+
+def _exists(dotted: str) -> bool:
+    """Whether a dotted name is a module of ours, or a name that one of them defines."""
+    if dotted in MODULES:
+        return True
+    module, _, name = dotted.rpartition(".")
+    if module not in MODULES:
+        return False
+    path = ROOT / Path(*module.split("."))
+    file = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
+    tree = ast.parse(file.read_text(encoding="utf-8"))
+    return any(getattr(node, "name", None) == name for node in tree.body)
+
+
+def test_the_map_of_modules_names_what_exists():
+    """Where to find what: a stranger took six minutes to find where the ground is estimated."""
+    text = (ROOT / "docs" / "modules.md").read_text(encoding="utf-8")
+    rows = text.split("## Where to find")[1].split("\n## ")[0]
+    named = re.findall(r"`((?:recon|priors|observations)\.[\w.]+)`", rows)
+    assert len(named) > 15
+    assert [name for name in named if not _exists(name)] == []

@@ -1,4 +1,8 @@
-"""The ground as a plane, and the world it defines for a camera of unknown pose."""
+"""The ground as a plane, and the world it defines for a camera of unknown pose.
+
+This is geometry only. The ground of a recording is estimated in `recon.fitting.clip`, from the
+first guess of `recon.fitting.ground`.
+"""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,8 @@
-"""A first guess of the ground from how people stand: upright, with their soles on it."""
+"""A first guess of an unknown ground from how people stand: upright, with their soles on it.
+
+`recon.fitting.clip` decides whether the ground is unknown at all, and optimises the guess beside
+the motion (`recon.core.scene.UnknownGround`).
+"""
 
 import torch
 from jaxtyping import Float

@@ -11,7 +11,7 @@ from recon.body.reshape import leg_length, with_shape
 from recon.core import rotations as so3
 from recon.core.errors import ReconError
 from recon.core.motion import Motion
-from recon.fitting.settling import flies, grounded
+from recon.fitting.settling import flies, settled
 from recon.method.windows import Piece, Windows, join
 
 WINDOW, OVERLAP = 10.0, 3.0
@@ -80,7 +80,7 @@ def _settled(
     coarse, source = at_rate(made), at_rate(window)
     scaled = with_shape(source, prior.body, shape)
     flying = flies(source, prior.body)
-    stands = grounded(coarse[None], scaled[None], flying[None], prior.body).detach()[0]
+    stands = settled(coarse[None], scaled[None], flying[None], prior.body).detach()[0]
     between = _between(made)
     turns = so3.log(coarse.rotations.mT @ stands.rotations).flatten(1)
     moves = stands.translation - coarse.translation

@@ -1,4 +1,4 @@
-"""The motion nearest to a given one that obeys physics."""
+"""The motion nearest to a given one whose feet obey physics; of finished motions, not of data."""
 
 from dataclasses import dataclass
 
@@ -18,8 +18,8 @@ from recon.physics.samples import NO_GROUND
 from recon.solver.lbfgs import LBFGS
 
 PENETRATION, FLOATING, SLIDE, BALANCE = 1000.0, 1000.0, 3000.0, 1.0
-"""Weights of the physics energies beside ½ Σ |joint - its place in the given motion|². With the
-next one chosen on eight validation clips that were retargeted; results depend on them little."""
+"""Weights of the physics energies beside ½ Σ |joint - its place in the given motion|². They and
+`SMOOTH` were chosen on eight retargeted validation clips; results depend on them little."""
 
 SMOOTH = 5.0
 """Weight of the second differences of what is changed, per (1/30 s)²."""
@@ -27,7 +27,7 @@ SMOOTH = 5.0
 ITERATIONS = 60
 
 
-def grounded(
+def settled(
     motion: Motion, moving: Motion, flying: Bool[Tensor, "clips time"], body: BodyModel
 ) -> Motion:
     """Motions of a batch whose feet stand: they neither sink nor float nor slide, and balance.

@@ -102,7 +102,7 @@ def _finish(
     soles: Soles,
 ) -> Conversion:
     jumps = glitches(recording)
-    found = grounded(
+    found = floored(
         solved.motion,
         dict(zip(names, (1000 * solved.residuals).tolist(), strict=True)),
         recording.decisions,
@@ -117,7 +117,7 @@ def _finish(
     return dataclasses.replace(found, report={**found.report, "slip_source_mps": slip})
 
 
-def grounded(
+def floored(
     motion: Motion,
     residuals: Mapping[str, float],
     decisions: tuple[str, ...],
@@ -127,7 +127,11 @@ def grounded(
     n_glitch: int,
     observed: Bool[Tensor, "time 22"] | None = None,
 ) -> Conversion:
-    """Stand a motion on z = 0, label its contacts, report, and judge pace and ground."""
+    """A converted motion stood on the ground z = 0, with contact labels and a report.
+
+    The ground is the plane of the soles that stand (`recon.body.soles.Stance`): a tilted one is
+    levelled, and the motion is lowered to it.
+    """
     belt = belt_velocity(motion, body, observed)
     placed = None if observed is None else observed.any(-1)
     stance = Stance.of(motion, body, soles, belt, placed)

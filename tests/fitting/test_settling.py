@@ -9,7 +9,7 @@ from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.scene import Scene
-from recon.fitting.settling import flies, grounded
+from recon.fitting.settling import flies, settled
 from recon.method.protocols import Decoded, Estimate
 from recon.physics.energies import floating, slide
 
@@ -30,8 +30,8 @@ def standing(body, speed=0.0, height=0.0, frames=31) -> Motion:
     return motion.replace(translation=place)
 
 
-def settled(motion, body):
-    return grounded(motion, motion, flies(motion, body), body).detach()
+def stood(motion, body):
+    return settled(motion, motion, flies(motion, body), body).detach()
 
 
 def energy(measure, motion, body) -> float:
@@ -41,7 +41,7 @@ def energy(measure, motion, body) -> float:
 
 def test_sliding_feet_are_held(body):
     sliding = standing(body, speed=0.15)
-    found = settled(sliding, body)
+    found = stood(sliding, body)
     assert energy(slide, found, body) < 0.2 * energy(slide, sliding, body)
     assert found.fps == sliding.fps
     assert found.frames == sliding.frames
@@ -51,13 +51,13 @@ def test_sliding_feet_are_held(body):
 
 def test_what_stands_stays(body):
     still = standing(body)
-    found = settled(still, body)
+    found = stood(still, body)
     assert (body.pose(found).joints - body.pose(still).joints).norm(dim=-1).mean() < 5e-3
 
 
 def test_what_floats_comes_down(body):
     above = standing(body, height=0.04)
-    found = settled(above, body)
+    found = stood(above, body)
     assert energy(floating, found, body) < 0.2 * energy(floating, above, body)
     assert found.rotations.isfinite().all()
 
@@ -67,16 +67,16 @@ def test_every_clip_for_itself(body):
     both = both.replace(translation=both.translation * torch.tensor([1.0, 0.0, 1.0]))
     other = standing(body)
     pair = both.replace(translation=torch.cat((both.translation[:1], other.translation)))
-    alone = settled(other, body)
+    alone = stood(other, body)
     torch.testing.assert_close(
-        settled(pair, body).translation[1:], alone.translation, atol=2e-3, rtol=0
+        stood(pair, body).translation[1:], alone.translation, atol=2e-3, rtol=0
     )
 
 
 def test_who_flies_is_left_in_the_air(body):
     above = standing(body, height=0.1)
     assert bool(flies(above, body).all())
-    found = settled(above, body)
+    found = stood(above, body)
     assert float((found.translation - above.translation).abs().max()) < 1e-2
 
 
@@ -85,7 +85,7 @@ def test_accelerations_are_those_of_the_other_motion(body):
     still = standing(body)
     up = 0.003 * torch.arange(still.frames).fmod(2)[:, None] * torch.tensor([0.0, 0.0, 1.0])
     trembling = still.replace(translation=still.translation + up)
-    found = grounded(trembling, still, flies(still, body), body).detach()
+    found = settled(trembling, still, flies(still, body), body).detach()
 
     def shake(motion):
         return float(motion.translation[0, :, 2].diff(n=2).abs().mean())

@@ -18,7 +18,7 @@ from recon.diagnosis.findings import Finding
 from recon.formats.mocap.recording import MarkerRecording
 from recon.formats.motions import load_motion
 from recon.ingest import Conversion, convert
-from recon.ingest.conversion import grounded
+from recon.ingest.conversion import floored
 from recon.ingest.markers.coverage import STANDOFF, full_body_markers, nominal_offsets
 from recon.ingest.markers.exchanges import (
     exchanged_throughout,
@@ -359,11 +359,11 @@ def test_contacts_on_a_belt_are_not_told(walk: Motion, single: BodyModel, tmp_pa
     drift = (whole.translation[-1] - whole.translation[0]) / seconds[-1]
     drift[2] = 0.0
     belt = whole.replace(translation=whole.translation - seconds[:, None] * drift)
-    found = grounded(belt, {"c7": 1.0}, (), single, Soles.of(single), n_glitch=0)
+    found = floored(belt, {"c7": 1.0}, (), single, Soles.of(single), n_glitch=0)
     assert codes(found.warnings) == ["treadmill"]
     found.save(tmp_path / "m.npz", single)
     assert load_motion(tmp_path / "m.npz").contacts is None
-    still = grounded(whole, {"c7": 1.0}, (), single, Soles.of(single), n_glitch=0)
+    still = floored(whole, {"c7": 1.0}, (), single, Soles.of(single), n_glitch=0)
     assert still.warnings == ()
     # the belt's stance gives the same ground as the floor's
     low, floor = (f.joints[..., 2].amin() for f in (found, still))

@@ -10,7 +10,7 @@ from recon.body.model import BodyModel
 from recon.body.soles import Soles
 from recon.diagnosis.findings import Finding
 from recon.formats.mocap.recording import MarkerRecording
-from recon.ingest.conversion import Conversion, grounded
+from recon.ingest.conversion import Conversion, floored
 from recon.ingest.markers.coverage import MarkerSet, full_body_markers
 from recon.ingest.markers.exchanges import (
     exchanged_throughout,
@@ -69,7 +69,7 @@ def convert_markers(
     warnings += marker_findings(fit, chosen, markers)
     left = f"; not known: {', '.join(markers.unknown)}" if markers.unknown else ""
     kind = "keypoints" if markers.inside else "markers"
-    found = grounded(
+    found = floored(
         fit.motion,
         marker_residuals(fit, chosen),
         (*recording.decisions, f"{len(markers.labels)} {kind} used{left}"),
