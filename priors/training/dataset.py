@@ -158,16 +158,36 @@ def _name(motion: Path) -> str:
     return name if isinstance(name, str) else motion.stem
 
 
+def files_of(corpus: str | Path, splits: Splits, part: Part, licence: Licence) -> dict[str, Path]:
+    """The motion files of one part by clip name, those that the licence allows.
+
+    Raises:
+        FileNotFoundError: when the folder holds no motion files.
+        ValueError: when two files have the same name.
+    """
+    files = clip_files(corpus)
+    return {
+        name: files[name]
+        for name, own in splits.parts(list(files)).items()
+        if own == part and (licence == "nc" or splits.is_open(name))
+    }
+
+
+def files_on_flat_ground(
+    corpus: str | Path, splits: Splits, part: Part, licence: Licence
+) -> dict[str, Path]:
+    """`files_of` without the clips on stairs or slopes, where heights mean nothing."""
+    files = files_of(corpus, splits, part, licence)
+    return {name: path for name, path in files.items() if is_flat(path)}
+
+
 def load_clips(
     corpus: str | Path, splits: Splits, part: Part, licence: Licence = "open", fps: float = 30.0
 ) -> list[Clip]:
     """All clips of one part, resampled; those of one frame only are skipped."""
-    files = clip_files(corpus)
     clips: list[Clip] = []
-    for name, own in splits.parts(list(files)).items():
-        if own != part or (licence == "open" and not splits.is_open(name)):
-            continue
-        motion = load_motion(files[name]).motion.resample(fps)
+    for name, path in files_of(corpus, splits, part, licence).items():
+        motion = load_motion(path).motion.resample(fps)
         if motion.frames > 1:
             clips.append(Clip(name, splits.subject(name), motion))
     _LOG.info("%d %s clips, %d frames", len(clips), part, sum(c.motion.frames for c in clips))
@@ -175,7 +195,7 @@ def load_clips(
 
 
 def is_flat(path: Path) -> bool:
-    """What the conversion noted beside the clip; on uneven ground heights mean nothing."""
+    """Whether the notes of the conversion beside a clip say flat ground; without notes, yes."""
     beside = path.with_suffix(".json")
     if not beside.is_file():
         return True

@@ -18,6 +18,13 @@ def plain(settings: Any) -> dict[str, Any]:
     return {name: _plain(value) for name, value in dataclasses.asdict(settings).items()}
 
 
+def told_settings(settings: Any) -> dict[str, Any]:
+    """The settings of a run that a weights file tells: all but places on the trainer's disk."""
+    return {
+        k: v for k, v in plain(settings).items() if k not in ("corpus", "out", "splits", "warm")
+    }
+
+
 def identity(settings: Any) -> dict[str, Any]:
     """All that decides what a run learns: its settings, and the contents of the files they name.
 

@@ -225,6 +225,13 @@ def test_a_cut_run_goes_on_where_it_was(folder, tmp_path):
         torch.testing.assert_close(tensor, other[name], atol=1e-5, rtol=1e-4)
 
 
+def test_the_weight_decay_of_the_settings_is_taken(folder, tmp_path):
+    """It was a setting that nothing read: torch's own default decayed the weights."""
+    settings = replace(settings_of(folder, tmp_path), decay=0.5)
+    (group,) = AnchorRun.start(settings, corpus_of(folder)).optimiser.param_groups
+    assert group["weight_decay"] == 0.5
+
+
 def test_another_run_in_the_folder_is_refused(folder, tmp_path):
     settings = settings_of(folder, tmp_path)
     corpus = corpus_of(folder)

@@ -11,10 +11,11 @@ from priors.humor.networks import HumorNetworks
 from priors.humor.prior import Humor
 from priors.humor.state import rest_pelvis, states_of
 from priors.humor.training.corpus import Corpus, Variation, Windows
-from priors.humor.training.run import HumorTraining, LossWeights, Run, export_weights
+from priors.humor.training.run import HumorTraining, LossWeights, export_weights, start
 from priors.humor.training.scaling import ScaledNetworks, Scaling
 from priors.humor.training.train import loss_terms, total_loss, train, unroll
 from priors.training.dataset import Splits
+from priors.training.run import Run
 from recon.body.contacts import rest_heights
 from recon.body.kinematics import forward_kinematics
 from recon.body.model import BodyModel
@@ -210,18 +211,16 @@ def test_a_run_that_was_interrupted_goes_on_exactly(folder: Path, tmp_path: Path
     class Interrupted(Exception):
         pass
 
-    from priors.humor.training import run as humor_run
+    save, saved = Run.save, []
 
-    save, saved = humor_run.Run.save, []
-
-    def once(run: humor_run.Run) -> None:
+    def once(run: Run) -> None:
         save(run)
         saved.append(run.step)
         if len(saved) == 4:
             raise Interrupted
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(humor_run.Run, "save", once)
+        patch.setattr(Run, "save", once)
         with pytest.raises(Interrupted):
             train(parts)
     train(parts)
@@ -267,7 +266,7 @@ def test_a_run_can_begin_with_weights(folder: Path, tmp_path: Path) -> None:
     train(first)
     path = export_weights(first, tmp_path / "humor.safetensors", samples=300)
     corpus = corpus_of(folder, BodyModel.load())
-    again = Run.start(replace(first, out=tmp_path / "second", start=path), corpus)
+    again = start(replace(first, out=tmp_path / "second", start=path), corpus)
     x = drawn(corpus, AS_RECORDED).states.pack()[:, 0]
     expected = Humor.load(path).networks.prior(x)[0]
     torch.testing.assert_close(again.averaged.prior(x)[0], expected, rtol=1e-3, atol=1e-3)

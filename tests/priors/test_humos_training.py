@@ -14,7 +14,7 @@ from priors.humos.training import train as module
 from priors.humos.training.corpus import AS_RECORDED, BodyCorpus, BodyVariation
 from priors.humos.training.export import export_learned
 from priors.humos.training.losses import physics_losses, reconstruction
-from priors.humos.training.run import HumosTraining
+from priors.humos.training.run import HumosTraining, start
 from priors.humos.training.train import train, train_on
 from priors.training.dataset import Licence, Part, Splits
 from recon.body.model import BodyModel
@@ -176,6 +176,28 @@ def test_a_run_that_was_cut_goes_on_as_if_it_had_not_been(folder, tmp_path, monk
         torch.testing.assert_close(tensor, other[name], atol=1e-5, rtol=1e-4)
     with pytest.raises(ValueError, match="a run with other latent"):
         train_on(replace(cut, latent=5), corpus, checked)
+
+
+def test_a_run_of_an_older_version_is_exported(folder, tmp_path):
+    """Exporting began the run anew, which a checkpoint of 0.1.0, without identity, refused."""
+    settings = settings_of(folder, tmp_path / "run", warm_steps=1, steps=1)
+    train(settings)
+    state = torch.load(settings.out / "checkpoint.pt", weights_only=True)
+    older = {k: v for k, v in state.items() if k not in ("identity", "torch_random", "sums")}
+    torch.save(older | {"dropout": state["torch_random"]}, settings.out / "checkpoint.pt")
+    path = export_learned(settings, tmp_path / "humos.safetensors", corpus_of(folder))
+    networks = Humos.load(str(path), BODY).weights.networks
+    for name, tensor in networks.state_dict().items():
+        torch.testing.assert_close(tensor, older["averaged"][name], atol=1e-3, rtol=1e-3)
+    with pytest.raises(ValueError, match="older version"):
+        train(settings)
+
+
+def test_the_weight_decay_of_the_settings_is_taken(folder, tmp_path):
+    """It was a setting that nothing read: torch's own default decayed the weights."""
+    settings = settings_of(folder, tmp_path, decay=0.5)
+    (group,) = start(settings, corpus_of(folder)).optimiser.param_groups
+    assert group["weight_decay"] == 0.5
 
 
 def test_settings_that_mean_nothing_are_refused(folder, tmp_path):

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from priors.anchor.frames import ANCHORS, POSED, Alignment, Anchors, rest_pelvis
-from priors.training.dataset import Licence, Part, Splits, clip_files, is_flat
+from priors.training.dataset import Licence, Part, Splits, files_on_flat_ground
 from recon.body.cycles import Cycle, find_cycles
 from recon.body.model import BodyModel
 from recon.body.reshape import with_shape
@@ -87,17 +87,12 @@ class CycleCorpus(TensorStruct):
         Raises:
             ValueError: when there is none.
         """
-        files = clip_files(folder)
         rows: list[tuple[Tensor, Tensor, Tensor]] = []
         room: list[tuple[int, int]] = []
         cycles: list[Cycle] = []
         clips: list[str] = []
-        for name, own in splits.parts(list(files)).items():
-            if own != part or (licence == "open" and not splits.is_open(name)):
-                continue
-            if not is_flat(files[name]):
-                continue
-            motion = load_motion(files[name]).motion
+        for name, path in files_on_flat_ground(folder, splits, part, licence).items():
+            motion = load_motion(path).motion
             for cycle in find_cycles(motion):
                 step = cycle.duration / (ANCHORS - 1)
                 around = torch.arange(-MARGIN, ANCHORS + MARGIN, dtype=torch.float64)

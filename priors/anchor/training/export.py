@@ -2,7 +2,6 @@
 
 import logging
 from pathlib import Path
-from typing import Any
 
 import torch
 
@@ -12,7 +11,8 @@ from priors.anchor.training.corpus import CycleCorpus, CycleVariation
 from priors.anchor.training.run import AnchorTraining
 from priors.anchor.weights import AnchorWeights, CodeSpread, save_weights
 from priors.training.dataset import Splits
-from priors.training.run_settings import plain
+from priors.training.run import trained_state
+from priors.training.run_settings import told_settings
 from recon.body.model import BodyModel
 
 _LOG = logging.getLogger("priors.anchor.training.train")
@@ -42,11 +42,8 @@ def export_weights(settings: AnchorTraining, path: Path, networks: str = "best.p
 def export_learned(
     settings: AnchorTraining, path: Path, learned: CycleCorpus, networks: str = "best.pt"
 ) -> Path:
-    """The same from cycles that are loaded already."""
-    best = settings.out / networks
-    if not best.is_file():
-        raise FileNotFoundError(f"{best}: no networks there yet; train first")
-    found: dict[str, Any] = torch.load(best, weights_only=True, map_location="cpu")
+    """Write weights as `export_weights` does, from cycles that are loaded already."""
+    found = trained_state(settings.out / networks)
     basis = CycleBasis(**found["basis"])
     shape = learned.shape.shape[1]
     model = AnchorNetworks(basis, settings.latent, shape, settings.width)
@@ -57,8 +54,7 @@ def export_learned(
     mean, log_variance = model.posterior(drawn.anchors.pack())
     typical = min(TYPICAL, len(learned.shape))
     spread = CodeSpread.fit(mean, log_variance.exp(), typical, settings.seed)
-    about = {k: v for k, v in plain(settings).items() if k not in ("corpus", "out", "splits")}
     weights = AnchorWeights(model, spread, settings.alignment)
-    save_weights(path, weights, about | {"step": found["step"]})
+    save_weights(path, weights, told_settings(settings) | {"step": found["step"]})
     _LOG.info("wrote the networks of step %d as %s", found["step"], path)
     return path

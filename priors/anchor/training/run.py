@@ -1,11 +1,8 @@
 """A training run of the anchor-frame VAE on disk: settings, checkpoints, losses, weights."""
 
 import dataclasses
-import logging
-from copy import deepcopy
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import torch
 
@@ -13,13 +10,9 @@ from priors.anchor.basis import CycleBasis
 from priors.anchor.frames import Alignment
 from priors.anchor.networks import AnchorNetworks
 from priors.anchor.training.corpus import CycleCorpus, CycleVariation
-from priors.training.curves import write_losses
 from priors.training.dataset import SPLITS, Licence
 from priors.training.gradnorm import GradNorm
-from priors.training.run_settings import identity, plain, same_run
-from recon.formats.files.opening import replacing
-
-_LOG = logging.getLogger("priors.anchor.training.train")
+from priors.training.run import CHECKPOINT, Run, read_state
 
 
 @dataclass(frozen=True)
@@ -62,7 +55,7 @@ class AnchorTraining:
     """Learning rate of AdamW, published; it falls to a hundredth along a cosine."""
     surface_rate: float = 3e-4
     """Of the second phase; 1e-4 is published."""
-    decay: float = 0.02
+    decay: float = 0.01
     """Weight decay."""
     clip: float = 1.0
     """Longest gradient."""
@@ -79,21 +72,12 @@ class AnchorTraining:
 
 
 @dataclass
-class AnchorRun:
-    """All that a run needs to go on exactly where it was."""
+class AnchorRun(Run[AnchorNetworks]):
+    """A training run, with the balance of its losses."""
 
-    settings: AnchorTraining
-    networks: AnchorNetworks
-    averaged: AnchorNetworks
-    optimiser: torch.optim.Optimizer
-    random: torch.Generator
-    identity: dict[str, Any]
-    """What the run learns and from which contents; a checkpoint of another is refused."""
-    weights: GradNorm
-    step: int = 0
+    weights: GradNorm = field(default_factory=lambda: GradNorm(PARAMETERS))
     surface_scale: float = 1.0
-    """What a squared metre of the surface counts in the second phase."""
-    rows: list[dict[str, float]] = field(default_factory=list)
+    """Weight of a squared metre of the surface in the second phase."""
 
     @classmethod
     def start(cls, settings: AnchorTraining, corpus: CycleCorpus) -> "AnchorRun":
@@ -104,89 +88,68 @@ class AnchorRun:
         """
         random = torch.Generator().manual_seed(settings.seed)
         torch.manual_seed(settings.seed)
-        drawn = [
-            corpus.draw(256, settings.variation, settings.alignment, random).anchors.pack()
-            for _ in range(-(-settings.basis_from // 256))
-        ]
-        basis = CycleBasis.fit(torch.cat(drawn), settings.basis)
+        state = read_state(settings.out / CHECKPOINT)
+        basis = _basis(settings, corpus, random) if state is None else CycleBasis(**state["basis"])
         networks = AnchorNetworks(
             basis, settings.latent, corpus.shape.shape[1], settings.width, settings.dropout
         )
-        averaged = deepcopy(networks).requires_grad_(False).eval()
-        optimiser = torch.optim.AdamW(
-            networks.parameters(), lr=settings.rate, weight_decay=settings.decay, fused=True
-        )
-        own = identity(settings)
-        run = cls(settings, networks, averaged, optimiser, random, own, GradNorm(PARAMETERS))
-        path = settings.out / "checkpoint.pt"
-        if path.is_file():
-            run._resume(path)
+        run = cls.of(settings, networks, random, weight_decay=settings.decay)
+        assert isinstance(run, cls)
+        if state is not None:
+            run.resume(state)
+            names = tuple(state["weights"]["names"])
+            run.weights = GradNorm(**(state["weights"] | {"names": names}))
+            run.surface_scale = state["surface_scale"]
         return run
 
     def begin_surface(self, scale: float) -> None:
-        """From parameters to the surface: other losses, a scale that keeps their pull on codes.
+        """Change from the losses of parameters to those of the surface.
 
         The networks of the first phase are kept as `parameters.pt`, for comparison.
+
+        Args:
+            scale: weight of a squared metre at which the losses pull on codes as before.
         """
-        self.keep("parameters.pt")
+        self.keep_networks("parameters.pt")
         self.surface_scale = scale
         self.weights = GradNorm(SURFACE)
 
-    def _resume(self, path: Path) -> None:
-        state: dict[str, Any] = torch.load(path, weights_only=True, map_location="cpu")
-        same_run(path, self.identity, state.get("identity"))
-        basis = CycleBasis(**state["basis"])
-        self.networks.basis = self.averaged.basis = basis
-        self.networks.load_state_dict(state["networks"])
-        self.averaged.load_state_dict(state["averaged"])
-        self.optimiser.load_state_dict(state["optimiser"])
-        self.random.set_state(state["random"])
-        torch.set_rng_state(state["dropout"])
-        self.weights = GradNorm(**(state["weights"] | {"names": tuple(state["weights"]["names"])}))
-        self.step, self.rows = state["step"], state["rows"]
-        self.surface_scale = state["surface_scale"]
+    def note_row(self, row: dict[str, float]) -> None:
+        """Remember losses, and keep the networks when they are the best so far."""
+        self.note(row, _PANELS)
+        if self.best:
+            self.keep_networks("best.pt")
 
-    def note(self, row: dict[str, float]) -> None:
-        """Remember losses, write them as a table and as curves; keep the best networks."""
-        self.rows.append({"step": float(self.step), **row})
-        if row["score"] == min(r["score"] for r in self.rows):
-            self.keep("best.pt")
-        write_losses(self.settings.out, self.rows, _PANELS)
-
-    def keep(self, name: str) -> None:
+    def keep_networks(self, name: str) -> None:
         """Write the averaged networks as they are."""
-        found = {
-            "networks": self.averaged.state_dict(),
-            "basis": self.averaged.basis.tensors(),
-            "step": self.step,
-        }
-        with replacing(self.settings.out / name) as beside:
-            torch.save(found, beside)
+        self.keep(
+            name,
+            networks=self.averaged.state_dict(),
+            basis=self.averaged.basis.tensors(),
+            step=self.step,
+        )
 
-    def save(self) -> None:
+    def save_all(self) -> None:
         """Write the checkpoint in one step."""
-        state = {
-            "settings": plain(self.settings),
-            "identity": self.identity,
-            "basis": self.networks.basis.tensors(),
-            "networks": self.networks.state_dict(),
-            "averaged": self.averaged.state_dict(),
-            "optimiser": self.optimiser.state_dict(),
-            "random": self.random.get_state(),
-            "dropout": torch.get_rng_state(),
-            "weights": dataclasses.asdict(self.weights) | {"names": list(self.weights.names)},
-            "step": self.step,
-            "surface_scale": self.surface_scale,
-            "rows": self.rows,
-        }
-        with replacing(self.settings.out / "checkpoint.pt") as beside:
-            torch.save(state, beside)
+        self.save(
+            basis=self.networks.basis.tensors(),
+            weights=dataclasses.asdict(self.weights) | {"names": list(self.weights.names)},
+            surface_scale=self.surface_scale,
+        )
+
+
+def _basis(settings: AnchorTraining, corpus: CycleCorpus, random: torch.Generator) -> CycleBasis:
+    rows = [
+        corpus.draw(256, settings.variation, settings.alignment, random).anchors.pack()
+        for _ in range(-(-settings.basis_from // 256))
+    ]
+    return CycleBasis.fit(torch.cat(rows), settings.basis)
 
 
 PARAMETERS = ("pose", "translation", "time")
 """Losses of the first phase that GradNorm weighs."""
 SURFACE = ("surface", "time")
-"""And of the second."""
+"""Losses of the second phase that GradNorm weighs."""
 _PANELS = (
     ("train_total",),
     ("vertex_cm", "sampled_vertex_cm"),

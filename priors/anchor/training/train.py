@@ -6,7 +6,6 @@ place of all vertices, an average of the weights over time as the result.
 """
 
 import logging
-import time
 from pathlib import Path
 
 import torch
@@ -24,6 +23,7 @@ from priors.training.dataset import Splits
 from priors.training.descent import cosine, descend
 from priors.training.gradnorm import LEAST
 from priors.training.logfile import logged_to
+from priors.training.run import run_steps
 from recon.body.model import BodyModel
 from recon.body.spread import spread_vertices
 
@@ -61,25 +61,19 @@ def train_on(settings: AnchorTraining, learned: CycleCorpus, checked: CycleBatch
     _LOG.info("settings: %s", settings)
     _LOG.info("from step %d; %d validation cycles", run.step, len(checked.shape))
     vertices = spread_vertices(learned.body, POINTS)
-    saved = time.monotonic()
-    total = 0.0
-    while run.step < settings.steps + settings.surface_steps:
+
+    def one_step() -> dict[str, float]:
         if run.step == settings.steps:
             run.begin_surface(surface_scale(run, learned, vertices))
-        total += training_step(run, learned, vertices)
-        last = run.step == settings.steps + settings.surface_steps
-        if run.step % settings.validate_every == 0 or last:
-            row = {"train_total": total / settings.validate_every}
-            row |= validate(run, checked, learned.body, vertices)
-            run.note(row)
-            shown = ", ".join(f"{name} {value:.4g}" for name, value in row.items())
-            weights = ", ".join(f"{k} {w:.2f}" for k, w in run.weights.weights.items())
-            _LOG.info("step %d: %s; weights %s", run.step, shown, weights)
-            total = 0.0
-        if time.monotonic() - saved > settings.save_every or last:
-            run.save()
-            saved = time.monotonic()
-    return settings.out / "checkpoint.pt"
+        return {"total": training_step(run, learned, vertices)}
+
+    def check() -> dict[str, float]:
+        weights = ", ".join(f"{k} {w:.2f}" for k, w in run.weights.weights.items())
+        _LOG.info("step %d: weights of the losses %s", run.step, weights)
+        return validate(run, checked, learned.body, vertices)
+
+    steps = settings.steps + settings.surface_steps
+    return run_steps(run, steps, one_step, check, run.note_row, run.save_all, _LOG)
 
 
 def training_step(run: AnchorRun, learned: CycleCorpus, vertices: torch.Tensor) -> float:

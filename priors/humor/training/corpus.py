@@ -20,8 +20,7 @@ from priors.training.dataset import (
     Licence,
     Part,
     Splits,
-    clip_files,
-    is_flat,
+    files_on_flat_ground,
     mirrored_rotations,
 )
 from recon.body.kinematics import forward_kinematics
@@ -116,15 +115,10 @@ class Corpus(TensorStruct):
         Raises:
             ValueError: when no clip remains.
         """
-        files = clip_files(folder)
         clips: list[MotionFile] = []
         names: list[str] = []
-        for name, own in splits.parts(list(files)).items():
-            if own != part or (licence == "open" and not splits.is_open(name)):
-                continue
-            if not is_flat(files[name]):
-                continue
-            for piece in _between_jumps(load_motion(files[name])):
+        for name, path in files_on_flat_ground(folder, splits, part, licence).items():
+            for piece in _between_jumps(load_motion(path)):
                 if piece.motion.frames >= shortest * piece.motion.fps:
                     clips.append(_at_rate(piece))
                     names.append(name)

@@ -1,10 +1,9 @@
 """A training run of HuMoR on disk: settings, checkpoints, losses and the weights in the end."""
 
 import logging
-from copy import deepcopy
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import torch
 
@@ -15,11 +14,10 @@ from priors.humor.steps import error_whitening
 from priors.humor.training.corpus import Corpus, Variation
 from priors.humor.training.scaling import ScaledNetworks
 from priors.humor.weights import networks_from, read_weights, save_weights
-from priors.training.curves import write_losses
 from priors.training.dataset import SPLITS, Licence, Splits
-from priors.training.run_settings import identity, plain, same_run
+from priors.training.run import CHECKPOINT, Run, read_state, trained_state
+from priors.training.run_settings import told_settings
 from recon.body.model import BodyModel
-from recon.formats.files.opening import replacing
 
 _LOG = logging.getLogger(__name__)
 
@@ -100,89 +98,38 @@ class HumorTraining:
     device: str = "cpu"
 
 
-@dataclass
-class Run:
-    """All that a run needs to go on exactly where it was."""
+HumorRun = Run[ScaledNetworks]
+"""A training run of HuMoR."""
 
-    settings: HumorTraining
-    networks: ScaledNetworks
-    averaged: ScaledNetworks
-    optimiser: torch.optim.Optimizer
-    random: torch.Generator
-    identity: dict[str, Any]
-    """What the run learns and from which contents; a checkpoint of another is refused."""
-    step: int = 0
-    rows: list[dict[str, float]] = field(default_factory=list)
-    sums: dict[str, float] = field(default_factory=dict)
-    """Of the losses since the last row."""
 
-    @classmethod
-    def start(
-        cls,
-        settings: HumorTraining,
-        corpus: Corpus,
-        kind: type[ScaledNetworks] = ScaledNetworks,
-    ) -> "Run":
-        """A new run, or the one whose checkpoint is in the folder."""
-        random = torch.Generator().manual_seed(settings.seed)
-        torch.manual_seed(settings.seed)
-        windows = corpus.draw(_SCALED_BY, 2, settings.variation, random)
-        scaling = kind.scaling_of(windows.states, rest_pelvis(windows.states[:, 0]))
-        core = HumorNetworks(settings.width).to(settings.device)
-        networks = kind(core, scaling, settings.noise)
-        if settings.start is not None:
-            learned = networks_from(read_weights(settings.start)).to(settings.device)
-            networks = kind.around(learned, scaling, settings.noise)
-        averaged = deepcopy(networks).requires_grad_(False).eval()
-        optimiser = torch.optim.AdamW(
-            networks.parameters(),
-            lr=settings.rate,
-            weight_decay=settings.decay,
-            betas=(0.9, 0.99),
-            fused=True,
-        )
-        run = cls(settings, networks, averaged, optimiser, random, identity(settings))
-        path = settings.out / "checkpoint.pt"
-        if path.is_file():
-            run._resume(path)
-        return run
+def start(
+    settings: HumorTraining, corpus: Corpus, kind: type[ScaledNetworks] = ScaledNetworks
+) -> HumorRun:
+    """A new run, or the one whose checkpoint is in the folder.
 
-    def _resume(self, path: Path) -> None:
-        state: dict[str, Any] = torch.load(path, weights_only=True, map_location="cpu")
-        same_run(path, self.identity, state.get("identity"))
-        self.networks.load_state_dict(state["networks"])
-        self.averaged.load_state_dict(state["averaged"])
-        self.optimiser.load_state_dict(state["optimiser"])
-        self.random.set_state(state["random"])
-        torch.set_rng_state(state["blur"])
-        self.step, self.rows = state["step"], state["rows"]
-        self.sums = state.get("sums", {})
+    Raises:
+        ValueError: when the folder holds a run with other settings.
+    """
+    random = torch.Generator().manual_seed(settings.seed)
+    torch.manual_seed(settings.seed)
+    windows = corpus.draw(_SCALED_BY, 2, settings.variation, random)
+    scaling = kind.scaling_of(windows.states, rest_pelvis(windows.states[:, 0]))
+    core = HumorNetworks(settings.width).to(settings.device)
+    networks = kind(core, scaling, settings.noise)
+    if settings.start is not None:
+        learned = networks_from(read_weights(settings.start)).to(settings.device)
+        networks = kind.around(learned, scaling, settings.noise)
+    run = Run.of(settings, networks, random, weight_decay=settings.decay, betas=(0.9, 0.99))
+    if (state := read_state(settings.out / CHECKPOINT)) is not None:
+        run.resume(state)
+    return run
 
-    def note(self, row: dict[str, float]) -> None:
-        """Remember losses, write them as a table and as curves; keep the best networks."""
-        self.rows.append({"step": float(self.step), **row})
-        if row["score"] == min(r["score"] for r in self.rows):
-            best = {"average": self.averaged.plain().state_dict(), "step": self.step}
-            with replacing(self.settings.out / "best.pt") as beside:
-                torch.save(best, beside)
-        write_losses(self.settings.out, self.rows, _PANELS)
 
-    def save(self) -> None:
-        """Write the checkpoint in one step."""
-        state = {
-            "settings": plain(self.settings),
-            "identity": self.identity,
-            "networks": self.networks.state_dict(),
-            "averaged": self.averaged.state_dict(),
-            "optimiser": self.optimiser.state_dict(),
-            "random": self.random.get_state(),
-            "blur": torch.get_rng_state(),
-            "step": self.step,
-            "rows": self.rows,
-            "sums": self.sums,
-        }
-        with replacing(self.settings.out / "checkpoint.pt") as beside:
-            torch.save(state, beside)
+def note(run: HumorRun, row: dict[str, float]) -> None:
+    """Remember losses, and keep the networks when they are the best so far."""
+    run.note(row, _PANELS)
+    if run.best:
+        run.keep("best.pt", average=run.averaged.plain().state_dict(), step=run.step)
 
 
 _PANELS = (
@@ -213,10 +160,7 @@ def export_weights(
     Raises:
         FileNotFoundError: when the run has not validated yet, or there is no corpus.
     """
-    best = settings.out / "best.pt"
-    if not best.is_file():
-        raise FileNotFoundError(f"{best}: no networks there yet; train first")
-    found: dict[str, Any] = torch.load(best, weights_only=True, map_location="cpu")
+    found = trained_state(settings.out / "best.pt")
     networks = kind(settings.width)
     networks.load_state_dict(found["average"])
 
@@ -230,7 +174,7 @@ def export_weights(
     initial = Mixture.fit(features, distinct_features(), seed=settings.seed)
     whitening = error_whitening(networks, windows.states, rest_pelvis(states))
 
-    about = {k: v for k, v in plain(settings).items() if k not in ("corpus", "out", "splits")}
-    save_weights(path, networks, initial, whitening, about | {"step": found["step"]})
+    about = told_settings(settings) | {"step": found["step"]}
+    save_weights(path, networks, initial, whitening, about)
     _LOG.info("wrote the networks of step %d as %s", found["step"], path)
     return path

@@ -8,9 +8,9 @@ compare.
 
 import dataclasses
 import logging
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import torch
@@ -21,11 +21,19 @@ from torch.nn import functional
 from priors.humor.state import Frame, State, canonical, compose
 from priors.humor.steps import divergence
 from priors.humor.training.corpus import Corpus, Windows
-from priors.humor.training.run import HumorTraining, LossWeights, Run, export_weights
+from priors.humor.training.run import (
+    HumorRun,
+    HumorTraining,
+    LossWeights,
+    export_weights,
+    note,
+    start,
+)
 from priors.humor.training.scaling import ScaledNetworks
 from priors.training.dataset import Splits
 from priors.training.descent import cosine, descend
 from priors.training.logfile import logged_to
+from priors.training.run import run_steps
 from recon.body.kinematics import forward_kinematics
 from recon.body.model import BodyModel
 from recon.core.skeleton import CONTACT_JOINTS
@@ -72,37 +80,22 @@ def _train(settings: HumorTraining, kind: type[ScaledNetworks]) -> Path:
         for part in ("train", "validation")
     )
     checked = held_out.every(settings.frames)
-    run = Run.start(settings, learned, kind)
+    run = start(settings, learned, kind)
     _LOG.info("settings: %s", settings)
     _LOG.info("from step %d; %d validation windows", run.step, len(checked.trusted))
 
-    saved = time.monotonic()
-    began, pairs = time.monotonic(), 0
-    while run.step < settings.steps:
+    def one_step() -> dict[str, float]:
         windows = learned.draw(settings.windows, settings.frames, settings.variation, run.random)
-        progress = run.step / settings.steps
-        losses = training_step(run, windows, settings, progress)
-        pairs += settings.windows * (settings.frames - 1)
-        for name, value in losses.items():
-            run.sums[name] = run.sums.get(name, 0.0) + value
+        return training_step(run, windows, settings, run.step / settings.steps)
 
-        if run.step % settings.validate_every == 0 or run.step == settings.steps:
-            count = (run.step - 1) % settings.validate_every + 1
-            row = {f"train_{name}": value / count for name, value in run.sums.items()}
-            row |= validate(run.averaged, checked, settings.losses)
-            run.note(row)
-            speed = pairs / (time.monotonic() - began)
-            _LOG.info("step %d, %.0f transitions/s: %s", run.step, speed, _line(row))
-            run.sums = {}
-            began, pairs = time.monotonic(), 0
-        if time.monotonic() - saved > settings.save_every or run.step == settings.steps:
-            run.save()
-            saved = time.monotonic()
-    return settings.out / "checkpoint.pt"
+    def check() -> dict[str, float]:
+        return validate(run.averaged, checked, settings.losses)
+
+    return run_steps(run, settings.steps, one_step, check, partial(note, run), run.save, _LOG)
 
 
 def training_step(
-    run: Run, windows: Windows, settings: HumorTraining, progress: float
+    run: HumorRun, windows: Windows, settings: HumorTraining, progress: float
 ) -> dict[str, float]:
     """One step of the optimiser; the losses of its windows."""
     own = (progress - settings.own_from) / max(settings.own_until - settings.own_from, 1e-9)
@@ -231,11 +224,6 @@ def validate(networks: ScaledNetworks, windows: Windows, weights: LossWeights) -
         row["drift_cm"] = 100 * error.item()
     row["score"] = row["one_total"] + row["own_total"]
     return row
-
-
-def _line(row: Mapping[str, float]) -> str:
-    shown = ("train_total", "train_kl", "one_total", "own_total", "drift_cm", "own_feet_right")
-    return ", ".join(f"{name} {row[name]:.4g}" for name in shown)
 
 
 def _main(settings: HumorTraining, export: Path | None = None) -> None:

@@ -11,7 +11,7 @@ from torch import Tensor
 from priors.humos.basis import existing_windows
 from priors.humos.frames import BodyFrames
 from priors.humos.prior import FPS
-from priors.training.dataset import Licence, Part, Splits, clip_files, is_flat, mirrored_rotations
+from priors.training.dataset import Licence, Part, Splits, files_on_flat_ground, mirrored_rotations
 from recon.body.model import BodyModel
 from recon.body.reshape import leg_length
 from recon.core.motion import Motion
@@ -106,14 +106,9 @@ class BodyCorpus(TensorStruct):
         Raises:
             ValueError: when no clip remains.
         """
-        files = clip_files(folder)
         found: list[tuple[str, BodyFrames, Tensor, Tensor]] = []
-        for name, own in splits.parts(list(files)).items():
-            if own != part or (licence == "open" and not splits.is_open(name)):
-                continue
-            if not is_flat(files[name]):
-                continue
-            motion = load_motion(files[name]).motion
+        for name, path in files_on_flat_ground(folder, splits, part, licence).items():
+            motion = load_motion(path).motion
             for speed in speeds:
                 clip = motion.replace(fps=motion.fps * speed).resample(FPS)
                 if clip.frames < shortest * FPS:

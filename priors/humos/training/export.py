@@ -5,12 +5,15 @@ from pathlib import Path
 
 import torch
 
+from priors.humos.basis import LappedBasis
+from priors.humos.networks import Networks
 from priors.humos.training.corpus import BodyCorpus, BodyVariation
 from priors.humos.training.losses import encoded
-from priors.humos.training.run import HumosRun, HumosTraining
+from priors.humos.training.run import HumosTraining, untrained
 from priors.humos.weights import CodeDensity, HumosWeights, save_weights
 from priors.training.dataset import Splits
-from priors.training.run_settings import plain
+from priors.training.run import CHECKPOINT, trained_state
+from priors.training.run_settings import told_settings
 from recon.body.model import BodyModel
 
 _LOG = logging.getLogger("priors.humos.training.train")
@@ -33,18 +36,27 @@ def export_weights(settings: HumosTraining, path: Path) -> Path:
 
 
 def export_learned(settings: HumosTraining, path: Path, learned: BodyCorpus) -> Path:
-    """The same from clips that are loaded already."""
-    if not (settings.out / "checkpoint.pt").is_file():
-        raise FileNotFoundError(f"{settings.out}: no checkpoint there yet; train first")
-    run = HumosRun.start(settings, learned)
-    networks = run.averaged
+    """Write weights as `export_weights` does, from clips that are loaded already."""
+    found = trained_state(settings.out / CHECKPOINT)
+    basis = LappedBasis(**found["basis"])
+    networks = untrained(settings, basis, learned.shape.shape[1])
+    networks.load_state_dict(found["averaged"])
+    networks.eval().requires_grad_(False)
+    density = _density(settings, networks, learned)
+    about = told_settings(settings) | {"shape": learned.shape.shape[1], "step": found["step"]}
+    save_weights(path, HumosWeights(networks, density, settings.frames), about)
+    _LOG.info("wrote the networks of step %d as %s", found["step"], path)
+    return path
+
+
+def _density(settings: HumosTraining, networks: Networks, learned: BodyCorpus) -> CodeDensity:
+    """How the codes of the training clips are spread, and how they follow each other."""
     random = torch.Generator().manual_seed(settings.seed)
     codes, variances, before, after = [], [], [], []
     for _ in range(_STRETCHES // 64):
         batch = learned.draw(64, settings.frames, _SPREAD, random)
         exists = batch.windows
-        with torch.no_grad():
-            found = encoded(networks, batch.frames.pack(), batch.shape, exists, None)
+        found = encoded(networks, batch.frames.pack(), batch.shape, exists, None)
         one = found.mean.shape[1] == 1
         known = torch.ones_like(exists[:, :1]) if one else exists
         codes.append(found.mean[known])
@@ -52,14 +64,6 @@ def export_learned(settings: HumosTraining, path: Path, learned: BodyCorpus) -> 
         both = known[:, 1:] & known[:, :-1]
         before.append(found.mean[:, :-1][both])
         after.append(found.mean[:, 1:][both])
-    density = CodeDensity.fit(
+    return CodeDensity.fit(
         torch.cat(codes), torch.cat(variances).mean(0), (torch.cat(before), torch.cat(after))
     )
-    about = {k: v for k, v in plain(settings).items() if k not in _LOCAL}
-    about |= {"shape": learned.shape.shape[1], "step": run.step}
-    save_weights(path, HumosWeights(networks, density, settings.frames), about)
-    _LOG.info("wrote the networks of step %d as %s", run.step, path)
-    return path
-
-
-_LOCAL = ("corpus", "out", "splits", "warm")

@@ -1,19 +1,16 @@
 """A training run of the HUMOS prior on disk: settings, checkpoint, losses."""
 
-from copy import deepcopy
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import torch
 
 from priors.humos.basis import LappedBasis
 from priors.humos.networks import ClipNetworks, Networks, WindowNetworks
 from priors.humos.training.corpus import BodyCorpus, BodyVariation
-from priors.training.curves import write_losses
 from priors.training.dataset import SPLITS, Licence
-from priors.training.run_settings import identity, plain, same_run
-from recon.formats.files.opening import replacing
+from priors.training.run import CHECKPOINT, Run, read_state, trained_state
 
 
 @dataclass(frozen=True)
@@ -67,7 +64,7 @@ class HumosTraining:
     """Learning rate of AdamW; it falls to a hundredth along a cosine."""
     cycle_rate: float = 3e-4
     """Of the second part."""
-    decay: float = 0.02
+    decay: float = 0.01
     """Weight decay."""
     clip: float = 1.0
     """Longest gradient."""
@@ -106,89 +103,50 @@ class HumosTraining:
         return 0 if self.warm is not None else self.warm_steps
 
 
-@dataclass
-class HumosRun:
-    """All that a run needs to go on exactly where it was."""
+HumosRun = Run[Networks]
+"""A training run of the HUMOS prior."""
 
-    settings: HumosTraining
-    networks: Networks
-    averaged: Networks
-    optimiser: torch.optim.Optimizer
-    random: torch.Generator
-    identity: dict[str, Any]
-    """What the run learns and from which contents; a checkpoint of another is refused."""
-    step: int = 0
-    rows: list[dict[str, float]] = field(default_factory=list)
 
-    @classmethod
-    def start(cls, settings: HumosTraining, corpus: BodyCorpus) -> "HumosRun":
-        """A new run, or the one whose checkpoint is in the folder.
+def start(settings: HumosTraining, corpus: BodyCorpus) -> HumosRun:
+    """A new run, or the one whose checkpoint is in the folder.
 
-        Raises:
-            FileNotFoundError: when there is no run to begin with.
-            ValueError: when the folder holds a run with other settings.
-        """
-        random = torch.Generator().manual_seed(settings.seed)
-        torch.manual_seed(settings.seed)
-        path = settings.out / "checkpoint.pt"
-        state = _read(path) if path.is_file() else None
-        warm = None if settings.warm is None else _read(settings.warm)
-        begun = state or warm
-        basis = (
-            _basis(settings, corpus, random) if begun is None else LappedBasis(**begun["basis"])
-        )
-        networks = untrained(settings, basis, corpus.shape.shape[1])
-        if warm is not None:
-            networks.load_state_dict(warm["networks"])
-        averaged = deepcopy(networks).requires_grad_(False).eval()
-        optimiser = torch.optim.AdamW(
-            networks.parameters(), lr=settings.rate, weight_decay=settings.decay, fused=True
-        )
-        run = cls(settings, networks, averaged, optimiser, random, identity(settings))
-        if state is not None:
-            run._resume(path, state)
-        return run
+    Raises:
+        FileNotFoundError: when there is no run to begin with.
+        ValueError: when the folder holds a run with other settings.
+    """
+    random = torch.Generator().manual_seed(settings.seed)
+    torch.manual_seed(settings.seed)
+    state = read_state(settings.out / CHECKPOINT)
+    warm = None if settings.warm is None else trained_state(settings.warm)
+    begun = state or warm
+    basis = _basis(settings, corpus, random) if begun is None else LappedBasis(**begun["basis"])
+    networks = untrained(settings, basis, corpus.shape.shape[1])
+    if warm is not None:
+        networks.load_state_dict(warm["networks"])
+    run = Run.of(settings, networks, random, weight_decay=settings.decay)
+    if state is not None:
+        run.resume(state)
+    return run
 
-    def _resume(self, path: Path, state: dict[str, Any]) -> None:
-        same_run(path, self.identity, state.get("identity"))
-        self.networks.load_state_dict(state["networks"])
-        self.averaged.load_state_dict(state["averaged"])
-        self.optimiser.load_state_dict(state["optimiser"])
-        self.random.set_state(state["random"])
-        torch.set_rng_state(state["dropout"])
-        self.step, self.rows = state["step"], state["rows"]
 
-    def note(self, row: dict[str, float]) -> None:
-        """Remember losses, write them as a table and as curves."""
-        self.rows.append({"step": float(self.step), **row})
-        write_losses(self.settings.out, self.rows, _PANELS)
+def note(run: HumosRun, row: dict[str, float]) -> None:
+    """Remember losses."""
+    run.note(row, _PANELS)
 
-    def keep(self, name: str) -> None:
-        """Write the averaged networks as they are."""
-        found = {
-            "networks": self.averaged.state_dict(),
-            "basis": self.averaged.basis.tensors(),
-            "step": self.step,
-        }
-        with replacing(self.settings.out / name) as beside:
-            torch.save(found, beside)
 
-    def save(self) -> None:
-        """Write the checkpoint in one step."""
-        state = {
-            "settings": plain(self.settings),
-            "identity": self.identity,
-            "basis": self.networks.basis.tensors(),
-            "networks": self.networks.state_dict(),
-            "averaged": self.averaged.state_dict(),
-            "optimiser": self.optimiser.state_dict(),
-            "random": self.random.get_state(),
-            "dropout": torch.get_rng_state(),
-            "step": self.step,
-            "rows": self.rows,
-        }
-        with replacing(self.settings.out / "checkpoint.pt") as beside:
-            torch.save(state, beside)
+def keep_warm(run: HumosRun) -> None:
+    """Write the averaged networks of the first part as `warm.pt`."""
+    run.keep(
+        "warm.pt",
+        networks=run.averaged.state_dict(),
+        basis=run.averaged.basis.tensors(),
+        step=run.step,
+    )
+
+
+def save(run: HumosRun) -> None:
+    """Write the checkpoint in one step."""
+    run.save(basis=run.networks.basis.tensors())
 
 
 def untrained(settings: HumosTraining, basis: LappedBasis, shape: int) -> Networks:
@@ -203,10 +161,6 @@ def _basis(settings: HumosTraining, corpus: BodyCorpus, random: torch.Generator)
         for _ in range(-(-settings.basis_from // 256))
     ]
     return LappedBasis.fit(torch.cat(rows), settings.basis)
-
-
-def _read(path: Path) -> dict[str, Any]:
-    return torch.load(path, weights_only=True, map_location="cpu")
 
 
 _PANELS = (

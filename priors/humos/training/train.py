@@ -6,7 +6,7 @@ stretches, and bodies out of the whole shape space, of which a small corpus show
 """
 
 import logging
-import time
+from functools import partial
 from pathlib import Path
 
 import torch
@@ -21,10 +21,11 @@ from priors.humos.training.losses import (
     physics_losses,
     reconstruction,
 )
-from priors.humos.training.run import HumosRun, HumosTraining
+from priors.humos.training.run import HumosRun, HumosTraining, keep_warm, note, save, start
 from priors.training.dataset import Splits
 from priors.training.descent import cosine, descend
 from priors.training.logfile import logged_to
+from priors.training.run import run_steps
 from recon.body.model import BodyModel
 
 _LOG = logging.getLogger("priors.humos.training.train")
@@ -58,28 +59,23 @@ def train(settings: HumosTraining) -> Path:
 def train_on(settings: HumosTraining, learned: BodyCorpus, checked: BodyCorpus) -> Path:
     """Train on clips that are loaded already; the checkpoint's path."""
     torch.set_num_threads(settings.threads)
-    run = HumosRun.start(settings, learned)
+    run = start(settings, learned)
     held_out = checked.every(settings.frames, _HELD_OUT, torch.Generator().manual_seed(0))
     _LOG.info("settings: %s", settings)
     _LOG.info("from step %d; %d validation windows", run.step, len(held_out.shape))
-    saved = time.monotonic()
-    total = 0.0
-    while run.step < settings.all_steps:
-        total += training_step(run, learned)
-        last = run.step == settings.all_steps
+
+    def one_step() -> dict[str, float]:
+        total = training_step(run, learned)
         if run.step == settings.first_steps:
-            run.keep("warm.pt")
-        if run.step % settings.validate_every == 0 or last:
-            row = {"train_total": total / settings.validate_every}
-            row |= validate(run, held_out, learned.body)
-            run.note(row)
-            shown = ", ".join(f"{name} {value:.4g}" for name, value in row.items())
-            _LOG.info("step %d: %s", run.step, shown)
-            total = 0.0
-        if time.monotonic() - saved > settings.save_every or last:
-            run.save()
-            saved = time.monotonic()
-    return settings.out / "checkpoint.pt"
+            keep_warm(run)
+        return {"total": total}
+
+    def check() -> dict[str, float]:
+        return validate(run, held_out, learned.body)
+
+    return run_steps(
+        run, settings.all_steps, one_step, check, partial(note, run), partial(save, run), _LOG
+    )
 
 
 def training_step(run: HumosRun, learned: BodyCorpus) -> float:
