@@ -48,7 +48,7 @@ class CycleBasis(TensorStruct):
 
     @classmethod
     def fit(cls, rows: Float[Tensor, "cycles 100 124"], basis: int) -> "CycleBasis":
-        """From training cycles.
+        """A basis fitted to training cycles.
 
         Raises:
             ValueError: when there are fewer cycles than directions asked for.
@@ -67,7 +67,7 @@ class CycleBasis(TensorStruct):
 
     @property
     def scale(self) -> Float[Tensor, " basis"]:
-        """What one unit of a coefficient is."""
+        """The standard deviation that one unit of each coefficient stands for."""
         return self.deviation.clamp(min=_LEAST * float(self.deviation[0]))
 
     @property

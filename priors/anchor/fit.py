@@ -1,4 +1,4 @@
-"""How the anchor-frame prior is fitted: place, then the code, then the body, then details."""
+"""Fits under the anchor-frame prior: place, then the code, then the body, then details."""
 
 from dataclasses import dataclass, replace
 
@@ -34,7 +34,7 @@ class AnchorFit:
     ends: float = 0.02
     """Seconds."""
     detailed: bool = True
-    """Whether data are dense enough to tell what no code has: adds a last stage."""
+    """Whether data are dense enough to tell what codes cannot express; adds a last stage."""
 
     def __post_init__(self) -> None:
         """Refuse what has no meaning."""
@@ -44,7 +44,7 @@ class AnchorFit:
 
     @property
     def terms(self) -> tuple[Term, ...]:
-        """What is known before anything is seen."""
+        """The terms of the prior: densities of codes, shapes and the ends of the cycle."""
         variance = self.noise**2
         terms = [
             Term("latent", prior_energy("latent"), variance),
@@ -70,7 +70,7 @@ class AnchorFit:
         )
 
     def stages(self, data: tuple[Term, ...]) -> tuple[Stage, ...]:
-        """From a cycle that is roughly right."""
+        """All stages, which begin from a cycle that is roughly right."""
         return (*self.coded(data), *self.details(data))
 
     def coded(self, data: tuple[Term, ...]) -> tuple[Stage, ...]:
@@ -82,7 +82,7 @@ class AnchorFit:
         )
 
     def details(self, data: tuple[Term, ...]) -> tuple[Stage, ...]:
-        """What no code has, where data are dense."""
+        """The last stage, where data are dense: details that codes cannot express."""
         if not self.detailed:
             return ()
         held = Term("details", prior_energy("details"), self.noise**2)
@@ -93,7 +93,7 @@ class AnchorFit:
 
 @dataclass(frozen=True)
 class PublishedAnchorFit(AnchorFit):
-    """As published (section 5.3): no density of codes or shapes, weights that adapt to the data.
+    """The published fit (section 5.3): no density of codes and shapes, weights that adapt.
 
     GradNorm with codes as the shared variables and equal rates (alpha = 0): at the start of every
     stage each misfit gets the weight that makes all pull on the codes alike; then it stays, so
@@ -102,7 +102,7 @@ class PublishedAnchorFit(AnchorFit):
 
     @property
     def terms(self) -> tuple[Term, ...]:
-        """Times alone; shapes keep a thousandth of their density, which bounds them."""
+        """The ends of the cycle, and a thousandth of the shape density as a bound."""
         variance = self.noise**2
         return (
             Term("shape", prior_energy("shape"), 1e-3 * variance),

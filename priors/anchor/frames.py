@@ -28,7 +28,7 @@ _IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0)
 
 
 class Alignment(Enum):
-    """What of a cycle's place and orientation its first anchor takes away."""
+    """The part of a cycle's place and orientation that aligning its first anchor removes."""
 
     YAW = "yaw"
     """Heading and place on the ground: gravity and height stay."""
@@ -92,7 +92,7 @@ class Anchors(TensorStruct):
     def carried(
         self, T: Float[Tensor, "*batch 4 4"], pelvis: Float[Tensor, "*batch 3"]
     ) -> "Anchors":
-        """The same cycles after a rigid transform, given the pelvis of the unposed body."""
+        """Cycles after a rigid transform, given the pelvis of the unposed body."""
         root = T[..., None, None, :3, :3] @ self.rotations[..., :1, :, :]
         return self.replace(
             rotations=torch.cat((root, self.rotations[..., 1:, :, :]), -3),

@@ -24,7 +24,7 @@ from recon.method.protocols import Decoded
 MODES = 16
 """Cosines of time that details may have."""
 TURN, PLACE, BEGIN = 0.2, 0.1, 0.05
-"""What a unit of these variables is: radians, metres, seconds."""
+"""Radians, metres and seconds that one unit of the variables of placement stands for."""
 _BEND, _SHIFT = 0.08, 0.02
 """Standard deviations of the slowest details: radians per joint and axis, metres."""
 _FAST = 4
@@ -90,7 +90,7 @@ class AnchorFrames:
 
     @property
     def alignment(self) -> Alignment:
-        """What is not in the codes."""
+        """The part of a cycle's place and orientation that codes do not hold."""
         return self.weights.alignment
 
     def encode(self, motion: Motion) -> AnchorVariables:

@@ -51,7 +51,7 @@ class CodeSpread(TensorStruct):
 
 @dataclass(frozen=True)
 class AnchorWeights:
-    """What a weights file holds."""
+    """The content of a weights file."""
 
     networks: AnchorNetworks
     spread: CodeSpread

@@ -16,7 +16,7 @@ from recon.core.struct import stack
 from recon.method.protocols import REFERENCE_FPS, Decoded
 
 Landing = Callable[[State, Float[Tensor, "clips 22 3"]], State]
-"""What becomes of a predicted state, given the unposed joints of its body."""
+"""A function that changes every predicted state, given the unposed joints of its body."""
 
 
 def as_predicted(state: State, _: Float[Tensor, "clips 22 3"]) -> State:
@@ -46,7 +46,7 @@ def body_at_joints(state: State, rest: Float[Tensor, "clips 22 3"]) -> State:
 
 
 def posed_joints(state: State, rest: Float[Tensor, "clips 22 3"]) -> Float[Tensor, "clips 22 3"]:
-    """Where the joints of the body are, by its translation and rotations."""
+    """Joints of the posed body by its translation and rotations, metres."""
     rotations = torch.cat((state.root[:, None], state.pose), 1)[:, None]
     return forward_kinematics(rotations, rest)[1][:, 0] + state.translation[:, None]
 
@@ -63,7 +63,7 @@ def roll_from(
     landing: Landing = body_at_joints,
     start_time: float = 0.0,
 ) -> Decoded:
-    """What may follow given states; axes (clips, frames), 30 Hz, the states themselves first.
+    """Random continuations of given states, which come first; axes (clips, frames), 30 Hz.
 
     Args:
         humor: in the states' precision and on their device.

@@ -1,4 +1,4 @@
-"""How likely an initial state is: a mixture of Gaussians over what does not repeat itself."""
+"""The density of initial states: a mixture of Gaussians over their independent numbers."""
 
 import math
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ class Mixture(TensorStruct):
     """
 
     features: Int[Tensor, " features"]
-    """Which numbers of x count."""
+    """Indices of the numbers of x that the mixture is over."""
     log_weights: Float[Tensor, " components"]
     means: Float[Tensor, "components features"]
     whitening: Float[Tensor, "components features features"]
@@ -38,7 +38,7 @@ class Mixture(TensorStruct):
         covariances: Float[Tensor, "components features features"],
         features: Int[Tensor, " features"] | None = None,
     ) -> "Mixture":
-        """From the usual parameters, in double precision.
+        """A mixture in double precision from weights, means and covariances.
 
         Raises:
             ValueError: when a covariance is not positive definite.
@@ -65,7 +65,7 @@ class Mixture(TensorStruct):
         regularisation: float = 1e-4,
         seed: int = 0,
     ) -> "Mixture":
-        """By expectation maximisation from k-means (scikit-learn), as HuMoR's section 4.
+        """A mixture fitted by expectation maximisation from k-means (HuMoR, section 4).
 
         Args:
             samples: rows of all numbers.

@@ -122,7 +122,7 @@ class Humor:
     def to(
         self, *, device: torch.device | str | None = None, dtype: torch.dtype | None = None
     ) -> "Humor":
-        """On another device or in another precision."""
+        """The prior on another device or in another precision."""
         networks = type(self.networks)(self.networks.width).requires_grad_(False)
         networks.load_state_dict(self.networks.state_dict())
         return replace(

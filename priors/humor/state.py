@@ -14,7 +14,7 @@ from recon.core.skeleton import CONTACT_JOINTS, JOINTS
 from recon.core.struct import TensorStruct
 
 _SIZES = (3, 3, 9, 3, 189, 66, 66)
-"""Of the parts of a packed state, in the order of `State`'s fields."""
+"""Sizes of the parts of a packed state, in the order of `State`'s fields."""
 
 _RAW_SIZES = (3, 3, 3, 3, 63, 66, 66, len(CONTACT_JOINTS))
 
@@ -23,22 +23,22 @@ assert sum(_SIZES) == STATE
 
 @dataclass(frozen=True)
 class State(TensorStruct):
-    """Where a body is and how it moves; z up, metres and seconds."""
+    """Pose and velocities of a body at one moment; z up, metres and seconds."""
 
     translation: Float[Tensor, "*batch 3"]
     """SMPL translation: the pelvis is at translation + rest pelvis."""
     velocity: Float[Tensor, "*batch 3"]
-    """Of the translation, m/s; the pelvis joint has the same."""
+    """Velocity of the translation, m/s; the pelvis joint has the same."""
     root: Float[Tensor, "*batch 3 3"]
     angular_velocity: Float[Tensor, "*batch 3"]
-    """Of the root, in the frame of the translation, rad/s."""
+    """Angular velocity of the root, in the frame of the translation, rad/s."""
     pose: Float[Tensor, "*batch 21 3 3"]
     """Rotations of the body joints relative to their parents."""
     joints: Float[Tensor, "*batch 22 3"]
     joint_velocities: Float[Tensor, "*batch 22 3"]
 
     def pack(self) -> Float[Tensor, "*batch 339"]:
-        """What the networks see: all parts in their order, matrices by rows."""
+        """The networks' input: all parts in their order, matrices by rows."""
         batch = self.translation.shape[:-1]
         parts = (t.reshape(*batch, -1) for t in self.tensors().values())
         return torch.cat(tuple(parts), -1)
@@ -63,9 +63,9 @@ class Frame(TensorStruct):
     """The canonical frame of a state: the body above the origin, its right side along +x."""
 
     turn: Float[Tensor, "*batch 3 3"]
-    """From the outer frame to this one, about the vertical."""
+    """Rotation about the vertical from the outer frame to this one."""
     origin: Float[Tensor, "*batch 3"]
-    """In the outer frame; on the ground."""
+    """Origin in the outer frame, on the ground, metres."""
 
     @classmethod
     def of(cls, state: State) -> "Frame":
@@ -143,7 +143,10 @@ def compose(
 def contact_probabilities(
     logits: Float[Tensor, "clips steps 9"],
 ) -> Float[Tensor, "clips time 22"]:
-    """Of all joints in all frames; no step leads to the first frame, which has its successor's."""
+    """Contact probabilities of all joints in all frames.
+
+    No step leads to the first frame, which has those of its successor.
+    """
     probability = logits.sigmoid()
     contacts = probability.new_zeros(*probability.shape[:2], len(JOINTS))
     contacts[..., list(CONTACT_JOINTS)] = probability
@@ -151,7 +154,7 @@ def contact_probabilities(
 
 
 def step_between(before: State, after: State) -> Float[Tensor, "*batch 207"]:
-    """What `compose` adds to reach a state from another, of the same frame; no contact logits.
+    """The raw step with which `compose` leads from a state to another one of the same frame.
 
     Turns are axes times sines of angles: those of a step are small.
     """
@@ -202,7 +205,7 @@ def _rate(steps: Float[Tensor, "*batch steps numbers"], motion: Motion) -> Tenso
 
 
 def initial_features(state: State) -> Float[Tensor, "*batch 138"]:
-    """What the mixture of initial states is over: joints and all velocities (HuMoR, section 4)."""
+    """The numbers that the mixture of initial states is over: joints, velocities (section 4)."""
     parts = (
         state.joints.flatten(-2),
         state.joint_velocities.flatten(-2),
@@ -213,7 +216,7 @@ def initial_features(state: State) -> Float[Tensor, "*batch 138"]:
 
 
 def distinct_features() -> Int[Tensor, " features"]:
-    """Those of `initial_features` that do not follow from others.
+    """Indices of `initial_features` that do not follow from others.
 
     The pelvis is where the rest pelvis is, horizontally, and moves as the translation does.
     """

@@ -1,4 +1,4 @@
-"""What HuMoR's networks make of the steps of given motions: all at once, nothing is rolled out."""
+"""HuMoR's networks evaluated on all steps of given motions at once, without a rollout."""
 
 from dataclasses import dataclass
 
@@ -16,7 +16,7 @@ _SHRINKAGE = 0.05
 
 @dataclass(frozen=True)
 class Explained(TensorStruct):
-    """What the networks say of the steps of motions; axes (clips, steps)."""
+    """Outputs of the networks for the steps of motions; axes (clips, steps)."""
 
     error: Float[Tensor, "clips steps 207"]
     """The raw step from where the decoder lands to where the motion went."""
@@ -25,7 +25,7 @@ class Explained(TensorStruct):
     contacts: Float[Tensor, "clips steps 9"]
     """Logits."""
     landed: State
-    """Where the decoder lands, in the frame that the motion is given in."""
+    """States that the decoder predicts, in the frame of the given motion."""
 
 
 def explain(networks: HumorNetworks, states: State, pelvis: Float[Tensor, "clips 3"]) -> Explained:

@@ -16,17 +16,17 @@ from priors.humor.networks import HumorNetworks, width_of
 from recon.core.errors import WeightsError
 
 _INITIAL = "initial."
-"""What names of the mixture's tensors begin with."""
+"""Prefix of the names of the mixture's tensors."""
 
 _WHITENING = "error_whitening"
 """Name of the tensor that says how far the decoder's steps are off."""
 
 _DAMAGED = (pickle.UnpicklingError, RuntimeError, EOFError, LookupError, TypeError, ValueError)
-"""What reading bytes that are no checkpoint ends in."""
+"""Errors of reading bytes that are no checkpoint."""
 
 
 def bundled_weights() -> Checkpoint:
-    """Those in the package."""
+    """The weights in the package."""
     return named_checkpoint("open", "humor")
 
 
@@ -94,7 +94,7 @@ def mixture_from(weights: Checkpoint) -> Mixture | None:
 
 
 def whitening_from(weights: Checkpoint) -> Float[Tensor, "207 207"] | None:
-    """What whitens the decoder's errors, if it is there."""
+    """The matrix that whitens the decoder's errors, where the file has one."""
     found = weights.tensors.get(_WHITENING)
     if found is None:
         return None

@@ -35,7 +35,7 @@ class LappedBasis(TensorStruct):
 
     @classmethod
     def fit(cls, rows: Float[Tensor, "clips time numbers"], basis: int) -> "LappedBasis":
-        """From stretches of motion of two hops each or longer.
+        """A basis fitted to stretches of motion, each of two hops or longer.
 
         Raises:
             ValueError: when there are fewer windows than directions asked for.

@@ -1,4 +1,4 @@
-"""How codes of the HUMOS prior are fitted: poses first, then codes, then details with the ground.
+"""A fit of the HUMOS prior by its codes: poses first, then codes, then details with the ground.
 
 Slower to converge than `priors.humos.collocation`, the default: codes are whitened by how motions
 vary, from metres to millimetres, and data want all of them alike.
@@ -33,7 +33,7 @@ class HumosCodes:
         return found.replace(bend=0 * found.bend, shift=0 * found.shift)
 
     def decode(self, variables: HumosVariables) -> Decoded:
-        """As `Humos.decode`."""
+        """The motion of the variables and its energies; see `Humos.decode`."""
         return self.humos.decode(variables)
 
 
@@ -42,19 +42,19 @@ class CodesWeights:
     """Multipliers of the unweighted energies, for an observation of weight one."""
 
     latent: float
-    """Of codes that follow each other, nats."""
+    """Weight of the density of codes that follow each other, nats."""
     details: float
-    """Of details, nats."""
+    """Weight of the density of details, nats."""
     shape: float
-    """Of the body's shape, nats."""
+    """Weight of the density of the body's shape, nats."""
     acceleration: float
-    """Of ½ Σ |second difference|² of joints, metres²."""
+    """Weight of ½ Σ |second difference|² of joints, metres²."""
     ground: float
-    """Of penetration and slide, metres²."""
+    """Weight of penetration and slide, metres²."""
 
     @classmethod
     def for_noise(cls, noise: float) -> "CodesWeights":
-        """For observations whose coordinates are off by about `noise` metres.
+        """Weights for observations of a standard deviation of about `noise` metres.
 
         A negative log-probability counts noise² for each nat.
         """
@@ -67,16 +67,16 @@ class CodesWeights:
 
 @dataclass(frozen=True, eq=False)
 class CodesFit:
-    """As a method: stages 1 and 2 under the pose prior, then codes, then all."""
+    """A method: stages 1 and 2 under the pose prior, then codes, then all variables."""
 
     humos: Humos
     weights: CodesWeights
     start: PoseWeights = field(default_factory=PoseWeights.tuned_joints)
-    """Of stages 1 and 2."""
+    """Weights of stages 1 and 2."""
 
     @classmethod
     def for_noise(cls, humos: Humos, noise: float) -> "CodesFit":
-        """For observations whose coordinates are off by about `noise` metres."""
+        """A fit of observations of a standard deviation of about `noise` metres."""
         return cls(humos, CodesWeights.for_noise(noise), PoseWeights.for_noise(noise))
 
     @cached_property

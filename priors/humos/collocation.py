@@ -35,17 +35,17 @@ class WholeWeights:
     """Multipliers of the unweighted energies, for an observation of weight one."""
 
     pose: PoseWeights
-    """Of the pose density, the shape and plain smoothness."""
+    """Weights of the pose density, the shape and plain smoothness."""
     codes: float
-    """Of codes that follow each other, nats."""
+    """Weight of the density of codes that follow each other, nats."""
     error: float
-    """Of ½ Σ |error|² / (2 cm)² of what they decode to, nats."""
+    """Weight of ½ Σ |error|² / (2 cm)² of the motion that codes decode to, nats."""
     physics: float
-    """Of penetration and slide, nats."""
+    """Weight of penetration and slide, nats."""
 
     @classmethod
     def for_noise(cls, noise: float) -> "WholeWeights":
-        """For observations whose coordinates are off by about `noise` metres.
+        """Weights for observations of a standard deviation of about `noise` metres.
 
         Chosen on eight validation windows among thirteen settings; a calibrated bound would have
         noise² for all. Errors of neighbouring frames repeat each other, so less is better, and
@@ -62,7 +62,7 @@ class WholeWeights:
 
 @dataclass(frozen=True, eq=False)
 class CollocatedHumos:
-    """As a prior: a motion in the pose prior's variables, judged as a whole."""
+    """The HUMOS density of a whole motion, over the variables of the pose prior."""
 
     humos: Humos
     poses: PosePrior
@@ -97,16 +97,16 @@ class CollocatedHumos:
 
 @dataclass(frozen=True, eq=False)
 class HumosFit:
-    """As a method: stages 1 and 2 under the pose prior, the motion as a whole, then the ground."""
+    """A method: stages 1 and 2 under the pose prior, the whole motion, then the ground."""
 
     humos: Humos
     weights: WholeWeights
     start: PoseWeights
-    """Of stages 1 and 2."""
+    """Weights of stages 1 and 2."""
 
     @classmethod
     def for_noise(cls, humos: Humos, noise: float) -> "HumosFit":
-        """For observations whose coordinates are off by about `noise` metres."""
+        """A fit of observations of a standard deviation of about `noise` metres."""
         return cls(humos, WholeWeights.for_noise(noise), PoseWeights.for_noise(noise))
 
     @cached_property

@@ -32,7 +32,7 @@ _LEVER_OF_CLEARANCE = 2.0
 _LEAST_LEVER = 0.08
 """Metres by which an error of one moves what hangs from a bone, about; twice for the ground."""
 _LEGS = 1.5
-"""How much more bones of the legs count: feet must not slip."""
+"""Factor of the bones of the legs in the encoded errors, as feet must not slip."""
 _SMOOTHING = 4.0
 """Frames (20 Hz) over which the direction is averaged: it is undefined for who lies on a side."""
 
@@ -42,11 +42,12 @@ class BodyFrames(TensorStruct):
     """Frames of a motion, about the place of the pelvis and the heading of the first frame."""
 
     orientations: Float[Tensor, "*batch time 22 3 3"]
-    """Of every bone from the rest pose, seen by who faces as the body does."""
+    """Orientation of every bone relative to the rest pose, in a frame that turns with the body's
+    heading."""
     direction: Float[Tensor, "*batch time 2"]
     """Cosine and sine of the heading, counted from that of the first frame."""
     place: Float[Tensor, "*batch time 2"]
-    """Of the pelvis on the ground, in lengths of leg."""
+    """Place of the pelvis on the ground, in lengths of leg."""
     clearance: Float[Tensor, "*batch time"]
     """Height of the body's lowest point, in lengths of leg."""
 

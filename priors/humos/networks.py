@@ -119,7 +119,7 @@ class ClipNetworks(nn.Module):
 
 
 Networks = WindowNetworks | ClipNetworks
-"""Either kind."""
+"""Networks with a code per window, or with one code per clip."""
 
 
 class _Transformer(nn.Module):

@@ -28,7 +28,7 @@ from recon.method.protocols import Decoded
 FPS = 20.0
 """Frames per second of the codes."""
 TURN, PLACE = 0.2, 0.1
-"""What a unit of these variables is: radians, metres."""
+"""Radians and metres that one unit of the variables of placement stands for."""
 _BEND, _SHIFT, _LIFT = 0.015, 0.01, 0.006
 """Standard deviations of details: metres at the end of a bone per axis; of the place and of the
 clearance, in lengths of leg."""
@@ -141,7 +141,7 @@ class Humos:
         return Decoded(motion.replace(valid=x.valid, start_time=x.start_time), energies)
 
     def frames(self, variables: HumosVariables) -> BodyFrames:
-        """What the codes alone say, at the clip's rate, about its own beginning."""
+        """The frames that codes alone decode to, relative to the clip's first frame."""
         x = variables
         count = x.valid.shape[-1]
         codes = self.weights.density.codes(x.latent)

@@ -104,7 +104,7 @@ class CodeDensity(TensorStruct):
 
 @dataclass(frozen=True)
 class HumosWeights:
-    """What a weights file holds."""
+    """The content of a weights file."""
 
     networks: Networks
     density: CodeDensity

@@ -1,4 +1,4 @@
-"""How likely a pose is: a Gaussian over the 21 body rotations, about their mean."""
+"""The density of poses: a Gaussian over the 21 body rotations, about their mean."""
 
 from dataclasses import dataclass
 

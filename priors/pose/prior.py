@@ -252,7 +252,7 @@ class PosePrior(TensorStruct):
 
 @dataclass(frozen=True)
 class _Scales(TensorStruct):
-    """What one unit of each variable is."""
+    """Radians, metres and other quantities that one unit of each variable stands for."""
 
     translation: Float[Tensor, ""]
     root: Float[Tensor, "3 3"]

@@ -34,7 +34,7 @@ class PoseTraining:
     data: Licence = "open"
     """`open`: clips whose weights may be shipped; `nc`: the non-commercial ones too."""
     splits: Path = SPLITS
-    """Who is held out."""
+    """Table of the subjects that are held out."""
     floor: float = 0.05
     """Standard deviation added to every direction of pose space, radians."""
     rate: float = 10.0

@@ -1,1 +1,1 @@
-"""How the weights are made: one readable file per prior."""
+"""Training: the parts that the trainings of all priors share."""

@@ -33,7 +33,7 @@ Licence = Literal["open", "nc"]
 
 @dataclass(frozen=True)
 class Splits:
-    """Who is held out, decided by clip names alone."""
+    """The parts of the corpus (training, validation, test), decided by clip names alone."""
 
     subjects: dict[str, tuple[str, ...]]
     """Name patterns of the clips of each subject, the first that matches counts; a clip of no
@@ -87,7 +87,7 @@ class Splits:
             ) from error
 
     def subject(self, clip: str) -> str:
-        """Whose clip it is."""
+        """The subject of a clip."""
         for name, patterns in self.subjects.items():
             if _matches(clip, patterns):
                 return name

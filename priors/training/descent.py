@@ -16,7 +16,7 @@ class Descending(Protocol):
 
     @property
     def networks(self) -> nn.Module:
-        """What is trained."""
+        """The networks that are trained."""
         ...
 
     @property

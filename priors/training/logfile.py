@@ -1,4 +1,4 @@
-"""What a training run says, also in a file."""
+"""The messages of a training run, also in a file."""
 
 import logging
 from collections.abc import Iterator
@@ -9,7 +9,7 @@ from typing import Literal
 
 @contextmanager
 def logged_to(path: Path, mode: Literal["a", "w"]) -> Iterator[None]:
-    """While this lasts, what `priors` logs goes to a file, each line with its time."""
+    """A context in which messages of `priors` also go to a file, each line with its time."""
     log = logging.FileHandler(path, mode=mode)
     log.setFormatter(logging.Formatter("%(asctime)s %(message)s"))
     package = logging.getLogger("priors")

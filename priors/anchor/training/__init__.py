@@ -1,1 +1,1 @@
-"""How the weights of the anchor-frame prior are made."""
+"""Training of the anchor-frame prior's weights."""

@@ -30,7 +30,7 @@ _MIRRORED = [POSED.index(MIRROR[joint]) for joint in POSED]
 
 @dataclass(frozen=True)
 class CycleVariation:
-    """How cycles are varied; zeros leave them as recorded."""
+    """Random variations of cycles in training; zeros leave them as recorded."""
 
     mirror: float = 0.5
     """Chance of being mirrored."""
@@ -70,9 +70,10 @@ class CycleCorpus(TensorStruct):
     duration: Float[Tensor, " cycles"]
     shape: Float[Tensor, "cycles shape"]
     left: Bool[Tensor, " cycles"]
-    """Whether it begins with the left foot."""
+    """Whether the cycle begins with the left foot."""
     chance: Float[Tensor, " cycles"]
-    """How often it is drawn: subjects count as the square root of their cycles."""
+    """Relative chance of being drawn: a subject counts as the square root of its number of
+    cycles."""
     body: BodyModel
     cycles: tuple[Cycle, ...]
     clips: tuple[str, ...]
@@ -195,7 +196,7 @@ class CycleCorpus(TensorStruct):
 
 
 def _partners(left: Bool[Tensor, " cycles"], random: torch.Generator) -> Int[Tensor, " cycles"]:
-    """For every cycle another at random, which begins with the same foot."""
+    """Random partners of cycles, one for each, that begin with the same foot."""
     partner = torch.arange(len(left))
     for side in (left, ~left):
         rows = side.nonzero()[:, 0]

@@ -1,4 +1,4 @@
-"""From a run of the anchor-frame VAE to a weights file."""
+"""Export of a training run of the anchor-frame VAE as a weights file."""
 
 import logging
 from pathlib import Path

@@ -14,7 +14,7 @@ from recon.body.model import BodyModel
 
 @dataclass(frozen=True)
 class Reconstructed:
-    """What the networks make of a batch of cycles."""
+    """Codes and cycles that the networks make of a batch of cycles."""
 
     mean: Float[Tensor, "cycles latent"]
     log_variance: Float[Tensor, "cycles latent"]

@@ -27,11 +27,11 @@ class AnchorTraining:
     data: Licence = "open"
     """`open`: clips whose weights may be shipped; `nc`: the non-commercial ones too."""
     splits: Path = SPLITS
-    """Who is held out."""
+    """Table of the subjects that are held out."""
     latent: int = 256
     """Size of z: 64 in the published study, 256 in its completion table."""
     alignment: Alignment = Alignment.YAW
-    """What the first anchor takes away; `FULL` is published."""
+    """What aligning the first anchor removes; the published choice is `FULL`."""
     kl: float = 0.001
     """Weight of the mean divergence per dimension; 0.01 is published, for layers and reductions
     that are not."""
@@ -44,9 +44,9 @@ class AnchorTraining:
     dropout: float = 0.1
     """Share of hidden units left out."""
     steps: int = 1000
-    """Of the first phase, on parameters."""
+    """Steps of the first phase, whose losses compare parameters."""
     surface_steps: int = 2500
-    """Of the second phase, on the surface."""
+    """Steps of the second phase, whose losses compare points of the surface."""
     cycles: int = 128
     """Cycles per step."""
     surface_cycles: int = 48
@@ -54,7 +54,7 @@ class AnchorTraining:
     rate: float = 1e-3
     """Learning rate of AdamW, published; it falls to a hundredth along a cosine."""
     surface_rate: float = 3e-4
-    """Of the second phase; 1e-4 is published."""
+    """Learning rate of the second phase; 1e-4 is published."""
     decay: float = 0.01
     """Weight decay."""
     clip: float = 1.0
@@ -62,7 +62,7 @@ class AnchorTraining:
     average: float = 0.995
     """Share of the averaged weights kept in every step."""
     variation: CycleVariation = field(default_factory=CycleVariation)
-    """How cycles are varied."""
+    """Random variations of the cycles."""
     validate_every: int = 250
     """Steps."""
     save_every: float = 120.0

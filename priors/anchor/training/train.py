@@ -97,7 +97,7 @@ def training_step(run: AnchorRun, learned: CycleCorpus, vertices: torch.Tensor) 
 
 
 def surface_scale(run: AnchorRun, learned: CycleCorpus, vertices: torch.Tensor) -> float:
-    """What a squared metre must count for codes to stay as sure of themselves as they are.
+    """The weight of a squared metre at which the second phase keeps the codes' variance as it is.
 
     Codes are as blurred as the losses let them be. So the scale is what the blur costs in
     parameters over what it costs on the surface: |D(z + e) - D(z)|² in the one over the other.

@@ -100,7 +100,7 @@ class _Layer:
     deviations: Float[Tensor, "steps batch groups 1"]
     """One by the root of the variance."""
     gradients: list[Float[Tensor, "batch units"]]
-    """Of what the layer before gave; the last step first."""
+    """Gradients of the outputs of the layer before; the last step first."""
 
     @classmethod
     def of(
@@ -150,11 +150,11 @@ def _turned_adjoints(
 
 
 _SMALLEST = 1e-30
-"""Of a squared angle, which must not be zero below a fraction bar."""
+"""Least squared angle; a smaller one would be zero in a denominator."""
 
 
 def _quarter_turned(inputs: Float[Tensor, "steps batch 337"]) -> Float[Tensor, "steps batch 337"]:
-    """How canonical states change with the angle of the turn to their heading."""
+    """Derivatives of canonical states by the angle of the turn to their heading."""
     turned = torch.zeros_like(inputs)
     for first, numbers in ((0, LEVEL // 2), (MOVED, 3)):
         x, y = slice(first, first + numbers), slice(first + numbers, first + 2 * numbers)
@@ -165,6 +165,6 @@ def _quarter_turned(inputs: Float[Tensor, "steps batch 337"]) -> Float[Tensor, "
 def _heading_adjoints(
     turns: Float[Tensor, "steps batch 22 3 3"],
 ) -> Float[Tensor, "steps batch 2"]:
-    """How the angle of the heading changes with the root's first column."""
+    """Derivatives of the angle of the heading by the first column of the root's rotation."""
     x, y = Turn.like(turns).side(turns).unbind(-1)
     return torch.stack((y, -x), -1) / (x.square() + y.square())[..., None]

@@ -37,7 +37,7 @@ _UPRIGHT = 1e-12
 
 
 def _starts(velocity: int, spin: int, joints: int) -> list[int]:
-    """Where the vectors begin in a state or a raw step."""
+    """Indices at which the vectors of a state or of a raw step begin."""
     return [velocity, spin, *range(joints, joints + 6 * len(JOINTS), 3)]
 
 
@@ -49,7 +49,7 @@ def _order(starts: list[int], height: int, *others: range) -> list[int]:
 _STATE_STARTS, _RAW_STARTS = _starts(3, 15, 207), _starts(3, 9, 75)
 
 STATE_ORDER = torch.tensor(_order(_STATE_STARTS, 2, range(6, 15), range(18, 207)))
-"""Where a packed state has the loop's numbers."""
+"""Indices of the loop's numbers in a packed state."""
 
 _RAW_ORDER = torch.tensor(
     _order(_RAW_STARTS, 2, range(6, 9), range(12, 75), range(2), range(207, RAW))
@@ -65,9 +65,9 @@ class FrozenDecoder:
     """
 
     layers: tuple[Float[Tensor, "_ _"], ...]
-    """From the state or the units before."""
+    """Weights of each layer for the state or the units of the layer before."""
     given: Float[Tensor, "50 all_outputs"]
-    """From the latent and the pelvis's place to all layers' outputs side by side."""
+    """Weights of all layers, side by side, for the latent and the pelvis's place."""
     bias: Float[Tensor, " all_outputs"]
     norms: tuple[tuple[Float[Tensor, " _"], Float[Tensor, " _"]], ...]
     """Scale and shift of the units."""
@@ -101,7 +101,7 @@ class FrozenDecoder:
     def add(
         self, latents: Float[Tensor, "*batch 48"], pelvis: Float[Tensor, "*#batch 3"]
     ) -> Float[Tensor, "*batch all_outputs"]:
-        """What latents, the pelvis's place and the biases add to each layer, side by side."""
+        """What latents, the pelvis's place and biases add to every layer's input, side by side."""
         place = pelvis[..., :2].expand(*latents.shape[:-1], 2)
         return torch.cat((latents, place), -1) @ self.given + self.bias
 
@@ -110,13 +110,13 @@ class FrozenDecoder:
         return added.split([weight.shape[1] for weight in self.layers], -1)
 
     def grouped(self, units: Float[Tensor, "*batch units"]) -> Float[Tensor, "*batch groups _"]:
-        """Those that are normalised together."""
+        """Units in the groups that are normalised together."""
         return units.view(*units.shape[:-1], self.groups, -1)
 
     def __call__(
         self, x: Float[Tensor, "batch 337"], added: tuple[Tensor, ...]
     ) -> tuple[Tensor, ...]:
-        """What every layer gives; the last is the raw step."""
+        """The outputs of all layers; the last is the raw step."""
         units: list[Tensor] = []
         for weight, bias, norm in zip(self.layers[:-1], added[:-1], self.norms, strict=True):
             units.append(torch.addmm(bias, x, weight))
@@ -142,11 +142,11 @@ class Turn:
 
     upright: Float[Tensor, " 2"]
     quarters: Float[Tensor, "2 4"]
-    """From (c, s) to c, s, -s, c."""
+    """The matrix that maps (c, s) to (c, s, -s, c)."""
 
     @classmethod
     def like(cls, tensor: Tensor) -> "Turn":
-        """In a tensor's precision and on its device."""
+        """A turn in a tensor's precision and on its device."""
         quarters = [[1.0, 0.0, 0.0, 1.0], [0.0, 1.0, -1.0, 0.0]]
         return cls(tensor.new_tensor([_UPRIGHT, 0.0]), tensor.new_tensor(quarters))
 
@@ -169,9 +169,9 @@ class Unrolled:
     """Steps one after the other, each in the canonical frame of the state it starts from."""
 
     inputs: Float[Tensor, "steps batch 337"]
-    """Where each step starts."""
+    """The state from which each step starts."""
     vectors: Float[Tensor, "steps batch 139"]
-    """Where it leads: vectors and height."""
+    """Vectors and height of the state to which each step leads."""
     turns: Float[Tensor, "steps batch 22 3 3"]
     rest: Float[Tensor, "steps batch 77"]
     """Half of the rotation vectors, the translation's horizontal move, contact logits."""
@@ -184,7 +184,7 @@ def unroll(
     add: Callable[[int, Tensor], tuple[Tensor, ...]],
     adjust: Callable[[Tensor, Tensor], Tensor] | None = None,
 ) -> tuple[Unrolled, list[Float[Tensor, "steps batch _"]]]:
-    """So many steps, and what the hidden layers gave at each.
+    """States of a number of steps, and the outputs of the hidden layers at each.
 
     Args:
         decoder: frozen weights.

@@ -36,9 +36,9 @@ class Rollout(TensorStruct):
     """Steps in a row; each in the canonical frame of the state it starts from."""
 
     inputs: Float[Tensor, "batch steps 339"]
-    """Where each step starts: packed canonical states."""
+    """Packed canonical states from which the steps start."""
     states: State
-    """Where it leads, axes (batch, steps)."""
+    """States to which the steps lead, axes (batch, steps)."""
     contacts: Float[Tensor, "batch steps 9"]
     """Logits."""
     headings: Float[Tensor, "batch steps 2"]
@@ -102,7 +102,7 @@ def roll_on(
     draw: Draw,
     rest: Float[Tensor, "batch 22 3"] | None = None,
 ) -> Rollout:
-    """As many steps as asked for, their latents drawn on the way."""
+    """A rollout of a number of steps whose latents are drawn on the way."""
 
     def add(_: int, x: Tensor) -> tuple[Tensor, ...]:
         return decoder.split(decoder.add(draw(_leave(x, pelvis)), pelvis))
@@ -174,7 +174,7 @@ def _leave(
 
 
 _PLACES = torch.cat((STATE_ORDER, torch.arange(2))).argsort()
-"""Where the loop's layout, two zeros behind it, has a packed state's numbers."""
+"""Indices of a packed state's numbers in the loop's layout, which is followed by two zeros."""
 
 
 def _joints_at(place: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 339"]:

@@ -1,1 +1,1 @@
-"""How HuMoR's weights are made."""
+"""Training of HuMoR's weights."""

@@ -62,7 +62,7 @@ class Windows(TensorStruct):
 
 @dataclass(frozen=True)
 class Variation:
-    """How windows are varied; zeros leave them as recorded."""
+    """Random variations of windows in training; zeros leave them as recorded."""
 
     mirror: float = 0.5
     """Chance of being mirrored."""

@@ -54,7 +54,7 @@ class HumorTraining:
     data: Licence = "open"
     """`open`: clips whose weights may be shipped; `nc`: the non-commercial ones too."""
     splits: Path = SPLITS
-    """Who is held out."""
+    """Table of the subjects that are held out."""
     width: int = 512
     """Units of the hidden layers; 1024 is published."""
     steps: int = 20_000
@@ -83,16 +83,16 @@ class HumorTraining:
     """Shares of the run between which inputs change from true states to own predictions
     (published)."""
     losses: LossWeights = field(default_factory=LossWeights)
-    """What is learned."""
+    """Weights of the losses."""
     variation: Variation = field(default_factory=Variation)
-    """How windows are varied."""
+    """Random variations of the windows."""
     validate_every: int = 500
     """Steps."""
     save_every: float = 180.0
     """Seconds."""
     precision: Literal["float32", "bfloat16"] = "bfloat16"
-    """Of the networks' products while training; weights and all else are in float32. The lower
-    one takes half the time."""
+    """Precision of the networks' products in training; weights and all else are in float32. The
+    lower one takes half the time."""
     seed: int = 0
     threads: int = 1
     device: str = "cpu"

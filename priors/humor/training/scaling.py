@@ -31,10 +31,11 @@ class Scaling(TensorStruct):
     state: Float[Tensor, " 339"]
     change_mean: Float[Tensor, " 339"]
     change: Float[Tensor, " 339"]
-    """Of the packed state after, less the one before, both in the frame of the first."""
+    """Standard deviation of the packed state after a step less the one before, both in the frame
+    of the first."""
     raw_mean: Float[Tensor, " 216"]
     raw: Float[Tensor, " 216"]
-    """Of what the decoder gives; contact logits as they are."""
+    """Standard deviation of the decoder's outputs; one for contact logits."""
 
     @classmethod
     def none(cls) -> "Scaling":
@@ -44,7 +45,7 @@ class Scaling(TensorStruct):
 
     @classmethod
     def of(cls, world: State, rest_pelvis: Float[Tensor, "windows 3"]) -> "Scaling":
-        """From windows of consecutive states, axes (windows, frames)."""
+        """Scales of windows of consecutive states, axes (windows, frames)."""
         past, future = world[:, :-1], world[:, 1:]
         frame = Frame.of(past)
         before = frame.enter(past, rest_pelvis[:, None])
@@ -89,7 +90,7 @@ class ScaledNetworks(nn.Module):
 
     @classmethod
     def scaling_of(cls, world: State, rest_pelvis: Float[Tensor, "windows 3"]) -> Scaling:
-        """What such networks are scaled by, from windows of consecutive states."""
+        """Scales of inputs and outputs from consecutive states, axes (windows, frames)."""
         return Scaling.of(world, rest_pelvis)
 
     @classmethod
@@ -111,27 +112,27 @@ class ScaledNetworks(nn.Module):
         )
 
     def plain(self) -> HumorNetworks:
-        """The same functions without scales."""
+        """Networks that compute the same functions without scales."""
         made = ScaledNetworks(HumorNetworks(self.core.width), self.scaling.to(device="cpu"))
         made.load_state_dict(self.state_dict())
         made._move(outwards=True)
         return made.core
 
     def prior(self, state: Float[Tensor, "*batch 339"]) -> tuple[Tensor, Tensor]:
-        """As `HumorNetworks.prior`."""
+        """Mean and log-variance of the conditional prior; see `HumorNetworks.prior`."""
         return self.core.prior(self._seen(state))
 
     def posterior(
         self, state: Float[Tensor, "*batch 339"], following: Float[Tensor, "*batch 339"]
     ) -> tuple[Tensor, Tensor]:
-        """As `HumorNetworks.posterior`; the second input is seen as a change."""
+        """Mean and log-variance of the posterior, whose second input is scaled as a change."""
         change = (following - state - self.change_mean) / self.change
         return self.core.posterior(self._seen(state), change)
 
     def decode(
         self, state: Float[Tensor, "*batch 339"], latent: Float[Tensor, "*batch 48"]
     ) -> Float[Tensor, "*batch 216"]:
-        """As `HumorNetworks.decode`."""
+        """The raw step of a latent; see `HumorNetworks.decode`."""
         raw = self.core.decode(self._seen(state), latent)
         return self.raw_mean + self.raw * raw.float()
 

@@ -44,7 +44,7 @@ _LOG = logging.getLogger("priors.humor.training.train")
 
 @dataclass(frozen=True)
 class Transition(TensorStruct):
-    """What the networks make of steps between states, in the frame where each step starts."""
+    """Outputs of the networks for steps between states, in the frame where each step starts."""
 
     after: State
     contacts: Float[Tensor, "*batch 9"]

@@ -1,1 +1,1 @@
-"""How the weights of the HUMOS prior are made."""
+"""Training of the HUMOS prior's weights."""

@@ -31,7 +31,7 @@ _CHUNK = 512
 
 @dataclass(frozen=True)
 class BodyVariation:
-    """How windows are varied; zeros leave them as recorded."""
+    """Random variations of windows in training; zeros leave them as recorded."""
 
     mirror: float = 0.5
     """Chance of being mirrored."""
@@ -51,11 +51,11 @@ class BodyBatch(TensorStruct):
 
     frames: BodyFrames
     height: Float[Tensor, "windows time"]
-    """Of the pelvis, in lengths of leg."""
+    """Height of the pelvis, in lengths of leg."""
     valid: Bool[Tensor, "windows time"]
     shape: Float[Tensor, "windows shape"]
     other: Float[Tensor, "windows shape"]
-    """Of another body."""
+    """Shape of another body, to which the motion is transferred."""
 
     @property
     def windows(self) -> Bool[Tensor, "windows codes"]:
@@ -70,14 +70,14 @@ class BodyCorpus(TensorStruct):
     frames: BodyFrames
     """About the first frame of every clip; one axis, frames."""
     height: Float[Tensor, " frames"]
-    """Of the pelvis, in lengths of leg."""
+    """Height of the pelvis, in lengths of leg."""
     start: Int[Tensor, " clips"]
     """First frame of every clip."""
     count: Int[Tensor, " clips"]
     """Number of its frames."""
     shape: Float[Tensor, "clips shape"]
     chance: Float[Tensor, " clips"]
-    """How often it is drawn: as the square root of its length."""
+    """Relative chance of being drawn: the square root of the clip's length."""
     body: BodyModel
     names: tuple[str, ...]
 
@@ -180,7 +180,7 @@ class BodyCorpus(TensorStruct):
 
 
 def begun_anew(frames: BodyFrames) -> BodyFrames:
-    """The same motion about its own first frame."""
+    """Frames relative to their own first frame."""
     c, s = frames.direction[..., :1, :].unbind(-1)
     back = torch.stack((torch.stack((c, -s), -1), torch.stack((s, c), -1)), -2)
     start = frames.place[..., :1, :]

@@ -1,4 +1,4 @@
-"""From a finished run of the HUMOS prior to a weights file."""
+"""Export of a finished run of the HUMOS prior as a weights file."""
 
 import logging
 from pathlib import Path
@@ -21,7 +21,7 @@ _LOG = logging.getLogger("priors.humos.training.train")
 _STRETCHES = 2048
 """Windows whose codes the density is taken from."""
 _SPREAD = BodyVariation(shape=0.2)
-"""How they are varied."""
+"""Random variations of the windows whose codes the density is taken from."""
 
 
 def export_weights(settings: HumosTraining, path: Path) -> Path:
@@ -50,7 +50,7 @@ def export_learned(settings: HumosTraining, path: Path, learned: BodyCorpus) -> 
 
 
 def _density(settings: HumosTraining, networks: Networks, learned: BodyCorpus) -> CodeDensity:
-    """How the codes of the training clips are spread, and how they follow each other."""
+    """The distribution of the training clips' codes, and of each given the one before."""
     random = torch.Generator().manual_seed(settings.seed)
     codes, variances, before, after = [], [], [], []
     for _ in range(_STRETCHES // 64):

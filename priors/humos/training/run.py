@@ -25,7 +25,7 @@ class HumosTraining:
     data: Licence = "open"
     """`open`: clips whose weights may be shipped; `nc`: the non-commercial ones too."""
     splits: Path = SPLITS
-    """Who is held out."""
+    """Table of the subjects that are held out."""
     codes: Literal["windows", "clip"] = "windows"
     """A code for every 0.4 s, or one for the whole clip, as published."""
     latent: int = 96
@@ -37,7 +37,7 @@ class HumosTraining:
     width: int = 256
     """Numbers per window inside the transformers."""
     layers: int = 3
-    """Of each transformer."""
+    """Layers of each transformer."""
     dropout: float = 0.05
     """Share of hidden numbers left out."""
     kl: float = 0.02
@@ -57,13 +57,13 @@ class HumosTraining:
     clips: int = 16
     """Windows per step."""
     frames: int = 128
-    """Of a window; the networks know distances in time only, and work on any length."""
+    """Frames of a window; the networks know distances in time only, and work on any length."""
     physics_frames: int = 40
-    """Of each window, in a row, in which physics is asked for."""
+    """Consecutive frames of each window on which the physics losses are computed."""
     rate: float = 1e-3
     """Learning rate of AdamW; it falls to a hundredth along a cosine."""
     cycle_rate: float = 3e-4
-    """Of the second part."""
+    """Learning rate of the second part."""
     decay: float = 0.01
     """Weight decay."""
     clip: float = 1.0
@@ -71,7 +71,7 @@ class HumosTraining:
     average: float = 0.995
     """Share of the averaged weights kept in every step."""
     variation: BodyVariation = field(default_factory=BodyVariation)
-    """How windows are varied."""
+    """Random variations of the windows."""
     speeds: tuple[float, ...] = (0.87, 1.0, 1.15)
     """Every clip is learned at each."""
     validate_every: int = 100
@@ -94,12 +94,12 @@ class HumosTraining:
 
     @property
     def all_steps(self) -> int:
-        """Of both parts."""
+        """Steps of both parts."""
         return self.first_steps + self.steps
 
     @property
     def first_steps(self) -> int:
-        """Of the first part: none where it was done before."""
+        """Steps of the first part: none where it was done before."""
         return 0 if self.warm is not None else self.warm_steps
 
 

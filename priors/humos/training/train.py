@@ -150,7 +150,7 @@ def _clearance_error(rows: Tensor, batch: BodyBatch) -> float:
 
 
 def _changed(made: Tensor, same: Tensor, batch: BodyBatch, body: BodyModel) -> float:
-    """How far another body moves joints of one skeleton, cm."""
+    """Mean distance by which another body moves the joints of one skeleton, cm."""
     a, b = (BodyFrames.unpack(rows).joints(batch.shape, body) for rows in (made, same))
     return 100 * float((a - b).norm(dim=-1).mean(-1)[batch.valid].mean())
 
