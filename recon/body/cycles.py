@@ -29,7 +29,8 @@ _AROUND = 1.5
 _LEAST_SWING = math.radians(5)
 """Standard deviation of hips that hardly move: they are compared as if they moved this much."""
 _RETURN = math.radians(10)
-"""How near to its start the flexion of either hip must come back."""
+"""Radians from its value at the start within which the flexion of either hip must come back at the
+end."""
 _OVERLAP = 0.5
 """Cycles with a larger intersection over union are the same one; the better is kept."""
 
@@ -52,7 +53,7 @@ class Cycle:
         return self.stop - self.start
 
     def of(self, motion: Motion, frames: int) -> Motion:
-        """This part of a motion of one clip, at so many moments evenly spread from end to end."""
+        """The part of a motion of one clip that the cycle covers, at evenly spaced moments."""
         times = torch.linspace(self.start, self.stop, frames, dtype=torch.float64)
         return motion.at(times, (frames - 1) / self.duration)
 
@@ -83,7 +84,7 @@ def find_cycles(motion: Motion, threshold: float = THRESHOLD) -> tuple[Cycle, ..
 
 
 def hip_flexion(motion: Motion) -> Float[np.ndarray, "frames 2"]:
-    """How far each thigh is lifted forward of the pelvis' down, left and right, radians."""
+    """Flexion of the hips: how far each thigh is lifted forward, left and right, radians."""
     hips = [joint_index("left_hip"), joint_index("right_hip")]
     down = -motion.rotations[..., hips, :, 1].double().numpy()
     return np.arctan2(down[..., 2], -down[..., 1])

@@ -31,11 +31,11 @@ FORMS = (
     "woman, tall or short, heavy or slim), words and measures (woman,height=1.65), or a motion "
     "file (.npz) of somebody"
 )
-"""What `identity` takes."""
+"""The forms of description that `identity` takes."""
 
 
 class Lean(Enum):
-    """On which side of the average."""
+    """The side of the average on which a measure lies."""
 
     LESS = -1
     MORE = 1
@@ -90,7 +90,7 @@ def identity(spec: str, body: BodyModel) -> Float[Tensor, " shape"]:
 
 
 def height(body: BodyModel, shape: Float[Tensor, "*batch shape"]) -> Float[Tensor, "*batch"]:
-    """From the soles to the crown of the unposed body, metres."""
+    """Height of the unposed body from the soles to the crown, metres."""
     level = body.rest_vertices(shape)[..., 1]
     return level.amax(-1) - level.amin(-1)
 
@@ -101,7 +101,7 @@ def weight(body: BodyModel, shape: Float[Tensor, "*batch shape"]) -> Float[Tenso
 
 
 def doubts(body: BodyModel, shape: Float[Tensor, " shape"]) -> list[str]:
-    """Why a shape is nobody's, in words; empty where it may well be somebody's."""
+    """Reasons why nobody has a shape, in words; empty where somebody may have it."""
     tall, odd = float(height(body, shape)), float(shape.abs().max())
     found: list[str] = []
     if not SHORTEST < tall < TALLEST:

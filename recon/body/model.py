@@ -120,7 +120,7 @@ class PosedBody:
 
     @property
     def bones(self) -> Float[Tensor, "*batch time 22 4 3"]:
-        """Where every bone takes points (x, 1) of the unposed surface: rows R_jᵀ, then t_j."""
+        """Affine maps of bones for points (x, 1) of the unposed surface: rows R_jᵀ, then t_j."""
         shift = self.joints - (self.orientations @ self.rest[..., None, :, :, None])[..., 0]
         return torch.cat((self.orientations.transpose(-1, -2), shift[..., None, :]), -2)
 

@@ -27,7 +27,7 @@ spine and collars to the torso, shoulder joints to the upper arms."""
 
 @dataclass(frozen=True)
 class Parts(TensorStruct):
-    """Which part every vertex and face belongs to, and the open edges between parts."""
+    """The part of every vertex and face, and the open edges between parts."""
 
     of_vertex: Int[Tensor, " vertices"]
     """Part whose joints carry most of the vertex."""

@@ -10,13 +10,16 @@ from recon.core.skeleton import TOES
 
 
 def copied(motion: Motion, body: BodyModel, shape: Float[Tensor, "*batch shape"]) -> Motion:
-    """The same rotations and the same path of the pelvis, wherever that puts the feet."""
+    """A motion on another shape with equal rotations and an equal path of the pelvis.
+
+    Feet may leave the ground or sink into it; see `with_shape`.
+    """
     before, after = (body.rest_joints(s)[..., None, 0, :] for s in (motion.shape, shape))
     return motion.replace(translation=motion.translation + before - after, shape=shape)
 
 
 def with_shape(motion: Motion, body: BodyModel, shape: Float[Tensor, "*batch shape"]) -> Motion:
-    """What a body of another shape does when it does the same.
+    """A motion on another shape, its path scaled by the length of the legs.
 
     Rotations stay. The pelvis' path, from its place above the ground in the first frame and the
     level of the toe joints at rest, grows with the legs (pelvis to toes), and the toes' level

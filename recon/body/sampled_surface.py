@@ -39,13 +39,13 @@ class SampledSurface(TensorStruct):
         return _KNOWN[body.template]
 
     def run(self, part: int) -> slice:
-        """Where the points of one part lie."""
+        """The rows of the points of one part."""
         first = int(torch.searchsorted(self.part, part))
         return slice(first, int(torch.searchsorted(self.part, part, right=True)))
 
     @property
     def soles(self) -> tuple[slice, slice]:
-        """Where points of the left and of the right foot that belong to a sole lie in `tread`."""
+        """The rows in `tread` of the soles of the left and of the right foot."""
         left = int((self.part[self.sole] == PARTS.index("left_lower_leg")).sum())
         return slice(0, left), slice(left, int(self.sole.sum()))
 
@@ -54,7 +54,7 @@ _KNOWN: WeakTensorKeyDictionary = WeakTensorKeyDictionary()
 
 
 def _sampled(body: BodyModel) -> SampledSurface:
-    """Of every bone the extreme vertices, then those farthest from all chosen ones.
+    """The extreme vertices of every bone, then those farthest from all that are chosen.
 
     Bones are nearly rigid: whatever the pose, the lowest vertex of one is extreme in some
     direction.

@@ -22,7 +22,7 @@ _PATCH = 4
 _STILL = 0.1
 """Ankle and toe of a foot that stands flat are slower than this, m/s."""
 _FLAT = 0.03
-"""And the ankle is as high above the toe as usual, within metres."""
+"""Metres by which the height of the ankle above the toe may differ from its height at rest."""
 _GROUND_PERCENTILE = 0.05
 _CHUNK = 2000
 
@@ -200,7 +200,7 @@ def levelling(stance: Stance) -> Float[Tensor, "3 3"] | None:
 
 
 def turned(motion: Motion, rotation: Float[Tensor, "3 3"], body: BodyModel) -> Motion:
-    """The same motion in a world turned about its origin."""
+    """A motion in a world that is rotated about its origin."""
     T = torch.eye(4).to(motion.translation)
     T[:3, :3] = rotation
     return motion.carried(T, body.rest_joints(motion.shape)[..., 0, :])

@@ -10,7 +10,7 @@ from torch import Tensor
 from recon.core.errors import ReconError
 
 Numbers = Tensor | np.ndarray | Sequence[Any]
-"""What users give as an array: a tensor, an array of numpy, nested lists."""
+"""Arrays that users give: a tensor, an array of numpy, or nested lists."""
 
 
 def float_tensor(values: Any, name: str) -> Tensor:

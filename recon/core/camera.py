@@ -24,7 +24,7 @@ _UNDISTORT_STEPS = 30
 
 @dataclass(frozen=True)
 class Projection(TensorStruct):
-    """Where points fall in an image; finite also where they are not seen."""
+    """Pixels of points in an image; finite also where the points are not seen."""
 
     pixels: Float[Tensor, "*batch points 2"]
     """u to the right, v down. Meaningless, and without gradient, where not `in_front`."""
@@ -170,7 +170,7 @@ class Camera(TensorStruct):
         return ((pixels >= 0) & (pixels < size)).all(-1)
 
     def placed(self, position: Float[Tensor, "3"], target: Float[Tensor, "3"]) -> "Camera":
-        """The same camera, fixed at a place of the world (z up) and looking at a target.
+        """This camera at a fixed place of the world (z up), looking at a target.
 
         Raises:
             ValueError: when it would look straight up or down.

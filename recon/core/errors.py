@@ -1,4 +1,4 @@
-"""What the library refuses: all are `ValueError`s whose message says what to do."""
+"""Errors that refuse input: all are `ValueError`s whose message says what to do."""
 
 
 class ReconError(ValueError):
@@ -18,4 +18,4 @@ class ObservationError(ReconError):
 
 
 class WeightsError(ReconError):
-    """There is no such prior, or its weights cannot be used."""
+    """A prior does not exist, or its weights cannot be used."""

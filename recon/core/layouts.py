@@ -1,4 +1,4 @@
-"""Which keypoints 2D detectors find, in the order in which each writes them.
+"""Layouts of the keypoints of 2D detectors: names in the order in which each detector writes them.
 
 Left and right are the person's own. One name means one place in every layout (COCO's annotators'
 hip is that of Halpe), except in `smpl22`, whose points are the joints of the body model.

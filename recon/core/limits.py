@@ -21,7 +21,7 @@ class Limit:
     high: float
     unit: str
     reason: str
-    """Why nothing beyond the range is recorded; ends every refusal."""
+    """The reason why nothing beyond the range is recorded; it ends every refusal."""
 
     def holds(self, values: Any) -> bool:
         """Whether all numbers lie in the range; NaN does not."""

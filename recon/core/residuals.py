@@ -13,7 +13,7 @@ Unit = Literal["metres", "pixels"]
 
 @dataclass(frozen=True)
 class Noise:
-    """How noisy one observation is."""
+    """Standard deviation of the coordinates of one observation."""
 
     own: float
     """Standard deviation of every coordinate in the observation's own unit, metres or pixels.
@@ -34,8 +34,8 @@ class Residuals(TensorStruct):
     values: Float[Tensor, "*batch moments points dims"]
     """Three coordinates in the frame of the recording, or two in the image, in `unit`."""
     weights: Float[Tensor, "*batch moments points"]
-    """How much a point counts: 0 where it was not seen or the estimate does not cover its moment,
-    the confidence of a detection, 1 for a measured point."""
+    """Weight of a point: 0 where it was not seen or the estimate does not cover its moment, the
+    confidence of a detection, 1 for a measured point."""
     unit: Unit
 
     @property

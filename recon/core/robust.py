@@ -1,4 +1,4 @@
-"""How much a squared residual counts: robust kernels and weights, pure functions.
+"""Robust kernels and weights of squared residuals, as pure functions.
 
 Residuals come in physical units (metres or pixels); so do the scales.
 """

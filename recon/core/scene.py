@@ -1,4 +1,4 @@
-"""What surrounds the motion and belongs to no prior."""
+"""Unknowns of a clip that belong to no prior: the ground, and offsets of tracked points."""
 
 from dataclasses import dataclass
 
@@ -14,16 +14,16 @@ TILT = 0.2
 """Radians that one unit of `UnknownGround.tilt` turns the ground by."""
 
 OFFSETS = frozenset({"scene.offsets"})
-"""What a stage moves to find where tracked points are."""
+"""Optimised variables of the offsets of tracked points."""
 HEIGHT = frozenset({"scene.ground.lift"})
-"""What a stage moves to find the height of the ground."""
+"""Optimised variables of a ground of which only the height is unknown."""
 GROUND = frozenset({"scene.ground.tilt", "scene.ground.lift"})
-"""What a stage moves to find the ground."""
+"""Optimised variables of an unknown ground."""
 
 
 @dataclass(frozen=True)
 class UnknownGround(TensorStruct):
-    """How the world (z up, the ground at z = 0) lies in the frame of the recording.
+    """The rigid transform from the frame of a recording to the world (z up, the ground at z = 0).
 
     The recording's frame is a first guess of the world. The world follows from it by a small turn
     about a horizontal axis through a point near the body and a lift: x_world = R (x - p) + p + l z
@@ -36,7 +36,7 @@ class UnknownGround(TensorStruct):
     lift: Float[Tensor, "*batch"]
     """Height of the recording's z = 0 above the ground at the pivot, metres."""
     pivot: Float[Tensor, "*batch 3"]
-    """Where turning moves nothing, recording, metres."""
+    """The fixed point of the tilt, in the recording's frame, metres."""
 
     @classmethod
     def create(cls, pivot: Float[Tensor, "*batch 3"]) -> "UnknownGround":
@@ -71,7 +71,7 @@ class Scene(TensorStruct):
     observation that allows for that names its rows here (MoSh's latent markers).
     """
     ground: UnknownGround | None = None
-    """How the ground lies in the recording; None where the recording's z = 0 is the ground."""
+    """The ground in the recording's frame; None where the recording's z = 0 is the ground."""
 
     @classmethod
     def create(cls, clips: int, offsets: int = 0, *, like: Tensor) -> "Scene":

@@ -17,7 +17,7 @@ class TensorStruct:
     """
 
     def map(self: _S, function: Callable[[Tensor], Tensor]) -> _S:
-        """The same record with `function` applied to every tensor in it."""
+        """The record with `function` applied to every tensor in it."""
 
         def change(value: Any) -> Any:
             if isinstance(value, Tensor):
@@ -36,7 +36,7 @@ class TensorStruct:
         device: torch.device | str | None = None,
         dtype: torch.dtype | None = None,
     ) -> _S:
-        """On another device and, for its floating point tensors, in another precision."""
+        """The record on another device, its floating point tensors in another precision."""
 
         def move(tensor: Tensor) -> Tensor:
             return tensor.to(device=device, dtype=dtype if tensor.is_floating_point() else None)
@@ -44,7 +44,7 @@ class TensorStruct:
         return cast(Any, self).map(move)
 
     def detach(self: _S) -> _S:
-        """The same values cut from the graph that computed them."""
+        """The record with its tensors cut from the graph that computed them."""
         return cast(Any, self).map(Tensor.detach)
 
     def __getitem__(self: _S, index: Any) -> _S:
@@ -52,11 +52,11 @@ class TensorStruct:
         return cast(Any, self).map(lambda tensor: tensor[index])
 
     def replace(self: _S, **fields: Any) -> _S:
-        """The same record with some fields exchanged; checked as a new one is."""
+        """The record with some fields exchanged; it is checked as a new one is."""
         return dataclasses.replace(cast(Any, self), **fields)
 
     def derived(self: _S, **fields: Any) -> _S:
-        """The same record with some fields exchanged by values that follow from its own.
+        """The record with some fields exchanged by values that follow from its own.
 
         It is not checked again, as `replace` does: records are derived in every evaluation.
         """

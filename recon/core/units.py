@@ -1,4 +1,4 @@
-"""Which unit and which up axis a recording has: from the file, from the body, or refused."""
+"""Unit and up axis of a recording: read from the file, told from the body, or refused."""
 
 import re
 from collections.abc import Sequence

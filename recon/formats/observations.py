@@ -62,7 +62,7 @@ class KeypointsFile:
     """Pixels as detected, lens distortion included; zero where the confidence is zero."""
     confidence: Float[np.ndarray, "time points"]
     layout: str
-    """Which keypoints: openpose25, coco17, halpe26, smpl22, ..."""
+    """Layout of the keypoints: openpose25, coco17, halpe26, smpl22, ..."""
     fps: float
     camera: CameraArrays
     start_time: float = 0.0

@@ -1,4 +1,4 @@
-"""Where the weights of every prior lie; light to import, unlike the priors themselves."""
+"""Places of the weights of every prior; light to import, unlike the priors themselves."""
 
 from importlib.util import find_spec
 from pathlib import Path

@@ -1,1 +1,1 @@
-"""How near a result is to the truth, and how good generated motions are."""
+"""Metrics: errors of a result against the truth, and measures of generated motions."""

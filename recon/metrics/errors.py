@@ -1,4 +1,4 @@
-"""What is measured, in SI units: position, smoothness, contact, slip and penetration.
+"""Errors and measures in SI units: position, smoothness, contact, slip and penetration.
 
 A plural name gives one number per sample, so that samples of several clips can be pooled as
 HuMoR pools them (`mean(torch.cat(...))`); a singular name gives the average, or None where there

@@ -1,4 +1,4 @@
-"""How good generated motions are: near the truth, unlike each other, upright and on the ground.
+"""Measures of generated motions: near the truth, unlike each other, upright and on the ground.
 
 Displacements and diversity: HuMoR (ICCV 2021) section 5.3. What stays on its feet is our own
 definition, in heights and speeds that recorded people keep.
@@ -13,7 +13,8 @@ from recon.core.skeleton import FEET, joint_index
 from recon.metrics import errors as metrics
 
 LOWEST_HEAD = 0.6
-"""Of its standing height; below it, people sit on the floor, lie or fall."""
+"""Fraction of the standing height; when the head is lower, people sit on the floor, lie or
+fall."""
 
 LONGEST_FLIGHT = 0.7
 """Seconds; a standing jump of 60 cm."""
@@ -104,7 +105,7 @@ def stays_on_its_feet(
 
 
 def _somewhere_for(happens: Bool[Tensor, "*batch time"], fps: float) -> Bool[Tensor, "*batch"]:
-    """Whether something goes on without a break for longer than a jump lasts."""
+    """Whether a condition holds somewhere without a break for longer than a jump lasts."""
     frames = int(LONGEST_FLIGHT * fps) + 1
     if happens.shape[-1] < frames:
         return torch.zeros(happens.shape[:-1], dtype=torch.bool, device=happens.device)

@@ -130,7 +130,7 @@ def _bounded(square: Float[Tensor, "*shape"], scale: float) -> Float[Tensor, "*s
 
 _POINTS: WeakIdKeyDictionary = WeakIdKeyDictionary()
 _DYNAMICS: WeakIdKeyDictionary = WeakIdKeyDictionary()
-"""Of bodies in use: the energies of one estimate share them, as they share its vertices."""
+"""Dynamics by body in use: the energies of one estimate share them, as they share its vertices."""
 
 
 def _points(posed: PosedBody) -> Float[Tensor, "*batch time points 3"]:

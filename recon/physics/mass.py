@@ -24,14 +24,14 @@ DE_LEVA = (0.0681, 0.4302, 0.0263, 0.0263, 0.0209, 0.0209, 0.1447, 0.1447, 0.059
 
 @dataclass(frozen=True)
 class Dynamics(TensorStruct):
-    """How mass moves, in the frames that have a neighbour on both sides."""
+    """The motion of the body's mass, in the frames that have a neighbour on both sides."""
 
     mass: Float[Tensor, "*batch"]
     """kg, or 1 where only the distribution of mass is known; it cancels out of the ZMP."""
     centre: Float[Tensor, "*batch inner 3"]
     """Centre of mass G, metres."""
     acceleration: Float[Tensor, "*batch inner 3"]
-    """Of the centre of mass, m/s²."""
+    """Acceleration of the centre of mass, m/s²."""
     spin: Float[Tensor, "*batch inner 3"]
     """Rate of angular momentum about G, Σ m (v - G) × a, N m."""
 

@@ -1,4 +1,4 @@
-"""How well a motion obeys physics: HUMOS's five numbers as released, and what they should be.
+"""Metrics of physics: HUMOS's five numbers as released, and corrected ones.
 
 Rates other than 20 Hz keep the meaning of every threshold; published numbers are at 20 Hz.
 """

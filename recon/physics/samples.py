@@ -1,4 +1,4 @@
-"""What physics says of a motion, measured in every frame; `recon.physics.metrics` averages it.
+"""Measurements of physics in every frame; `recon.physics.metrics` averages them.
 
 Samples of several clips are pooled with `recon.core.struct.concatenate`.
 """
@@ -43,12 +43,12 @@ _CHUNK = 64
 
 @dataclass(frozen=True)
 class PhysicsSamples(TensorStruct):
-    """What was measured in every frame; steps are those to the next frame."""
+    """Measurements in every frame; steps lead to the next frame."""
 
     lowest: Float[Tensor, " frames"]
     """Height of the lowest vertex, metres."""
     stepped: Bool[Tensor, " frames"]
-    """There is a next frame."""
+    """Whether there is a next frame."""
     joints_touch: Bool[Tensor, "frames 4"]
     """Ankles and toes under 1.5 cm in this frame and the next, and not in the same place."""
     sunk_step: Float[Tensor, " frames"]
@@ -59,9 +59,9 @@ class PhysicsSamples(TensorStruct):
     """Horizontal speed of the lowest vertex of each foot, m/s."""
     has_base: Bool[Tensor, " frames"]
     released_distance: Float[Tensor, " frames"]
-    """From the released ZMP to the base of support, negative inside, metres."""
+    """Distance of the released ZMP from the base of support, negative inside, metres."""
     distance: Float[Tensor, " frames"]
-    """From the ZMP to the base of support, negative inside, metres."""
+    """Distance of the ZMP from the base of support, negative inside, metres."""
     known: Bool[Tensor, " frames"]
     """Frames with a ZMP of their own: not the first and the last."""
     carried: Bool[Tensor, " frames"]

@@ -53,7 +53,7 @@ def zmp_as_released(dynamics: Dynamics) -> Float[Tensor, "*batch inner 2"]:
 
 
 def supported(dynamics: Dynamics) -> Float[Tensor, "*batch inner"]:
-    """How far the ground carries the body: 0 below a tenth of its weight, 1 above three tenths."""
+    """Whether the ground carries the body: 0 below a tenth of its weight, 1 above 0.3."""
     return smoothstep(load(dynamics), LEAST_LOAD, FULL_LOAD)
 
 

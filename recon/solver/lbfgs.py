@@ -214,7 +214,7 @@ def _largest(gradient: Float64[Tensor, "active n"]) -> Float64[Tensor, " active"
 def _first_reason(
     *cases: tuple[Bool[np.ndarray, " active"], Termination],
 ) -> Int64[np.ndarray, " active"]:
-    """For every element the first reason that applies, as its place in REASONS, or GOES_ON."""
+    """The first reason that applies to each element, as its index in REASONS, or GOES_ON."""
     masks, reasons = zip(*cases, strict=True)
     places = [np.int64(REASONS.index(reason)) for reason in reasons]
     return np.select(masks, places, default=np.int64(GOES_ON))

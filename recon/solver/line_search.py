@@ -27,7 +27,7 @@ RETREAT = 0.25
 
 @dataclass(frozen=True)
 class Wolfe:
-    """When a step is good enough, and when to stop looking for one."""
+    """The conditions of a good step, and the limits of the search for one."""
 
     c1: float
     """Sufficient decrease: phi(t) <= phi(0) + c1 t phi'(0)."""
@@ -42,7 +42,7 @@ class Wolfe:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What one trial meant for every element."""
+    """The outcome of one trial for every element."""
 
     improved: Bool[np.ndarray, " active"]
     """The trial decreases sufficiently and is the lowest point so far."""
@@ -51,7 +51,8 @@ class Verdict:
     unmoved: Bool[np.ndarray, " active"]
     """The search is over and found no lower point."""
     unreachable: Bool[np.ndarray, " active"]
-    """As `unmoved`, and the objective was not finite however short the step."""
+    """Whether the element is unmoved because the objective was not finite however short the
+    step."""
 
 
 @dataclass
@@ -165,7 +166,7 @@ class LineSearches:
 def cubic_minimiser(
     a: Float64[np.ndarray, "3 active"], b: Float64[np.ndarray, "3 active"]
 ) -> Float64[np.ndarray, " active"]:
-    """Where the cubic with the value and slope of `a` and of `b` has its minimum; nan if nowhere.
+    """The minimum of the cubic with the values and slopes of `a` and `b`; nan where there is none.
 
     a and b hold t, phi(t) and phi'(t). Nocedal & Wright, equation 3.59.
     """

@@ -1,4 +1,4 @@
-"""What a solver is given and what it answers."""
+"""Records of a solver: its objective and callback, and its solution."""
 
 import enum
 from collections.abc import Callable, Sequence
@@ -19,7 +19,7 @@ Their sum over terms is minimised. Differentiable in the first argument; rows ar
 
 
 class Termination(enum.Enum):
-    """Why an element is finished; the value is the sentence a user reads."""
+    """Reasons why an element is finished; the value is the sentence that a user reads."""
 
     CONVERGED = "the objective's relative decrease fell below its tolerance"
     GRADIENT = "the gradient fell below its tolerance"
@@ -32,7 +32,7 @@ class Termination(enum.Enum):
 
 @dataclass(frozen=True)
 class Progress:
-    """What a callback sees after an evaluation that completed at least one iteration."""
+    """The state of a solve that a callback is given after every completed iteration."""
 
     evaluations: int
     """Calls of the objective so far."""
@@ -46,7 +46,7 @@ class Progress:
 
 @dataclass(frozen=True)
 class Solution:
-    """Where every element ended, how, and the way there."""
+    """The end of every element, the reason for it, and the trace of its energies."""
 
     x: Float[Tensor, "batch n"]
     """The last iterate. Iterates are finite and never increase the objective."""
@@ -57,13 +57,13 @@ class Solution:
     evaluations: Int[Tensor, " batch"]
     """Calls of the objective this element took part in."""
     termination: tuple[Termination, ...]
-    """Why each element ended."""
+    """The reason why each element ended."""
     trace: Float64[Tensor, "batch iterations terms"]
     """Term values at every iterate. Row 0 is the start; rows past an element's end repeat its
     last."""
 
     def rows(self, index: Int[Tensor, " rows"]) -> "Solution":
-        """Of some elements of the batch."""
+        """The solution of some elements of the batch."""
         return replace(
             self,
             x=self.x[index],

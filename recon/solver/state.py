@@ -128,7 +128,7 @@ class Active:
 
 @dataclass
 class Ledger:
-    """What is known of the whole batch, active or not."""
+    """The state of the whole batch, of active and of finished elements."""
 
     x: Float[Tensor, "batch n"]
     trace: Float64[Tensor, "batch room terms"]

@@ -25,7 +25,7 @@ def vertex_normals(
 def tensor_normals(
     vertices: Float[Tensor, "vertices 3"], faces: Tensor
 ) -> Float[Tensor, "vertices 3"]:
-    """The same of tensors, differentiable; a vertex of faces without area gets the y axis."""
+    """Unit normals of vertices, differentiable; a vertex of faces without area gets the y axis."""
     corners = vertices[faces]
     normal = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     total = torch.zeros_like(vertices)

@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 
 @dataclass(frozen=True)
 class Raster:
-    """What every pixel of a picture sees of one mesh."""
+    """The face, depth and place of one mesh that every pixel of a picture shows."""
 
     face: Int[np.ndarray, "height width"]
     """Index of the face; -1 where there is none."""

@@ -39,7 +39,8 @@ class Calibration:
     """The cameras of a set-up and what was decided about them."""
 
     cameras: Mapping[str, CameraArrays]
-    """By name. Poses in metres, world z up; the pose is None where the file has none."""
+    """Cameras by name. Poses are in metres with world z up; the pose is None where the file has
+    none."""
     unit: CameraUnit
     """The unit the file was in."""
     decisions: tuple[str, ...]

@@ -1,1 +1,1 @@
-"""When scans and clouds were recorded, and the frames that this makes."""
+"""Clocks of scans and clouds: recorded times, and the frames that they make."""

@@ -17,7 +17,7 @@ from recon.formats.clocks.scan_times import crowded, frames_of
 
 @dataclass(frozen=True)
 class PointClock:
-    """When points were seen."""
+    """Times at which points were seen."""
 
     frame: Int[np.ndarray, " points"]
     """The frame of each point, from 0."""

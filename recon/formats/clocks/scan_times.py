@@ -1,4 +1,4 @@
-"""When scans were recorded: a table of times beside them, put on a clock of even frames."""
+"""Times of scans: a table beside them, put on a clock of even frames."""
 
 import math
 import re
@@ -32,7 +32,7 @@ class Timed:
 
     files: list[Path]
     frames: Int[np.ndarray, " files"]
-    """Of the clock, from 0."""
+    """Frames of the clock, from 0."""
     fps: float
     start_time: float
     """Seconds."""

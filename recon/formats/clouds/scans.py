@@ -182,7 +182,7 @@ def thinned(
     outliers: float | None,
     generator: np.random.Generator,
 ) -> Float[np.ndarray, "kept 3"]:
-    """Without outliers, and at most `count` points of it drawn at random, in their order."""
+    """A cloud without outliers, of at most `count` points drawn at random, in their order."""
     if len(cloud) > _SEARCHED:
         cloud = cloud[np.sort(generator.permutation(len(cloud))[:_SEARCHED])]
     if outliers is not None:

@@ -1,4 +1,4 @@
-"""Which layout an array of keypoints has: given, by their number, or by the shape of the body."""
+"""The layout of an array of keypoints: given, by their number, or by the shape of the body."""
 
 import numpy as np
 from jaxtyping import Float
@@ -15,7 +15,7 @@ _BODY_PART = {("coco133", 133): 23, ("halpe26", 136): 26}
 """Keypoints at the head of a longer layout."""
 
 _COCO18 = (*range(8), *range(9, 19))
-"""Where the keypoints of OpenPose's COCO model stand in BODY_25, which adds hips and feet."""
+"""Indices of the keypoints of OpenPose's COCO model in BODY_25, which adds hips and feet."""
 
 _BONES = tuple(
     (f"{side}_{upper}", f"{side}_{lower}")

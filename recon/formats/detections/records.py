@@ -20,7 +20,7 @@ class Detections:
     """People found by one producer in one view; one row per person and frame."""
 
     name: str
-    """Of the folder or file."""
+    """Name of the folder or file."""
     layout: str
     """One of `recon.core.layouts.LAYOUTS`."""
     frame_numbers: Int[np.ndarray, " frames"]
@@ -30,7 +30,7 @@ class Detections:
     pixels: Float[np.ndarray, "rows points 2"]
     """Zero where the confidence is zero."""
     confidence: Float[np.ndarray, "rows points"]
-    """From 0, missing, to 1."""
+    """Confidence from 0 (missing) to 1."""
     identity: Int[np.ndarray, " rows"]
     """The number the producer gave to a person, -1 for none."""
     decisions: tuple[str, ...] = ()

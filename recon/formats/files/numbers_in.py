@@ -11,7 +11,7 @@ _LONGEST = 1000
 
 
 def numbers_in(text: str | bytes, count: int, start: int = 0) -> np.ndarray:
-    """So many numbers between white space, from a place in the text to its end.
+    """An array of `count` numbers between white space, from a place in the text to its end.
 
     Raises:
         ValueError: when there are more or fewer, or something is no number.

@@ -31,11 +31,11 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 _HOST = re.sub(r"[^A-Za-z0-9]", "", platform.node())[:32]
-"""This machine: folders are shared between machines, whose process numbers say nothing here."""
+"""Name of this machine: folders are shared between machines, each with its own process numbers."""
 
 
 def part_of(path: Path) -> Path:
-    """Where this process prepares what will be moved to a path: a hidden name beside it."""
+    """The place where this process prepares what replaces a path: a hidden name beside it."""
     return path.with_name(f".{path.name}.{_HOST}-{os.getpid()}.part")
 
 

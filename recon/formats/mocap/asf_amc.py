@@ -29,7 +29,7 @@ _CMU_LENGTH = 0.45
 class _Bone:
     name: str
     direction: np.ndarray
-    """From near to far end, in the file's unit."""
+    """Vector from the near to the far end, in the file's unit."""
     axis: np.ndarray
     """C, 3 x 3."""
     channels: tuple[str, ...]

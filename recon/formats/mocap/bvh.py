@@ -30,7 +30,7 @@ class _Hierarchy:
     parents: list[int]
     offsets: list[list[float]]
     channels: list[list[tuple[int, bool]]]
-    """Of every joint: (axis, is a rotation), in the order of the file."""
+    """Channels of every joint, (axis, is a rotation), in the order of the file."""
 
 
 def read_bvh(path: Path, *, unit: str | None = None, up: Axis | None = None) -> SkeletonRecording:

@@ -1,1 +1,1 @@
-"""Where results may be written, and how they are, beside their reports."""
+"""Results on disk: where they may be written, and how, beside their reports."""

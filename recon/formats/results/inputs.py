@@ -1,4 +1,4 @@
-"""Which files and folders are read, by the arguments and settings that name them."""
+"""Files and folders that a verb reads, by the arguments and settings that name them."""
 
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass

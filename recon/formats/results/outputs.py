@@ -1,4 +1,4 @@
-"""Where a verb may write, told before it works: not over its input, nor over others' files.
+"""Places where a verb may write, checked before it works: not over inputs or others' files.
 
 recon's own files are those whose checksum stands in the report beside them
 (`recon.formats.results.reports`).
@@ -30,7 +30,7 @@ class Output:
     path: Path
     kind: Kind = Kind.FILE
     is_former: Callable[[Path], bool] | None = None
-    """For a folder that is continued: whether a folder with contents is a former run's."""
+    """A test whether a folder with contents is a former run's, for a folder that is continued."""
     inside_input: bool = False
     """Whether it may lie in a folder that is read; for readers that leave results alone."""
 

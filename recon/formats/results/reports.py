@@ -31,7 +31,7 @@ class Report:
     outputs: Mapping[str, str]
     """SHA-256 by name of file, relative to the report's folder."""
     replaces: Mapping[str, str]
-    """The same of the files of a former run that were there before."""
+    """Checksums of the files of a former run that were there before, by name."""
 
     def checksum_if_own(self, name: str, path: Path) -> str | None:
         """SHA-256 of a file of this name; None where it is not as recon wrote it."""

@@ -60,7 +60,7 @@ def writing(
 def writing_file(
     path: Path, report: Mapping[str, Any], *, overwrite: bool = False
 ) -> Iterator[Path]:
-    """The same for one file, with its report beside it."""
+    """A context that writes one file, with its report beside it."""
     with writing(Output(path), report=report, overwrite=overwrite) as (staged,):
         yield staged
 
@@ -81,12 +81,12 @@ class _Stage:
 
     @property
     def path(self) -> Path:
-        """Where the result is written; it has its own name already."""
+        """Path at which the result is prepared; it has its own name already."""
         return self.folder / self.output.real.name
 
     @property
     def report(self) -> Path:
-        """Where the report is written."""
+        """Path at which the report is prepared."""
         match self.output.kind:
             case Kind.FILE:
                 return self.folder / f"{self.path.name}.json"

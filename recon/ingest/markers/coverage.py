@@ -37,7 +37,7 @@ class MarkerSet:
     loose: tuple[bool, ...]
     """Whether the place is only roughly known."""
     nominal: Float[Tensor, "markers 3"]
-    """Where markers are expected away from their vertex, in the frame of its bone, metres."""
+    """Expected offset of each marker from its vertex, in the frame of its bone, metres."""
     unknown: tuple[str, ...]
     """Labels nobody knows: virtual markers, joint centres, unlabelled points."""
     inside: bool = False

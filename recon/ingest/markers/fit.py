@@ -49,7 +49,7 @@ CALIBRATION_FRAMES = 150
 _FOOT_MARKER = (0.0, 0.08)
 """Metres above the ground of the lowest marker of a body that stands."""
 _NOISE = 3.0
-"""Times the mean residual by which joints may step without their markers: noise does that."""
+"""Multiple of the mean residual by which joints may step without their markers, as noise does."""
 _KEY_RATE = 10.0
 _CHUNK = 3000
 _PLACE = frozenset({"translation", "root"})
@@ -66,11 +66,11 @@ class MarkerWeights:
     loose: float = 0.03
     """Per frame, of offsets of markers that are put anywhere on a limb."""
     rest: float = 1e-3
-    """Of the pose away from the natural one, where no better `pose_terms` are given."""
+    """Weight of the distance from the natural pose, where no better `pose_terms` are given."""
     turning: float = 2e-4
-    """Of turns from frame to frame."""
+    """Weight of the rotation from frame to frame."""
     ground: float = 20.0
-    """Of soles below the ground, where the recording's ground is z = 0."""
+    """Weight of soles below the ground, where the recording's ground is z = 0."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ class MarkerSubject(TensorStruct):
 
     shape: Float[Tensor, " shape"]
     offsets: Float[Tensor, "markers 3"]
-    """From the skin, in the frame of the marker's bone, metres."""
+    """Offsets from the skin, in the frame of the marker's bone, metres."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,8 @@ class MarkerFit:
     motion: Motion
     subject: MarkerSubject
     predicted: Float[Tensor, "time markers 3"]
-    """Where every marker would be, metres; markers left out of the fit have no fitted offset."""
+    """Predicted place of every marker, metres; markers left out of the fit have no fitted
+    offset."""
     observed: Bool[Tensor, "time 22"]
     """Joints whose place a fitted marker shows; all others are inferred."""
     mended: Bool[Tensor, " time"]
@@ -261,7 +262,7 @@ def _solve(
 def nominal_places(
     fit: MarkerFit, markers: MarkerSet, body: BodyModel
 ) -> Float[Tensor, "time markers 3"]:
-    """Where a fitted body has markers that sit exactly where their names say, metres."""
+    """Places of markers that sit exactly where their names say on a fitted body, metres."""
     with torch.no_grad():
         posed = body.pose(fit.motion)
         points = posed.points(torch.tensor(markers.vertices))

@@ -20,7 +20,7 @@ from recon.diagnosis.findings import Finding, listed, spans, stretches
 _TORSO_MARKERS = 3
 """Markers of the torso that place a body."""
 _SHARE = 1 / 3
-"""Of all markers, which place it as well, wherever they are."""
+"""Share of all markers that places a body as well, wherever the markers are."""
 _REACH = 0.14
 """Metres at rest from a marker to the joints whose place it shows."""
 _LIMBS = {
@@ -161,7 +161,7 @@ def gap_findings(observed: Bool[Tensor, "time 22"], fps: float) -> list[Finding]
 
 
 def _long(flags: Bool[np.ndarray, " time"], fps: float) -> Bool[np.ndarray, " time"]:
-    """Only the stretches that last longer than what neighbours in time fill well."""
+    """The stretches that last longer than what neighbours in time fill well."""
     kept = np.zeros_like(flags)
     for first, last in stretches(flags):
         kept[first : last + 1] = last - first + 1 > _SHORT * fps

@@ -21,7 +21,8 @@ UNMADE = 0.025
 """Metres by which a joint's step may exceed those of the markers about it: their dropping out and
 coming back shifts it so."""
 _SHARE = 0.3
-"""Of the markers' step, likewise: joints turn about markers that stand."""
+"""Share of the markers' step that a joint's step may exceed it by besides: joints turn about
+markers that stand."""
 _FAR = 0.08
 """Metres of a marker from its place on the body in a frame that may be wrong."""
 _OFTEN = 0.2

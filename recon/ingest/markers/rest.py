@@ -28,6 +28,6 @@ def natural_rest(estimate: Estimate) -> Float[Tensor, "*batch"]:
 
 
 def with_natural_pose(rotations: Float[Tensor, "*batch 22 3 3"]) -> Float[Tensor, "*batch 22 3 3"]:
-    """The same roots, with all other joints at rest."""
+    """Poses with the same root rotations, and all other joints at rest."""
     pose = natural_pose().to(rotations).expand(*rotations.shape[:-3], 21, 3, 3)
     return torch.cat((rotations[..., :1, :, :], pose), -3)

@@ -1,4 +1,4 @@
-"""Which joints of a recorded skeleton are ours: a table of known ones, or a file of one's own."""
+"""Correspondences of the joints of recorded skeletons to ours: known ones, or from a file."""
 
 import tomllib
 from collections.abc import Mapping

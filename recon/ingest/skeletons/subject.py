@@ -48,7 +48,8 @@ class CalibrationWeights:
     offsets: float = 0.15
     """Per frame, of what the same distance costs as an error."""
     feet_offsets: float = 3.0
-    """Of ankles and toes besides: a foot that rolls would slip where it is offset."""
+    """Weight of the offsets of ankles and toes besides: a foot that rolls would slip where it is
+    offset."""
     rest: float = 1e-3
     """Holds what nothing else shows in the first, uncalibrated stage."""
     bones: float = 0.02
@@ -61,7 +62,7 @@ class SubjectModel(TensorStruct):
 
     shape: Float[Tensor, " shape"]
     offsets: Float[Tensor, "points 3"]
-    """Where each recorded joint sits away from ours, in our bone's frame, metres."""
+    """Offset of each recorded joint from ours, in our bone's frame, metres."""
     alignments: Float[Tensor, "bones 3 3"]
     """Our bone's orientation = recorded orientation · alignment."""
     skeleton: SkeletonMap
