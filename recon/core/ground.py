@@ -80,15 +80,6 @@ class Ground(TensorStruct):
         return Ground(torch.nn.functional.normalize(normal, dim=-1), self.offset + shift)
 
 
-def published_pull(ground: Ground, first: Ground) -> Float[Tensor, "*batch"]:
-    """½ |n d - n0 d0|², metres²: HuMoR's floor_reg, which holds a ground near a first guess.
-
-    It vanishes for every normal where d is zero; fits here use `recon.method.terms.ground_moved`.
-    """
-    away = ground.normal * ground.offset[..., None] - first.normal * first.offset[..., None]
-    return 0.5 * away.square().sum(-1)
-
-
 def tangent_basis(normal: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 2"]:
     """Two orthonormal columns perpendicular to a unit normal (Duff et al. 2017, no branch)."""
     x, y, z = normal.unbind(-1)

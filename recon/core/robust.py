@@ -19,16 +19,6 @@ def squared(residual_squared: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"
     return residual_squared
 
 
-def huber(residual_squared: Float[Tensor, "*shape"], delta: float) -> Float[Tensor, "*shape"]:
-    """rho(e) = e² up to |e| = delta, then 2 delta |e| - delta² (Huber 1964).
-
-    The root is taken of outliers only, so that the gradient at zero is finite.
-    """
-    inside = residual_squared <= delta**2
-    outlier = torch.where(inside, delta**2, residual_squared)
-    return torch.where(inside, residual_squared, 2 * delta * outlier.sqrt() - delta**2)
-
-
 def geman_mcclure(
     residual_squared: Float[Tensor, "*shape"], sigma: float
 ) -> Float[Tensor, "*shape"]:

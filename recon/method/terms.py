@@ -63,14 +63,6 @@ def joint_acceleration(estimate: Estimate) -> Float[Tensor, "*batch"]:
     return 0.5 * bend.where(motion.inner(), 0.0).sum(-1) * (motion.fps / REFERENCE_FPS) ** 3
 
 
-def joint_jerk(estimate: Estimate) -> Float[Tensor, "*batch"]:
-    """½ Σ |third difference|² of the 22 joints, per (1/30 s)³; metres²."""
-    motion = estimate.motion
-    bend = estimate.body.joints.diff(n=3, dim=-3).square().sum((-1, -2))
-    exists = motion.inner()[..., 1:] & motion.valid[..., :-3]
-    return 0.5 * bend.where(exists, 0.0).sum(-1) * (motion.fps / REFERENCE_FPS) ** 5
-
-
 def rotation_velocity(estimate: Estimate) -> Float[Tensor, "*batch"]:
     """Σ (1 - cos angle) of every joint's turn between frames, per 1/30 s: ½ angle² for small ones.
 

@@ -12,7 +12,6 @@ from recon.core.camera import transform
 from recon.core.ground import (
     Ground,
     canonical_rotation,
-    published_pull,
     tangent_basis,
     world_from_camera,
 )
@@ -163,18 +162,3 @@ def test_a_normal_of_any_length_describes_the_same_plane() -> None:
     torch.testing.assert_close(again.coefficients, ground.coefficients)
     with pytest.raises(ValueError, match="not zero"):
         Ground.create(torch.zeros(3), torch.zeros(()))
-
-
-def test_golden_pull_towards_the_first_ground() -> None:
-    """HuMoR's floor_reg; its vector is normal times offset."""
-    with np.load(GOLDEN.with_name("losses.npz"), allow_pickle=False) as file:
-        floor, seen, value, slope = (
-            torch.from_numpy(np.asarray(file[name]))
-            for name in ("floor", "obs_floor", "value_floor_reg", "grad_floor_reg_floor")
-        )
-    leaf = floor.clone().requires_grad_()
-    ground = Ground(leaf / leaf.norm(dim=-1, keepdim=True), leaf.norm(dim=-1))
-    pull = published_pull(ground, Ground(seen[:, :3], seen[:, 3]))
-    assert pull.sum().item() == pytest.approx(float(value), rel=1e-9)
-    (gradient,) = torch.autograd.grad(pull.sum(), leaf)
-    torch.testing.assert_close(gradient, slope)

@@ -12,7 +12,7 @@ import torch
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion
-from recon.formats.mocap.archives import iterate_recordings
+from recon.formats.mocap.archives import iterate_texts
 from recon.formats.mocap.asf_amc import read_amc
 from recon.formats.mocap.bvh import parse_bvh, read_bvh
 from recon.formats.mocap.reader import read_recording
@@ -133,8 +133,8 @@ def test_compressed_and_archived_files_read_like_plain_ones(tmp_path: Path) -> N
             archive.addfile(info, io.BytesIO(BVH.encode()))
     plain = parse_bvh(BVH, "clip", up="y").positions
     assert np.array_equal(read_recording(tmp_path / "clip.bvh.xz", up="y").positions, plain)
-    packed = list(iterate_recordings(tmp_path / "pack.tar.xz", up="y"))
-    assert [clip.name for clip in packed] == ["pack/a.bvh", "pack/b.bvh"]
+    packed = list(iterate_texts(tmp_path / "pack.tar.xz"))
+    assert packed == [("pack/a.bvh", BVH), ("pack/b.bvh", BVH)]
     one = read_recording(f"{tmp_path / 'pack.tar.xz'}::b.bvh", up="y")
     assert np.array_equal(one.positions, plain)
     with pytest.raises(ValueError, match="::NAME"):

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from recon.core import rotations as so3
-from recon.core.skeleton import END_EFFECTORS, FEET, LEGS, TOES
+from recon.core.skeleton import FEET, LEGS, TOES, joint_index
 from recon.metrics import errors as metrics
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "metrics.npz"
@@ -20,6 +20,13 @@ EXACT = 1e-9
 def golden() -> dict[str, Tensor]:
     with np.load(GOLDEN, allow_pickle=False) as file:
         return {name: torch.from_numpy(np.asarray(file[name])) for name in file.files}
+
+
+END_EFFECTORS = tuple(
+    joint_index(f"{side}_{joint}")
+    for joint in ("ankle", "foot", "wrist")
+    for side in ("left", "right")
+)
 
 
 def pooled(golden: dict[str, Tensor], kind: str) -> tuple[Tensor, Tensor]:

@@ -5,8 +5,9 @@ import torch
 
 from recon.body.parts import PARTS, Parts, part_volumes
 from recon.physics import mass
-from recon.physics.mass import body_dynamics, centre_of_mass, points_dynamics, second_differences
+from recon.physics.mass import body_dynamics, centre_of_mass, second_differences
 from tests import laws
+from tests.physics.point_masses import points_dynamics
 from tests.standing_body import path, standing, times
 
 

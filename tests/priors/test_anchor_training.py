@@ -10,7 +10,7 @@ import torch
 from priors.anchor.frames import Alignment, Anchors, rest_pelvis
 from priors.anchor.prior import AnchorFrames
 from priors.anchor.training import train as module
-from priors.anchor.training.corpus import RECORDED, CycleCorpus, CycleVariation
+from priors.anchor.training.corpus import CycleCorpus, CycleVariation
 from priors.anchor.training.export import export_learned, export_weights
 from priors.anchor.training.losses import Reconstructed, some_of, surface_error
 from priors.anchor.training.run import AnchorRun, AnchorTraining
@@ -22,6 +22,9 @@ from recon.body.spread import spread_vertices
 from recon.formats.motions import MotionFile, save_motion
 from tests.priors.test_humor_training import SPLITS
 from tests.walking import a_walk
+
+RECORDED = CycleVariation(mirror=0.0, shift=0, shape=0.0, speed=0.0, exchange=0.0, mix=0.0)
+"""No variation."""
 
 pytestmark = pytest.mark.numerics
 

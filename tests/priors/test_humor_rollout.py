@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from priors.humor.decoder.rollout import FrozenDecoder, Rollout, roll_on, roll_out
+from priors.humor.decoder.rollout import FrozenDecoder, Rollout, roll_out
 from priors.humor.networks import HumorNetworks
 from priors.humor.state import Frame, State, canonical, compose, rest_pelvis
 from recon.body.model import BodyModel
@@ -149,11 +149,6 @@ def test_the_loop_is_the_plain_recursion(body: BodyModel, from_body: bool) -> No
             joints = forward_kinematics(turns, rest)[1][:, 0] + after.translation[:, None]
             after = after.replace(joints=joints)
         state = canonical(after, pelvis)
-
-    latents = iter(z.unbind(1))
-    drawn = roll_on(decoder, start.pack(), pelvis, 5, lambda _: next(latents), given)
-    for name, value in drawn.tensors().items():
-        torch.testing.assert_close(value, rollout.tensors()[name], rtol=0, atol=1e-9)
 
 
 def test_a_body_on_its_side_rolls_on_without_nan() -> None:

@@ -46,10 +46,6 @@ class CycleVariation:
     """Chance of being mixed with another cycle, each with a random share."""
 
 
-RECORDED = CycleVariation(mirror=0.0, shift=0, shape=0.0, speed=0.0, exchange=0.0, mix=0.0)
-"""No variation."""
-
-
 @dataclass(frozen=True)
 class CycleBatch(TensorStruct):
     """Aligned cycles and the bodies that perform them."""

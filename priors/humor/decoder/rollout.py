@@ -90,26 +90,6 @@ def roll_out(
     return _recorded(decoder, start, pelvis, len(ready), lambda step, _: ready[step], rest)
 
 
-Draw = Callable[[Float[Tensor, "batch 339"]], Float[Tensor, "batch 48"]]
-"""A latent for the step that starts at a packed canonical state."""
-
-
-def roll_on(
-    decoder: FrozenDecoder,
-    start: Float[Tensor, "batch 339"],
-    pelvis: Float[Tensor, "batch 3"],
-    steps: int,
-    draw: Draw,
-    rest: Float[Tensor, "batch 22 3"] | None = None,
-) -> Rollout:
-    """A rollout of a number of steps whose latents are drawn on the way."""
-
-    def add(_: int, x: Tensor) -> tuple[Tensor, ...]:
-        return decoder.split(decoder.add(draw(_leave(x, pelvis)), pelvis))
-
-    return _recorded(decoder, start, pelvis, steps, add, rest)
-
-
 def _recorded(
     decoder: FrozenDecoder,
     start: Float[Tensor, "batch 339"],

@@ -12,10 +12,6 @@ from recon.method.protocols import Estimate, Sensor
 
 _NEAR = 0.2
 """Metres at rest within which a point on a neighbouring bone shows where a joint is."""
-_CLOUD_NEAR = 0.15
-"""Metres from a joint within which points of a cloud lie on the flesh around it."""
-_CLOUD_POINTS = 3
-"""Points that must lie there."""
 
 
 def observed_joints(

@@ -13,8 +13,6 @@ from recon.formats.files.opening import decode, existing
 from recon.formats.mocap.bvh import parse_bvh
 from recon.formats.mocap.recording import SkeletonRecording
 
-SUFFIXES = (".tar", ".tar.gz", ".tgz", ".tar.xz")
-
 
 def iterate_texts(path: Path) -> Iterator[tuple[str, str]]:
     """Name and text of every .bvh file in an archive, in its order; nothing touches the disk.
@@ -35,19 +33,6 @@ def iterate_texts(path: Path) -> Iterator[tuple[str, str]]:
                 yield member.name, decode(file.read())
     except (tarfile.TarError, lzma.LZMAError, zlib.error, EOFError, OSError) as error:
         raise FormatError(f"{path}: expected a tar archive, but {error}") from error
-
-
-def iterate_recordings(
-    path: Path, *, unit: str | None = None, up: Axis | None = None
-) -> Iterator[SkeletonRecording]:
-    """Every BVH recording of an archive, named after its member.
-
-    Raises:
-        FileNotFoundError: when there is no such file.
-        ValueError: when the archive or a recording in it is damaged.
-    """
-    for member, text in iterate_texts(path):
-        yield parse_bvh(text, member, unit=unit, up=up)
 
 
 def read_member(
