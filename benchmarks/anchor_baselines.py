@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from priors.anchor.frames import ANCHORS, ROW, Anchors
+from priors.anchor.frames import ANCHORS, ROW_NUMBERS, Anchors
 from priors.anchor.training.corpus import CycleBatch
 from recon.core import rotations as so3
 from recon.core.struct import TensorStruct
@@ -50,8 +50,8 @@ class LinearCycles(TensorStruct):
     def decode(self, codes: Float[Tensor, "cycles components"]) -> CycleBatch:
         """Cycles and shapes of coefficients."""
         numbers = self.mean + codes @ self.directions
-        rows = numbers[:, : ANCHORS * ROW].unflatten(1, (ANCHORS, ROW))
-        return CycleBatch(Anchors.unpack(rows), numbers[:, ANCHORS * ROW :])
+        rows = numbers[:, : ANCHORS * ROW_NUMBERS].unflatten(1, (ANCHORS, ROW_NUMBERS))
+        return CycleBatch(Anchors.unpack(rows), numbers[:, ANCHORS * ROW_NUMBERS :])
 
     def between(self, a: CycleBatch, b: CycleBatch, share: float) -> CycleBatch:
         """Linear in the coefficients."""

@@ -18,17 +18,17 @@ _NEAR = 0.2
 
 
 @dataclass(frozen=True)
-class Place:
+class BodyPlace:
     """A point of the body: the mean of some joints and landmarks of the skin."""
 
     joints: tuple[str, ...] = ()
     landmarks: tuple[str, ...] = ()
 
 
-def _sided(places: Mapping[str, Place]) -> dict[str, Place]:
+def _sided(places: Mapping[str, BodyPlace]) -> dict[str, BodyPlace]:
     """Both sides of every place; names of joints and landmarks are sided alike."""
     return {
-        f"{side}_{name}": Place(
+        f"{side}_{name}": BodyPlace(
             tuple(f"{side}_{joint}" for joint in place.joints),
             tuple(f"{side}_{point}" for point in place.landmarks),
         )
@@ -37,36 +37,36 @@ def _sided(places: Mapping[str, Place]) -> dict[str, Place]:
     }
 
 
-PLACES: Mapping[str, Place] = {
+PLACES: Mapping[str, BodyPlace] = {
     **_sided(
         {
-            "eye": Place(landmarks=("eye",)),
-            "eye_inner": Place(landmarks=("eye",)),
-            "eye_outer": Place(landmarks=("eye", "temple")),
-            "ear": Place(landmarks=("ear",)),
-            "shoulder": Place(joints=("shoulder",)),
-            "elbow": Place(joints=("elbow",)),
-            "wrist": Place(joints=("wrist",)),
-            "pinky": Place(landmarks=("pinky_knuckle",)),
-            "index": Place(landmarks=("index_knuckle",)),
-            "thumb": Place(landmarks=("hand", "wrist_radial")),
-            "hip": Place(joints=("hip",)),
-            "knee": Place(joints=("knee",)),
-            "ankle": Place(joints=("ankle",)),
-            "heel": Place(landmarks=("heel",)),
-            "big_toe": Place(landmarks=("big_toe",)),
-            "small_toe": Place(landmarks=("small_toe",)),
+            "eye": BodyPlace(landmarks=("eye",)),
+            "eye_inner": BodyPlace(landmarks=("eye",)),
+            "eye_outer": BodyPlace(landmarks=("eye", "temple")),
+            "ear": BodyPlace(landmarks=("ear",)),
+            "shoulder": BodyPlace(joints=("shoulder",)),
+            "elbow": BodyPlace(joints=("elbow",)),
+            "wrist": BodyPlace(joints=("wrist",)),
+            "pinky": BodyPlace(landmarks=("pinky_knuckle",)),
+            "index": BodyPlace(landmarks=("index_knuckle",)),
+            "thumb": BodyPlace(landmarks=("hand", "wrist_radial")),
+            "hip": BodyPlace(joints=("hip",)),
+            "knee": BodyPlace(joints=("knee",)),
+            "ankle": BodyPlace(joints=("ankle",)),
+            "heel": BodyPlace(landmarks=("heel",)),
+            "big_toe": BodyPlace(landmarks=("big_toe",)),
+            "small_toe": BodyPlace(landmarks=("small_toe",)),
         }
     ),
-    "nose": Place(landmarks=("nose",)),
-    "left_mouth": Place(landmarks=("nose", "chin")),
-    "right_mouth": Place(landmarks=("nose", "chin")),
-    "head_top": Place(landmarks=("head_top", "left_front_head", "right_front_head")),
-    "neck": Place(joints=("left_shoulder", "right_shoulder")),
-    "upper_neck": Place(joints=("neck",)),
-    "mid_hip": Place(joints=("left_hip", "right_hip")),
-    "spine": Place(joints=("spine1", "spine2")),
-    "thorax": Place(joints=("left_shoulder", "right_shoulder")),
+    "nose": BodyPlace(landmarks=("nose",)),
+    "left_mouth": BodyPlace(landmarks=("nose", "chin")),
+    "right_mouth": BodyPlace(landmarks=("nose", "chin")),
+    "head_top": BodyPlace(landmarks=("head_top", "left_front_head", "right_front_head")),
+    "neck": BodyPlace(joints=("left_shoulder", "right_shoulder")),
+    "upper_neck": BodyPlace(joints=("neck",)),
+    "mid_hip": BodyPlace(joints=("left_hip", "right_hip")),
+    "spine": BodyPlace(joints=("spine1", "spine2")),
+    "thorax": BodyPlace(joints=("left_shoulder", "right_shoulder")),
 }
 """Every keypoint of `recon.core.layouts` but those of `smpl22`, which are the joints themselves.
 
@@ -97,10 +97,10 @@ class BodyPoints:
             ValueError: when there is no such layout.
         """
         names = keypoint_names(layout)
-        places = [Place((name,)) if layout == "smpl22" else PLACES[name] for name in names]
+        places = [BodyPlace((name,)) if layout == "smpl22" else PLACES[name] for name in names]
         bundled = body.checksum == BodyModel.load().checksum
         known = [bundled or not place.landmarks for place in places]
-        found = [place if k else Place() for place, k in zip(places, known, strict=True)]
+        found = [place if k else BodyPlace() for place, k in zip(places, known, strict=True)]
         vertices = sorted({landmark(name) for place in found for name in place.landmarks})
         of_joints = torch.zeros(len(names), len(JOINTS))
         of_vertices = torch.zeros(len(names), len(vertices))

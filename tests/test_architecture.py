@@ -141,3 +141,13 @@ def test_the_map_of_modules_names_what_exists():
     named = re.findall(r"`((?:recon|priors|observations)\.[\w.]+)`", rows)
     assert len(named) > 15
     assert [name for name in named if not _exists(name)] == []
+
+
+def test_a_public_class_has_a_name_of_its_own():
+    """`Clip` was four classes, `Windows`, `Place`, `Piece`, `Parts` and `View` were two each."""
+    places: dict[str, list[str]] = {}
+    for path in SOURCES:
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                places.setdefault(node.name, []).append(_name(path))
+    assert {name: found for name, found in places.items() if len(found) > 1} == {}

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from observations.people.track_pairs import TrackPair, View, joint_errors, triangulated
+from observations.people.track_pairs import TrackedView, TrackPair, joint_errors, triangulated
 from observations.people.tracks import Track
 from recon.core.errors import ObservationError
 from recon.core.units import AXES, Axis, head_above_feet
@@ -30,7 +30,7 @@ _UPRIGHT = 1.5
 
 
 def across_views(
-    views: Sequence[View], person: int | None, *, up_given: bool
+    views: Sequence[TrackedView], person: int | None, *, up_given: bool
 ) -> tuple[list[Track | None], tuple[str, ...]]:
     """The tracks of one person, one per view or None where it is not found, and the reasons.
 
@@ -77,7 +77,7 @@ def across_views(
 
 
 def _described(
-    views: Sequence[View], group: Mapping[int, tuple[int, ...]], error: float
+    views: Sequence[TrackedView], group: Mapping[int, tuple[int, ...]], error: float
 ) -> tuple[list[Track | None], tuple[str, ...]]:
     out: list[Track | None] = []
     notes = [f"rays of the views meet: median error {error:.1%} of the body's size"]
@@ -94,7 +94,7 @@ def _described(
 class _Pairs:
     """Triangulations of pairs of tracks, each made once."""
 
-    def __init__(self, views: Sequence[View]) -> None:
+    def __init__(self, views: Sequence[TrackedView]) -> None:
         self.views = views
         self._made: dict[tuple[int, int, int, int], TrackPair] = {}
 
@@ -191,7 +191,7 @@ class _Pairs:
         return float(np.median([pair.error for pair in made]))
 
 
-def _fitting(view: View, errors: Mapping[int, float]) -> tuple[int, ...]:
+def _fitting(view: TrackedView, errors: Mapping[int, float]) -> tuple[int, ...]:
     """The best track and those that continue it; short ones about equally good are left out.
 
     Raises:
@@ -222,7 +222,7 @@ def _fitting(view: View, errors: Mapping[int, float]) -> tuple[int, ...]:
     return tuple(chosen)
 
 
-def _seeds(views: Sequence[View]) -> list[tuple[int, int]]:
+def _seeds(views: Sequence[TrackedView]) -> list[tuple[int, int]]:
     out: list[tuple[int, int]] = []
     for v, view in enumerate(views):
         most = max(track.completeness for track in view.tracks)
@@ -233,7 +233,7 @@ def _seeds(views: Sequence[View]) -> list[tuple[int, int]]:
     return sorted(out, key=lambda seed: (seed[0], -views[seed[0]].tracks[seed[1]].completeness))
 
 
-def _completeness(views: Sequence[View], group: Mapping[int, tuple[int, ...]]) -> float:
+def _completeness(views: Sequence[TrackedView], group: Mapping[int, tuple[int, ...]]) -> float:
     return sum(views[v].tracks[k].completeness for v, members in group.items() for k in members)
 
 
@@ -249,7 +249,7 @@ def _joined(tracks: list[Track]) -> Track:
     )
 
 
-def _listed(views: Sequence[View]) -> str:
+def _listed(views: Sequence[TrackedView]) -> str:
     return "; ".join(f"in {view.name}: " + ", ".join(map(str, view.tracks)) for view in views)
 
 

@@ -18,7 +18,7 @@ _FEWEST_POINTS = 20
 
 
 @dataclass(frozen=True)
-class View:
+class TrackedView:
     """What one camera saw, followed."""
 
     name: str
@@ -43,7 +43,7 @@ class TrackPair:
     names: tuple[str, ...]
 
 
-def triangulated(one: View, a: int, two: View, b: int) -> TrackPair:
+def triangulated(one: TrackedView, a: int, two: TrackedView, b: int) -> TrackPair:
     """Keypoints of track a of a view and track b of another as points nearest to both rays.
 
     Each ray (u, v) of a camera P = [R | t] gives two equations, u P3 - P1 and v P3 - P2; the
@@ -63,7 +63,7 @@ def triangulated(one: View, a: int, two: View, b: int) -> TrackPair:
     return TrackPair(float(np.median(errors[both])), points, both, names)
 
 
-def joint_errors(views: Sequence[View], numbers: Sequence[int]) -> list[float]:
+def joint_errors(views: Sequence[TrackedView], numbers: Sequence[int]) -> list[float]:
     """Median reprojection error, in body sizes, by view of points triangulated from all views.
 
     Zeros when fewer than 20 keypoints are seen by all.
@@ -95,7 +95,7 @@ class _Sight:
     """(frames, 4, 4) world to camera."""
 
 
-def _sight(view: View, number: int, frames: np.ndarray, names: tuple[str, ...]) -> _Sight:
+def _sight(view: TrackedView, number: int, frames: np.ndarray, names: tuple[str, ...]) -> _Sight:
     track = view.tracks[number]
     at = np.searchsorted(track.frame, frames)
     pixels, confidence = track.pixels[at], track.confidence[at]
@@ -141,7 +141,7 @@ def _rays(camera: CameraArrays, pixels: np.ndarray) -> np.ndarray:
     return np.asarray(out).reshape(pixels.shape)
 
 
-def _poses(view: View, frames: np.ndarray) -> np.ndarray:
+def _poses(view: TrackedView, frames: np.ndarray) -> np.ndarray:
     """World to camera by frame number."""
     pose = view.camera.T_camera_world
     if pose is None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from observations.people.camera_names import expand, match_cameras, view_name
 from observations.people.same_person import across_views
-from observations.people.track_pairs import View
+from observations.people.track_pairs import TrackedView
 from observations.people.tracks import Track, choose, follow
 from recon.core.errors import ObservationError
 from recon.core.limits import FRAME_RATE
@@ -141,7 +141,7 @@ def _one_person(
             f"several views need the poses of their cameras; {', '.join(posed)} has none"
         )
     views = [
-        View(name, one.layout, camera, everybody, seen.first_frame)
+        TrackedView(name, one.layout, camera, everybody, seen.first_frame)
         for name, one, camera, everybody in zip(names, found, cameras, tracks, strict=True)
     ]
     return across_views(views, person, up_given=up_given)

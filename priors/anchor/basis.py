@@ -7,16 +7,16 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from priors.anchor.frames import ANCHORS, POSE, ROW
+from priors.anchor.frames import ANCHORS, POSE_NUMBERS, ROW_NUMBERS
 from priors.cosines import cosines
 from recon.core.struct import TensorStruct
 
 COSINES = 24
 """Cosines that a channel is made of; what is left out turns joints by a third of a degree."""
-CODES = (ROW - 1) * COSINES + 1
+CODES = (ROW_NUMBERS - 1) * COSINES + 1
 """Numbers of a cycle before principal directions: cosines of pose and translation, duration."""
-_PLACE = (POSE / 3) ** 0.5
-_TIME = (POSE * ANCHORS / 3) ** 0.5
+_PLACE = (POSE_NUMBERS / 3) ** 0.5
+_TIME = (POSE_NUMBERS * ANCHORS / 3) ** 0.5
 """Worth of a translation's and of the duration's error beside that of a pose's number, where every
 loss is a mean over its own numbers."""
 _LEAST_SPAN = 0.01
@@ -55,7 +55,7 @@ class CycleBasis(TensorStruct):
         """
         if len(rows) <= basis:
             raise ValueError(f"{basis} directions need more cycles than {len(rows)}")
-        low, high = rows[..., POSE:].amin((0, 1)), rows[..., POSE:].amax((0, 1))
+        low, high = rows[..., POSE_NUMBERS:].amin((0, 1)), rows[..., POSE_NUMBERS:].amax((0, 1))
         low = torch.cat((low[:3], low.new_zeros(1)))
         high = high.maximum(low + _LEAST_SPAN)
         plain = cls(low, high, rows.new_zeros(CODES), torch.eye(CODES)[:0], rows.new_zeros(0))
@@ -83,9 +83,9 @@ class CycleBasis(TensorStruct):
     ) -> Float[Tensor, "*batch anchors 124"]:
         """Rows chi in the units of the losses."""
         span = self.high - self.low
-        rest = (rows[..., POSE:] - self.low) / span
+        rest = (rows[..., POSE_NUMBERS:] - self.low) / span
         rest = torch.cat((2 * rest[..., :3] - 1, rest[..., 3:]), -1)
-        return torch.cat((rows[..., :POSE], rest), -1)
+        return torch.cat((rows[..., :POSE_NUMBERS], rest), -1)
 
     def metric(
         self, normalised: Float[Tensor, "*batch anchors 124"]
@@ -93,8 +93,8 @@ class CycleBasis(TensorStruct):
         """The inverse of `normalised`: radians-free 6D, metres, seconds."""
         span = (self.high - self.low) / self.high.new_tensor([2.0, 2.0, 2.0, 1.0])
         low = self.low + span * span.new_tensor([1.0, 1.0, 1.0, 0.0])
-        scale = torch.cat((span.new_ones(POSE), span))
-        return torch.cat((low.new_zeros(POSE), low)) + scale * normalised
+        scale = torch.cat((span.new_ones(POSE_NUMBERS), span))
+        return torch.cat((low.new_zeros(POSE_NUMBERS), low)) + scale * normalised
 
     def codes(self, normalised: Float[Tensor, "*batch 100 124"]) -> Float[Tensor, "*batch codes"]:
         """Cosines of every channel and the duration, each worth what the losses make of it."""
@@ -104,7 +104,7 @@ class CycleBasis(TensorStruct):
 
     def from_codes(self, codes: Float[Tensor, "*batch codes"]) -> Float[Tensor, "*batch 100 124"]:
         """Normalised rows; times grow evenly from zero to the duration."""
-        slow = codes[..., :-1].unflatten(-1, (COSINES, ROW - 1)) / _worth(codes)
+        slow = codes[..., :-1].unflatten(-1, (COSINES, ROW_NUMBERS - 1)) / _worth(codes)
         even = torch.linspace(0, 1, ANCHORS, dtype=codes.dtype, device=codes.device)
         times = codes[..., -1:, None] / _TIME * even[:, None]
         return torch.cat((cosines(ANCHORS, COSINES).to(codes) @ slow, times), -1)
@@ -122,4 +122,4 @@ class CycleBasis(TensorStruct):
 
 
 def _worth(like: Tensor) -> Float[Tensor, " channels"]:
-    return torch.cat((like.new_ones(POSE), like.new_full((3,), _PLACE)))
+    return torch.cat((like.new_ones(POSE_NUMBERS), like.new_full((3,), _PLACE)))

@@ -20,9 +20,9 @@ from recon.core.struct import TensorStruct
 ANCHORS = 100
 POSED = [joint for joint in range(len(JOINTS)) if joint not in TOES]
 """The 20 joints whose rotations are kept, the root first; toes keep their rest pose."""
-POSE = 6 * len(POSED)
+POSE_NUMBERS = 6 * len(POSED)
 """Numbers of a pose."""
-ROW = POSE + 3 + 1
+ROW_NUMBERS = POSE_NUMBERS + 3 + 1
 """Numbers of an anchor: pose, translation, time."""
 _IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0)
 
@@ -82,10 +82,10 @@ class Anchors(TensorStruct):
     @classmethod
     def unpack(cls, rows: Float[Tensor, "*batch anchors 124"]) -> "Anchors":
         """The inverse of `pack`; pairs of columns that are no rotation are made one."""
-        columns = rows[..., :POSE].unflatten(-1, (len(POSED), 6))
+        columns = rows[..., :POSE_NUMBERS].unflatten(-1, (len(POSED), 6))
         return cls(
             rotations=so3.from_6d(columns + columns.new_tensor(_IDENTITY)),
-            translation=rows[..., POSE:-1],
+            translation=rows[..., POSE_NUMBERS:-1],
             times=rows[..., -1],
         )
 

@@ -15,7 +15,7 @@ _SHRINKAGE = 0.05
 
 
 @dataclass(frozen=True)
-class Explained(TensorStruct):
+class StepOutputs(TensorStruct):
     """Outputs of the networks for the steps of motions; axes (clips, steps)."""
 
     error: Float[Tensor, "clips steps 207"]
@@ -28,7 +28,9 @@ class Explained(TensorStruct):
     """States that the decoder predicts, in the frame of the given motion."""
 
 
-def explain(networks: HumorNetworks, states: State, pelvis: Float[Tensor, "clips 3"]) -> Explained:
+def explain(
+    networks: HumorNetworks, states: State, pelvis: Float[Tensor, "clips 3"]
+) -> StepOutputs:
     """Every step, by the posterior's mean latent.
 
     Args:
@@ -44,7 +46,7 @@ def explain(networks: HumorNetworks, states: State, pelvis: Float[Tensor, "clips
     mean, log_variance = networks.posterior(x, target.pack())
     prior_mean, prior_log_variance = networks.prior(x)
     after, contacts = compose(start, networks.decode(x, mean))
-    return Explained(
+    return StepOutputs(
         error=step_between(after, target),
         surprise=divergence(mean, log_variance, prior_mean, prior_log_variance),
         contacts=contacts,

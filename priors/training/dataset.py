@@ -118,7 +118,7 @@ class Splits:
 
 
 @dataclass(frozen=True)
-class Clip:
+class CorpusClip:
     """One recording on our body."""
 
     name: str
@@ -183,13 +183,13 @@ def files_on_flat_ground(
 
 def load_clips(
     corpus: str | Path, splits: Splits, part: Part, licence: Licence = "open", fps: float = 30.0
-) -> list[Clip]:
+) -> list[CorpusClip]:
     """All clips of one part, resampled; those of one frame only are skipped."""
-    clips: list[Clip] = []
+    clips: list[CorpusClip] = []
     for name, path in files_of(corpus, splits, part, licence).items():
         motion = load_motion(path).motion.resample(fps)
         if motion.frames > 1:
-            clips.append(Clip(name, splits.subject(name), motion))
+            clips.append(CorpusClip(name, splits.subject(name), motion))
     _LOG.info("%d %s clips, %d frames", len(clips), part, sum(c.motion.frames for c in clips))
     return clips
 
@@ -221,7 +221,7 @@ def mirrored_rotations(
     return (flip[:, None] * rotations * flip)[..., list(MIRROR), :, :]
 
 
-def poses(clips: Sequence[Clip], rate: float, most: int) -> Float[Tensor, "poses 22 3 3"]:
+def poses(clips: Sequence[CorpusClip], rate: float, most: int) -> Float[Tensor, "poses 22 3 3"]:
     """Poses of all clips, `rate` of them per second, evenly spaced, each with its mirror image.
 
     No subject gives more than about `most` (before mirroring), taken evenly from all its clips:

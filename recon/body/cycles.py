@@ -13,7 +13,7 @@ from recon.core.skeleton import joint_index
 RATE = 50
 """Frames per second at which hips are compared; a template lasts one second, and warping by 3
 either way finds cycles of 0.33 to 3 s."""
-SHORTEST, LONGEST = 0.3, 3.0
+SHORTEST_CYCLE, LONGEST_CYCLE = 0.3, 3.0
 """Seconds (Marsot et al., section 4)."""
 THRESHOLD = 0.5
 """Largest mean squared difference from a template, in units of the hips' own variance; unrelated
@@ -68,7 +68,7 @@ def find_cycles(motion: Motion, threshold: float = THRESHOLD) -> tuple[Cycle, ..
     what it leaves open.
     """
     times = _clock(motion)
-    if len(times) < SHORTEST * RATE:
+    if len(times) < SHORTEST_CYCLE * RATE:
         return ()
     flexion = hip_flexion(motion.at(torch.from_numpy(times), float(RATE)))
     hips = _standardised(flexion)
@@ -78,7 +78,7 @@ def find_cycles(motion: Motion, threshold: float = THRESHOLD) -> tuple[Cycle, ..
         for last in _minima(cost, threshold):
             begin, end = times[first[last]], times[last]
             returns = np.abs(flexion[last] - flexion[first[last]]).max() <= _RETURN
-            if SHORTEST <= end - begin <= LONGEST and returns:
+            if SHORTEST_CYCLE <= end - begin <= LONGEST_CYCLE and returns:
                 found.append(Cycle(float(begin), float(end), side, float(cost[last])))
     return _distinct(found)
 

@@ -19,7 +19,7 @@ from recon.core.errors import ReconError
 
 DENSITY = 1010.0
 """kg/m³ of a living person, lungs half full."""
-SHORTEST, TALLEST = 1.42, 1.96
+SHORTEST_BODY, TALLEST_BODY = 1.42, 1.96
 """Metres; body models know adults alone, of whom one in a hundred is smaller or taller."""
 ODDEST = 4.0
 """Standard deviations that no coefficient of a real person's shape is away from the mean."""
@@ -104,10 +104,10 @@ def doubts(body: BodyModel, shape: Float[Tensor, " shape"]) -> list[str]:
     """Reasons why nobody has a shape, in words; empty where somebody may have it."""
     tall, odd = float(height(body, shape)), float(shape.abs().max())
     found: list[str] = []
-    if not SHORTEST < tall < TALLEST:
+    if not SHORTEST_BODY < tall < TALLEST_BODY:
         found.append(
-            f"the body is {tall:.2f} m tall; adults are {SHORTEST} to {TALLEST} m, and the body "
-            "model knows no others"
+            f"the body is {tall:.2f} m tall; adults are {SHORTEST_BODY} to {TALLEST_BODY} m, and "
+            "the body model knows no others"
         )
     if odd > ODDEST:
         found.append(

@@ -32,13 +32,13 @@ LONG = 10.0
 """Seconds; longer recordings are fitted by windows."""
 _MOST = 1.5
 """Factor by which sizes may be wrong at first; beyond it, camera and ground contradict."""
-OFFSET_DEVIATION = 0.005
+KEYPOINT_OFFSET_DEVIATION = 0.005
 """Metres by which a detector's idea of a joint differs between people, as one frame would tell it.
 It differs by a centimetre or two, but frames repeat each other."""
 GROUND_DEVIATION = 0.001
 """Metres and radians by which a plane that is given or seen may miss the ground: thousands of
 points see it, and no step of a person should outweigh them."""
-POSE = FitOptions(prior="pose")
+POSE_PRIOR = FitOptions(prior="pose")
 
 
 @dataclass(frozen=True)
@@ -168,7 +168,7 @@ class _Job:
     @property
     def rough(self) -> FitOptions:
         """The pose prior alone, which does not ask where the ground is, for first motions."""
-        return replace(POSE, shape=self.options.shape)
+        return replace(POSE_PRIOR, shape=self.options.shape)
 
     def method(self, options: FitOptions, moved: frozenset[str]) -> Method:
         noise = min(noise.metres for noise in self.noises)
@@ -177,7 +177,7 @@ class _Job:
             method = OneShape(method)
         terms = options.terms
         if moved >= OFFSETS:
-            weight = (noise * OFFSET_UNIT / OFFSET_DEVIATION) ** 2
+            weight = (noise * OFFSET_UNIT / KEYPOINT_OFFSET_DEVIATION) ** 2
             terms = (*terms, Term("offsets", offsets, weight))
         if moved >= GROUND and self.ground_seen:
             terms = (*terms, Term("ground", ground_moved, (noise / GROUND_DEVIATION) ** 2))

@@ -21,7 +21,7 @@ from observations.together.kinds import InSpace
 from priors.anchor.fit import AnchorFit
 from priors.anchor.frames import ANCHORS, rest_pelvis
 from priors.anchor.prior import AnchorFrames, AnchorVariables
-from recon.body.cycles import LONGEST, SHORTEST
+from recon.body.cycles import LONGEST_CYCLE, SHORTEST_CYCLE
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.errors import ObservationError
@@ -35,13 +35,13 @@ from recon.method.reconstruction import Reconstruction
 from recon.method.stages import Stage, StageReport, Watch, evaluate_stage, run_stage
 from recon.method.terms import Term, offsets
 
-HEADINGS = 8
+SEARCHED_HEADINGS = 8
 """Directions in which typical cycles are tried."""
 TRIED, KEPT = 16, 3
 """Beginnings of a clip that are fitted roughly, and those of them that are fitted in full."""
 NAMED_NOISE = 0.01
 """Metres that joints and markers are off by, beside a constant offset."""
-OFFSET_DEVIATION = 0.01
+MARKER_OFFSET_DEVIATION = 0.01
 """Metres per axis by which markers are not where the model has them."""
 DENSE = 200
 """Points in the fullest frame from which on clouds tell what no code has."""
@@ -127,12 +127,12 @@ class _Clock:
                 "at most one moment shows anything, which tells no motion; give two or more"
             )
         last = last.amax(0) - start
-        worst = last[((last < SHORTEST) | (last > LONGEST)).nonzero()[:1, 0]]
+        worst = last[((last < SHORTEST_CYCLE) | (last > LONGEST_CYCLE)).nonzero()[:1, 0]]
         if len(worst) > 0:
             raise ObservationError(
-                f"a cycle of gait lasts {SHORTEST} to {LONGEST:g} s, what is seen here "
-                f"{float(worst[0]):.2f} s; cut one cycle out (--between), or fit the whole with "
-                "--prior humor"
+                f"a cycle of gait lasts {SHORTEST_CYCLE} to {LONGEST_CYCLE:g} s, what is seen "
+                f"here {float(worst[0]):.2f} s; cut one cycle out (--between), or fit the whole "
+                "with --prior humor"
             )
         count = (last * fps - 1e-6).ceil().long() + 1
         return cls(torch.arange(int(count.max())) < count[:, None], fps, start)
@@ -183,7 +183,7 @@ class _Search:
         """Every typical cycle in every heading, along the path that is seen; whose each is."""
         prior, clock = self.method.prior, self.clock
         typical = prior.weights.spread.typical
-        angles = torch.arange(HEADINGS) * (math.tau / HEADINGS)
+        angles = torch.arange(SEARCHED_HEADINGS) * (math.tau / SEARCHED_HEADINGS)
         turns = so3.about_z(angles.to(typical))
         shape = typical.new_zeros(self.body.shape_size)
         path = self._paths(shape)
@@ -194,12 +194,12 @@ class _Search:
             walked = path[:, place.round().long()]
             turned = walked[:, None] @ turns.mT
             away = (seen - turned).where(there[:, None], 0.0).sum(-2) / there.sum().clamp(min=1)
-            T = torch.eye(4).to(typical).repeat(len(typical), HEADINGS, 1, 1)
+            T = torch.eye(4).to(typical).repeat(len(typical), SEARCHED_HEADINGS, 1, 1)
             T[..., :3, :3], T[..., :2, 3] = turns, away[..., :2]
             count = T.shape[0] * T.shape[1]
             variables.append(
                 prior.variables(
-                    typical.repeat_interleave(HEADINGS, 0),
+                    typical.repeat_interleave(SEARCHED_HEADINGS, 0),
                     shape.expand(count, -1),
                     T.flatten(0, 1),
                     clock.valid[clip].expand(count, -1),
@@ -262,7 +262,7 @@ class _Search:
         """The same; markers may move once it is about the body."""
         if self.offsets == 0:
             return tuple(stages)
-        held = Term("offsets", offsets, (self.method.noise / OFFSET_DEVIATION) ** 2)
+        held = Term("offsets", offsets, (self.method.noise / MARKER_OFFSET_DEVIATION) ** 2)
         return tuple(
             replace(stage, terms=(*stage.terms, held), free=stage.free | OFFSETS)
             if "shape" in stage.free

@@ -24,7 +24,7 @@ PENETRATION, FLOATING, SLIDE, BALANCE = 1000.0, 1000.0, 3000.0, 1.0
 SMOOTH = 5.0
 """Weight of the second differences of what is changed, per (1/30 s)²."""
 
-ITERATIONS = 60
+SETTLING_ITERATIONS = 60
 
 
 def settled(
@@ -55,7 +55,7 @@ def settled(
             Term("balance", dynamic_stability, BALANCE),
         ),
         free=frozenset({"translation", "root", "pose"}),
-        minimiser=LBFGS(max_iterations=ITERATIONS, tolerance_decrease=1e-4),
+        minimiser=LBFGS(max_iterations=SETTLING_ITERATIONS, tolerance_decrease=1e-4),
     )
     scene = Scene.create(len(motion.shape), like=motion.translation)
     estimate, _ = run_stages([stage], body, motion, scene)

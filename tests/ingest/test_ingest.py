@@ -24,7 +24,7 @@ from recon.ingest.markers.coverage import STANDOFF, full_body_markers, nominal_o
 from recon.ingest.skeletons.maps import recognise
 from recon.ingest.skeletons.tpose import alignments_from_rest
 from recon.jobs.export.bvh import skeleton_of, write_bvh
-from recon.jobs.many.collection import Clip, collections, read_clips, skeleton_key
+from recon.jobs.many.collection import SourceClip, collections, read_clips, skeleton_key
 from recon.jobs.many.corpus import config_hash, convert_corpus
 from recon.jobs.many.corpus_jobs import split
 
@@ -211,7 +211,7 @@ def test_jumps_split_a_recording(recording: SkeletonRecording) -> None:
     jumpy[62:] += 2.0
     broken = dataclasses.replace(recording, positions=jumpy)
     assert glitches(broken) == (61,)
-    pieces, rejected = split(Clip("c", "clip", Path("clip.bvh")), broken)
+    pieces, rejected = split(SourceClip("c", "clip", Path("clip.bvh")), broken)
     assert [(p.name, p.recording.frames) for p in pieces] == [("clip.0", 62)]
     assert rejected[0]["kept"] is False
     assert rejected[0]["frames"] == 4

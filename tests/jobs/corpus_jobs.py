@@ -13,7 +13,7 @@ import torch
 from recon.body.model import BodyModel
 from recon.formats.motions import load_motion
 from recon.jobs.export.bvh import skeleton_of, write_bvh
-from recon.jobs.many.collection import Clip
+from recon.jobs.many.collection import SourceClip
 from recon.jobs.many.corpus import convert_corpus
 
 
@@ -27,7 +27,7 @@ def write_clip(path: Path, subject: int, start: int) -> None:
     write_bvh(path, skeleton_of(motion.replace(shape=shape), BodyModel.load(), path.stem))
 
 
-def unknown(clips: Sequence[Clip], body: object) -> str:
+def unknown(clips: Sequence[SourceClip], body: object) -> str:
     """A calibration that costs nothing and fails with some clips."""
     if any("poison" in clip.name for clip in clips):
         raise OverflowError("poison")

@@ -9,7 +9,7 @@ import pytest
 
 from recon.fitting.settings import FitSettings
 from recon.formats.files.opening import load_arrays, save_arrays
-from recon.jobs.many.batch import Clip, fit_all, read_manifest, shard
+from recon.jobs.many.batch import BatchClip, fit_all, read_manifest, shard
 from tests.jobs.batch_jobs import WAYS, sum_one
 
 
@@ -26,7 +26,7 @@ def observation(path: Path, seed: int) -> Path:
 
 
 @pytest.fixture
-def clips(tmp_path) -> tuple[Clip, ...]:
+def clips(tmp_path) -> tuple[BatchClip, ...]:
     names = "abc"
     for seed, name in enumerate(names):
         observation(tmp_path / f"{name}.npz", seed)
@@ -94,7 +94,7 @@ def test_results_that_are_lost_or_changed_are_made_again(clips, tmp_path):
 def test_ten_bad_clips_are_lines_of_the_log_and_no_more(clips, tmp_path):
     """A times.csv of 1e-320 s gave an OverflowError: good clips were fitted and not logged."""
     out = tmp_path / "out"
-    bad = [Clip(name, (tmp_path / "a.npz",)) for name in WAYS]
+    bad = [BatchClip(name, (tmp_path / "a.npz",)) for name in WAYS]
     both = [*bad[:5], *clips, *bad[5:]]
     expected = dict.fromkeys("abcd", "ok") | {name: kind for name, (_, kind) in WAYS.items()}
     assert statuses(both, out) == expected
@@ -114,10 +114,10 @@ def test_results_are_not_written_over_inputs(where, tmp_path):
     (tmp_path / "in").mkdir()
     a, b = (observation(tmp_path / "in" / f"{name}.npz", 0) for name in "ab")
     clips = {
-        "observation": [Clip("b", (a,)), Clip("c", (b,))],
-        "report": [Clip("b", (tmp_path / "in" / "b.npz.json",))],
-        "camera": [Clip("b", (tmp_path / "x.npz",))],
-        "folder": [Clip("c", (tmp_path / "in",))],
+        "observation": [BatchClip("b", (a,)), BatchClip("c", (b,))],
+        "report": [BatchClip("b", (tmp_path / "in" / "b.npz.json",))],
+        "camera": [BatchClip("b", (tmp_path / "x.npz",))],
+        "folder": [BatchClip("c", (tmp_path / "in",))],
     }[where]
     settings = FitSettings(camera=b) if where == "camera" else FitSettings()
     before = b.read_bytes()
@@ -138,7 +138,7 @@ def test_two_runs_do_not_share_a_log(clips, tmp_path):
 
 def test_manifests_are_checked_line_by_line(tmp_path):
     good = {"id": "a", "observations": "a.npz"}
-    assert read_manifest(manifest(tmp_path, good, "")) == (Clip("a", (tmp_path / "a.npz",)),)
+    assert read_manifest(manifest(tmp_path, good, "")) == (BatchClip("a", (tmp_path / "a.npz",)),)
     for bad, words in (
         (good, "'a' in line 1 and 'a' in line 2"),
         ({"id": "A", "observations": "b.npz"}, "would be one file"),
@@ -159,14 +159,14 @@ def test_manifests_are_checked_line_by_line(tmp_path):
 def test_manifests_are_text_as_it_comes(tmp_path):
     path = tmp_path / "clips.jsonl"
     path.write_bytes('\ufeff{"id": 7, "observations": "a\u2028.npz"}\r\n'.encode())
-    assert read_manifest(path) == (Clip("7", (tmp_path / "a\u2028.npz",)),)
+    assert read_manifest(path) == (BatchClip("7", (tmp_path / "a\u2028.npz",)),)
     path.write_bytes(b"\xff\xfe\x00")
     with pytest.raises(ValueError, match="expected text in UTF-8"):
         read_manifest(path)
 
 
 def test_shards_are_a_partition():
-    clips = [Clip(f"clip {k}", ()) for k in range(50)]
+    clips = [BatchClip(f"clip {k}", ()) for k in range(50)]
     parts = [shard(clips, k, 4) for k in range(4)]
     assert sorted(c.name for part in parts for c in part) == sorted(c.name for c in clips)
     with pytest.raises(ValueError, match="I < N"):

@@ -3,7 +3,7 @@ import math
 import pytest
 import torch
 
-from priors.anchor.frames import ANCHORS, POSE, Alignment, Anchors, rest_pelvis
+from priors.anchor.frames import ANCHORS, POSE_NUMBERS, Alignment, Anchors, rest_pelvis
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from tests.laws import a_motion
@@ -29,7 +29,7 @@ def test_the_rows_of_the_rest_pose_are_zero():
     still = motion.replace(rotations=torch.eye(3).expand_as(motion.rotations))
     rows = Anchors.of(still).pack()
     assert rows.shape == (ANCHORS, 124)
-    assert float(rows[:, :POSE].abs().max()) == 0.0
+    assert float(rows[:, :POSE_NUMBERS].abs().max()) == 0.0
 
 
 def test_packing_is_exact_and_durations_come_back():

@@ -10,7 +10,7 @@ import torch
 from priors.humor.networks import HumorNetworks
 from priors.humor.prior import Humor
 from priors.humor.state import rest_pelvis, states_of
-from priors.humor.training.corpus import Corpus, Variation, Windows
+from priors.humor.training.corpus import Corpus, StateWindows, Variation
 from priors.humor.training.run import HumorTraining, LossWeights, export_weights, start
 from priors.humor.training.scaling import ScaledNetworks, Scaling
 from priors.humor.training.train import loss_terms, total_loss, train, unroll
@@ -81,7 +81,7 @@ def settings_of(folder: Path, out: Path, steps: int = 6) -> HumorTraining:
     )
 
 
-def drawn(corpus: Corpus, variation: Variation, windows: int = 6, frames: int = 5) -> Windows:
+def drawn(corpus: Corpus, variation: Variation, windows: int = 6, frames: int = 5) -> StateWindows:
     return corpus.draw(windows, frames, variation, torch.Generator().manual_seed(0))
 
 

@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from priors.anchor.frames import POSE, Anchors
+from priors.anchor.frames import POSE_NUMBERS, Anchors
 from priors.anchor.networks import AnchorNetworks
 from priors.anchor.training.corpus import CycleBatch
 from recon.body.model import BodyModel
@@ -51,8 +51,8 @@ def parameter_losses(
     """Mean squared errors of pose, translation and time, normalised (Marsot et al., eq. 3)."""
     error = (found.normalised - networks.basis.normalised(rows)).square()
     return {
-        "pose": error[..., :POSE].mean(),
-        "translation": error[..., POSE:-1].mean(),
+        "pose": error[..., :POSE_NUMBERS].mean(),
+        "translation": error[..., POSE_NUMBERS:-1].mean(),
         "time": error[..., -1].mean(),
     }
 

@@ -47,7 +47,7 @@ _MIRRORED_CONTACTS = [CONTACT_JOINTS.index(MIRROR[j]) for j in CONTACT_JOINTS]
 
 
 @dataclass(frozen=True)
-class Windows(TensorStruct):
+class StateWindows(TensorStruct):
     """Consecutive states at 30 Hz in the world, and what is known of them."""
 
     states: State
@@ -141,7 +141,7 @@ class Corpus(TensorStruct):
 
     def draw(
         self, windows: int, frames: int, variation: Variation, random: torch.Generator
-    ) -> Windows:
+    ) -> StateWindows:
         """Random windows; a clip is drawn as often as the square root of its length says.
 
         Uniformly by length, one long dance would be all that is learned; uniformly by clip, the
@@ -168,7 +168,7 @@ class Corpus(TensorStruct):
             shape=self.shape[clip] + variation.shape * normal.to(self.shape),
         )
 
-    def every(self, frames: int) -> Windows:
+    def every(self, frames: int) -> StateWindows:
         """All windows one after the other, as recorded."""
         clip: list[int] = []
         first: list[int] = []
@@ -200,7 +200,7 @@ class Corpus(TensorStruct):
         mirror: Bool[Tensor, " windows"],
         reverse: Bool[Tensor, " windows"],
         shape: Float[Tensor, "windows shape"],
-    ) -> Windows:
+    ) -> StateWindows:
         steps = torch.arange(frames, device=first.device)
         place = first[:, None] + STRIDE * speed[:, None] * steps
         place = torch.where(reverse[:, None], place.flip(1), place)
@@ -237,7 +237,7 @@ class Corpus(TensorStruct):
             joints=joints[:, :, 1],
             joint_velocities=(joints[:, :, 2] - joints[:, :, 0]) * rate[..., None],
         )
-        return Windows(states, contacts.to(joints), self.trusted[clip], rest)
+        return StateWindows(states, contacts.to(joints), self.trusted[clip], rest)
 
     def _rescaled(
         self,

@@ -20,7 +20,7 @@ from torch.nn import functional
 
 from priors.humor.state import Frame, State, canonical, compose
 from priors.humor.steps import divergence
-from priors.humor.training.corpus import Corpus, Windows
+from priors.humor.training.corpus import Corpus, StateWindows
 from priors.humor.training.run import (
     HumorRun,
     HumorTraining,
@@ -95,7 +95,7 @@ def _train(settings: HumorTraining, kind: type[ScaledNetworks]) -> Path:
 
 
 def training_step(
-    run: HumorRun, windows: Windows, settings: HumorTraining, progress: float
+    run: HumorRun, windows: StateWindows, settings: HumorTraining, progress: float
 ) -> dict[str, float]:
     """One step of the optimiser; the losses of its windows."""
     own = (progress - settings.own_from) / max(settings.own_until - settings.own_from, 1e-9)
@@ -112,7 +112,7 @@ def training_step(
 
 def unroll(
     networks: ScaledNetworks,
-    windows: Windows,
+    windows: StateWindows,
     true_input: Bool[Tensor, " steps"],
     random: torch.Generator | None,
     half: bool = False,
@@ -168,7 +168,7 @@ def transition(
     return Transition(after, contacts, *(t.float() for t in (mean, log_variance, *prior)))
 
 
-def loss_terms(found: Transition, target: State, windows: Windows) -> dict[str, Tensor]:
+def loss_terms(found: Transition, target: State, windows: StateWindows) -> dict[str, Tensor]:
     """Unweighted losses, each a mean over all transitions and entries (HuMoR, section 3.2)."""
     after = found.after
     names = [field.name for field in dataclasses.fields(State)]
@@ -202,7 +202,9 @@ def total_loss(losses: Mapping[str, Tensor], kl: float, weights: LossWeights) ->
     return torch.stack([given.get(name, 1.0) * value for name, value in losses.items()]).sum()
 
 
-def validate(networks: ScaledNetworks, windows: Windows, weights: LossWeights) -> dict[str, float]:
+def validate(
+    networks: ScaledNetworks, windows: StateWindows, weights: LossWeights
+) -> dict[str, float]:
     """Losses with mean latents and full weights, from true states and from own predictions.
 
     `drift_cm` is the mean error of the posed joints after the window's last own step.

@@ -10,7 +10,7 @@ from observations.keypoints2d import Keypoints2D
 from observations.together import kinds
 from observations.together.first_guess import one_clock
 from observations.together.triangulation import triangulate
-from recon.body.identities import ODDEST, SHORTEST, TALLEST, height
+from recon.body.identities import ODDEST, SHORTEST_BODY, TALLEST_BODY, height
 from recon.diagnosis.findings import Finding
 from recon.fitting.clip import ClipFit
 from recon.fitting.ground import sole_heights
@@ -54,7 +54,7 @@ def body_warnings(found: ClipFit) -> list[Finding]:
     posed = found.result.estimate.body
     tall = float(height(posed.model, posed.shape.detach()).mean())
     warnings: list[Finding] = []
-    if not SHORTEST < tall < TALLEST:
+    if not SHORTEST_BODY < tall < TALLEST_BODY:
         warnings.append(
             Finding(
                 "body size",

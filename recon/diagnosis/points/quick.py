@@ -21,7 +21,7 @@ from recon.method.stages import Stage
 from recon.method.terms import Term
 from recon.solver.lbfgs import LBFGS
 
-SIGMA = 0.15
+ROBUST_SCALE = 0.15
 """Metres beyond which a point counts ever less: several times what the pose prior misses good
 points by, and less than the distance of two points that are confused."""
 _EXCERPT = 6.0
@@ -52,7 +52,7 @@ def quick_fits(versions: Sequence[Points], body: BodyModel) -> list[QuickFit]:
     version of the least cost is fitted whole, and only that one is returned.
     """
     excerpts = [_excerpt(one) for one in versions]
-    robust = concatenate(excerpts).replace(kernel=partial(geman_mcclure, sigma=SIGMA))
+    robust = concatenate(excerpts).replace(kernel=partial(geman_mcclure, sigma=ROBUST_SCALE))
     method = _Quick(versions[0])
     starts = [smoothed(NamedPoints.of(one, body)).into(one).start(body) for one in excerpts]
     result = solve([robust], method, body, start=concatenate(starts))
@@ -63,7 +63,7 @@ def quick_fits(versions: Sequence[Points], body: BodyModel) -> list[QuickFit]:
             for row, one in enumerate(versions)
         ]
     best = int(value.argmin())
-    whole = versions[best].replace(kernel=partial(geman_mcclure, sigma=SIGMA))
+    whole = versions[best].replace(kernel=partial(geman_mcclure, sigma=ROBUST_SCALE))
     start = smoothed(NamedPoints.of(whole, body)).into(whole).start(body)
     motion = fit_long([whole], method, body, start=start).motion
     return [QuickFit(versions[best], estimate_of(motion, body), float(value[best]), False)]

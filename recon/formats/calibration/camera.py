@@ -15,7 +15,7 @@ _COEFFICIENTS = (4, 5, 8)
 
 
 @dataclass(frozen=True)
-class Parts:
+class CameraFields:
     """What a file says about a camera, unchecked."""
 
     name: str
@@ -30,7 +30,9 @@ class Parts:
     """Instead of the two: 3x4 or 4x4, one or one per frame."""
 
 
-def settle_camera(parts: Parts, image_size: tuple[int, int] | None, path: Path) -> CameraArrays:
+def settle_camera(
+    parts: CameraFields, image_size: tuple[int, int] | None, path: Path
+) -> CameraArrays:
     """A camera of finite numbers and right shapes, in the file's unit and world.
 
     Raises:
@@ -96,7 +98,7 @@ def _distortion(value: Any, where: str) -> np.ndarray | None:
     return numbers if numbers.any() else None
 
 
-def _pose(parts: Parts, where: str) -> np.ndarray | None:
+def _pose(parts: CameraFields, where: str) -> np.ndarray | None:
     if parts.pose is not None:
         pose = _numbers(parts.pose, "pose", where)
         pose = pose[None] if pose.ndim == 2 else pose

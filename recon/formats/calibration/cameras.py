@@ -16,7 +16,7 @@ import numpy as np
 from recon.core.errors import FormatError
 from recon.core.limits import TABLE, check_pose
 from recon.core.units import METRES, Axis, to_z_up
-from recon.formats.calibration.camera import Parts, settle_camera
+from recon.formats.calibration.camera import CameraFields, settle_camera
 from recon.formats.calibration.opencv import read_opencv_yaml
 from recon.formats.calibration.toml import read_toml
 from recon.formats.files.json_files import read_json
@@ -87,7 +87,7 @@ def load_cameras(
     return Calibration(MappingProxyType(turned), chosen, (*decisions, reason, world))
 
 
-def _read(path: Path, *, level: bool) -> tuple[dict[str, Parts], tuple[str, ...]]:
+def _read(path: Path, *, level: bool) -> tuple[dict[str, CameraFields], tuple[str, ...]]:
     if path.is_dir():
         if (path / "intri.yml").is_file():
             return read_opencv_yaml(path / "intri.yml"), ()
@@ -114,14 +114,14 @@ def _read(path: Path, *, level: bool) -> tuple[dict[str, Parts], tuple[str, ...]
     raise FormatError(f"{path}: expected a calibration in one of {', '.join(_SUFFIXES)}")
 
 
-def _read_prox(path: Path, *, level: bool) -> tuple[dict[str, Parts], tuple[str, ...]]:
+def _read_prox(path: Path, *, level: bool) -> tuple[dict[str, CameraFields], tuple[str, ...]]:
     TABLE.check(existing(path).stat().st_size, path)
     value = read_json(path)
     if not isinstance(value, dict) or "camera_mtx" not in value:
         raise FormatError(
             f"{path}: expected a calibration as in PROX, with camera_mtx, k, view_mtx"
         )
-    part = Parts(
+    part = CameraFields(
         name=path.stem, matrix=value["camera_mtx"], distortion=value.get("k"),
         pose=value.get("view_mtx") if level else None,
     )  # fmt: skip
@@ -129,14 +129,14 @@ def _read_prox(path: Path, *, level: bool) -> tuple[dict[str, Parts], tuple[str,
     return {path.stem: part}, () if level or "view_mtx" not in value else (note,)
 
 
-def _read_npz(path: Path) -> Parts:
+def _read_npz(path: Path) -> CameraFields:
     arrays = load_arrays(path)
     if "camera_matrix" not in arrays:
         raise FormatError(
             f"{path}: expected camera_matrix, image_size, distortion and T_camera_world, found "
             f"{', '.join(sorted(arrays))}"
         )
-    return Parts(
+    return CameraFields(
         name=path.stem, matrix=arrays["camera_matrix"], size=arrays.get("image_size"),
         distortion=arrays.get("distortion"), pose=arrays.get("T_camera_world"),
     )  # fmt: skip

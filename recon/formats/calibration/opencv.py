@@ -8,7 +8,7 @@ import numpy as np
 
 from recon.core.errors import FormatError
 from recon.core.limits import TABLE
-from recon.formats.calibration.camera import Parts
+from recon.formats.calibration.camera import CameraFields
 from recon.formats.files.opening import decode, read_bytes
 
 _MATRIX = ("camera_matrix", "Camera_Matrix", "cameraMatrix", "K", "M")
@@ -31,7 +31,7 @@ _LIST_TEXT = re.compile(r"^([^\s:]+):[ \t]*((?:\r?\n[ \t]*-[ \t][^\n]*)+)", re.M
 _SCALAR_TEXT = re.compile(r"^([^\s:%]+):[ \t]+(\S[^\n]*)$", re.MULTILINE)
 
 
-def read_opencv_yaml(path: Path) -> dict[str, Parts]:
+def read_opencv_yaml(path: Path) -> dict[str, CameraFields]:
     """The cameras of a YAML file by name; `extri.yml` is looked for beside `intri.yml`.
 
     Raises:
@@ -52,7 +52,7 @@ def read_opencv_yaml(path: Path) -> dict[str, Parts]:
     if without := [name for name in names if f"K_{name}" not in values]:
         raise FormatError(f"{path}: expected K_{without[0]}, the matrix of camera {without[0]}")
     return {
-        name: Parts(
+        name: CameraFields(
             name=name,
             matrix=values[f"K_{name}"],
             size=_pair(values.get(f"W_{name}"), values.get(f"H_{name}")),
@@ -64,7 +64,7 @@ def read_opencv_yaml(path: Path) -> dict[str, Parts]:
     }
 
 
-def _single(path: Path, values: dict[str, Any]) -> Parts:
+def _single(path: Path, values: dict[str, Any]) -> CameraFields:
     matrix = _first(values, _MATRIX)
     if matrix is None:
         raise FormatError(
@@ -73,7 +73,7 @@ def _single(path: Path, values: dict[str, Any]) -> Parts:
         )
     if any(values.get(key) in (1.0, "true", "True") for key in ("fisheye_model", "fisheye")):
         raise FormatError(f"{path}: fisheye lenses are not read; undistort the keypoints first")
-    return Parts(
+    return CameraFields(
         name=path.stem, matrix=matrix, size=_pair(_first(values, _WIDTH), _first(values, _HEIGHT)),
         distortion=_first(values, _DISTORTION), rotation=_first(values, _ROTATION),
         translation=_first(values, _TRANSLATION),

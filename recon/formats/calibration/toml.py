@@ -5,11 +5,11 @@ from pathlib import Path
 
 from recon.core.errors import FormatError
 from recon.core.limits import TABLE
-from recon.formats.calibration.camera import Parts
+from recon.formats.calibration.camera import CameraFields
 from recon.formats.files.opening import decode, read_bytes
 
 
-def read_toml(path: Path) -> dict[str, Parts]:
+def read_toml(path: Path) -> dict[str, CameraFields]:
     """The cameras of a TOML file by name.
 
     Raises:
@@ -21,7 +21,7 @@ def read_toml(path: Path) -> dict[str, Parts]:
     except (ValueError, RecursionError) as error:
         # besides damage, numbers of more digits than Python converts
         raise FormatError(f"{path}: expected TOML, but it is damaged ({error})") from error
-    cameras: dict[str, Parts] = {}
+    cameras: dict[str, CameraFields] = {}
     for key, table in tables.items():
         if not isinstance(table, dict) or "matrix" not in table:
             continue
@@ -33,7 +33,7 @@ def read_toml(path: Path) -> dict[str, Parts]:
                 f"{path}, camera {name}: fisheye lenses are not read; undistort the keypoints or "
                 "the images, and give a calibration with fisheye = false"
             )
-        cameras[name] = Parts(
+        cameras[name] = CameraFields(
             name=name, matrix=table["matrix"], size=table.get("size"),
             distortion=table.get("distortions"), rotation=table.get("rotation"),
             translation=table.get("translation"),

@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from observations.correspondences import PLACES, Place
+from observations.correspondences import PLACES, BodyPlace
 from recon.body.landmarks import landmark
 from recon.body.model import BodyModel
 from recon.core.errors import ReconError
@@ -76,13 +76,13 @@ def keypoint_finding(labels: Sequence[str]) -> Finding:
     )
 
 
-def _at_rest(place: Place, body: BodyModel) -> Float[Tensor, " 3"]:
+def _at_rest(place: BodyPlace, body: BodyModel) -> Float[Tensor, " 3"]:
     points = [body.joint_template[joint_index(joint)] for joint in place.joints]
     points += [body.template[landmark(name)] for name in place.landmarks]
     return torch.stack(points).mean(0)
 
 
-def _bone(name: str, place: Place, body: BodyModel) -> int:
+def _bone(name: str, place: BodyPlace, body: BodyModel) -> int:
     if name in _TRUNK:
         return JOINTS.index(_TRUNK[name])
     if place.joints:

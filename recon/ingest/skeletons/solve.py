@@ -23,7 +23,7 @@ from recon.solver.lbfgs import LBFGS
 
 BONES_WEIGHT = 0.02
 REST_WEIGHT = 2e-4
-ITERATIONS = 90
+SOLVE_ITERATIONS = 90
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ def solve(
             Term("rest pose", terms.rest_pose, REST_WEIGHT),
         ),
         frozenset({"translation", "root", "pose"}),
-        LBFGS(max_iterations=ITERATIONS, history=10, tolerance_decrease=1e-6),
+        LBFGS(max_iterations=SOLVE_ITERATIONS, history=10, tolerance_decrease=1e-6),
     )
     scene = Scene(subject.offsets.expand(clips, -1, -1))
     estimate, _ = run_stages((stage,), body, motion, scene)

@@ -13,7 +13,7 @@ from recon.formats.files.checksums import file_checksum
 from recon.jobs.many.workers import Failure, run_jobs
 from recon.jobs.many.worklog import Record, open_log
 
-VERSION = 2
+FIT_VERSION = 2
 """Of the method: raised when the same clip and settings give another motion, so that results of
 older versions are made anew."""
 
@@ -21,14 +21,14 @@ _EXPECTED = '{"id": "clip", "observations": ["clip.npz"]}'
 
 
 @dataclass(frozen=True)
-class Clip:
+class BatchClip:
     """One line of a manifest."""
 
     name: str
     observations: tuple[Path, ...]
 
 
-def read_manifest(path: Path) -> tuple[Clip, ...]:
+def read_manifest(path: Path) -> tuple[BatchClip, ...]:
     """The clips of a manifest: a JSON object per line, {"id": ..., "observations": [...]}.
 
     Paths are relative to the manifest.
@@ -44,7 +44,7 @@ def read_manifest(path: Path) -> tuple[Clip, ...]:
         lines = path.read_text(encoding="utf-8-sig").split("\n")
     except UnicodeDecodeError as error:
         raise ValueError(f"{path}: expected text in UTF-8, but {error}") from error
-    clips: dict[str, tuple[int, Clip]] = {}
+    clips: dict[str, tuple[int, BatchClip]] = {}
     for number, line in enumerate(lines, 1):
         if not line.strip():
             continue
@@ -61,7 +61,7 @@ def read_manifest(path: Path) -> tuple[Clip, ...]:
     return tuple(clip for _, clip in clips.values())
 
 
-def _clip(line: str, path: Path, number: int) -> Clip:
+def _clip(line: str, path: Path, number: int) -> BatchClip:
     """The clip of one line."""
     where = f"{path}, line {number}"
     try:
@@ -83,10 +83,10 @@ def _clip(line: str, path: Path, number: int) -> Clip:
             f"{where}: {', '.join(foreign)} cannot differ between clips of a batch; give such "
             "settings as options, and clips with others in a batch of their own"
         )
-    return Clip(name, tuple(path.parent / file for file in files))
+    return BatchClip(name, tuple(path.parent / file for file in files))
 
 
-def shard(clips: Sequence[Clip], index: int, count: int) -> tuple[Clip, ...]:
+def shard(clips: Sequence[BatchClip], index: int, count: int) -> tuple[BatchClip, ...]:
     """The clips of one of `count` equal workers, by hash of their id: the same every time."""
     if not 0 <= index < count:
         raise ValueError(f"--shard is I/N with 0 <= I < N, got {index}/{count}")
@@ -101,7 +101,7 @@ def shard(clips: Sequence[Clip], index: int, count: int) -> tuple[Clip, ...]:
 class Job:
     """All that a process needs to fit one clip."""
 
-    clip: Clip
+    clip: BatchClip
     target: Path
     """Motion file to write."""
     settings: FitSettings
@@ -114,7 +114,7 @@ class Job:
 
 
 def fit_all(
-    clips: Sequence[Clip],
+    clips: Sequence[BatchClip],
     out: Path,
     settings: FitSettings,
     processes: int,
@@ -146,7 +146,7 @@ def fit_all(
 
     _check_targets(clips, out, settings)
     out.mkdir(parents=True, exist_ok=True)
-    common = settings_checksum(settings, VERSION)
+    common = settings_checksum(settings, FIT_VERSION)
     with open_log(log) as lines:
         jobs = (
             (Job(clip, target(out, clip), settings, common, known, overwrite),)
@@ -192,7 +192,7 @@ def is_done(job: Job, key: str) -> bool:
     return same and job.target.is_file() and known.get("checksum") == file_checksum(job.target)
 
 
-def target(out: Path, clip: Clip) -> Path:
+def target(out: Path, clip: BatchClip) -> Path:
     """Where the motion of a clip is written."""
     return out / f"{clip.name}.npz"
 
@@ -205,7 +205,7 @@ def _failed(job: Job, failure: Failure) -> Record:
     return record | ({"traceback": failure.traceback} if failure.traceback else {})
 
 
-def _check_targets(clips: Sequence[Clip], out: Path, settings: FitSettings) -> None:
+def _check_targets(clips: Sequence[BatchClip], out: Path, settings: FitSettings) -> None:
     """Refuse to write a result of any clip over what any clip is made from."""
     named = (settings.camera, settings.masks, settings.body, Path(settings.weights))
     inputs = {file.resolve() for clip in clips for file in clip.observations}

@@ -21,7 +21,7 @@ _UNEVEN = ("playground", "uneven")
 
 
 @dataclass(frozen=True)
-class Clip:
+class SourceClip:
     """One recording of a collection, not yet read."""
 
     collection: str
@@ -66,7 +66,7 @@ class Clip:
         return "one common skeleton" not in self.notes.get("skeleton", "")
 
 
-def collections(root: Path) -> list[list[Clip]]:
+def collections(root: Path) -> list[list[SourceClip]]:
     """The clips below a folder, by collection: the folders that hold a manifest, or the folder.
 
     Raises:
@@ -86,22 +86,22 @@ def collections(root: Path) -> list[list[Clip]]:
     return found
 
 
-def _clips(folder: Path, root: Path) -> Iterator[Clip]:
+def _clips(folder: Path, root: Path) -> Iterator[SourceClip]:
     manifest = folder / "manifest.csv"
     title = str(folder.relative_to(root)) if folder != root else (root.name or root.resolve().name)
     if not manifest.is_file():
         for path in sorted(folder.rglob("*")):
             if path.name.lower().endswith(_SUFFIXES):
-                yield Clip(title, _without_suffix(path.relative_to(folder).as_posix()), path)
+                yield SourceClip(title, _without_suffix(path.relative_to(folder).as_posix()), path)
         return
     for number, row in _rows(manifest):
         where = f"{manifest}, line {number}"
         if row.get("archive"):
             if not row.get("clip"):
                 raise ValueError(f"{where}: expected the name of a clip of {row['archive']}")
-            clip = Clip(title, row["clip"], folder / row["archive"], row["clip"], row)
+            clip = SourceClip(title, row["clip"], folder / row["archive"], row["clip"], row)
         elif row.get("path", "").lower().endswith(_SUFFIXES):
-            clip = Clip(title, _name(row), folder / row["path"], None, row)
+            clip = SourceClip(title, _name(row), folder / row["path"], None, row)
         elif row.get("path"):
             continue
         else:
@@ -138,9 +138,9 @@ def _without_suffix(name: str) -> str:
     return name[: len(name) - len(ending)]
 
 
-def _check_names(clips: Sequence[Clip]) -> None:
+def _check_names(clips: Sequence[SourceClip]) -> None:
     """Refuse recordings whose outputs would be one file, on any file system."""
-    taken: dict[str, Clip] = {}
+    taken: dict[str, SourceClip] = {}
     for clip in clips:
         same = unicodedata.normalize("NFC", clip.id).casefold()
         if same in taken:
@@ -155,7 +155,7 @@ def _check_names(clips: Sequence[Clip]) -> None:
 class Content:
     """What a clip is read from: its file, or its text in an archive; or why there is none."""
 
-    clip: Clip
+    clip: SourceClip
     text: str | None = None
     inside: str = ""
     """Name of the text in the archive."""
@@ -189,19 +189,19 @@ class Content:
         return drop_lead_in(recording)
 
 
-def contents(clips: Sequence[Clip]) -> Iterator[Content]:
+def contents(clips: Sequence[SourceClip]) -> Iterator[Content]:
     """Where clips are read from; archives are read through once each.
 
     A clip that its archive holds twice comes again, as one that cannot be read.
     """
-    packed: dict[Path, dict[str, Clip]] = {}
+    packed: dict[Path, dict[str, SourceClip]] = {}
     for clip in clips:
         if clip.member is None:
             yield Content(clip)
         else:
             packed.setdefault(clip.path, {})[clip.member] = clip
     for archive, members in packed.items():
-        missing, found = f"not in {archive.name}", dict[str, Clip]()
+        missing, found = f"not in {archive.name}", dict[str, SourceClip]()
         try:
             for inside, text in iterate_texts(archive):
                 names = (inside, _without_suffix(inside), Path(inside).stem)
@@ -218,7 +218,9 @@ def contents(clips: Sequence[Clip]) -> Iterator[Content]:
             yield Content(clip, missing=missing)
 
 
-def read_clips(clips: Sequence[Clip]) -> Iterator[tuple[Clip, SkeletonRecording | str]]:
+def read_clips(
+    clips: Sequence[SourceClip],
+) -> Iterator[tuple[SourceClip, SkeletonRecording | str]]:
     """Clips with their recordings, T-pose cut, or with why there is none; archives once each."""
     for content in contents(clips):
         yield content.clip, content.read()

@@ -14,7 +14,7 @@ from recon.formats.files.checksums import file_checksum, value_checksum
 from recon.ingest.skeletons import solve as solving
 from recon.ingest.skeletons import subject as calibrating
 from recon.ingest.skeletons.subject import SubjectModel
-from recon.jobs.many.collection import Clip, collections
+from recon.jobs.many.collection import SourceClip, collections
 from recon.jobs.many.corpus_jobs import (
     Survey,
     Task,
@@ -36,7 +36,7 @@ from recon.jobs.many.worklog import Record, WorkLog, open_log
 
 logger = logging.getLogger(__name__)
 
-VERSION = 3
+CONVERSION_VERSION = 3
 """Raised when the conversion gives other results, so that old outputs are made anew."""
 _SURVEYED_TOGETHER = 20
 """Files that a process looks at in a row."""
@@ -106,7 +106,7 @@ class _Corpus:
     settings: str
     processes: int
     body: str | Path | None
-    clips: Sequence[Clip]
+    clips: Sequence[SourceClip]
     """Of all collections."""
     calibrate: Callable[..., Any]
     """`calibrate_group`."""
@@ -116,7 +116,7 @@ class _Corpus:
     reported: float = 0.0
     """When the report was written last."""
 
-    def convert(self, clips: Sequence[Clip]) -> None:
+    def convert(self, clips: Sequence[SourceClip]) -> None:
         """Survey, calibrate and convert one collection."""
         surveyed: dict[str, Survey] = {}
         for clip, found in run_items(survey, _in_rows(clips, _SURVEYED_TOGETHER), self.processes):
@@ -126,7 +126,7 @@ class _Corpus:
                 self._end(clip, failed_record(clip, Failure("bad input", found.reason)))
             else:
                 surveyed[clip.id] = found
-        groups: dict[str, list[Clip]] = {}
+        groups: dict[str, list[SourceClip]] = {}
         for clip in clips:
             # a clip that was found twice may have been surveyed and then failed
             if clip.id in surveyed and clip.id not in self.ended:
@@ -160,7 +160,7 @@ class _Corpus:
 
     def _without_culprits(self, group: "_Waiting") -> SubjectModel | str | Failure:
         """A calibration without the clips that make it fail, which are found by halving."""
-        good, suspected = list[Clip](), [group.some]
+        good, suspected = list[SourceClip](), [group.some]
         result: SubjectModel | str | Failure = Failure("error", "every clip of it makes it fail")
         while suspected:
             halves = [half for clips in suspected for half in _halves(clips)]
@@ -181,12 +181,12 @@ class _Corpus:
         return result
 
     def _waiting(
-        self, group: Sequence[Clip], surveyed: Mapping[str, Survey]
+        self, group: Sequence[SourceClip], surveyed: Mapping[str, Survey]
     ) -> Iterator["_Waiting"]:
         """The group of a skeleton, where some of its clips are to be converted."""
         some = list(group[:: max(1, -(-len(group) // _CALIBRATION_CLIPS))])
         subject = value_checksum([surveyed[clip.id].checksum for clip in some])
-        left: list[tuple[Clip, str]] = []
+        left: list[tuple[SourceClip, str]] = []
         for clip in group:
             notes = [clip.id, clip.subject, clip.action, clip.flat, clip.contacts]
             key = value_checksum([self.settings, subject, surveyed[clip.id].checksum, notes])
@@ -198,7 +198,7 @@ class _Corpus:
         if left:
             yield _Waiting(some, left, self.body)
 
-    def _is_whole(self, clip: Clip, known: Record) -> bool:
+    def _is_whole(self, clip: SourceClip, known: Record) -> bool:
         """Whether all outputs of a former run are as they were written."""
         folder = self.out / clip.collection
         return known["status"] in ("ok", "rejected") and all(
@@ -206,7 +206,7 @@ class _Corpus:
             for name, checksum in known["outputs"].items()
         )
 
-    def _task(self, clip: Clip, surveyed: Survey, subject: SubjectModel) -> Task:
+    def _task(self, clip: SourceClip, surveyed: Survey, subject: SubjectModel) -> Task:
         pieces = clip.name + "."
         return Task(
             clip,
@@ -224,7 +224,7 @@ class _Corpus:
             self.overwrite,
         )
 
-    def _end(self, clip: Clip, record: Record) -> None:
+    def _end(self, clip: SourceClip, record: Record) -> None:
         """Log a clip; remove what a former run made of it and this one did not."""
         folder = self.out / clip.collection
         former = self.log.records.get(clip.id, {}).get("outputs", {})
@@ -265,18 +265,18 @@ class _Corpus:
 class _Waiting:
     """Clips of one skeleton that are to be converted, with their keys."""
 
-    some: list[Clip]
+    some: list[SourceClip]
     """From which it is calibrated."""
-    left: list[tuple[Clip, str]]
+    left: list[tuple[SourceClip, str]]
     body: str | Path | None
 
     @property
-    def job(self) -> tuple[list[Clip], str | Path | None]:
+    def job(self) -> tuple[list[SourceClip], str | Path | None]:
         """Arguments of `calibrate_group`."""
         return self.some, self.body
 
 
-def _halves(clips: Sequence[Clip]) -> list[list[Clip]]:
+def _halves(clips: Sequence[SourceClip]) -> list[list[SourceClip]]:
     middle = len(clips) // 2
     return [list(half) for half in (clips[:middle], clips[middle:]) if half]
 
@@ -286,7 +286,7 @@ def config_hash(body: BodyModel) -> str:
     with resources.as_file(resources.files("recon") / "assets" / "skeletons.toml") as skeletons:
         known = file_checksum(skeletons)
     settings = (
-        VERSION,
+        CONVERSION_VERSION,
         body.checksum,
         known,
         calibrating.CalibrationWeights(),
@@ -294,17 +294,17 @@ def config_hash(body: BodyModel) -> str:
         calibrating.FEET_WEIGHT,
         solving.BONES_WEIGHT,
         solving.REST_WEIGHT,
-        solving.ITERATIONS,
+        solving.SOLVE_ITERATIONS,
     )
     return hashlib.sha256(repr(settings).encode()).hexdigest()[:16]
 
 
-def _in_rows(clips: Sequence[Clip], count: int) -> Iterator[list[Clip]]:
+def _in_rows(clips: Sequence[SourceClip], count: int) -> Iterator[list[SourceClip]]:
     """Files some at a time, all clips of an archive together."""
     files = [clip for clip in clips if clip.member is None]
     for k in range(0, len(files), count):
         yield files[k : k + count]
-    packed: dict[Path, list[Clip]] = {}
+    packed: dict[Path, list[SourceClip]] = {}
     for clip in clips:
         if clip.member is not None:
             packed.setdefault(clip.path, []).append(clip)

@@ -17,13 +17,13 @@ from recon.formats.mocap.recording import SkeletonRecording
 from recon.ingest.conversion import Conversion, convert_skeletons, glitches
 from recon.ingest.skeletons.maps import recognise
 from recon.ingest.skeletons.subject import SubjectModel, calibrate
-from recon.jobs.many.collection import Clip, contents, read_clips, skeleton_key
+from recon.jobs.many.collection import SourceClip, contents, read_clips, skeleton_key
 from recon.jobs.many.corpus_report import Converted, Row, rejection
 from recon.jobs.many.work_items import Begun, Ended
 
 logger = logging.getLogger(__name__)
 
-SHORTEST = 1.0
+SHORTEST_PIECE = 1.0
 """Seconds; what is left between jumps must last so long to be kept."""
 
 
@@ -41,7 +41,7 @@ class Survey:
 class Task:
     """A clip to convert."""
 
-    clip: Clip
+    clip: SourceClip
     checksum: str
     """Of its content when it was surveyed."""
     subject: SubjectModel
@@ -59,17 +59,17 @@ class Task:
 
 
 @dataclass(frozen=True)
-class Piece:
+class RecordingPiece:
     """A recording, or what lies between two jumps of one."""
 
-    clip: Clip
+    clip: SourceClip
     name: str
     recording: SkeletonRecording
     cut: str
     """What was cut off, for the report."""
 
 
-def survey(clips: Sequence[Clip]) -> Iterator[Begun | Ended]:
+def survey(clips: Sequence[SourceClip]) -> Iterator[Begun | Ended]:
     """The content and the skeleton of every clip."""
     places = {clip.id: k for k, clip in enumerate(clips)}
     for content in contents(clips):
@@ -82,7 +82,9 @@ def survey(clips: Sequence[Clip]) -> Iterator[Begun | Ended]:
             yield Ended(k, Survey(content.checksum(), skeleton_key(found)))
 
 
-def calibrate_group(clips: Sequence[Clip], body_path: str | Path | None) -> SubjectModel | str:
+def calibrate_group(
+    clips: Sequence[SourceClip], body_path: str | Path | None
+) -> SubjectModel | str:
     """Shape, offsets and alignments of one skeleton, from some of its clips.
 
     Or why there is none: nobody knows the skeleton, or no clip is whole.
@@ -177,19 +179,21 @@ def _write(path: Path, conversion: Conversion, row: Row, body: BodyModel) -> str
     return found
 
 
-def split(clip: Clip, recording: SkeletonRecording) -> tuple[list[Piece], list[Row]]:
+def split(
+    clip: SourceClip, recording: SkeletonRecording
+) -> tuple[list[RecordingPiece], list[Row]]:
     """What of a recording is whole: the runs between jumps that last a second or more."""
     jumps = glitches(recording)
     edges = [0, *(jump + 1 for jump in jumps), recording.frames]
     runs = [(a, b) for a, b in pairwise(edges) if b > a]
-    pieces: list[Piece] = []
+    pieces: list[RecordingPiece] = []
     rejected: list[Row] = []
     for first, last in runs:
-        if last - first < SHORTEST * recording.fps:
+        if last - first < SHORTEST_PIECE * recording.fps:
             continue
         name = clip.name if len(runs) == 1 else f"{clip.name}.{first}"
         cut = "" if len(runs) == 1 else f"frames {first}:{last}, between {len(jumps)} jumps"
-        pieces.append(Piece(clip, name, recording.window(first, last), cut))
+        pieces.append(RecordingPiece(clip, name, recording.window(first, last), cut))
     kept = sum(piece.recording.frames for piece in pieces)
     if kept < recording.frames:
         between = f" between its {len(jumps)} jumps" if jumps else ""
@@ -205,7 +209,7 @@ def _body(path: str | Path | None) -> BodyModel:
     return BodyModel.load(path)
 
 
-def _check_target(task: Task, piece: Piece) -> None:
+def _check_target(task: Task, piece: RecordingPiece) -> None:
     """Refuse to write over another clip's output, or over what recon did not write."""
     if piece.name in task.taken:
         raise ValueError(

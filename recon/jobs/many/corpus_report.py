@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from recon.formats.files.replacing import replacing
-from recon.jobs.many.collection import Clip
+from recon.jobs.many.collection import SourceClip
 from recon.jobs.many.workers import Failure
 from recon.jobs.many.worklog import Record
 
@@ -24,7 +24,7 @@ class Converted:
     """SHA-256 of every motion file, by its name in the collection's folder."""
 
 
-def rejection(clip: Clip, reason: str) -> Row:
+def rejection(clip: SourceClip, reason: str) -> Row:
     """The row of a clip that has no motion."""
     return {
         "collection": clip.collection,
@@ -36,7 +36,7 @@ def rejection(clip: Clip, reason: str) -> Row:
     }
 
 
-def converted_record(clip: Clip, found: Converted, key: str) -> Record:
+def converted_record(clip: SourceClip, found: Converted, key: str) -> Record:
     """The line of the log of a clip that was worked on."""
     status = "ok" if found.outputs else "rejected"
     return {
@@ -44,12 +44,12 @@ def converted_record(clip: Clip, found: Converted, key: str) -> Record:
     }  # fmt: skip
 
 
-def rejected_record(clip: Clip, reason: str, key: str) -> Record:
+def rejected_record(clip: SourceClip, reason: str, key: str) -> Record:
     """The same of one that is known to be of no use."""
     return converted_record(clip, Converted([rejection(clip, reason)], {}), key)
 
 
-def failed_record(clip: Clip, failure: Failure) -> Record:
+def failed_record(clip: SourceClip, failure: Failure) -> Record:
     """The same of one with which something went wrong."""
     record: Record = {
         "id": clip.id, "status": failure.kind, "error": failure.reason, "outputs": {},
