@@ -161,7 +161,7 @@ def slip_of(samples: PhysicsSamples) -> float:
 def test_physics_alone_lowers_slip_and_stays_near(monkeypatch: pytest.MonkeyPatch) -> None:
     random = torch.Generator().manual_seed(0)
     shape, motion = 2 * torch.randn(16, generator=random), squatting()
-    monkeypatch.setattr("recon.fitting.settling.ITERATIONS", 8)
+    monkeypatch.setattr("recon.fitting.settling.SETTLING_ITERATIONS", 8)
     job = Job("clip", "one", motion, shape, False, False)
     (before, _), (after, more) = (measured(f, [job], BODY) for f in (scaled, physics_only))
     a, b = (concatenate(samples) for samples in (before, after))

@@ -79,7 +79,7 @@ def test_changing_a_setting_or_a_file_that_it_names_redoes_all(clips, tmp_path):
 
 def test_a_new_version_of_the_method_redoes_all(clips, tmp_path, monkeypatch):
     assert statuses(clips, tmp_path / "out") == dict.fromkeys("abcd", "ok")
-    monkeypatch.setattr("recon.jobs.many.batch.VERSION", 1_000)
+    monkeypatch.setattr("recon.jobs.many.batch.FIT_VERSION", 1_000)
     assert statuses(clips, tmp_path / "out") == dict.fromkeys("abcd", "ok")
 
 
