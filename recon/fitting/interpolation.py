@@ -8,7 +8,14 @@ from torch import Tensor
 
 from priors.anchor.frames import ANCHORS, Anchors, rest_pelvis
 from priors.anchor.prior import AnchorFrames, AnchorVariables
-from recon.body.cycles import LONGEST, SHORTEST, THRESHOLD, Cycle, find_cycles, hip_flexion
+from recon.body.cycles import (
+    LONGEST_CYCLE,
+    SHORTEST_CYCLE,
+    THRESHOLD,
+    Cycle,
+    find_cycles,
+    hip_flexion,
+)
 from recon.core import rotations as so3
 from recon.core.errors import ReconError
 from recon.core.motion import Motion
@@ -53,7 +60,7 @@ def played(prior: AnchorFrames, variables: AnchorVariables, fps: float) -> Motio
     with torch.no_grad():
         anchors: Anchors = prior.anchors(variables)
     duration = float(anchors.duration[0])
-    if not SHORTEST / 2 <= duration <= 2 * LONGEST:
+    if not SHORTEST_CYCLE / 2 <= duration <= 2 * LONGEST_CYCLE:
         raise ReconError(
             f"the weights decode a cycle of {duration:.2f} s, which no cycle of gait lasts; one "
             "of the motions is unlike all they know"
@@ -74,7 +81,7 @@ def cycles_of(motion: Motion) -> tuple[Cycle, ...]:
     returns = abs(flexion[-1] - flexion[0]).max() <= _RETURN
     swings = (flexion.max(0) - flexion.min(0)).max() > _RETURN
     long = all(cycle.duration > _WHOLE * last for cycle in found)
-    if not (SHORTEST <= last <= LONGEST and returns and swings and long):
+    if not (SHORTEST_CYCLE <= last <= LONGEST_CYCLE and returns and swings and long):
         return found
     left, right = flexion[0]
     cost = min((cycle.cost for cycle in found), default=THRESHOLD)

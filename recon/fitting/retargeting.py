@@ -16,7 +16,7 @@ from recon.method.windows import Piece, Windows, join
 
 WINDOW, OVERLAP = 10.0, 3.0
 """Seconds that the prior sees at once (200 frames at 20 Hz), and that neighbours share."""
-SHORTEST = 1.0
+SHORTEST_MOTION = 1.0
 """Seconds that a clip must last."""
 
 
@@ -120,10 +120,10 @@ def _checked(
             "expected one clip all of whose frames exist; take the clips of a batch one by one, "
             "without their padding"
         )
-    if motion.frames < max(2, SHORTEST * motion.fps):
+    if motion.frames < max(2, SHORTEST_MOTION * motion.fps):
         raise ReconError(
-            f"expected at least {SHORTEST:g} s of motion and two frames, got {motion.frames} "
-            f"frames, {motion.frames / motion.fps:.2f} s; give a longer clip"
+            f"expected at least {SHORTEST_MOTION:g} s of motion and two frames, got "
+            f"{motion.frames} frames, {motion.frames / motion.fps:.2f} s; give a longer clip"
         )
     size = prior.body.shape_size
     if shape.shape != (size,) or motion.shape.shape != (size,):

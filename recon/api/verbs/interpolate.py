@@ -11,13 +11,13 @@ from priors.anchor.prior import AnchorFrames
 from recon.api.given import BodyLike, GivenMotion, MotionLike, body_given, motion_given
 from recon.api.motion_file import described
 from recon.api.results.motion import Made
-from recon.body.cycles import LONGEST, SHORTEST, Cycle
+from recon.body.cycles import LONGEST_CYCLE, SHORTEST_CYCLE, Cycle
 from recon.body.model import BodyModel
 from recon.core.arrays import finite, positive
 from recon.core.errors import ReconError
 from recon.core.motion import Motion
 from recon.fitting.interpolation import agreement, between, cycles_of, foot_lift, played
-from recon.fitting.settling import flies, grounded
+from recon.fitting.settling import flies, settled
 
 
 def interpolate(
@@ -78,7 +78,7 @@ def interpolate(
     ]
     mixed = between(prior, parts[0], parts[1], share)
     made = played(prior, mixed, given[0].motion.fps if rate is None else rate)
-    motion = grounded(made, made, flies(made, model), model).detach()
+    motion = settled(made, made, flies(made, model), model).detach()
     durations = {
         "A": chosen[0].duration,
         "B": chosen[1].duration,
@@ -101,8 +101,8 @@ def _cycles(given: GivenMotion) -> tuple[Cycle, ...]:
     if len(found) == 0:
         raise ReconError(
             f"{given.name}: found no cycle of gait, in which both hips swing once and come back "
-            f"within {SHORTEST} to {LONGEST:g} s; give a motion that walks or runs, or cut one "
-            "cycle out"
+            f"within {SHORTEST_CYCLE} to {LONGEST_CYCLE:g} s; give a motion that walks or runs, or cut "
+            "one cycle out"
         )
     return found
 

@@ -22,7 +22,7 @@ from recon.core.errors import ReconError
 from recon.core.motion import Motion
 from recon.diagnosis.findings import Finding
 from recon.fitting import retargeting
-from recon.fitting.retargeting import OVERLAP, SHORTEST, WINDOW
+from recon.fitting.retargeting import OVERLAP, SHORTEST_MOTION, WINDOW
 from recon.formats.motions import MotionFile
 from recon.method.windows import Windows
 from recon.metrics.generation import FASTEST
@@ -77,10 +77,10 @@ def retarget(
     given = motion_given(motion, model)
     level = ground_height(given, asked)
     source = raised(given.motion, -level)
-    if source.frames < max(SHORTEST * source.fps, 2):
+    if source.frames < max(SHORTEST_MOTION * source.fps, 2):
         raise ReconError(
             f"{given.name}: lasts {source.frames / source.fps:.2f} s; a motion that is retargeted "
-            f"lasts {SHORTEST:g} s or longer, and has two frames or more"
+            f"lasts {SHORTEST_MOTION:g} s or longer, and has two frames or more"
         )
     told = asked is not None or given.file.ground is not None
     before = physics_samples(source.resample(RATE), model)
