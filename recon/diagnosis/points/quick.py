@@ -82,7 +82,7 @@ def pursued(fit: QuickFit, body: BodyModel) -> QuickFit:
         return fit
     method, start = _Quick(fit.points), fit.estimate.motion
     reached = solve([fit.points.replace(kernel=squared)], method, body, start=start).motion
-    robust = fit.points.replace(kernel=partial(geman_mcclure, sigma=SIGMA))
+    robust = fit.points.replace(kernel=partial(geman_mcclure, sigma=ROBUST_SCALE))
     result = solve([robust], method, body, start=reached.detach())
     count = max(int(fit.points.visible.sum()), 1)
     cost = float(result.reports[-1].solution.value[0]) / count
