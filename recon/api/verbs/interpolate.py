@@ -101,8 +101,8 @@ def _cycles(given: GivenMotion) -> tuple[Cycle, ...]:
     if len(found) == 0:
         raise ReconError(
             f"{given.name}: found no cycle of gait, in which both hips swing once and come back "
-            f"within {SHORTEST_CYCLE} to {LONGEST_CYCLE:g} s; give a motion that walks or runs, or "
-            "cut one cycle out"
+            f"within {SHORTEST_CYCLE} to {LONGEST_CYCLE:g} s; give a motion that walks or runs, "
+            "or cut one cycle out"
         )
     return found
 
