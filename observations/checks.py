@@ -88,7 +88,7 @@ def checked_clock(kind: str, fps: Any, start_time: Any) -> tuple[float, float]:
 
 
 def checked_places(kind: str, name: str, places: Any, points: int) -> tuple[int, ...]:
-    """Which place of the body each point is.
+    """The place on the body of each point, as whole numbers, checked against the number of points.
 
     Raises:
         ValueError: when these are no whole numbers, or not as many as there are points.

@@ -1,4 +1,4 @@
-"""Where on the body the points of sensors are: one table for the layouts of all 2D detectors."""
+"""Correspondences of detected points to the body: one table for all layouts of 2D detectors."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ class BodyPlace:
 
 
 def _sided(places: Mapping[str, BodyPlace]) -> dict[str, BodyPlace]:
-    """Both sides of every place; names of joints and landmarks are sided alike."""
+    """The places of both sides; names of joints and landmarks are sided alike."""
     return {
         f"{side}_{name}": BodyPlace(
             tuple(f"{side}_{joint}" for joint in place.joints),
@@ -116,7 +116,7 @@ class BodyPoints:
         return cls(of_joints, of_vertices, index, names, bones, torch.tensor(known))
 
     def of(self, posed: PosedBody) -> Float[Tensor, "*batch time points 3"]:
-        """Where a posed body has them, world, metres; zero where it has not."""
+        """The points on a posed body, world, metres; zero where the body has no such point."""
         points = self.of_joints.to(posed.joints) @ posed.joints
         if len(self.vertices) == 0:
             return points
@@ -125,7 +125,7 @@ class BodyPoints:
     def at_rest(
         self, body: BodyModel, shape: Float[Tensor, "*batch shape"]
     ) -> Float[Tensor, "*batch points 3"]:
-        """Where the unposed body has them, metres."""
+        """The points on the unposed body, metres."""
         points = self.of_joints.to(shape) @ body.rest_joints(shape)
         if len(self.vertices) == 0:
             return points
@@ -137,7 +137,7 @@ class BodyPoints:
 def joints_shown(
     bones: Sequence[int], rest: Float[np.ndarray, "points 3"], body: BodyModel
 ) -> Bool[np.ndarray, "points 22"]:
-    """Which joints each point tells the place of.
+    """Joints whose place each point tells.
 
     They lie near it at rest, and its bone ends or begins there.
 

@@ -202,12 +202,12 @@ class PointCloud(TensorStruct):
 
     @property
     def places(self) -> Float[Tensor, "*batch moments points 3"]:
-        """Where the points were seen, frame of the recording, metres."""
+        """Positions of the points, frame of the recording, metres."""
         return self.points
 
     @property
     def shown(self) -> Bool[Tensor, "*batch moments points"]:
-        """Which points there are."""
+        """Which points exist; the rows of shorter clouds are padded."""
         return self.present
 
     def point_names(self, body: BodyModel) -> tuple[str, ...]:
@@ -350,7 +350,7 @@ class PointCloud(TensorStruct):
         return self.derived(points=points, present=present, camera=camera, start_time=first)
 
     def thinned(self, most: int) -> "PointCloud":
-        """At most so many points of a moment; they come in no order."""
+        """A cloud of at most `most` points in every moment; points come in no order."""
         if self.points.shape[-2] <= most:
             return self
         number = torch.linspace(0, self.points.shape[-2] - 1, most).long()

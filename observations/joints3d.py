@@ -72,7 +72,7 @@ class Joints3D(TrackedPoints):
         )  # fmt: skip
 
     def on(self, posed: PosedBody) -> Float[Tensor, "*batch time points 3"]:
-        """Where a posed body has the joints, world, metres."""
+        """The joints of a posed body, world, metres."""
         return posed.joints[..., list(self.joints), :]
 
     def at_rest(self, body: BodyModel) -> Float[Tensor, "points 3"]:

@@ -123,7 +123,7 @@ class Keypoints2D(TensorStruct):
         return 0.5 * counted.sum((-2, -1)) * (REFERENCE_FPS / self.fps)
 
     def predict(self, estimate: Estimate) -> Float[Tensor, "*batch time points 3"]:
-        """Where the estimate has the keypoints, world, in its own frames."""
+        """The keypoints on the estimated body, world, metres, in the frames of the estimate."""
         points = self.points.of(estimate.body)
         return displaced(points, estimate, self.points.bones, self.offset_rows, OFFSET_UNIT)
 

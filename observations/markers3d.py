@@ -70,7 +70,7 @@ class Markers3D(TrackedPoints):
         )  # fmt: skip
 
     def on(self, posed: PosedBody) -> Float[Tensor, "*batch time points 3"]:
-        """Where a posed body has the vertices, world, metres."""
+        """The vertices of a posed body, world, metres."""
         return posed.points(torch.tensor(self.vertices, device=self.positions.device))
 
     def at_rest(self, body: BodyModel) -> Float[Tensor, "points 3"]:

@@ -1,4 +1,4 @@
-"""When the estimate is looked at: observations bring their own clock."""
+"""Clocks of observations: the times at which the estimate is compared with the data."""
 
 import math
 from collections.abc import Callable

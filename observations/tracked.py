@@ -38,11 +38,11 @@ class TrackedPoints(TensorStruct):
 
     @abstractmethod
     def on(self, posed: PosedBody) -> Float[Tensor, "*batch time points 3"]:
-        """Where a posed body has the points, world, metres."""
+        """The points of a posed body, world, metres."""
 
     @abstractmethod
     def at_rest(self, body: BodyModel) -> Float[Tensor, "points 3"]:
-        """Where the average body in its rest pose has the points, metres."""
+        """The points of the average body in its rest pose, metres."""
 
     @abstractmethod
     def bones(self, body: BodyModel) -> tuple[int, ...]:
@@ -64,7 +64,7 @@ class TrackedPoints(TensorStruct):
 
     @property
     def places(self) -> Float[Tensor, "*batch moments points 3"]:
-        """Where the points were seen, frame of the recording, metres."""
+        """Positions of the points, frame of the recording, metres."""
         return self.positions
 
     @property

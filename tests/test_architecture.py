@@ -4,6 +4,7 @@ import ast
 import re
 import sys
 import tomllib
+from collections.abc import Iterator
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
@@ -143,6 +144,18 @@ def test_the_map_of_modules_names_what_exists():
     assert [name for name in named if not _exists(name)] == []
 
 
+def test_the_map_of_modules_has_every_room_in_its_own_words():
+    text = (ROOT / "docs" / "modules.md").read_text(encoding="utf-8")
+    told = dict(re.findall(r"^\* `([\w.]+)`: (.*)$", text, flags=re.MULTILINE))
+    rooms = [ROOT / "priors", ROOT / "observations"]
+    rooms += [path.parent for path in (ROOT / "recon").glob("*/__init__.py")]
+    for room in rooms:
+        tree = ast.parse((room / "__init__.py").read_text(encoding="utf-8"))
+        docstring = ast.get_docstring(tree)
+        assert docstring is not None
+        assert told[_name(room / "__init__.py")] == docstring.splitlines()[0]
+
+
 def test_a_public_class_has_a_name_of_its_own():
     """`Clip` was four classes, `Windows`, `Place`, `Piece`, `Parts` and `View` were two each."""
     places: dict[str, list[str]] = {}
@@ -151,3 +164,26 @@ def test_a_public_class_has_a_name_of_its_own():
             if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
                 places.setdefault(node.name, []).append(_name(path))
     assert {name: found for name, found in places.items() if len(found) > 1} == {}
+
+
+FRAGMENT = re.compile(
+    r"(Of|As|Those|Likewise|Times (the|by|that|g)|The same( |,|;)|Where|When|That|And|But|"
+    r"Also|Because|So|Than|From|For|By|In|At|On|With|Without|To|Whose|Who|Why|Either|Both|Not)\b"
+)
+"""Words that begin the second half of a sentence, whose first half a reader would have to find."""
+
+
+def _docstrings(tree: ast.AST) -> Iterator[tuple[int, str]]:
+    """Strings that stand alone: of modules, classes, functions, and below fields and constants."""
+    for node in ast.walk(tree):
+        match node:
+            case ast.Expr(value=ast.Constant(value=str(text))):
+                yield node.lineno, text
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_docstrings_are_sentences_of_their_own(path):
+    """Some 250 began as fragments ("Of the second phase.", "The same in metres.", "Those ...")."""
+    found = _docstrings(ast.parse(path.read_text(encoding="utf-8")))
+    bad = [f"{path}:{line}: {text!r:.60}" for line, text in found if FRAGMENT.match(text)]
+    assert bad == [], "say what it is: a noun first, in the field's terms"

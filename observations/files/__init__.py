@@ -1,1 +1,1 @@
-"""From what files hold to observations."""
+"""Observations from the content of files."""

@@ -1,4 +1,4 @@
-"""From a file of points to an observation: the recording's frame, the person alone, thinned."""
+"""Observations from files of points: the recording's frame, the person alone, thinned."""
 
 from dataclasses import dataclass
 from itertools import pairwise

@@ -1,4 +1,4 @@
-"""Which files are views, and which camera each belongs to, by their names."""
+"""Names of files that are views, and the camera that each belongs to."""
 
 import re
 from collections.abc import Sequence
@@ -7,7 +7,8 @@ from pathlib import Path
 from recon.core.errors import ObservationError
 
 _FOLDERS = ("annots", "pose-associated", "pose-sync", "pose", "openpose", "json")
-"""Where projects of EasyMocap and Pose2Sim keep the folders of their cameras; the first wins."""
+"""Folders in which projects of EasyMocap and Pose2Sim keep those of their cameras; the first
+wins."""
 _SAME = {"camera": "cam", "view": "cam", "c": "cam"}
 _NOISE = {"json", "keypoints", "pose", "mp4", "avi", "mov", "openpose"}
 

@@ -29,7 +29,7 @@ class Silhouettes:
     """Image files, read when needed, or arrays of one bit per pixel."""
 
     def visible(self, frame: int) -> Bool[np.ndarray, "height width"] | None:
-        """Where the person is seen; None for a frame without a mask.
+        """The pixels in which the person is seen; None for a frame without a mask.
 
         Raises:
             ValueError: when the image is damaged.

@@ -1,4 +1,4 @@
-"""Which tracks of several calibrated views are one person: those whose rays meet."""
+"""One person in several calibrated views: the tracks whose rays meet."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -13,14 +13,15 @@ from recon.core.units import AXES, Axis, head_above_feet
 _CONSISTENT = 0.03
 """Median reprojection error of one person's triangulated keypoints, in body sizes."""
 _JOINTLY = 0.05
-"""The same for points triangulated from all views, where errors along single rays show."""
+"""Median reprojection error, in body sizes, of keypoints triangulated from all views at once, in
+which errors along single rays show."""
 _CLEARLY = 2.0
 _MARGIN = 0.005
 """A second track of a view that overlaps the first must fit so many times, and so much, worse."""
 _SEED = 0.2
 """Tracks less complete than this share of their view's best do not make a person."""
 _EQUAL = 0.8
-"""As in `people`: of two persons with at least this ratio none is the most complete."""
+"""Ratio of completeness up to which no person is the most complete, as in `people`."""
 _DOUBTFUL = 0.5
 """Share of the person's completeness from which somebody in one view alone is doubtful."""
 _TRUNK = (0.2, 0.9)
@@ -99,7 +100,7 @@ class _Pairs:
         self._made: dict[tuple[int, int, int, int], TrackPair] = {}
 
     def get(self, v: int, a: int, w: int, b: int) -> TrackPair:
-        """Of track a of view v with track b of view w."""
+        """The pair of track a of view v and track b of view w."""
         if v > w:
             v, a, w, b = w, b, v, a
         if (v, a, w, b) not in self._made:

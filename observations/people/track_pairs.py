@@ -39,7 +39,7 @@ class TrackPair:
     points: Float[np.ndarray, "frames points 3"]
     """World frame, metres; zero where not seen."""
     seen: Bool[np.ndarray, "frames points"]
-    """By both views."""
+    """Which points both views saw."""
     names: tuple[str, ...]
 
 

@@ -27,7 +27,7 @@ keypoint by keypoint, are pieces of one body."""
 _LOST_AFTER = 60
 """Frames without a detection after which somebody who comes back is somebody new."""
 _EQUAL = 0.8
-"""Of two tracks whose completeness has at least this ratio none is the most complete."""
+"""Ratio of completeness from which on neither of two tracks is the more complete."""
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ def body_size(pixels: np.ndarray, confidence: np.ndarray) -> float:
 
 
 def _distinct(detections: Detections, rows: np.ndarray) -> np.ndarray:
-    """Of detections in the same place of a frame the best."""
+    """The best of the detections that lie in the same place of a frame."""
     kept: list[int] = []
     for frame in np.unique(detections.frame[rows]):
         people = rows[detections.frame[rows] == frame].tolist()

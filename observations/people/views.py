@@ -32,7 +32,7 @@ class Views:
     files: tuple[KeypointsFile, ...]
     """One per view, all of the same frames; a frame without the person has confidence zero."""
     names: tuple[str, ...]
-    """Of the cameras."""
+    """Names of the cameras."""
     first_frame: int
     """Frame number of the first frame."""
     decisions: tuple[str, ...]

@@ -23,7 +23,7 @@ _LEAST_POINTS = 20
 _SAMPLE = 200
 """Points of a moment that are looked at."""
 _STEPS, _MORE_STEPS = 5, 3
-"""Of closest points: for the first posture, and for each other one from there on."""
+"""Iterations of closest points: for the first posture, and for each other one from there on."""
 _STEADY = 5.0
 """How much more than an image's headings those of points are held together: points of a stride
 look like those of a turned body."""
@@ -50,8 +50,9 @@ _POSTURES = (
     (0, _STRETCHED, _STRETCHED),
     (0, _RAISED, _RAISED),
 )
-"""Which leg is ahead (the left one 1, the right one -1), left arm, right arm. One raised arm is
-not among them: seen from behind it is the other one, and turning the whole body mends nothing."""
+"""Postures to try: the leg that is ahead (1 left, -1 right), left arm, right arm. One raised
+arm is not among them: seen from behind it is the other one, and turning the whole body mends
+nothing."""
 
 
 def depth_start(
@@ -126,7 +127,7 @@ class _Model:
         self.front = turns[:, :, 2]
 
     def fit(self, cloud: np.ndarray, heading: int, eye: np.ndarray | None) -> np.ndarray:
-        """For every posture the pelvis of the best translation and, last, its misfit, 0 to 1."""
+        """The pelvis of the best translation for every posture and, last, its residual, 0 to 1."""
         fits: list[np.ndarray] = []
         for middles, normals in zip(self.middles[heading], self.normals[heading], strict=True):
             if eye is not None:

@@ -21,7 +21,8 @@ HEADINGS = 36
 _TURNING = 4.0
 """Radians per second that a body turns at now and then."""
 _LEG_WEIGHT = 0.3
-"""Of knees, ankles and feet, which move against the torso, but tell how far away a body is."""
+"""Weight of knees, ankles and feet, which move against the torso, but tell how far away a body
+is."""
 _SMOOTHING = 0.5
 """Seconds to either side over which the median of the distance is taken."""
 _STRETCHED = 0.8

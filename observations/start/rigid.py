@@ -70,7 +70,7 @@ def rigid_start(
 
 
 def nearest_placed(placed: Bool[Tensor, "*batch time"]) -> Tensor:
-    """For every frame the index of the closest frame that has a placement."""
+    """The index of the closest frame with a placement, for every frame."""
     frames = placed.shape[-1]
     index = torch.arange(frames, device=placed.device).expand(placed.shape)
     far = 2 * frames

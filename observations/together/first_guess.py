@@ -1,4 +1,4 @@
-"""Where a fit begins, from all observations of a clip together."""
+"""The first guess of a fit, from all observations of a clip together."""
 
 import math
 from collections.abc import Sequence
@@ -60,7 +60,7 @@ def first_guess(observations: Sequence[Sensor], body: BodyModel) -> FirstGuess:
 
 
 def _turned(motion: Motion, angle: float) -> Motion:
-    """The same body in the same place, facing elsewhere; points do not tell headings well."""
+    """The body in the same place with another heading, as points do not tell headings well."""
     about = so3.about_z(motion.translation.new_tensor(angle))
     root = about @ motion.rotations[..., :1, :, :]
     return motion.replace(rotations=torch.cat((root, motion.rotations[..., 1:, :, :]), -3))

@@ -13,7 +13,7 @@ from recon.method.protocols import Sensor
 
 
 def carried(seen: Sensor, T_new_old: Float[np.ndarray, "4 4"]) -> Sensor:
-    """The same observation after a rigid transform of the frame that it lives in.
+    """An observation after a rigid transform of the frame that its data are in.
 
     Args:
         seen: in the old frame.

@@ -159,7 +159,7 @@ def _noises(given: float | Sequence[float | None] | None, clip: Clip) -> tuple[f
 
 
 def _start(given: Motion | Result | None, sighting: Sighting, body: BodyModel) -> Motion | None:
-    """With a leading axis, in the frame in which the observations are fitted."""
+    """The caller's start with a leading axis, in the frame in which observations are fitted."""
     if given is None:
         return None
     motion = given.motion if isinstance(given, Result) else given

@@ -89,7 +89,7 @@ def _with_motion(file: MotionFile, motion: Motion) -> MotionFile:
 
 
 def _one_clip(motion: Motion, name: str) -> Motion:
-    """Without a leading axis and padding, and with finite numbers alone."""
+    """A motion without a leading axis and padding, and with finite numbers alone."""
     batch = tuple(motion.translation.shape[:-2])
     if batch not in ((), (1,)):
         raise ReconError(

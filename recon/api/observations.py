@@ -141,7 +141,7 @@ def counted_less_beyond(clip: Clip, distance: float) -> Clip:
 
 
 def _names(seen: Sequence[Any]) -> tuple[str, ...]:
-    """By kind, numbered where there are several of one."""
+    """Names of the observations by their kind, numbered where there are several of one kind."""
     for one in seen:
         if not isinstance(one, Sensor):
             raise _no_observation(one)
@@ -162,7 +162,7 @@ def _no_observation(given: object) -> ObservationError:
 
 
 def _one_clip(one: Sensor) -> Sensor:
-    """With a leading axis of length one."""
+    """An observation with a leading axis of length one."""
     if one.clips == ():
         return one[None]
     if one.clips != (1,):

@@ -1,4 +1,4 @@
-"""Which prior is meant: by its name, by where its class is, or the object itself."""
+"""The prior that a caller means: by its name, by where its class is, or the object itself."""
 
 from importlib import import_module
 from typing import Any

@@ -34,8 +34,8 @@ class Result(MotionResult):
     notes: tuple[str, ...]
     """What was assumed in reading files."""
     cycle: dict[str, Any] | None
-    """Of a completed gait cycle: seconds, moments seen, how far its code is from those of
-    recorded cycles."""
+    """Facts about a completed gait cycle: seconds, moments seen, distance of its code from those
+    of recorded cycles."""
     arguments: Mapping[str, Any]
     """What `recon.fit` was called with, in plain values."""
 
@@ -102,7 +102,7 @@ class Result(MotionResult):
         }
 
     def __repr__(self) -> str:
-        """At most ten lines: how long, who, how near the data, and what was found."""
+        """A summary of at most ten lines: length, person, residuals, and findings."""
         first = self._headline() + (", FAILED: NaN or infinity" if self.failed else "")
         found = [f"repaired: {finding.message}" for finding in self.repairs]
         found += [f"warning: {finding.message}" for finding in self.warnings]

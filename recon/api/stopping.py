@@ -24,7 +24,7 @@ class Stopper:
         self._callback, self._clock, self._seconds = callback, clock, max_seconds
         self._deadline = None if max_seconds is None else clock() + max_seconds
         self.reason: str | None = None
-        """Why the fit was stopped; None while it was not."""
+        """The reason why the fit was stopped; None while it was not."""
 
     def __call__(self, stage: str, progress: Progress) -> bool:
         """Whether to stop; the callback is asked until it says so."""

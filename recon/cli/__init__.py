@@ -31,7 +31,7 @@ def main() -> None:
 
 
 def _interrupt(_: int, __: FrameType | None) -> None:
-    """Who is asked to end does what Ctrl-C does: nothing half written stays."""
+    """Treat a request to end like Ctrl-C: nothing half written stays."""
     raise KeyboardInterrupt
 
 

@@ -62,4 +62,4 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "recon train humor motions/ --out humor.safetensors --steps 20000",
     ),
 }
-"""By verb."""
+"""Examples by verb."""

@@ -1,4 +1,4 @@
-"""From the words of a command line to the verb that runs, or to what to write instead."""
+"""The verb and arguments of a command line, or the message of what is wrong with it."""
 
 import functools
 import inspect
@@ -76,7 +76,7 @@ def options_of(verb: Callable[..., None]) -> set[str]:
 
 
 def _options(name: str, hint: Any, default: Any) -> set[str]:
-    """Those of one parameter; of settings, those of all their fields."""
+    """The options of one parameter; of settings, those of all their fields."""
     from tyro.conf import Positional
 
     if is_dataclass(default):
@@ -103,7 +103,7 @@ def _put_off(verb: Callable[..., None]) -> Callable[..., Callable[[], None]]:
 
 
 def _in_short(verb: Callable[..., None]) -> Callable[..., Callable[[], None]]:
-    """The same with the first line of the help, for the list of all verbs."""
+    """The verb with the first line of its help alone, for the list of all verbs."""
     later = _put_off(verb)
     later.__doc__ = (inspect.getdoc(verb) or "").partition("\n\n")[0]
     return later

@@ -39,7 +39,7 @@ class Examined:
 
     fit: ClipFit
     residuals: tuple[ResidualSummary, ...]
-    """Of every sensor, in the order of the observations."""
+    """Residuals of every sensor, in the order of the observations."""
     diagnosis: tuple[Finding, ...]
     """What is worth knowing but is no fault: limbs and frames that were inferred, feet at several
     heights, rests on something else than feet."""

@@ -1,1 +1,1 @@
-"""From observations to a motion: clips, long recordings, the ground, cycles, other bodies."""
+"""Fits of motions to observations: clips, long recordings, the ground, cycles, other bodies."""

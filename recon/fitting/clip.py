@@ -46,13 +46,13 @@ class ClipFit:
     """What came out, and what was assumed."""
 
     result: Reconstruction
-    """In the world: z = 0 is the ground."""
+    """The fit in the world, where z = 0 is the ground."""
     noises: tuple[Noise, ...]
     ground_known: bool
     T_world_recording: Float[Tensor, "clips 4 4"]
     """Maps the frame of the observations to the world; metres."""
     observations: tuple[Sensor, ...]
-    """As they were compared, with the rows of their offsets."""
+    """The observations as they were compared, with the rows of their offsets."""
 
 
 def fit_clip(
@@ -160,7 +160,7 @@ class _Job:
         return OFFSETS if self.offsets else frozenset()
 
     def scene(self, start: Motion, ground: UnknownGround | None = None) -> Scene:
-        """Where keypoints are as the table says, and a ground."""
+        """A scene with no offsets of keypoints, and a ground."""
         clips = len(start.translation)
         scene = Scene.create(clips, self.offsets, like=start.translation)
         return scene.replace(ground=ground)
@@ -206,7 +206,7 @@ class _Job:
         )
 
     def decided(self) -> "_Job":
-        """The same clips from the likeliest of their first guesses.
+        """The clips with the likeliest of their first guesses.
 
         Which it is, a quick fit under the pose prior tells: half the moments, few of the points.
         """
@@ -265,7 +265,7 @@ class _Job:
         return self.fit(self.options, self.scene(start, ground), start, self.moved | unknown)
 
     def first_seconds(self) -> "_Job":
-        """The same clip cut off after a window's length."""
+        """The clip cut off after a window's length."""
         begin = self.guess.motion.start_time
         frames = round(WINDOW * self.guess.motion.fps) + 1  # the window has both its ends
         seen = tuple(o.window(begin, begin + WINDOW) for o in self.observations)

@@ -39,7 +39,7 @@ class Clip:
     names: tuple[str, ...]
     notes: tuple[str, ...]
     T_recording_camera: Float[np.ndarray, "4 4"] | None
-    """Of the one camera whose pose is not known, if there is one; metres."""
+    """Pose of the one camera whose pose is not known, if there is one; metres."""
     ground_given: bool = False
     """Whether the caller gave the plane that lies at z = 0 of the recording."""
 

@@ -115,7 +115,7 @@ def settings_checksum(settings: FitSettings, version: int) -> str:
 
 
 def clip_checksum(paths: Sequence[Path], settings: str) -> str:
-    """Of one clip: its observations in their order, with their names, and `settings_checksum`.
+    """A checksum of one clip: its observations in their order, their names, and the settings.
 
     Raises:
         OSError, ValueError: when a file is there and cannot be read.

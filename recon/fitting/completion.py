@@ -50,7 +50,8 @@ FITTED = 256
 RATES = (30.0, 60.0)
 """Frames per second that cycles are decoded at, at least and at most."""
 ROUGH_RATE = 15.0
-"""The same, about, while beginnings are told apart: a code moves all moments together."""
+"""Frames per second, about, while first guesses are compared: a code moves all moments
+together."""
 _AT_ONCE = 96
 """Beginnings that are looked at together."""
 
@@ -259,7 +260,7 @@ class _Search:
         return max(round(self.clock.fps / ROUGH_RATE), 1)
 
     def with_offsets(self, stages: Sequence[Stage]) -> tuple[Stage, ...]:
-        """The same; markers may move once it is about the body."""
+        """The stages with offsets of markers, from the one in which they are near the body."""
         if self.offsets == 0:
             return tuple(stages)
         held = Term("offsets", offsets, (self.method.noise / MARKER_OFFSET_DEVIATION) ** 2)
@@ -271,7 +272,7 @@ class _Search:
         )
 
     def _paths(self, shape: Float[Tensor, " shape"]) -> Float[Tensor, "typical 100 3"]:
-        """Where the pelvis of each typical cycle goes."""
+        """The path of the pelvis in each typical cycle."""
         prior = self.method.prior
         typical = prior.weights.spread.typical
         rows = prior.weights.networks.decode(typical, shape.expand(len(typical), -1))

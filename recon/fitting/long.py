@@ -57,7 +57,7 @@ def fit_long(
     weights: Sequence[float] | None = None,
     watch: Watch | None = None,
 ) -> LongReconstruction:
-    """As `fit`, for one clip of any length: time grows with the length, memory hardly.
+    """Fit one clip of any length: time grows with the length, memory hardly.
 
     The recording is cut into overlapping windows. Some, spread over it, are fitted up to the
     first stage that moves the shape; the median of their shapes is the shape of all. Then every

@@ -45,7 +45,7 @@ class TimedObservation(Observation, Protocol):
         ...
 
     def derived(self, **fields: Any) -> "TimedObservation":
-        """The same record with some fields exchanged, which were checked before."""
+        """The record with some fields exchanged, which were checked before."""
         ...
 
 
@@ -54,7 +54,7 @@ class Overlap(TensorStruct):
     """½ Σ w |p - p̂|² of joints p from those p̂ of the neighbours, at 30 Hz; metres²."""
 
     joints: Float[Tensor, "*batch time 22 3"]
-    """From the window's first moment on; zero where the weight is."""
+    """Joints of the neighbours from the window's first moment on; zero where the weight is."""
     weight: Float[Tensor, "*batch time"]
     """The neighbour's own share of the joined motion: one at its inside, zero at its border."""
     fps: float

@@ -1,4 +1,4 @@
-"""From settings to the method of a fit: which prior, with which weights for which noise."""
+"""Methods of a fit from its options: the prior, with weights for the noise of the data."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -80,7 +80,7 @@ class WithoutRoot:
     method: Method
 
     def stages(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
-        """Those from the first on that moves more than place and heading."""
+        """The stages from the first on that moves more than place and heading."""
         stages = self.method.stages(data)
         first = next((k for k, stage in enumerate(stages) if not stage.free <= _PLACE), 0)
         return stages[first:]

@@ -18,7 +18,7 @@ PriorObject = Method | Humor | Humos | AnchorFrames
 
 @dataclass(frozen=True)
 class FitOptions:
-    """Which prior, how noisy the data are, and what else the fit should heed."""
+    """The prior of a fit, the noise of the data, and what else the fit should heed."""
 
     prior: str | PriorObject = "humor"
     """A name (humor, pose, anchor, humos), a loaded prior, or a method with `stages`."""

@@ -1,4 +1,4 @@
-"""The same motion as another body performs it."""
+"""Retargeting: the motion of one body as another one performs it."""
 
 from collections.abc import Callable
 
@@ -91,7 +91,7 @@ def _settled(
 
 
 def _between(motion: Motion) -> Float[Tensor, "frames coarse"]:
-    """From frames at 20 Hz to those of a motion."""
+    """The matrix of splines from frames at 20 Hz to those of a motion."""
     coarse = frames_at_rate(motion.frames, motion.fps)
     return spline(coarse, motion.frames, motion.fps).to(motion.translation)
 
@@ -114,7 +114,7 @@ def _in_windows(
 def _checked(
     motion: Motion, shape: Float[Tensor, " shape"], prior: Humos
 ) -> tuple[Motion, Float[Tensor, " shape"]]:
-    """Both in single precision, or a message that says what is wrong."""
+    """Motion and shape in single precision, or an error that says what is wrong."""
     if motion.translation.ndim != 2 or not bool(motion.valid.all()):
         raise ReconError(
             "expected one clip all of whose frames exist; take the clips of a batch one by one, "

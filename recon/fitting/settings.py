@@ -14,7 +14,8 @@ class FitSettings:
     poses and smoothness (stages 1-2 of HuMoR), `anchor` one whole cycle of gait, `humos` codes of
     stretches of 0.8 s for the body that moves."""
     weights: str = "open"
-    """Of the prior: `open`, `nc` (not for commercial use; in a source checkout) or a file."""
+    """Weights of the prior: `open`, `nc` (not for commercial use; in a source checkout) or a
+    file."""
     body: Path | None = None
     """A SMPL-family file of your own; default: the bundled body."""
     between: tuple[float, float] | None = None
@@ -26,7 +27,7 @@ class FitSettings:
     noise: float | None = None
     """Standard deviation of every coordinate in space, metres; default: told from the data."""
     noise_pixels: float | None = None
-    """The same of keypoints in images, pixels; default: told from the data."""
+    """Standard deviation of keypoints in images, pixels; default: told from the data."""
     camera: Path | None = None
     """Calibration of the cameras that detections and depth images come from."""
     camera_unit: Literal["m", "mm"] | None = None
@@ -36,10 +37,10 @@ class FitSettings:
     image_size: tuple[int, int] | None = None
     """Width and height of the images, pixels, where the calibration does not tell."""
     ground: tuple[float, float, float, float] | None = None
-    """Of a camera without pose: the plane n·x = d in its frame (x right, y down, z forward), the
-    normal up, metres; 0 -1 0 -1.2 is 1.2 m below a level camera. Default: found."""
+    """Ground seen by a camera without pose: the plane n·x = d in its frame (x right, y down, z
+    forward), the normal up, metres; 0 -1 0 -1.2 is 1.2 m below a level camera. Default: found."""
     layout: str | None = None
-    """Which keypoints detections are, where files do not tell: openpose25, coco17, ..."""
+    """Layout of the keypoints, where files do not tell: openpose25, coco17, ..."""
     person: int | None = None
     """Whom to follow where detections show several people: number as the message lists them."""
     masks: Path | None = None
@@ -62,9 +63,9 @@ class FitSettings:
     fps: float | None = None
     """Rate of the result; default: that of the first observation."""
     device: Literal["cpu", "cuda"] = "cpu"
-    """Where to compute."""
+    """Device that computes."""
     seed: int = 0
-    """Of everything random."""
+    """Seed of everything random."""
 
 
 DEFAULTS = FitSettings()

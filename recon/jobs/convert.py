@@ -15,7 +15,7 @@ class ConversionSettings:
     """How to convert; what is None is found out."""
 
     unit: Literal["m", "cm", "mm", "inch", "cmu"] | None = None
-    """Of the recording."""
+    """Unit of the recording."""
     up: Axis | None = None
     """Axis of the recording that points up."""
     mapping: Path | None = None

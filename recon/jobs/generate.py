@@ -15,31 +15,31 @@ class GenerationSettings:
     """How to make motions."""
 
     seconds: float
-    """Of every motion, counted from its first frame."""
+    """Duration of every motion, counted from its first frame."""
     seed: int = 0
-    """Of everything random."""
+    """Seed of everything random."""
     weights: str | None = None
-    """As the prior's `load` takes them."""
+    """Weights of the prior: `open`, `nc` or a file."""
     body: Path | None = None
     """A SMPL-family file; None is the bundled body."""
     device: Literal["cpu", "cuda"] = "cpu"
-    """Where to compute."""
+    """Device that computes."""
     temperature: float = 1.0
     """Factor on the standard deviations of the prior; above 1 motions vary more."""
 
     def arguments(self) -> dict[str, Any]:
-        """The same as arguments of `recon.sample` and `recon.predict`."""
+        """The settings as arguments of `recon.sample` and `recon.predict`."""
         return asdict(self) | {"weights": self.weights or "open"}
 
 
 @dataclass(frozen=True)
 class BodySettings:
-    """Whose motions HUMOS makes."""
+    """The body whose motions HUMOS generates."""
 
     shape: str | None = None
-    """As `recon.body.identities.identity` takes it; None is the average body."""
+    """Description of a shape (`recon.body.identities.identity`); None is the average body."""
     fps: float = REFERENCE_FPS
-    """Of the files; the prior itself has 20."""
+    """Frame rate of the files; the prior itself has 20."""
 
 
 def sample_files(

@@ -15,11 +15,11 @@ class InterpolationSettings:
     at: float
     """Share of the second, 0 to 1."""
     weights: str = "open"
-    """As `AnchorFrames.load` takes them."""
+    """Weights of the prior: `open`, `nc` or a file."""
     body: Path | None = None
     """A SMPL-family file; None is the bundled body."""
     fps: float | None = None
-    """Of the result; None is the first file's rate."""
+    """Frame rate of the result; None is the first file's rate."""
 
 
 def interpolate_files(

@@ -15,11 +15,11 @@ class RetargetSettings:
     shape: str
     """The body to move, as `recon.body.identities.identity` takes it."""
     weights: str = "open"
-    """As `Humos.load` takes them."""
+    """Weights of the prior: `open`, `nc` or a file."""
     body: Path | None = None
     """A SMPL-family file; None is the bundled body."""
     fps: float | None = None
-    """Of the result; None is the motion's rate."""
+    """Frame rate of the result; None is the motion's rate."""
     ground: float | None = None
     """Height of the ground in the motion, metres; None is what the file says, else 0."""
 

@@ -149,11 +149,11 @@ class Sensor(Observation, Protocol):
         ...
 
     def derived(self: Observed, **fields: Any) -> Observed:
-        """The same record with some fields exchanged, unchecked."""
+        """The record with some fields exchanged, unchecked."""
         ...
 
     def to(self: Observed, *, device: Any = None, dtype: Any = None) -> Observed:
-        """On another device, in another precision."""
+        """The record on another device, in another precision."""
         ...
 
     def __getitem__(self: Observed, index: Any) -> Observed:

@@ -174,7 +174,7 @@ def reconstruct(
     weights: Sequence[float] | None = None,
     watch: Watch | None = None,
 ) -> Reconstruction:
-    """As `solve`, of arguments that are known to fit each other."""
+    """A reconstruction from arguments that are known to fit each other; see `solve`."""
     if start is None:
         with torch.no_grad():
             start = observations[0].start(body)

@@ -27,7 +27,7 @@ class Windows:
 
     @classmethod
     def cover(cls, total: int, longest: int, overlap: int, step: int = 1) -> "Windows":
-        """As few windows as do, as short as do.
+        """The fewest and shortest windows that cover a recording.
 
         Args:
             total: frames of the recording.

@@ -79,7 +79,7 @@ def _calibrated(path: Path, truth: Motion, body: BodyModel, views: int) -> dict[
 
 
 def _camera(arrays: CameraArrays, truth: Motion) -> Camera:
-    """As tensors; one pose has no time axis."""
+    """A camera as tensors; one pose has no time axis."""
     poses = arrays.T_camera_world
     if poses is not None and len(poses) == 1:
         poses = poses[0]
@@ -92,6 +92,6 @@ def _camera(arrays: CameraArrays, truth: Motion) -> Camera:
 
 
 def _heading(truth: Motion) -> float:
-    """Where the body faces most of the time, radians from the world's x axis."""
+    """The mean heading of the body, radians from the world's x axis."""
     x, y, _ = truth.rotations[:, 0, :, 2].mean(0).tolist()
     return math.atan2(y, x)

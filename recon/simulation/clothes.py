@@ -26,7 +26,7 @@ COVER = MappingProxyType(
 )  # fmt: skip
 """How loose clothes are on what a joint carries; hands, feet and head are bare."""
 _WAVES = 128
-"""Of a random field."""
+"""Number of waves of a random field."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Clothing:
 
 
 def clothed(body: BodyModel, seed: int, clothing: Clothing | None = None) -> BodyModel:
-    """The same body, joints, shape space and all, in clothes; the same ones for every shape."""
+    """The body in clothes, with its joints and shape space; clothes do not depend on the shape."""
     offset = offsets(body, seed, clothing)
     normals = tensor_normals(body.template, body.faces)
     return body.replace(

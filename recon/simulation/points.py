@@ -47,7 +47,7 @@ class Corruption:
             raise ReconError(f"during is from A to B seconds with A < B, got {self.during}")
 
     def active(self, times: Float[Tensor, " time"]) -> Bool[Tensor, " time"]:
-        """When things are hidden."""
+        """Times at which things are hidden."""
         first, last = (-math.inf, math.inf) if self.during is None else self.during
         return (times >= first) & (times < last)
 
@@ -57,7 +57,7 @@ class Corruption:
         generator: Generator,
         times: Float[Tensor, " time"],
     ) -> Bool[Tensor, "time points"]:
-        """Which of the true points the sensor sees."""
+        """True points that the sensor sees."""
         active = self.active(times)[:, None]
         time, count = points.shape[:2]
         seen = torch.rand(time, count, generator=generator) >= self.missing_points
@@ -133,14 +133,14 @@ def landmarks3d(
 def exact(
     seen: Joints3D | Markers3D, truth: Motion, body: BodyModel
 ) -> Float[Tensor, "time points 3"]:
-    """Where the tracked points really were."""
+    """True positions of the tracked points, metres."""
     return seen.on(body.pose(truth))
 
 
 def visible_joints(
     motion: Motion, body: BodyModel, corruption: Corruption, seed: int
 ) -> Bool[Tensor, "time 22"]:
-    """Which joints of the truth the sensor could have seen; `evaluate` splits errors by it."""
+    """True joints that the sensor could have seen; `evaluate` splits errors by them."""
     generator = torch.Generator().manual_seed(seed)
     return corruption.visible(body.pose(motion).joints, generator, motion.times)
 

@@ -169,7 +169,7 @@ def _filmed(
 
 
 def _lost(file: KeypointsFile | PointsFile) -> KeypointsFile | PointsFile:
-    """The same from a camera that does not know where it stands, and where it really stood.
+    """Observations of a camera of unknown pose, and its true pose.
 
     Raises:
         ValueError: when the camera moves.

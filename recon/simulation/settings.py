@@ -19,7 +19,7 @@ class FilmSettings:
     orbit: float = 0.0
     """Angle that the cameras are carried around the body by, radians."""
     layout: str = "openpose25"
-    """Which keypoints."""
+    """Layout of the keypoints."""
 
 
 FILM_DEFAULTS = FilmSettings()

@@ -118,7 +118,7 @@ def paint_scene(show: Show, frame: int, view: Viewpoint) -> Picture:
 
 
 def evenly(count: int, wanted: int) -> list[int]:
-    """At most `wanted` of `count` frames, evenly spread from the first to the last."""
+    """Numbers of at most `wanted` of `count` frames, evenly spread from the first to the last."""
     return sorted({round(place) for place in np.linspace(0, count - 1, wanted)})
 
 

@@ -27,7 +27,7 @@ class MotionResult(ABC):
     file: MotionFile
     """What `save` writes: the motion, joints, contacts, ground and camera."""
     body: BodyModel
-    """Whose motion it is."""
+    """The body that moves."""
     warnings: tuple[Finding, ...]
     """What should be read before the result is used."""
 
@@ -108,7 +108,7 @@ class Made(MotionResult):
     about: Mapping[str, Any]
     """What the function knows about it, in plain values, as its report has it."""
     summary: tuple[str, ...] = ()
-    """The same in a few lines for the person at the terminal."""
+    """A summary in a few lines for the person at the terminal."""
     repairs: tuple[Finding, ...] = ()
     """What was wrong with a recording and was put right."""
     diagnosis: tuple[Finding, ...] = ()
@@ -119,7 +119,7 @@ class Made(MotionResult):
         return {**self.about, "versions": versions()}
 
     def __repr__(self) -> str:
-        """At most ten lines: how long, who, what is known about it, and what was found."""
+        """A summary of at most ten lines: length, person, what is known, and findings."""
         found = [f"repaired: {finding.message}" for finding in self.repairs]
         found += [f"warning: {finding.message}" for finding in self.warnings]
         return in_ten_lines(self._headline(), self.summary, found)

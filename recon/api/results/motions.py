@@ -80,7 +80,7 @@ class MotionResults:
                 save_motion(staged if one else staged / name, made.file)
 
     def __repr__(self) -> str:
-        """At most ten lines: how many, how long, and what was found."""
+        """A summary of at most ten lines: number, lengths, and findings."""
         motion = self.made[0].motion
         seconds = (motion.frames - 1) / motion.fps
         first = (

@@ -31,7 +31,7 @@ class Simulated:
     truth: Motion
     """The motion at the sensor's moments."""
     body: BodyModel
-    """Whose motion it is."""
+    """The body that moves."""
 
     @cached_property
     def clip(self) -> Clip:
@@ -41,7 +41,7 @@ class Simulated:
 
     @property
     def observations(self) -> tuple[Sensor, ...]:
-        """The same without their names; each has a leading axis of one clip."""
+        """The observations without their names; each has a leading axis of one clip."""
         return self.clip.observations
 
     def __iter__(self) -> Iterator[Sensor]:
@@ -90,7 +90,7 @@ class Simulated:
         return tuple(path / f"{name}.npz" for name in self.files) if several else (path,)
 
     def __repr__(self) -> str:
-        """At most ten lines: what was simulated, how long, and by which cameras."""
+        """A summary of at most ten lines: what was simulated, how long, and by which cameras."""
         seconds = (self.truth.frames - 1) / self.truth.fps
         first = (
             f"Simulated {self.kind}: {self.truth.frames} moments, {seconds:.2f} s at "

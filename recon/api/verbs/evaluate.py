@@ -109,7 +109,7 @@ def evaluate(
 
 
 def _in_double(file: MotionFile) -> MotionFile:
-    """With every array in double precision, as results of single precision are read from files."""
+    """A record with every array in double precision, as results in files are single."""
     tensors = {
         key: value.double().cpu()
         for key, value in vars(file).items()

@@ -44,7 +44,7 @@ def retarget(
     fps: float | None = None,
     ground: float | None = None,
 ) -> Made:
-    """The same motion as a body of another shape would do it.
+    """The motion of one body as a body of another shape would perform it.
 
     The HUMOS prior proposes a motion; the nearest one to it that obeys physics is the result. It
     begins at the same place. Nothing is random, and everything is computed on the processor.
@@ -136,7 +136,7 @@ def ground_height(given: GivenMotion, asked: float | None) -> float:
 
 
 def raised(motion: Motion, metres: float) -> Motion:
-    """The same motion higher up."""
+    """A motion moved upwards by some metres."""
     up = motion.translation.new_tensor((0.0, 0.0, 1.0))
     return motion.replace(translation=motion.translation + metres * up)
 

@@ -10,7 +10,7 @@ from recon.diagnosis.fits.summaries import ResidualSummary
 from recon.method.protocols import Estimate, Sensor
 
 _SUSPECT = 5.0
-"""Times the noise that was told from the data, from which on a median residual is suspicious."""
+"""Multiple of the estimated standard deviation from which on a median residual is suspicious."""
 _LEAST = {"pixels": 15.0, "metres": 0.06}
 """Median residuals below these are not suspicious, whatever the noise."""
 

@@ -1,4 +1,4 @@
-"""Which joints of which frames were seen, and which a prior inferred."""
+"""Joints that were seen, frame by frame, as against joints that a prior inferred."""
 
 from collections.abc import Sequence
 
@@ -17,7 +17,7 @@ _NEAR = 0.2
 def observed_joints(
     observations: Sequence[Sensor], estimate: Estimate
 ) -> Bool[np.ndarray, "time 22"]:
-    """For every frame of the first clip's motion, which joints some sensor saw.
+    """The joints that some sensor saw, for every frame of the first clip's motion.
 
     A joint is seen where a visible point lies within 20 cm of it at rest and on a bone that ends
     or begins there; or where points of a cloud lie within 15 cm of it.
@@ -64,7 +64,7 @@ def unseen_findings(observed: Bool[np.ndarray, "time 22"]) -> list[Finding]:
 
 
 def _nearest_moments(observation: Sensor, motion: Motion) -> Int[np.ndarray, " time"]:
-    """For every frame of the motion the number of the nearest tick of the observation's clock.
+    """The number of the nearest tick of the observation's clock, for every frame of the motion.
 
     Frames before its first and after its last moment have numbers beyond its own.
     """

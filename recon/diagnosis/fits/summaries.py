@@ -22,7 +22,7 @@ class ResidualSummary:
     noise: float
     """Standard deviation of a coordinate that the fit assumed."""
     median: float | None
-    """Of the lengths of all residuals; None where nothing was seen at the motion's times."""
+    """Median length of all residuals; None where nothing was seen at the motion's times."""
     quantiles: tuple[float, ...] | None
     """The 50th, 90th and 99th percentile."""
     by_point: dict[str, float | None]

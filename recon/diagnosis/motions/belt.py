@@ -17,17 +17,17 @@ _LOW = 0.03
 _STEADY = 0.2
 """Relative deviation from the belt's velocity up to which a foot is carried by it."""
 _STEADY_LEAST = 0.2
-"""The same in metres per second for slow belts."""
+"""Deviation from the velocity of slow belts up to which a foot is carried by them, m/s."""
 _SHARE = 0.55
-"""Of the moments with a sole on the ground, those in which it moves with the belt."""
+"""Share of the moments with a sole on the ground in which it must move with the belt."""
 _STANDING = 0.3
 """Metres per second below which a foot stands in the room."""
 _STANDING_SHARE = 0.15
-"""Of the moments with a sole on the ground, those in which it may stand in the room."""
+"""Share of the moments with a sole on the ground in which it may stand in the room."""
 _STAYS = 0.35
 """Mean speed of the pelvis over that of the belt, up to which the body stays where it is."""
 _LEAST_SECONDS = 0.15
-"""Of contact of each foot."""
+"""Seconds for which each foot must touch the ground."""
 _UPRIGHT = 0.7
 """Median height of the pelvis above the ground in lengths of leg; nobody walks or runs lower."""
 

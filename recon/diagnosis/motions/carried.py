@@ -31,7 +31,7 @@ _UPWARD = 0.35
 _SCALE = 0.1
 """Metres per second by which soles that stand differ from one plate in a fit to one camera."""
 _ROUNDS = 20
-"""Of reweighting."""
+"""Iterations of reweighting."""
 _FEWEST = 20
 """Moments of a standing foot that are needed to tell a rate."""
 _RATES = (9.0, 50.0)
@@ -54,7 +54,7 @@ class Plate:
     gain: float
     """Robust misfit per sample that vanishes because the plate may turn."""
     share: float
-    """The same over the misfit of a plate that may not turn."""
+    """Share of the robust misfit of a plate that may not turn which vanishes because it may."""
 
     @property
     def turns(self) -> bool:
@@ -153,7 +153,7 @@ def carried_finding(
 
 
 def _seen_feet(observed: Bool[np.ndarray, "time 22"], fps: float) -> Bool[np.ndarray, "time 2"]:
-    """Where each foot was seen at about the time, as detectors lose single points for a frame."""
+    """Feet that were seen at about the time, as detectors lose single points for a frame."""
     both = np.stack([observed[:, foot].all(-1) for foot in _FEET], -1)
     half = max(1, round(_LAG * fps / 2))
     around = np.pad(both, ((half, half), (0, 0)))

@@ -17,17 +17,17 @@ _FALL_SECONDS = 0.2
 _PARABOLA = 0.01
 """Metres, root mean square, by which the centre of mass of a fall may leave its parabola."""
 _FASTEST_FALL = 2.0
-"""Times g; the centre of mass of our body falls at up to 1.8 g in jumps of CMU, whose people
-have other masses."""
+"""Largest plausible acceleration of a fall, in g; the centre of mass of our body falls at up to
+1.8 g in jumps of CMU, whose people have other masses."""
 _FALLS = 1.3
-"""Times g that a fall may have once the rate is put right."""
+"""Acceleration, in g, that a fall may have once the rate is put right."""
 _FALL_EVERY = 10.0
 """Seconds of a recording for which one fall too fast is needed; more is no glitch."""
 _OFF_GROUND = 0.08
 """Metres above the ground of both soles in the air."""
 _FLIGHT_FRAMES = 5
 _FREE = (0.75, 1.3)
-"""Times g: how fast a free fall looks on our body, whose mass is not that of the person."""
+"""Acceleration, in g, of a free fall as seen on our body, whose mass is not that of the person."""
 _WITH = 0.5
 """Share of the rise of the centre of mass by which the lower foot rises too, at least; who stands
 on something higher leaves it where it is."""

@@ -20,7 +20,7 @@ _USUAL = (0.25, 0.5, 2.0, 4.0)
 
 @dataclass(frozen=True)
 class RateRange:
-    """Where the true frame rate lies, as a multiple of the declared one."""
+    """The range of the true frame rate, as multiples of the declared one."""
 
     low: float
     high: float

@@ -15,9 +15,9 @@ _STILL = 0.2
 _LEVELS = 0.08
 """Metres between two levels; soles of one floor differ less."""
 _LEAST_SECONDS = 0.3
-"""That a foot must stand on another level."""
+"""Seconds for which a foot must stand on another level."""
 _SHARE = 0.1
-"""Of the time that feet stand, likewise."""
+"""Share of the time of all standing feet for which feet must stand on another level."""
 _BESIDE = 0.12
 """Metres by which the centre of mass may lie beside the feet while a body stands still."""
 _LEAST_REST = 0.8

@@ -17,7 +17,7 @@ _SAVED = 0.08
 _NEARER = 0.15
 """Metres by which both points together must come nearer to their places in a frame."""
 _NOISES = 6.0
-"""The same in standard deviations of a coordinate."""
+"""Standard deviations of a coordinate by which both points together must come nearer."""
 _GAP, _SHORTEST = 2, 2
 """Frames between exchanged frames that are exchanged, too; and frames of the shortest stretch."""
 

@@ -30,7 +30,7 @@ class NamedPoints:
     bones: tuple[int, ...]
     """The body joint whose bone carries each point."""
     rest: Float[np.ndarray, "points 3"]
-    """Where the points are on the average body in its rest pose, metres."""
+    """Positions of the points on the average body in its rest pose, metres."""
     fps: float
     are_joints: bool
     """Whether the points are the joints themselves rather than points of the skin."""
@@ -57,13 +57,13 @@ class NamedPoints:
         )
 
     def without(self, hidden: Bool[np.ndarray, "moments points"]) -> "NamedPoints":
-        """The same with some points no longer visible."""
+        """The points with some of them no longer visible."""
         return replace(self, visible=self.visible & ~hidden)
 
     def permuted(
         self, order: tuple[int, ...], moments: Bool[np.ndarray, " moments"]
     ) -> "NamedPoints":
-        """The same where, at some moments, point k carries what point order[k] carried."""
+        """The points with names exchanged at some moments: point k gets data of point order[k]."""
         index = list(order)
         positions, visible = self.positions.copy(), self.visible.copy()
         positions[moments] = self.positions[moments][:, index]
@@ -72,7 +72,7 @@ class NamedPoints:
 
     @property
     def counterparts(self) -> tuple[int, ...]:
-        """For every point the number of its mirror image on the body; itself where there is none.
+        """Index of every point's mirror image on the body; its own index where there is none.
 
         Joints and landmarks of the bundled body come in pairs; the rest pose is symmetric.
         """

@@ -22,7 +22,7 @@ _MANY = 0.02
 _AWAY = 0.08
 """Metres of median distance from which on a point may be away from its place throughout."""
 _OTHERS = 3.0
-"""Times the median distance of the other points, likewise."""
+"""Multiple of the other points' median distance from which on a point may be away throughout."""
 _OFFSET_JOINTS, _OFFSET_MARKERS = 0.07, 0.15
 """Metres of a constant offset from which on a point is misplaced. Joints of other models are
 within 4 cm of where the body has them; real markers of elbows and wrists are put up to 13 cm away
@@ -122,7 +122,7 @@ def outliers(predicted: Predicted, noise: float) -> tuple[NamedPoints, Finding |
 def _entered_by_leaps(
     far: Bool[np.ndarray, "moments points"], points: NamedPoints, leap: float
 ) -> Bool[np.ndarray, "moments points"]:
-    """Those stretches of far positions that a point leaps into and out of.
+    """The stretches of far positions that a point leaps into and out of.
 
     A limb may be faster than the quick fit follows; it then leaves the body smoothly.
     """

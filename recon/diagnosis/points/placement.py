@@ -1,4 +1,4 @@
-"""Where and how large the body is: a floor at another height, everything scaled by one factor."""
+"""Place and size of the body: a floor at another height, everything scaled by one factor."""
 
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
@@ -13,7 +13,7 @@ _FLOOR_JOINTS, _FLOOR_MARKERS = (-0.065, 0.036), (-0.055, 0.07)
 The body's soles reach a centimetre lower than recorded feet; shoes and carpets lift, and shoes
 lift markers once more."""
 _FLOOR_NOISE = 1.0
-"""Times the noise of a coordinate, likewise."""
+"""Multiple of a coordinate's standard deviation by which soles may lie off the ground besides."""
 _SMALLEST, _LARGEST = 0.72, 1.25
 """Sizes against the average body, about 1.70 m tall, that grown people and older children have."""
 _FEWEST_FEET = 0.3

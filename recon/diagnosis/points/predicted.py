@@ -1,4 +1,4 @@
-"""Where a fitted body has the points that were tracked, beside where they were seen."""
+"""Tracked points as predicted by a fitted body, beside their observed positions."""
 
 from dataclasses import dataclass
 
@@ -13,11 +13,12 @@ from recon.method.protocols import Estimate
 
 @dataclass(frozen=True)
 class Predicted:
-    """Where a body has the points, beside where they were seen."""
+    """Predicted and observed positions of points."""
 
     points: NamedPoints
     positions: Float[np.ndarray, "moments points 3"]
-    """Of the body, in the frame of the recording, metres; the nearest known beyond its frames."""
+    """Predicted positions in the frame of the recording, metres; beyond the body's frames those of
+    the nearest one."""
     turns: Float[np.ndarray, "moments points 3 3"]
     """Orientation of every point's bone."""
 

@@ -29,7 +29,7 @@ _EXCERPT = 6.0
 _SHAPE = 1e-4
 """Weight of the shape: unlike in a fit, an odd body must not explain a misplaced point away."""
 _ITERATIONS = (12, 40)
-"""Of the two stages at most."""
+"""Largest numbers of iterations of the two stages."""
 
 
 @dataclass(frozen=True)

@@ -54,7 +54,7 @@ class Screened:
         return replace(self, points=points, repairs=(*self.repairs, *repairs))
 
     def warned(self, *warnings: Finding) -> "Screened":
-        """The same points with more warnings."""
+        """The screened points with more warnings."""
         return replace(self, warnings=(*self.warnings, *warnings))
 
 

@@ -14,7 +14,7 @@ from recon.diagnosis.points.named_points import NamedPoints
 _DIFFERENCE = 2.2
 """Typical distance of two measurements of one place, in standard deviations of a coordinate."""
 _DISORDER = 2.0
-"""Times by which points must move more between two frames than their noise along bones makes
+"""Factor by which points must move more between two frames than their noise along bones makes
 them; bones keep their lengths in any order."""
 _LEAST_DISORDER = 0.05
 """Metres between two frames below which order hardly matters."""

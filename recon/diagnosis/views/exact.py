@@ -14,7 +14,7 @@ _HELD = 4
 """Moments in a row at one place from which on a keypoint counts as held; two or three may be
 chance where a detector writes whole pixels."""
 _LONGER = 3
-"""Times as long as keypoints of the same view usually stay at one place, likewise."""
+"""Multiple of the usual number of moments at one place from which on a keypoint counts as held."""
 _ALIKE = 0.9
 """Share of a frame's keypoints that must repeat for the frame to be a copy."""
 _FEWEST = 5

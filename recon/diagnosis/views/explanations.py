@@ -255,7 +255,7 @@ def averaged(
 
 
 def angle(turn: Float[np.ndarray, "3 3"]) -> float:
-    """Of a rotation, degrees."""
+    """Angle of a rotation, degrees."""
     return float(np.degrees(np.linalg.norm(rotation_vector(turn))))
 
 

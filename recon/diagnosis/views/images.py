@@ -33,14 +33,14 @@ class Images:
     size: tuple[tuple[int, int], ...]
     """Width and height of every image, pixels."""
     names: tuple[str, ...]
-    """Of the views."""
+    """Names of the views."""
     points: tuple[str, ...]
     """Names of the keypoints."""
     fps: float
     fixed: tuple[bool, ...]
     """Whether each camera stands still."""
     rest: Float[np.ndarray, "points 3"]
-    """Where the keypoints are on the average body in its rest pose, metres."""
+    """Positions of the keypoints on the average body in its rest pose, metres."""
 
     @classmethod
     def of(cls, views: Sequence[Keypoints2D], names: Sequence[str], body: BodyModel) -> "Images":
@@ -140,7 +140,7 @@ class Images:
         pixels: Float[np.ndarray, "views moments points 2"],
         confidence: Float[np.ndarray, "views moments points"],
     ) -> "Images":
-        """The same cameras with other keypoints."""
+        """The images of the same cameras with other keypoints."""
         return replace(self, pixels=pixels, confidence=confidence)
 
     def exchanged(self, flags: Bool[np.ndarray, "views moments"]) -> "Images":

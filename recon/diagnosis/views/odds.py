@@ -18,14 +18,16 @@ from recon.diagnosis.views.images import Images
 from recon.diagnosis.views.rays import Rays
 
 _FLOOR = 2.2
-"""Times the noise of keypoints by which rays of a good view miss the points of two others, at
-most; validation windows have 1.4 to 2.1."""
+"""Distance, in standard deviations of the keypoints, by which rays of a good view miss the points
+of two others, at most; validation windows have 1.4 to 2.1."""
 _PAIR_FLOOR = 0.8
-"""The same for two views whose points are triangulated from both; validation windows have 0.5."""
+"""Distance, in standard deviations of the keypoints, by which rays of two good views miss the
+points triangulated from both; validation windows have 0.5."""
 _ALL_FLOOR = 1.2
-"""The same for all of three or more views; validation windows have 0.8."""
+"""Distance, in standard deviations of the keypoints, by which rays of all of three or more good
+views miss their points; validation windows have 0.8."""
 _WORSE = 1.3
-"""Times that floor from which on a view is looked into."""
+"""Multiple of that floor from which on a view is looked into."""
 _AT_ODDS = 0.095
 """Metres from which on a view is called at odds whatever its noise: real recordings with a
 usable calibration (Pose2Sim's) stay below 0.087."""
@@ -36,7 +38,7 @@ _AWAY = 0.2
 _STRETCH = 0.15
 """Seconds that such a stretch lasts at least."""
 _SIMPLER = 1.15
-"""Times the least remainder within which the simplest explanation is preferred."""
+"""Multiple of the least remaining error within which the simplest explanation is preferred."""
 _CLEARLY = 0.6
 """Mirrored images must fit together with less than this share of the error."""
 
@@ -50,7 +52,7 @@ class Outcome:
     warnings: tuple[Finding, ...] = ()
 
     def then(self, other: "Outcome") -> "Outcome":
-        """This one's findings before another's."""
+        """The findings of this outcome before those of another."""
         return Outcome(
             other.images, (*self.repairs, *other.repairs), (*self.warnings, *other.warnings)
         )
@@ -245,7 +247,7 @@ def _stretches_left_out(images: Images, odd: Odd, *, agree: bool) -> Outcome:
 
 
 def lasting(flags: Bool[np.ndarray, " moments"], least: int) -> Bool[np.ndarray, " moments"]:
-    """Only the runs of true values that last long enough."""
+    """The runs of true values that last long enough."""
     out = np.zeros_like(flags)
     for first, last in stretches(flags):
         if last - first + 1 >= max(least, 1):

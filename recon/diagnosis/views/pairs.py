@@ -18,7 +18,7 @@ _OFF = 0.08
 _ON = 0.5
 """Share of that by which they may then miss the other's path."""
 _USUAL = 5.0
-"""Times by which keypoints of the view usually leave their paths, likewise."""
+"""Multiple of the usual distance from their paths by which both keypoints must leave them."""
 _FEW = 0.35
 """Share of the keypoints that may leave their paths at that moment; more is the whole body."""
 _LONGER = 1.1

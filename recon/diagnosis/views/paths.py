@@ -12,13 +12,14 @@ _OUTLIER = 0.25
 """Metres at the body by which an outlier is away from the median of five frames; a hand that
 turns about as fast as hands do is 0.1 m away at 30 Hz."""
 _TYPICAL = 8.0
-"""Times by which an outlier is farther away than keypoints of its view usually are."""
+"""Factor by which an outlier is farther away than keypoints of its view usually are."""
 _REACH = 2
 """Frames to either side in that median."""
 _WIDER = (4, 0.35)
-"""The same, and metres, for what is left: of three outliers in five frames none can be told."""
+"""Frames to either side, and metres, for a second pass: of three outliers in five frames none can
+be told."""
 _ROUNDS = 5
-"""At most; outliers hide each other, and make the body look larger than it is."""
+"""Largest number of rounds; outliers hide each other, and make the body look larger than it is."""
 _MANY = 0.01
 """Share of outliers that is worth a word; fewer do no harm to a robust fit."""
 _JUMP = 0.05
@@ -26,7 +27,7 @@ _JUMP = 0.05
 is followed from there on; good windows of validation people stay below 0.075 m at 3 and 6 pixels
 of noise, and then do so in all frames."""
 _SUDDEN = 3.0
-"""Times by which that exceeds the median of the frames; good windows stay below 2. Of 64
+"""Factor by which the jump exceeds the median of the frames; good windows stay below 2. Of 64
 validation clips that go over to somebody 0.3 m away, at 3 and at 6 pixels of noise, 61 are above
 3."""
 _DISORDER = 0.12

@@ -34,7 +34,7 @@ class Rays:
         return cls(origin, rays @ turn, images.confidence**2)
 
     def take(self, rows: list[int]) -> "Rays":
-        """Those of some views."""
+        """The rays of some views."""
         return Rays(self.origin[rows], self.direction[rows], self.weight[rows])
 
     def meet(

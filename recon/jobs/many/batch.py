@@ -14,8 +14,8 @@ from recon.jobs.many.workers import Failure, run_jobs
 from recon.jobs.many.worklog import Record, open_log
 
 FIT_VERSION = 2
-"""Of the method: raised when the same clip and settings give another motion, so that results of
-older versions are made anew."""
+"""Version of the method. It is raised when the same clip and settings give another motion, so that
+results of older versions are made anew."""
 
 _EXPECTED = '{"id": "clip", "observations": ["clip.npz"]}'
 
@@ -106,7 +106,8 @@ class Job:
     """Motion file to write."""
     settings: FitSettings
     settings_checksum: str
-    """Of the settings and the files they name (`recon.fitting.clip_inputs.settings_checksum`)."""
+    """Checksum of the settings and the files they name
+    (`recon.fitting.clip_inputs.settings_checksum`)."""
     known: Record
     """The last record of the clip, or nothing."""
     overwrite: bool = False
@@ -193,7 +194,7 @@ def is_done(job: Job, key: str) -> bool:
 
 
 def target(out: Path, clip: BatchClip) -> Path:
-    """Where the motion of a clip is written."""
+    """The file to which the motion of a clip is written."""
     return out / f"{clip.name}.npz"
 
 

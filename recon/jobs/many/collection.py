@@ -27,9 +27,10 @@ class SourceClip:
     collection: str
     """Folder below the root, used for its output too."""
     name: str
-    """Of its output: its path in the collection without the suffix, or what the manifest says."""
+    """Name of the output: its path in the collection without the suffix, or what the manifest
+    says."""
     path: Path
-    """Of the file or of the archive that holds it."""
+    """Path of the file or of the archive that holds it."""
     member: str | None = None
     notes: dict[str, str] = field(default_factory=dict)
     """Its row of the manifest."""
@@ -41,12 +42,12 @@ class SourceClip:
 
     @property
     def source(self) -> str:
-        """Where it comes from, for messages."""
+        """The place a clip comes from, for messages."""
         return str(self.path) if self.member is None else f"{self.path}::{self.member}"
 
     @property
     def subject(self) -> str:
-        """Who moves, as the manifest says."""
+        """The person who moves, as the manifest says."""
         return self.notes.get("subject") or self.notes.get("actor") or ""
 
     @property
@@ -190,7 +191,7 @@ class Content:
 
 
 def contents(clips: Sequence[SourceClip]) -> Iterator[Content]:
-    """Where clips are read from; archives are read through once each.
+    """The contents of clips; archives are read through once each.
 
     A clip that its archive holds twice comes again, as one that cannot be read.
     """

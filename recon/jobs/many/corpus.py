@@ -107,14 +107,14 @@ class _Corpus:
     processes: int
     body: str | Path | None
     clips: Sequence[SourceClip]
-    """Of all collections."""
+    """Clips of all collections."""
     calibrate: Callable[..., Any]
     """`calibrate_group`."""
     overwrite: bool
     ended: dict[str, Record] = field(default_factory=dict)
     """What became of the clips, by their ids."""
     reported: float = 0.0
-    """When the report was written last."""
+    """Time at which the report was written last."""
 
     def convert(self, clips: Sequence[SourceClip]) -> None:
         """Survey, calibrate and convert one collection."""
@@ -266,7 +266,7 @@ class _Waiting:
     """Clips of one skeleton that are to be converted, with their keys."""
 
     some: list[SourceClip]
-    """From which it is calibrated."""
+    """Clips from which the skeleton is calibrated."""
     left: list[tuple[SourceClip, str]]
     body: str | Path | None
 

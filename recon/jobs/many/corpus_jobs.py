@@ -43,7 +43,7 @@ class Task:
 
     clip: SourceClip
     checksum: str
-    """Of its content when it was surveyed."""
+    """Checksum of the content when it was surveyed."""
     subject: SubjectModel
     target: Path
     """Folder of the collection's outputs."""

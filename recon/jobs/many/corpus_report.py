@@ -19,7 +19,7 @@ class Converted:
     """What became of a clip."""
 
     rows: list[Row]
-    """Of the report: one per piece, and one for what was left out."""
+    """Rows of the report: one per piece, and one for what was left out."""
     outputs: dict[str, str]
     """SHA-256 of every motion file, by its name in the collection's folder."""
 
@@ -45,12 +45,12 @@ def converted_record(clip: SourceClip, found: Converted, key: str) -> Record:
 
 
 def rejected_record(clip: SourceClip, reason: str, key: str) -> Record:
-    """The same of one that is known to be of no use."""
+    """The record of a clip that is known to be of no use."""
     return converted_record(clip, Converted([rejection(clip, reason)], {}), key)
 
 
 def failed_record(clip: SourceClip, failure: Failure) -> Record:
-    """The same of one with which something went wrong."""
+    """The record of a clip with which something went wrong."""
     record: Record = {
         "id": clip.id, "status": failure.kind, "error": failure.reason, "outputs": {},
         "rows": [rejection(clip, failure.reason)],

@@ -18,8 +18,8 @@ from types import GeneratorType
 from typing import Any, Literal
 
 Kind = Literal["bad input", "out of memory", "crashed", "error"]
-"""Why a job failed: its input, or the place for its output, was refused (`_REFUSALS`); there was
-no memory; its process died; anything else, which no good program should raise."""
+"""Kinds of failure: the input, or the place for the output, was refused (`_REFUSALS`); there was
+no memory; the process died; anything else, which no good program should raise."""
 
 _REFUSALS = (
     ValueError, FileNotFoundError, FileExistsError, IsADirectoryError, NotADirectoryError,
@@ -36,12 +36,12 @@ DONE = "done"
 
 @dataclass(frozen=True)
 class Failure:
-    """Why a job gave no result."""
+    """The reason why a job gave no result."""
 
     kind: Kind
     reason: str
     traceback: str = ""
-    """Of what nobody expected; empty where the reason says all."""
+    """Traceback of an unexpected error; empty where the reason says all."""
 
 
 def run_jobs(

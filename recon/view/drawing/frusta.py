@@ -10,7 +10,7 @@ from recon.view.show.colours import Colour
 from recon.view.show.viewpoint import Viewpoint
 
 LENGTH = 0.4
-"""Of a drawn pyramid along the viewing axis, metres."""
+"""Length of a drawn pyramid along the viewing axis, metres."""
 PIECES = 24
 """Parts of a line that are hidden by surfaces on their own."""
 THROUGH = 0.2

@@ -17,7 +17,7 @@ from recon.view.show.views import UNSURE, View
 BACKGROUND = (245.0, 246.0, 248.0)
 FRAME: Colour = (206, 211, 219)
 BODY_OPACITY = 0.85
-"""Of solid bodies, so that the image's frame and other bodies stay seen."""
+"""Opacity of solid bodies, so that the image's frame and other bodies stay seen."""
 DOT, RING, SPECK, GRAIN = 7.0, 8.5, 3.5, 2.0
 """Radii of detected, unsure and reprojected points and of a scan's; pixels before
 they are halved."""

@@ -7,11 +7,11 @@ from jaxtyping import Float, UInt8
 from recon.view.show.colours import Colour
 
 BITS = 4
-"""Of a pixel's fractions that OpenCV draws with."""
+"""Bits of a pixel's fractions that OpenCV draws with."""
 FAR = 1e5
 """Pixels beyond which no line is drawn: OpenCV counts in whole numbers."""
 THICKNESS = 2
-"""Of lines and rings, pixels."""
+"""Thickness of lines and rings, pixels."""
 
 Image = Float[np.ndarray, "height width 3"]
 Places = Float[np.ndarray, "marks 2"]

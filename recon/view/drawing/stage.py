@@ -18,7 +18,7 @@ TILE = 0.5
 FADE = 4.2
 """Distance from the person, in metres, over which the floor fades into the sky."""
 FADE_SHARE = 0.35
-"""The same as a share of the distance to what is looked at, where that is more."""
+"""Share of the distance to what is looked at over which the floor fades, where that is more."""
 FLOOR_SLACK = 0.004
 """Depth, in metres, up to which a sole may sink before the floor hides it."""
 SHADOW_MAP = 640

@@ -1,4 +1,4 @@
-"""Which part of a camera's image is worth showing."""
+"""The region of a camera's image that is worth showing."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

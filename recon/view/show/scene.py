@@ -81,9 +81,9 @@ class Points:
     """World, metres."""
     visible: Bool[Tensor, "time points"]
     estimated: Float[Tensor, "time points 3"] | None = None
-    """The same points on the estimated body; without it missing points are not drawn."""
+    """Positions of the points on the estimated body; without them missing points are not drawn."""
     radius: float = 0.02
-    """Of the drawn spheres, metres."""
+    """Radius of the drawn spheres, metres."""
 
     def __post_init__(self) -> None:
         shapes = {tuple(self.positions.shape[:2]), tuple(self.visible.shape)}
@@ -121,7 +121,7 @@ class Show:
     cameras: tuple[View, ...] = ()
     """Cameras that filmed the scene."""
     ground: Ground | None = None
-    """In the world; None is z = 0."""
+    """Ground in the world; None is z = 0."""
 
     def __post_init__(self) -> None:
         if len(self.figures) == 0:

@@ -1,4 +1,4 @@
-"""Where the viewer stands: a pinhole camera at three-quarter view that follows the person."""
+"""The viewpoint: a pinhole camera at three-quarter view that follows the person."""
 
 import math
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ from recon.view.show.scene import Figure, Show
 FIELD_OF_VIEW = math.radians(32)
 """Across the shorter side of the picture: a portrait lens, which keeps limbs in proportion."""
 AZIMUTH = math.radians(38)
-"""Of the camera, seen from above, away from the person's front."""
+"""Azimuth of the camera, seen from above, away from the person's front."""
 ELEVATION = math.radians(13)
 OVERVIEW_ELEVATION = math.radians(20)
 OVERVIEW_REACH = 10.0
@@ -37,7 +37,7 @@ class Viewpoint:
     """Width and height, pixels."""
 
     def scaled(self, factor: int) -> "Viewpoint":
-        """The same view with `factor` times as many pixels along each side."""
+        """The view with `factor` times as many pixels along each side."""
         width, height = self.size
         return Viewpoint(
             self.R_camera_world,

@@ -19,13 +19,13 @@ class View:
     name: str
     """Shown beside the camera and above its images."""
     camera: Camera
-    """In the world of the figures; poses () or one per frame."""
+    """The camera in the world of the figures; poses () or one per frame."""
     pixels: Float[Tensor, "time points 2"] | None = None
     """Detected points."""
     confidence: Float[Tensor, "time points"] | None = None
     """0 where a point was not detected, 1 where it is certain; None: all are certain."""
     reprojected: Projection | None = None
-    """The same points on the estimated body as this camera sees them, (time, points)."""
+    """Projections of the points on the estimated body in this camera, (time, points)."""
 
     def __post_init__(self) -> None:
         if self.camera.T_camera_world.ndim > 3 or self.camera.camera_matrix.ndim > 3:
