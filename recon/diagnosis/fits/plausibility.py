@@ -21,7 +21,7 @@ _NEAR, _FAR = 0.7, 40.0
 _ODDEST, _ODDEST_MARKERS = 1.5 * ODDEST, 15.0
 """Standard deviations of shape beyond which a fit is no person's. Noise and acrobatics add to what
 people differ by, and real markers stand off the skin or beside the landmark that they are named
-after: good recordings of dancers reach 12. Wrong units and scales are told by the height."""
+after: good recordings reach 14. Wrong units and scales are told by the height."""
 _OFF_GROUND = 0.15
 """Metres between the soles that stand and the ground."""
 _CLEARLY = 0.6
