@@ -80,7 +80,7 @@ def body_warnings(found: ClipFit) -> list[Finding]:
                     "floor",
                     f"the soles stand at {soles:.2f} m, but the ground is at 0; check focal "
                     "lengths, image sizes and the heights of the cameras, unless the person "
-                    "stands on something",
+                    "stands or sits on something",
                     value=soles,
                 )
             )

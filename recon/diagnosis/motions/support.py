@@ -22,13 +22,18 @@ _BESIDE = 0.12
 """Metres by which the centre of mass may lie beside the feet while a body stands still."""
 _LEAST_REST = 0.8
 """Seconds of rest beside the feet that make it sitting, lying or leaning."""
+_BELOW = 0.3
+"""Lengths of a leg by which a standing sole is below the pelvis."""
+_SEATED, _INVERTED = 0.75, -0.2
+"""Heights of the pelvis over the lower sole, in lengths of a leg, between which a body is not on
+its feet alone: 1.2 for who stands, 0.7 for who sits on crossed legs, negative on the hands."""
 _LEAST_FRAMES = 10
 
 
 def support_findings(
     motion: Motion, body: BodyModel, observed: Bool[Tensor, "time 22"] | None = None
 ) -> list[Finding]:
-    """Feet that stand at several heights, and rests that feet alone cannot carry.
+    """Feet that stand at several heights, and rests that feet alone cannot carry or hardly do.
 
     Args:
         motion: one clip, z up, without a batch axis.
@@ -38,7 +43,7 @@ def support_findings(
     movement = Movement.of(motion, body, observed)
     if movement.frames < _LEAST_FRAMES:
         return []
-    return [*_uneven(movement), *_carried(movement)]
+    return [*_uneven(movement), *(_carried(movement) or _low(movement))]
 
 
 def standing_heights(movement: Movement) -> Float[np.ndarray, " time"]:
@@ -49,7 +54,7 @@ def standing_heights(movement: Movement) -> Float[np.ndarray, " time"]:
     ankle = np.linalg.norm(np.gradient(movement.ankles, axis=0), axis=-1) * movement.fps
     height = movement.sole_heights[rows, lower]
     still = np.minimum(speed, ankle)[rows, lower] < _STILL
-    below = movement.joints[:, 0, 2] > height + 0.3 * movement.leg
+    below = movement.joints[:, 0, 2] > height + _BELOW * movement.leg
     return np.where(still & below, height, np.nan)
 
 
@@ -80,6 +85,22 @@ def _carried(movement: Movement) -> list[Finding]:
     corners = movement.soles[..., :2].reshape(movement.frames, 4, 2)
     beside = outside(movement.centre[:, :2], corners) > _BESIDE
     resting = beside & (speed < _STILL)
+    return _rests(
+        resting, movement, "rests beside its feet", "sitting, lying or leaning on something"
+    )
+
+
+def _low(movement: Movement) -> list[Finding]:
+    """Stretches with the pelvis low over the soles, as of people who sit on crossed legs."""
+    above = (movement.joints[:, 0, 2] - movement.sole_heights.min(1)) / movement.leg
+    low = (above > _INVERTED) & (above < _SEATED)
+    how = "sitting, kneeling, squatting or lying"
+    return _rests(low, movement, "has its pelvis low over its feet", how)
+
+
+def _rests(
+    resting: Bool[np.ndarray, " time"], movement: Movement, what: str, how: str
+) -> list[Finding]:
     frames = tuple(
         (first, last)
         for first, last in stretches(resting)
@@ -91,9 +112,8 @@ def _carried(movement: Movement) -> list[Finding]:
     return [
         Finding(
             "uneven ground",
-            f"for {seconds:.1f} s the body rests beside its feet ({spans(frames)}), sitting, "
-            "lying or leaning on something: contacts are told of feet, knees and hands with z = 0 "
-            "only",
+            f"for {seconds:.1f} s the body {what} ({spans(frames)}), {how}: contacts are told of "
+            "feet, knees and hands with z = 0 only",
             (),
             frames,
             seconds,
