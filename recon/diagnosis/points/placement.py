@@ -1,12 +1,15 @@
 """Place and size of the body: a floor at another height, everything scaled by one factor."""
 
+import numpy as np
+import torch
+
 from recon.body.model import BodyModel
+from recon.body.soles import Soles, Stance
 from recon.core.motion import Motion
 from recon.core.skeleton import FEET
 from recon.diagnosis.findings import Finding
 from recon.diagnosis.points.bone_lengths import size
 from recon.diagnosis.points.named_points import NamedPoints
-from recon.fitting.ground import sole_heights
 
 _FLOOR_JOINTS, _FLOOR_MARKERS = (-0.065, 0.036), (-0.055, 0.07)
 """Metres by which standing soles may lie below and above the ground of a recording that knows it.
@@ -16,16 +19,28 @@ _FLOOR_NOISE = 1.0
 """Multiple of a coordinate's standard deviation by which soles may lie off the ground besides."""
 _SMALLEST, _LARGEST = 0.72, 1.25
 """Sizes against the average body, about 1.70 m tall, that grown people and older children have."""
+_STANDING = 0.2
+"""Seconds during which a foot that is seen must stand."""
 _FEWEST_FEET = 0.3
 """Share of moments at which a foot must be seen for its height to count."""
 
 
 def floor_height(points: NamedPoints, motion: Motion, body: BodyModel, noise: float) -> float:
-    """Height of the ground below a quick fit, metres; zero where it is at z = 0 or feet hid."""
+    """Height of the ground below a quick fit, metres; zero where it is at z = 0 or unknown.
+
+    It is unknown where feet hid, and where none that is seen ever stands: the hidden feet of a
+    handstand say nothing about the floor.
+    """
     feet = [k for k, bone in enumerate(points.bones) if bone in FEET]
-    if not feet or points.visible[:, feet].any(1).mean() < _FEWEST_FEET:
+    if not feet or np.any(points.visible[:, feet], axis=1).mean() < _FEWEST_FEET:
         return 0.0
-    height = float(sole_heights(motion, body)[0])
+    moments = (np.arange(motion.frames) * points.fps / motion.fps).round().astype(int)
+    seen = np.any(points.visible[:, feet], axis=1)[moments.clip(max=len(points.visible) - 1)]
+    clip = motion[0].detach().to(device="cpu")
+    stance = Stance.of(clip, body, Soles.of(body), frames=torch.from_numpy(seen))
+    if stance.frames < _STANDING * motion.fps:
+        return 0.0
+    height = stance.height()
     low, high = _FLOOR_JOINTS if points.are_joints else _FLOOR_MARKERS
     noise *= _FLOOR_NOISE
     return 0.0 if min(low, -noise) <= height <= max(high, noise) else height
