@@ -77,7 +77,7 @@ def moment_numbers(*, fps: float, start_time: float, start: float, stop: float) 
     return range(first, math.floor((stop - start_time) * fps + _SAME_MOMENT) + 1)
 
 
-def point_misfit(
+def point_energy(
     predicted: Float[Tensor, "*batch time points 3"],
     motion: Motion,
     positions: Float[Tensor, "*batch moments points 3"],

@@ -12,7 +12,7 @@ from observations.correspondences import joints_shown
 from observations.noise import estimate_noise
 from observations.offsets import displaced
 from observations.start.rigid import rigid_start
-from observations.timing import moments_between, point_misfit, point_residuals
+from observations.timing import moments_between, point_energy, point_residuals
 from recon.body.model import BodyModel, PosedBody
 from recon.core.motion import Motion
 from recon.core.residuals import Noise, Residuals, Unit
@@ -84,7 +84,7 @@ class TrackedPoints(TensorStruct):
 
         HuMoR section 6.5: joints3d and verts3d.
         """
-        return point_misfit(
+        return point_energy(
             estimate.scene.to_recording(self.predict(estimate)), estimate.motion,
             self.positions, self.visible,
             fps=self.fps, start_time=self.start_time, kernel=self.kernel,

@@ -116,7 +116,7 @@ def bone_scale(
     pixels: Float[Tensor, "batch time points 2"],
     confidence: Float[Tensor, "batch time points"],
 ) -> Float[Tensor, "batch time"]:
-    """Pixels per metre at the average body, likewise."""
+    """Pixels per metre at the average body, for every frame."""
     ends = [
         (names.index(f"{side}_{a}"), names.index(f"{side}_{b}"))
         for side in ("left", "right")
@@ -171,7 +171,7 @@ def _weak_perspective(
 def smooth_path(
     misfit: Float[Tensor, "batch time headings"], angles: Float[Tensor, " headings"], fps: float
 ) -> Int[Tensor, "batch time"]:
-    """The heading of every frame that minimises misfits and turning together."""
+    """The heading of every frame that minimises residuals and turning together."""
     away = (angles[:, None] - angles + math.pi).remainder(math.tau) - math.pi
     turning = 0.1 * (away * fps / _TURNING).square() / fps
     best, back = misfit[:, 0], []

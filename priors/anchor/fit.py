@@ -96,7 +96,7 @@ class PublishedAnchorFit(AnchorFit):
     """The published fit (section 5.3): no density of codes and shapes, weights that adapt.
 
     GradNorm with codes as the shared variables and equal rates (alpha = 0): at the start of every
-    stage each misfit gets the weight that makes all pull on the codes alike; then it stays, so
+    stage each residual gets the weight that makes all pull on the codes alike; then it stays, so
     that a line search sees one objective. Clips of one batch share these weights.
     """
 
@@ -112,7 +112,7 @@ class PublishedAnchorFit(AnchorFit):
     def adapted(
         self, stage: Stage, body: BodyModel, variables: AnchorVariables, scene: Scene
     ) -> Stage:
-        """Equal pull of all misfits on the codes."""
+        """Weights that make the gradients of all residuals on the codes equally long."""
         latent = variables.latent.detach().requires_grad_()
         decoded = self.prior.decode(variables.replace(latent=latent))
         estimate = Estimate(decoded, body.pose(decoded.motion), scene)

@@ -95,7 +95,7 @@ class PoseVariables(TensorStruct):
 
     Every step is a sum of cosines over the clip, slow ones first, each divided by the square root
     of how strongly the smoothness term holds it; and the directions of pose space are turned and
-    divided likewise by how far they move the joints. In these variables all directions are about
+    divided by how far they move the joints. In these variables all directions are about
     equally stiff, which is what a first-order minimiser needs: it takes tens of iterations where
     it takes many hundreds in joint angles frame by frame.
     """

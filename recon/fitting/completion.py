@@ -73,7 +73,7 @@ def complete(
         options: of the fit; its prior is `anchor`, by name or loaded.
         body: whose motion it is.
         watch: told about every iteration.
-        kind: how misfits are weighed: by their noise, or as published.
+        kind: how residuals are weighed: by their noise, or as published.
 
     Raises:
         ValueError: when nothing tells where the body is, a clip does not last 0.3 to 3 s, or

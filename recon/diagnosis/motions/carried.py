@@ -40,9 +40,9 @@ turn on the spot or climb reach less and more."""
 _LEAST_GAIN = 0.07
 """Robust misfit of the soles' velocities that must vanish when the plate may turn, per sample."""
 _LEAST_SHARE = 0.1
-"""Share of the robust misfit that must vanish, likewise. Good fits to one camera of validation
-people, at rates above the least, reach 0.09; those to a camera that is carried around the person
-by 20 degrees per second have more in four clips of five."""
+"""Share of the robust misfit that must vanish when the plate may turn. Good fits to one camera of
+validation people, at rates above the least, reach 0.09; those to a camera that is carried around
+the person by 20 degrees per second have more in four clips of five."""
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ _ANKLES, _TOES = ("heel", "ankle"), ("big_toe", "foot", "small_toe")
 _LEAST = 0.02
 """Metres by which something must stick out forwards for its direction to count."""
 _BENT = 0.06
-"""Metres by which a knee must stand before the line from hip to ankle, likewise."""
+"""Metres by which a knee must stand before the line from hip to ankle to tell the front."""
 
 
 def handedness(

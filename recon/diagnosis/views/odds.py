@@ -32,7 +32,8 @@ _AT_ODDS = 0.095
 """Metres from which on a view is called at odds whatever its noise: real recordings with a
 usable calibration (Pose2Sim's) stay below 0.087."""
 _PAIR_AT_ODDS = 0.06
-"""Metres by which rays of two views miss their common points, likewise; 0.032 there."""
+"""Metres by which rays of two views miss their common points, from which on they are called at
+odds; usable calibrations stay below 0.032."""
 _AWAY = 0.2
 """Metres by which a view must miss the others for a stretch to be left out."""
 _STRETCH = 0.15

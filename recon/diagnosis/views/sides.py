@@ -25,7 +25,7 @@ _MOST = 9.0
 _CHANGE = 12.0
 """Cost of a change of names, in squared standard deviations."""
 _FACING = 6.0
-"""Cost of a moment that faces backwards, likewise."""
+"""Cost of a moment that faces backwards, in squared standard deviations."""
 _EXCHANGED = 0.05
 """Cost of a moment with exchanged names: where nothing tells, most moments are right."""
 _SURE = 30.0

@@ -62,7 +62,7 @@ def read_amc(
             then for the only one in the folder.
         fps: frames per second, which the format leaves out.
         unit: see `settle_skeleton`.
-        up: likewise; by custom y.
+        up: see `settle_skeleton`; by custom y.
 
     Raises:
         FileNotFoundError: when the motion or a skeleton is not there.

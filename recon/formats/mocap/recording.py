@@ -141,7 +141,7 @@ def settle_skeleton(
     Args:
         raw: as in the file.
         unit: what the user says; the file and the body are not asked then.
-        up: likewise.
+        up: axis that points up, given by the user; the body is not asked then.
         declared: unit that the file states.
         usual_up: axis that the file hints at, or the custom of its format.
 
