@@ -34,6 +34,8 @@ FEET = (7, 8, 10, 11)
 TOES = (10, 11)
 LEGS = (4, 5, 7, 8, 10, 11)
 ARMS = (16, 17, 18, 19, 20, 21)
+UPPER = (12, 13, 14, 15, *ARMS)
+"""Neck, collars, head and arms."""
 MIRROR = (0, 2, 1, 3, 5, 4, 6, 8, 7, 9, 11, 10, 12, 14, 13, 15, 17, 16, 19, 18, 21, 20)
 """Index of every joint's counterpart on the other side of the body."""
 

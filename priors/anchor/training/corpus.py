@@ -15,7 +15,7 @@ from recon.body.cycles import Cycle, find_cycles
 from recon.body.model import BodyModel
 from recon.body.reshape import with_shape
 from recon.core import rotations as so3
-from recon.core.skeleton import MIRROR
+from recon.core.skeleton import MIRROR, UPPER
 from recon.core.struct import TensorStruct
 from recon.formats.motions import load_motion
 
@@ -23,7 +23,7 @@ _LOG = logging.getLogger(__name__)
 
 MARGIN = 10
 """Anchors kept before and after a cycle, where the recording goes on."""
-_UPPER = [POSED.index(joint) for joint in range(12, 22)]
+_UPPER = [POSED.index(joint) for joint in UPPER]
 """Rows of neck, head and arms."""
 _MIRRORED = [POSED.index(MIRROR[joint]) for joint in POSED]
 
