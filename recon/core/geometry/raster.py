@@ -1,71 +1,76 @@
-"""Triangles to pixels on the processor, in numpy: which face each pixel sees, and how near.
+"""Triangles to pixels on the processor: what every pixel sees of a mesh, and how far it is.
 
-Open3D's ray caster would serve as well, but its import needs system libraries (libGL, libX11,
-libusb) that servers and slim containers lack; a picture should never fail for want of those.
+OpenCV's rasteriser does the work. It draws what a pinhole camera sees; corners are therefore given
+to it at the places where a camera of 90 degrees sees them at the asked pixels, so that lenses with
+distortion and parallel projections are drawn as well.
 """
 
+import math
 from dataclasses import dataclass
+from functools import cached_property
 
+import cv2
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
+
+_SLACK = 1e-3
+"""Share of its depth by which the drawn range reaches beyond the nearest and the farthest corner.
+The range is kept this tight because depths are single-precision shares of it."""
 
 
 @dataclass(frozen=True)
 class Raster:
     """The face, depth and place of one mesh that every pixel of a picture shows."""
 
-    face: Int[np.ndarray, "height width"]
-    """Index of the face; -1 where there is none."""
-    barycentric: Float[np.ndarray, "height width 3"]
-    """Weights of the face's corners, linear in the picture (faces are a few pixels wide)."""
-    nearness: Float[np.ndarray, "height width"]
-    """Interpolated nearness; -inf where there is no face."""
+    depth: Float[np.ndarray, "height width"]
+    """Depth of the nearest face; infinity where there is none."""
+    values: Float[np.ndarray, "height width 3"]
+    """Values of the face's corners, interpolated over the face; 0 where there is none."""
+
+    @cached_property
+    def covered(self) -> Bool[np.ndarray, "height width"]:
+        """Pixels that see a face."""
+        return np.isfinite(self.depth)
 
 
 def rasterise(
     pixels: Float[np.ndarray, "vertices 2"],
-    nearness: Float[np.ndarray, " vertices"],
+    depth: Float[np.ndarray, " vertices"],
     faces: Int[np.ndarray, "faces 3"],
     size: tuple[int, int],
+    values: Float[np.ndarray, "vertices 3"] | None = None,
 ) -> Raster:
     """Draw the faces whose corners run counter-clockwise seen by the viewer (y points down).
 
-    `nearness` is interpolated linearly in the picture and the largest wins: 1 / depth for a
-    pinhole camera, minus the distance for parallel rays.
+    `depth` is positive at every corner that a face uses; it and `values` are interpolated linearly
+    in space, not in the picture. The centre of the first pixel is (0.5, 0.5). Without `values`
+    those of the result are 0.
     """
     width, height = size
-    corners = pixels[faces].astype(np.float64)
-    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-    area = _cross(b - a, c - a)
-    low = np.clip(np.ceil(corners.min(1) - 0.5), 0, (width, height)).astype(np.int64)
-    high = np.clip(np.floor(corners.max(1) - 0.5) + 1, 0, (width, height)).astype(np.int64)
-    extent = np.maximum(high - low, 0)
-    drawn = np.flatnonzero((area < -1e-12) & (extent.prod(1) > 0))
+    nothing = Raster(
+        np.full((height, width), np.inf, np.float32), np.zeros((height, width, 3), np.float32)
+    )
+    if len(faces) == 0:
+        return nothing
+    near, far = (float(end(depth[faces])) for end in (np.min, np.max))
+    if not near > 0:
+        raise ValueError(f"faces are drawn before the viewer alone, got depths from {near:.3g} on")
+    beyond = (1 + _SLACK / 2) * far  # empty pixels are at `far` up to rounding
+    near, far = (1 - _SLACK) * near, (1 + _SLACK) * far
 
-    # One row per pixel of every face's bounding box.
-    count = extent[drawn].prod(1)
-    face = np.repeat(drawn, count)
-    place = np.arange(len(face)) - np.repeat(count.cumsum() - count, count)
-    across = extent[face, 0]
-    x, y = low[face, 0] + place % across, low[face, 1] + place // across
-    point = np.stack([x, y], 1) + 0.5
-    first = _cross(b[face] - point, c[face] - point) / area[face]
-    second = _cross(c[face] - point, a[face] - point) / area[face]
-    third = 1 - first - second
-    inside = np.flatnonzero(np.minimum(np.minimum(first, second), third) >= -1e-9)
-    face, x, y = face[inside], x[inside], y[inside]
-    weights = np.stack([first[inside], second[inside], third[inside]], 1)
-    near = np.einsum("nk,nk->n", weights, nearness[faces[face]])
-
-    # Painted from far to near: of equal indices numpy keeps the last.
-    order = np.argsort(near, kind="stable")
-    x, y = x[order], y[order]
-    seen = np.full((height, width), -1, np.int64)
-    barycentric = np.zeros((height, width, 3))
-    buffer = np.full((height, width), -np.inf)
-    seen[y, x], barycentric[y, x], buffer[y, x] = face[order], weights[order], near[order]
-    return Raster(seen, barycentric, buffer)
-
-
-def _cross(u: Float[np.ndarray, "n 2"], v: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
-    return u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
+    corners = np.empty((len(pixels), 3), np.float32)
+    corners[:, 0] = (pixels[:, 0] - width / 2) * depth * (2 / height)
+    corners[:, 1] = (height / 2 - pixels[:, 1]) * depth * (2 / height)
+    corners[:, 2] = -depth
+    drawn = np.ascontiguousarray(faces, np.int32)
+    buffer = np.full((height, width), far, np.float32)
+    camera = (np.eye(4, dtype=np.float32), math.pi / 2, near, far)
+    settings = cv2.TriangleRasterizeSettings().setCullingMode(cv2.RASTERIZE_CULLING_CW)
+    if values is None:
+        cv2.triangleRasterizeDepth(corners, drawn, buffer, *camera, settings)
+    else:
+        settings = settings.setShadingType(cv2.RASTERIZE_SHADING_SHADED)
+        shades = np.ascontiguousarray(values, np.float32)
+        cv2.triangleRasterize(corners, drawn, shades, nothing.values, buffer, *camera, settings)
+    buffer[buffer > beyond] = np.inf
+    return Raster(buffer, nothing.values)

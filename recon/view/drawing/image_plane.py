@@ -8,8 +8,10 @@ from recon.core.geometry.normals import vertex_normals
 from recon.core.geometry.raster import rasterise
 from recon.view.drawing.lettering import Picture
 from recon.view.drawing.marks import draw_discs, draw_rings, draw_segments
-from recon.view.drawing.painter import CLOUD_LIMIT, SUPERSAMPLING, display, tint
-from recon.view.show.colours import CLOUD, MISSING, REPROJECTED, VISIBLE, WHITE, Colour
+from recon.view.drawing.painter import CLOUD_LIMIT
+from recon.view.drawing.shading import contact_shares, display, linear
+from recon.view.drawing.stage import SUPERSAMPLING
+from recon.view.show.colours import CLOUD, CONTACT, MISSING, REPROJECTED, VISIBLE, WHITE, Colour
 from recon.view.show.regions import Region, drawable
 from recon.view.show.scene import Figure, Show
 from recon.view.show.views import UNSURE, View
@@ -62,18 +64,18 @@ def _paint_body(
     if len(faces) == 0:
         return
     seen = camera.project(points)
-    depth = np.where(kept, seen.depth.numpy(), 1.0)
-    height, width = image.shape[:2]
-    raster = rasterise(part.place(seen.pixels.numpy(), width), 1 / depth, faces, (width, height))
-    front = raster.face >= 0
-    corners, weights = faces[raster.face[front]], raster.barycentric[front][..., None]
     local = camera.to_camera(points).numpy()
     toward = -local / np.maximum(np.linalg.norm(local, axis=1, keepdims=True), 1e-12)
-    facing = (vertex_normals(local, faces) * toward).sum(1, keepdims=True)
-    lit = 0.30 + 0.70 * np.clip((facing[corners] * weights).sum(1), 0, 1)
-    colour = (tint(figure, frame)[corners] * weights).sum(1)
+    facing = (vertex_normals(local, faces) * toward).sum(1)
+    share = contact_shares(figure, frame)[:, None]
+    colour = linear(figure.colour) * (1 - share) + linear(CONTACT) * share
+    light = colour * (0.30 + 0.70 * np.clip(facing, 0, 1))[:, None]
+    height, width = image.shape[:2]
+    pixels = part.place(seen.pixels.numpy(), width)
+    raster = rasterise(pixels, seen.depth.numpy(), faces, (width, height), light)
     opacity = BODY_OPACITY * figure.opacity
-    image[front] += opacity * (display(colour * lit) - image[front])
+    painted = cv2.addWeighted(display(raster.values), opacity, image, 1 - opacity, 0)
+    cv2.copyTo(painted, raster.covered.view(np.uint8), image)
 
 
 def _paint_points(view: View, frame: int, part: Region, image: np.ndarray) -> None:

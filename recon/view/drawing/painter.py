@@ -6,90 +6,70 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from recon.core.geometry.normals import vertex_normals
-from recon.core.geometry.raster import Raster, rasterise
 from recon.view.drawing.frusta import draw_lines, frustum
-from recon.view.drawing.stage import SHADOW_MAP, Light, Plane, cast, floor
-from recon.view.show.colours import CAMERA, CLOUD, CONTACT, MISSING, VISIBLE, Colour
-from recon.view.show.scene import Figure, Show
+from recon.view.drawing.shading import Mesh, display, linear, paint_figure
+from recon.view.drawing.stage import SUPERSAMPLING, Plane, cast, floor, nearness
+from recon.view.show.colours import CAMERA, CLOUD, MISSING, VISIBLE, Colour
+from recon.view.show.scene import Show
 from recon.view.show.viewpoint import Viewpoint
 
-SUPERSAMPLING = 2
 CLOUD_LIMIT = 3000
 """Points of a scan drawn per frame."""
+CLOSEST = 0.05
+"""Metres before the viewer from which on things are drawn."""
 
 
 def paint(show: Show, frame: int, view: Viewpoint) -> UInt8[np.ndarray, "height width 3"]:
     """The show at one frame, red green blue."""
-    fine = view.scaled(SUPERSAMPLING)
     surfaces = [
         (figure, figure.posed.vertices[frame].double().numpy(), figure.body.faces.cpu().numpy())
         for figure in show.figures
     ]
     plane = Plane.of(show.ground)
-    light = cast([(vertices, faces) for _, vertices, faces in surfaces], plane, fine)
-    image, nearness = floor(plane, fine, light)
+    light = cast([(vertices, faces) for _, vertices, faces in surfaces], plane, view)
+    picture = floor(plane, view, light)
+    balls = _balls(show, frame)
+    frusta = [frustum(camera.at(frame)) for camera in show.cameras]
+    ends = [points for _, points, _ in surfaces]
+    ends += [np.stack([ball.centre for ball in balls])] if balls else []
+    ends += [lines.reshape(-1, 3) for lines in frusta]
+    room = max((ball.radius for ball in balls), default=0.0)
+    left, top, right, bottom = _around(np.concatenate(ends), room, view)
+    if right <= left or bottom <= top:
+        return cv2.convertScaleAbs(picture)
+
+    # Only what is drawn on the floor needs the finer pixels.
+    fine = view.part(left, top, right, bottom).scaled(SUPERSAMPLING)
+    beneath = picture[top:bottom, left:right]
+    image = cv2.resize(beneath, fine.size, interpolation=cv2.INTER_NEAREST)
+    near = nearness(plane, fine)
     for figure, vertices, faces in sorted(surfaces, key=lambda row: -row[0].opacity):
         pixels, depth = fine.project(vertices)
-        if depth.min() <= 0.05:
-            continue  # the camera stands inside this body
-        raster = rasterise(pixels, 1 / depth, faces, fine.size)
-        front = raster.nearness > nearness
-        shade = _shade(raster, front, vertices, faces, tint(figure, frame), fine, light)
-        image[front] += figure.opacity * (shade - image[front])
-        if figure.opacity == 1:
-            nearness = np.where(front, raster.nearness, nearness)
-    _draw(_balls(show, frame), image, nearness, fine)
-    for camera in show.cameras:
-        lines = frustum(camera.at(frame))
-        draw_lines(lines, CAMERA, image, nearness, fine, SUPERSAMPLING)
-    small = cv2.resize(image, view.size, interpolation=cv2.INTER_AREA)
-    return np.clip(small + 0.5, 0, 255).astype(np.uint8)
+        if depth.min() > CLOSEST:  # else the camera stands inside this body
+            mesh = Mesh(vertices, faces, pixels, depth)
+            paint_figure(mesh, figure, frame, image, near, fine, light)
+    _draw(balls, image, near, fine)
+    for lines in frusta:
+        draw_lines(lines, CAMERA, image, near, fine, SUPERSAMPLING)
+    size = (right - left, bottom - top)
+    picture[top:bottom, left:right] = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    return cv2.convertScaleAbs(picture)
 
 
-def tint(figure: Figure, frame: int) -> Float[np.ndarray, "vertices 3"]:
-    """Colour of every vertex: its figure's, turning to `CONTACT` around joints that touch."""
-    touching = figure.touching[frame].to(figure.body.weights)
-    share = (figure.body.weights @ touching).double().numpy()[:, None]
-    return linear(figure.colour) * (1 - share) + linear(CONTACT) * share
+def _around(
+    points: Float[np.ndarray, "points 3"], radius: float, view: Viewpoint
+) -> tuple[int, int, int, int]:
+    """The part of a picture that spheres are in: left, top, right, bottom.
 
-
-def _shade(
-    raster: Raster,
-    front: np.ndarray,
-    vertices: np.ndarray,
-    faces: np.ndarray,
-    tint: np.ndarray,
-    view: Viewpoint,
-    light: Light,
-) -> Float[np.ndarray, "pixels 3"]:
-    """Colour of the pixels in `front`: sky and floor light, the lamp with its shadow, a gloss."""
-    corners, weights = faces[raster.face[front]], raster.barycentric[front][..., None]
-    normals = (vertex_normals(vertices, faces)[corners] * weights).sum(1)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    colour = (tint[corners] * weights).sum(1)
-    row, column = np.nonzero(front)
-    rays = view.rays(np.stack([column, row], 1) + 0.5)
-    points = view.position + rays / raster.nearness[front][:, None]
-    eye = -rays / np.linalg.norm(rays, axis=1, keepdims=True)
-    toward = light.axes[2]
-
-    placed = light.place(points + 0.012 * normals)
-    column, row = (np.floor(placed[:, k]).astype(np.int64) for k in (0, 1))
-    reached = np.zeros(len(points))
-    for dx in (-2, 0, 2):
-        for dy in (-2, 0, 2):
-            y = np.clip(row + dy, 0, SHADOW_MAP - 1)
-            x = np.clip(column + dx, 0, SHADOW_MAP - 1)
-            reached += light.first[y, x] < placed[:, 2] + 0.012
-    lamp = np.clip(normals @ toward, 0, 1) * reached / 9
-    ambient = 0.37 + 0.15 * normals[:, 2]
-    halfway = eye + toward
-    halfway /= np.linalg.norm(halfway, axis=1, keepdims=True)
-    gloss = 0.10 * np.clip((normals * halfway).sum(1), 0, 1) ** 28 * reached / 9
-    rim = 0.10 * (1 - np.clip((normals * eye).sum(1), 0, 1)) ** 3
-    reflected = colour * (ambient + 0.95 * lamp + rim)[:, None] + gloss[:, None]
-    return display(reflected)
+    It is the whole picture where a centre is not well before the viewer.
+    """
+    pixels, depth = view.project(points)
+    if depth.min() <= CLOSEST:
+        return 0, 0, *view.size
+    reach = radius * view.focal / depth[:, None] + 2
+    left, top = np.clip(np.floor((pixels - reach).min(0)), 0, view.size).astype(int).tolist()
+    right, bottom = np.clip(np.ceil((pixels + reach).max(0)), 0, view.size).astype(int).tolist()
+    return left, top, right, bottom
 
 
 @dataclass(frozen=True)
@@ -126,7 +106,7 @@ def _draw(balls: list[_Ball], image: np.ndarray, nearness: np.ndarray, view: Vie
         return
     pixels, depth = view.project(np.stack([ball.centre for ball in balls]))
     for k in np.argsort(-depth):
-        if depth[k] > 0.05:
+        if depth[k] > CLOSEST:
             _draw_ball(balls[k], pixels[k], float(depth[k]), image, nearness, view.focal)
 
 
@@ -142,6 +122,8 @@ def _draw_ball(
     reach = max(ball.radius * focal / depth, 1.5)
     left, top = np.clip(np.floor(centre - reach), 0, (width, height)).astype(int)
     right, bottom = np.clip(np.ceil(centre + reach) + 1, 0, (width, height)).astype(int)
+    if right <= left or bottom <= top:
+        return
     x = (np.arange(left, right) + 0.5 - centre[0]) / reach
     y = (np.arange(top, bottom) + 0.5 - centre[1]) / reach
     square = x[None] ** 2 + y[:, None] ** 2
@@ -152,13 +134,3 @@ def _draw_ball(
     cover = np.where(square < 1, np.where(hidden, ball.through, 1.0), 0.0)[..., None]
     patch = image[top:bottom, left:right]
     patch += cover * (shaded - patch)
-
-
-def linear(colour: Colour) -> Float[np.ndarray, "3"]:
-    """A colour as amounts of light, 0 to 1."""
-    return (np.array(colour) / 255) ** 2.2
-
-
-def display(light: Float[np.ndarray, "*shape 3"]) -> Float[np.ndarray, "*shape 3"]:
-    """Amounts of light as red, green and blue, 0 to 255."""
-    return 255 * np.clip(light, 0, 1) ** (1 / 2.2)

@@ -1,5 +1,6 @@
 """The viewpoint: a pinhole camera at three-quarter view that follows the person."""
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -35,17 +36,29 @@ class Viewpoint:
     """Pixels."""
     size: tuple[int, int]
     """Width and height, pixels."""
+    middle: tuple[float, float] | None = None
+    """Pixel that the viewing axis goes through; None: the middle of the picture."""
+
+    @property
+    def centre(self) -> tuple[float, float]:
+        """Pixel that the viewing axis goes through."""
+        return (self.size[0] / 2, self.size[1] / 2) if self.middle is None else self.middle
 
     def scaled(self, factor: int) -> "Viewpoint":
         """The view with `factor` times as many pixels along each side."""
-        width, height = self.size
-        return Viewpoint(
-            self.R_camera_world,
-            self.position,
-            self.target,
-            self.focal * factor,
-            (width * factor, height * factor),
+        x, y = self.centre
+        return dataclasses.replace(
+            self,
+            focal=self.focal * factor,
+            size=(self.size[0] * factor, self.size[1] * factor),
+            middle=(x * factor, y * factor),
         )
+
+    def part(self, left: int, top: int, right: int, bottom: int) -> "Viewpoint":
+        """A rectangle of the picture; `right` and `bottom` are the first column and row beyond."""
+        x, y = self.centre
+        size, middle = (right - left, bottom - top), (x - left, y - top)
+        return dataclasses.replace(self, size=size, middle=middle)
 
     def project(
         self, points: Float[np.ndarray, "points 3"]
@@ -54,14 +67,17 @@ class Viewpoint:
         local = (points - self.position) @ self.R_camera_world.T
         depth = local[:, 2]
         safe = np.where(np.abs(depth) < 1e-6, 1e-6, depth)
-        centre = np.array(self.size) / 2
-        return local[:, :2] / safe[:, None] * self.focal + centre, depth
+        return local[:, :2] / safe[:, None] * self.focal + self.centre, depth
 
-    def rays(self, pixels: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, "points 3"]:
-        """World directions through pixels, of unit depth (not of unit length)."""
-        x, y = ((pixels - np.array(self.size) / 2) / self.focal).T
-        right, down, forward = self.R_camera_world
-        return x[:, None] * right + y[:, None] * down + forward
+    def along(self, axis: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+        """A world axis times the rays through pixels, as weights of (column, row, 1).
+
+        A ray has unit depth, not unit length; columns and rows count from 0 at pixels' centres.
+        """
+        right, down, forward = self.R_camera_world @ axis
+        x, y = self.centre
+        right, down = right / self.focal, down / self.focal
+        return np.array([right, down, forward - right * (x - 0.5) - down * (y - 0.5)])
 
 
 def viewpoints(shows: Sequence[Show], size: tuple[int, int]) -> tuple[Viewpoint, ...]:
