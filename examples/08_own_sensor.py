@@ -1,58 +1,111 @@
-"""A sensor of your own in one file: radio beacons that measure how far away a tag is.
+"""A sensor of your own in one file: inertial units on limbs, which measure how bones are turned.
 
     python examples/08_own_sensor.py
 
-An observation holds its data and has three methods: the energy, the residuals behind it, and a
-first guess. Here tags on wrists and ankles add to joints of the trunk. `recon.solve` takes any
-observation; `recon.fit` and the command line take the four built-in kinds only.
+A sensor is a frozen record with its data inside. It says what it would have measured of an
+estimated body; energies, noise, windows of long recordings and reports follow from that. Here
+units add to one camera, and are fitted alone, where they tell the posture of a body whose size is
+given, but not the place.
+
+`reads` and `load` open its files: `recon fit units.npz --reader own_sensor:Imus --out walk.npz`;
+`--reader` is not needed once a package registers the class as an entry point `recon.observations`.
 """
 
 from dataclasses import dataclass
 from importlib import resources
+from pathlib import Path
+from typing import ClassVar
 
+import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 import recon
-from priors import PosePrior
-from recon.core.residuals import Residuals
-from recon.core.skeleton import joint_index
-from recon.core.struct import TensorStruct
-from recon.method.protocols import REFERENCE_FPS, Estimate
-from recon.simulation.points import Corruption, joints3d
-
-TAGS = tuple(joint_index(f"{s}_{j}") for s in ("left", "right") for j in ("wrist", "ankle"))
-TRUNK = tuple(joint_index(n) for n in ("pelvis", "spine3", "left_shoulder", "right_shoulder"))
+from observations.files.images import keypoints_of
+from observations.records.sensor import SensorRecord
+from observations.timing import at_observation_times, padded
+from recon.core import rotations as so3
+from recon.core.camera import full_hd_camera
+from recon.core.residuals import Residuals, Unit
+from recon.core.skeleton import JOINTS, joint_index
+from recon.method.protocols import Estimate
+from recon.simulation.images import dome, keypoints2d
+from recon.simulation.points import Corruption
 
 
 @dataclass(frozen=True)
-class Ranges(TensorStruct):
-    """Distances in metres between beacons and tags, at the frames of the motion."""
+class Imus(SensorRecord):
+    """Orientations of bones in a world with z up, as inertial units with a compass give them."""
 
-    beacons: Float[Tensor, "*batch beacons 3"]
-    """Places of the beacons in the world, metres."""
-    distances: Float[Tensor, "*batch moments points"]
-    """Measured distances, metres; a point is a pair of a tag and a beacon."""
-    seen: Float[Tensor, "*batch moments points"]
-    """1 where a distance was measured, 0 elsewhere."""
+    unit: ClassVar[Unit] = "radians"
+    level: ClassVar[bool] = True
+    timed: ClassVar[tuple[str, ...]] = ("axes", "worn")
+    typical_noise: ClassVar[tuple[float, float]] = (
+        0.05,
+        0.015,
+    )  # radians; metres at a hand or foot
+    axes: Float[Tensor, "*batch moments points 3"]
+    """Three points for every unit: where the x, y and z axes of its bone point in the world."""
+    worn: Bool[Tensor, "*batch moments points"]
+    """Whether it was measured."""
+    bones: tuple[int, ...]
+    """The joint at which the bone of each unit begins; see `recon.core.skeleton.JOINTS`."""
     fps: float
+    start_time: float = 0.0
+    ground_known: bool = True
+
+    @classmethod
+    def of(cls, orientations: Tensor, bones: tuple[int, ...], fps: float) -> "Imus":
+        """From rotation matrices R_world_bone, axes (moments, units, 3, 3)."""
+        axes = orientations.mT.flatten(-3, -2)
+        return cls(axes, torch.ones(axes.shape[:-1], dtype=torch.bool), bones, fps)
+
+    @classmethod
+    def reads(cls, path: Path) -> bool:
+        if path.suffix != ".npz" or not path.is_file():
+            return False
+        with np.load(path, allow_pickle=False) as file:
+            return {"orientations", "bones", "fps"} <= set(file.files)
+
+    @classmethod
+    def load(cls, path: Path, body: recon.BodyModel) -> "Imus":
+        del body  # names of joints are enough
+        with np.load(path, allow_pickle=False) as file:
+            turns = torch.from_numpy(file["orientations"]).float()
+            return cls.of(turns, tuple(map(joint_index, file["bones"])), float(file["fps"]))
+
+    @property
+    def shown(self) -> Bool[Tensor, "*batch moments points"]:
+        return self.worn
+
+    def point_names(self, body: recon.BodyModel) -> tuple[str, ...]:
+        del body
+        return tuple(f"{JOINTS[bone]} {axis}" for bone in self.bones for axis in "xyz")
 
     def residuals(self, estimate: Estimate) -> Residuals:
-        """Measured minus predicted distance of every pair, metres."""
-        tags = estimate.body.joints[..., list(TAGS), None, :]
-        predicted = (tags - self.beacons[..., None, None, :, :]).norm(dim=-1).flatten(-2)
-        values = (self.distances - predicted) * self.seen
-        return Residuals(values[..., None], self.seen, "metres")
+        """Measured minus predicted axes; a chord of a unit circle is an angle, nearly."""
+        turns = estimate.body.orientations[..., list(self.bones), :, :]
+        predicted, seen = at_observation_times(
+            estimate.scene.to_recording_directions(turns.mT.flatten(-3, -2)), estimate.motion,
+            fps=self.fps, start_time=self.start_time, moments=self.moments,
+        )  # fmt: skip
+        away = self.axes[..., seen, :, :] - predicted
+        return padded(away, self.worn[..., seen, :], seen, self.moments, self.unit)
 
-    def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
-        """½ Σ residual² over what was measured, taken at 30 Hz; metres²."""
-        squared = self.residuals(estimate).values.square().sum((-3, -2, -1))
-        return 0.5 * squared * (REFERENCE_FPS / self.fps)
+    def start(self, body: recon.BodyModel) -> recon.Motion:
+        """A person who stands at the origin and is turned as the first unit is, on the trunk."""
+        still = super().start(body)
+        first = self.axes[..., :3, :].mT.where(
+            self.worn[..., :1, None], still.rotations[..., 0, :, :]
+        )
+        return still.replace(
+            rotations=torch.cat((first[..., None, :, :], still.rotations[..., 1:, :, :]), -3)
+        )
 
-    def start(self, body: recon.BodyModel) -> recon.Motion:  # noqa: ARG002
-        """Distances alone tell no first guess: another observation has to come first."""
-        raise ValueError("ranges give no first guess: put another observation before them")
+    def transformed(self, T_new_old: Float[np.ndarray, "4 4"]) -> "Imus":
+        turn = torch.from_numpy(T_new_old[:3, :3]).to(self.axes)
+        return self.derived(axes=self.axes @ turn.mT)
 
 
 def main() -> None:
@@ -60,25 +113,24 @@ def main() -> None:
     body = recon.BodyModel.load()
     with resources.as_file(resources.files("recon") / "assets" / "demo.npz") as path:
         truth = recon.load_motion(path).motion.window(0, 30)
-    joints = body.pose(truth).joints[None]
-    beacons = torch.tensor(
-        [[[4.0, 4.0, 0.1], [-4.0, 4.0, 2.5], [4.0, -4.0, 2.5], [-4.0, -4.0, 0.1]]]
-    )
-    exact = (joints[..., list(TAGS), None, :] - beacons[:, None, None]).norm(dim=-1).flatten(-2)
-    measured = exact + 0.03 * torch.randn(exact.shape)
-    ranges = Ranges(beacons, measured, torch.ones_like(measured), truth.fps)
+    posed = body.pose(truth)
+    worn = ("pelvis", "spine3", "head", "left_elbow", "right_elbow", "left_knee", "right_knee")
+    bones = tuple(map(joint_index, worn))
+    turns = posed.orientations[:, list(bones)]
+    measured = turns @ so3.exp(0.05 * torch.randn(*turns.shape[:-1]))
+    np.savez("units.npz", orientations=measured, bones=worn, fps=truth.fps)
+    units = recon.load_observation("units.npz", reader=f"{__name__}:Imus")
 
-    every = joints3d(truth, body, Corruption(noise=0.01), seed=0)[None]
-    trunk = recon.Joints3D(
-        every.positions[..., list(TRUNK), :], every.visible[..., list(TRUNK)], TRUNK, truth.fps
-    )
-    for name, seen in (("trunk", [trunk]), ("trunk and ranges", [trunk, ranges])):
-        weights = [1.0, (0.01 / 0.03) ** 2][
-            : len(seen)
-        ]  # inverse variances, relative to the first
-        result = recon.solve(seen, PosePrior.load(), body, weights=weights)
-        error = (result.body.joints - joints)[..., list(TAGS), :].norm(dim=-1).mean()
-        print(f"{name}: wrists and ankles off by {100 * float(error):.1f} cm")
+    (camera,) = dome(truth, body, full_hd_camera(), 1)
+    view = keypoints_of(keypoints2d(truth, body, camera, Corruption(noise=3.0), seed=0), body)
+    for name, seen in (("units", [units]), ("camera", [view]), ("both", [view, units])):
+        average = [0.0] if seen == [units] else None  # turns alone tell no size
+        result = recon.fit(seen, prior="pose", shape=average)
+        away = result.joints - posed.joints
+        posture = (away - away[:, :1]).norm(dim=-1).mean()
+        world = away.norm(dim=-1).mean()
+        print(f"{name}: {100 * float(world):.1f} cm in the world,", end=" ")
+        print(f"{100 * float(posture):.1f} cm from the pelvis on")
 
 
 if __name__ == "__main__":

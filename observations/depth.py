@@ -10,12 +10,13 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from observations.checks import checked_clock, checked_positions, checked_view
+from observations.records.sensor import SensorRecord
 from observations.start.depth import depth_start
 from observations.surfels import Surfels
 from observations.timing import at_observation_times, moment_numbers, moments_between, padded
 from recon.body.model import BodyModel
 from recon.core.arrays import Numbers
-from recon.core.camera import Camera
+from recon.core.camera import Camera, transform
 from recon.core.geometry.nearest import nearest
 from recon.core.motion import Motion
 from recon.core.residuals import Noise, Residuals, Unit
@@ -27,7 +28,6 @@ from recon.core.robust import (
     lower_median,
     mad_scale,
 )
-from recon.core.struct import TensorStruct
 from recon.method.protocols import REFERENCE_FPS, Estimate
 
 _FEW_POINTS, _FEW_SURFELS = 96, 500
@@ -122,7 +122,7 @@ def bounded(
 
 
 @dataclass(frozen=True, init=False)
-class PointCloud(TensorStruct):
+class PointCloud(SensorRecord):
     """Points of the body's surface that a depth sensor or a scanner measured.
 
     The energy is half the robust squared distance of every point from the surface, in metres².
@@ -191,14 +191,9 @@ class PointCloud(TensorStruct):
         )  # fmt: skip
 
     @property
-    def clips(self) -> tuple[int, ...]:
-        """Sizes of the leading axes; one axis of clips, or none."""
-        return tuple(self.points.shape[:-3])
-
-    @property
-    def moments(self) -> int:
-        """Number of moments of a clip."""
-        return self.points.shape[-3]
+    def kind(self) -> str:
+        """The sensor's name in reports."""
+        return "points"
 
     @property
     def places(self) -> Float[Tensor, "*batch moments points 3"]:
@@ -348,6 +343,13 @@ class PointCloud(TensorStruct):
         points, present, first = moments_between(self.points, self.present, **clock)
         camera = None if self.camera is None else self.camera.at(moment_numbers(**clock))
         return self.derived(points=points, present=present, camera=camera, start_time=first)
+
+    def transformed(self, T_new_old: Float[np.ndarray, "4 4"]) -> "PointCloud":
+        """Points and sensor after a rigid transform of the frame that they live in."""
+        T = torch.from_numpy(T_new_old).to(self.points)
+        points = transform(T, self.points).where(self.present[..., None], 0.0)
+        camera = None if self.camera is None else self.camera.moved(T_new_old)
+        return self.derived(points=points, camera=camera)
 
     def thinned(self, most: int) -> "PointCloud":
         """A cloud of at most `most` points in every moment; points come in no order."""

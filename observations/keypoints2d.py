@@ -12,6 +12,7 @@ from observations.checks import checked_clock, checked_pixels, checked_places, c
 from observations.correspondences import BodyPoints, joints_shown
 from observations.noise import LIMITS, estimate_noise
 from observations.offsets import displaced
+from observations.records.sensor import SensorRecord
 from observations.start.images import image_start
 from observations.timing import at_observation_times, moment_numbers, moments_between, padded
 from recon.body.model import BodyModel
@@ -20,7 +21,6 @@ from recon.core.camera import Camera, Projection
 from recon.core.motion import Motion
 from recon.core.residuals import Noise, Residuals, Unit
 from recon.core.robust import geman_mcclure
-from recon.core.struct import TensorStruct
 from recon.method.protocols import REFERENCE_FPS, Estimate
 
 SIGMA = 100.0
@@ -30,7 +30,7 @@ OFFSET_UNIT = 0.05
 
 
 @dataclass(frozen=True, init=False)
-class Keypoints2D(TensorStruct):
+class Keypoints2D(SensorRecord):
     """2D keypoints that one calibrated camera saw.
 
     The energy is half the robust squared distance of every keypoint from the projection of the
@@ -87,16 +87,6 @@ class Keypoints2D(TensorStruct):
             sigma=positive(sigma, "Keypoints2D.sigma"), ground_known=ground_known,
             offset_rows=offset_rows,
         )  # fmt: skip
-
-    @property
-    def clips(self) -> tuple[int, ...]:
-        """Sizes of the leading axes; one axis of clips, or none."""
-        return tuple(self.pixels.shape[:-3])
-
-    @property
-    def moments(self) -> int:
-        """Number of moments of a clip."""
-        return self.pixels.shape[-3]
 
     @property
     def shown(self) -> Bool[Tensor, "*batch moments points"]:
@@ -156,6 +146,10 @@ class Keypoints2D(TensorStruct):
             camera=self.camera.at(moment_numbers(**clock)),
             start_time=first,
         )
+
+    def transformed(self, T_new_old: Float[np.ndarray, "4 4"]) -> "Keypoints2D":
+        """Images whose camera is given in another frame, after a rigid transform of it."""
+        return self.derived(camera=self.camera.moved(T_new_old))
 
     def noise(self, guess: Motion, body: BodyModel, given: float | None = None) -> Noise:
         """The standard deviation of a pixel coordinate: given, or estimated from the paths.

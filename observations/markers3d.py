@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from observations.checks import checked_clock, checked_places, checked_positions
-from observations.tracked import TrackedPoints
+from observations.records.tracked import TrackedPoints
 from recon.body.landmarks import landmarks
 from recon.body.model import BodyModel, PosedBody
 from recon.core.arrays import Numbers

@@ -9,6 +9,7 @@ from recon.core.motion import Motion
 from recon.core.scene import Scene
 from recon.core.struct import TensorStruct
 from recon.method.free import FreeMotion
+from recon.method.protocols import Decoded as Decoded
 from recon.method.protocols import Energy, Estimate, Prior
 
 

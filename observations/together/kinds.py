@@ -32,6 +32,11 @@ def views(observations: Sequence[Sensor]) -> list[Keypoints2D]:
     return [one for one in observations if isinstance(one, Keypoints2D)]
 
 
+def with_camera(observations: Sequence[Sensor]) -> list[Keypoints2D | PointCloud]:
+    """Keypoints in images, then points of surfaces, which may have a camera."""
+    return [*views(observations), *clouds(observations)]
+
+
 def clouds(observations: Sequence[Sensor]) -> list[PointCloud]:
     """Points without names."""
     return [one for one in observations if isinstance(one, PointCloud)]

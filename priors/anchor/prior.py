@@ -6,6 +6,7 @@ what the duration of the cycle is, they tell as well.
 """
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import torch
 from jaxtyping import Bool, Float
@@ -19,6 +20,8 @@ from recon.core import rotations as so3
 from recon.core.errors import ReconError
 from recon.core.motion import Motion
 from recon.core.struct import TensorStruct, stack
+from recon.method.plugins import imported
+from recon.method.priors import CycleMethod, Traits
 from recon.method.protocols import Decoded
 
 MODES = 16
@@ -67,6 +70,7 @@ class AnchorVariables(TensorStruct):
 class AnchorFrames:
     """The prior of whole gait cycles: a normal distribution of codes, and small, slow details."""
 
+    traits: ClassVar[Traits] = Traits(completes=True)
     weights: AnchorWeights
     body: BodyModel
 
@@ -92,6 +96,25 @@ class AnchorFrames:
     def alignment(self) -> Alignment:
         """The part of a cycle's place and orientation that codes do not hold."""
         return self.weights.alignment
+
+    @property
+    def code_size(self) -> int:
+        """Numbers in a code."""
+        return self.weights.networks.latent
+
+    @property
+    def typical(self) -> Float[Tensor, "typical latent"]:
+        """Codes of a few cycles that are unlike each other, to begin with."""
+        return self.weights.spread.typical
+
+    def paths(self, shape: Float[Tensor, " shape"]) -> Float[Tensor, "typical 100 3"]:
+        """The path of the pelvis in each typical cycle, at even moments, metres."""
+        rows = self.weights.networks.decode(self.typical, shape.expand(len(self.typical), -1))
+        return rows[..., -4:-1] + rest_pelvis(self.body, shape)
+
+    def cycle_method(self, noise: float, *, detailed: bool) -> CycleMethod:
+        """A method for observations whose coordinates are off by about `noise` metres."""
+        return imported("priors.anchor.fit:AnchorFit", "method")(self, noise, detailed=detailed)
 
     def encode(self, motion: Motion) -> AnchorVariables:
         """The code of each clip, taken as one cycle from its first to its last frame.

@@ -32,7 +32,9 @@ from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.struct import TensorStruct
+from recon.method.plugins import imported
 from recon.method.protocols import REFERENCE_FPS, Decoded
+from recon.method.reconstruction import Method
 
 _LOG = logging.getLogger(__name__)
 
@@ -99,7 +101,7 @@ class Humor:
             FileNotFoundError: when there is no such file.
             ValueError: when it holds no HuMoR weights; the message names the layers.
         """
-        body = BodyModel.load() if body is None else body
+        body = BodyModel.load() if body is None else body.to(device="cpu")
         weights = read_weights("open" if path is None else path)
         networks = networks_from(weights)
         if mixture is not None:
@@ -118,6 +120,11 @@ class Humor:
         assert initial is not None
         assert whitening is not None
         return cls(networks.requires_grad_(False), initial, body, whitening)
+
+    def method(self, noise: float, body: BodyModel) -> Method:
+        """All frames at once, for observations whose coordinates are off by `noise` metres."""
+        kind = imported("priors.humor.collocation:Collocation", "method")
+        return kind.for_noise(self.like(body.template), noise)
 
     def to(
         self, *, device: torch.device | str | None = None, dtype: torch.dtype | None = None

@@ -20,10 +20,12 @@ from priors.humos.weights import HumosWeights, load_weights
 from recon.body.model import BodyModel
 from recon.body.reshape import leg_length
 from recon.core import rotations as so3
-from recon.core.errors import ReconError
+from recon.core.errors import ReconError, WeightsError
 from recon.core.motion import Motion
 from recon.core.struct import TensorStruct
+from recon.method.plugins import imported
 from recon.method.protocols import Decoded
+from recon.method.reconstruction import Method
 
 FPS = 20.0
 """Frames per second of the codes."""
@@ -80,7 +82,7 @@ class Humos:
             FileNotFoundError: when there is no such file.
             ValueError: when it holds something else, or the body is not the bundled one.
         """
-        body = BodyModel.load() if body is None else body
+        body = BodyModel.load() if body is None else body.to(device="cpu")
         found = load_weights(weights)
         if body.checksum != BodyModel.load().checksum:
             raise ReconError(
@@ -88,6 +90,17 @@ class Humos:
                 "of the bundled body first, or take the prior `humor`"
             )
         return cls(found, body)
+
+    def method(self, noise: float, body: BodyModel) -> Method:
+        """A method for observations whose coordinates are off by about `noise` metres.
+
+        Raises:
+            WeightsError: when the body is not on the processor.
+        """
+        if body.template.device.type != "cpu":
+            raise WeightsError("the HUMOS prior runs on the processor: leave --device at cpu")
+        kind = imported("priors.humos.collocation:HumosFit", "method")
+        return kind.for_noise(self, noise)
 
     def encode(self, motion: Motion) -> HumosVariables:
         """Mean codes of each clip, and as details all that they leave out: exact.

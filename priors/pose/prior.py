@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import ClassVar
 
 import torch
 from jaxtyping import Bool, Float
@@ -16,6 +17,7 @@ from recon.core.motion import Motion, carried_translation
 from recon.core.skeleton import JOINTS
 from recon.core.struct import TensorStruct
 from recon.method.free import FreeMotion
+from recon.method.priors import Traits
 from recon.method.protocols import REFERENCE_FPS, Decoded
 from recon.method.stages import Stage
 from recon.method.terms import Term, joint_acceleration, joint_velocity, prior_energy, shape
@@ -133,22 +135,38 @@ class PosePrior(TensorStruct):
     is m. As a method it fits translation and root first, then everything.
     """
 
+    traits: ClassVar[Traits] = Traits(knows_gravity=False)
     density: PoseDensity
     weights: PoseWeights
 
     @classmethod
     def load(
-        cls, path: str | Path | None = None, weights: PoseWeights | None = None
+        cls,
+        path: str | Path | None = None,
+        body: BodyModel | None = None,
+        *,
+        weights: PoseWeights | None = None,
     ) -> "PosePrior":
         """The bundled density, or one trained by `recon train pose`; by default for noisy joints.
+
+        Args:
+            path: `open` or None for the bundled density, or a file.
+            body: whose poses they are: any body's.
+            weights: of its energies; None takes those for joints with 4 cm of noise.
 
         Raises:
             FileNotFoundError: when there is no such file.
             ValueError: when it holds no pose density; the message names the layer.
         """
+        del body
         weights = PoseWeights.tuned_joints() if weights is None else weights
         tensors = named_checkpoint("open" if path is None else path, "pose").require(_SHAPES)
         return cls(PoseDensity(**tensors), weights)
+
+    def method(self, noise: float, body: BodyModel) -> "PosePrior":
+        """A prior with the weights for a standard deviation of `noise` metres per coordinate."""
+        fitting = self.replace(weights=PoseWeights.for_noise(noise))
+        return fitting.to(device=body.template.device)
 
     def encode(self, motion: Motion) -> PoseVariables:
         """Steps of zero about the motion; exact."""

@@ -143,11 +143,11 @@ def _noises(given: float | Sequence[float | None] | None, clip: Clip) -> tuple[f
         return ()
     count = len(clip.observations)
     if not isinstance(given, Sequence):
-        units = {hasattr(one, "pixels") for one in clip.observations}
+        units = sorted({one.unit for one in clip.observations})
         if len(units) > 1:
             raise ObservationError(
-                "noise: some observations are in metres and some in pixels; give one number for "
-                f"each of {', '.join(clip.names)}, None where it is to be estimated"
+                f"noise: some observations are in {' and some in '.join(units)}; give one number "
+                f"for each of {', '.join(clip.names)}, None where it is to be estimated"
             )
         given = [given] * count
     if len(given) != count:

@@ -30,13 +30,15 @@ def load_observation(
     image_size: tuple[int, int] | None = None,
     ground: tuple[float, float, float, float] | None = None,
     depth_scale: float = 0.001,
+    reader: str | None = None,
     seed: int = 0,
 ) -> Sensor | list[Sensor]:
     """What `recon fit` takes: one observation, or a list where there are several views or paths.
 
     Observation files (.npz); folders or files of 2D detections, one per view, with `camera`;
-    folders of scans (.ply, .pcd); folders of 16-bit depth images (.png) with `camera`. All have a
-    leading axis of length one. What was assumed in reading is logged (logger `recon`).
+    folders of scans (.ply, .pcd); folders of 16-bit depth images (.png) with `camera`; files of
+    sensors that other packages registered. All have a leading axis of length one. What was
+    assumed in reading is logged (logger `recon`).
 
     Args:
         path: file or folder, or several of one clip.
@@ -53,6 +55,8 @@ def load_observation(
         image_size: width and height, pixels, where the calibration does not tell.
         ground: plane n·x = d below a camera without pose, (nx, ny, nz, d) in its frame, metres.
         depth_scale: metres per unit of depth images.
+        reader: class that reads files of a sensor of your own, "package.module:Class"; not needed
+            where it is registered as the entry point `recon.observations`.
         seed: of the draw of points from clouds.
 
     Raises:
@@ -65,7 +69,7 @@ def load_observation(
         masks=None if masks is None else Path(masks),
         camera=None if camera is None else Path(camera), camera_unit=camera_unit,
         camera_up=camera_up, image_size=image_size, ground=ground, depth_scale=depth_scale,
-        seed=seed,
+        reader=reader, seed=seed,
     )  # fmt: skip
     clip = read_clip(paths, settings, BodyModel.load() if body is None else body)
     for note in clip.notes:

@@ -3,24 +3,17 @@
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float
 
-from observations.depth import PointCloud
 from observations.files.images import LEVEL_CAMERA, camera_above, world_above
-from observations.joints3d import Joints3D
-from observations.keypoints2d import Keypoints2D
-from observations.markers3d import Markers3D
-from observations.together import kinds as sensors
-from observations.together.frames import camera_frame_is_recording, carried
+from observations.together.frames import camera_frame_is_recording, unposed_camera
 from recon.api.load import read_clip
 from recon.body.model import BodyModel
 from recon.core.errors import ObservationError, ReconError
-from recon.core.robust import geman_mcclure
 from recon.fitting.clip_files import Clip
 from recon.fitting.settings import DEFAULTS
 from recon.method.protocols import Sensor
@@ -31,10 +24,6 @@ ObservationsLike = Sensor | Path | str | Sequence[Sensor | Path | str] | Iterabl
 """One or several observations of one clip: records, files and folders that
 `recon.load_observation` reads, or what `recon.simulate` returned."""
 GroundChoice = Literal["auto", "known", "unknown"] | Plane
-
-_KINDS = {
-    Joints3D: "joints3d", Markers3D: "markers3d", Keypoints2D: "keypoints2d", PointCloud: "points"
-}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -77,7 +66,7 @@ def clip_of(given: Any, body: BodyModel) -> Clip:
     one = tuple(_one_clip(each).to(device=like.device, dtype=like.dtype) for each in seen)
     if isinstance(given, Clip):
         return replace(given, observations=one)
-    return Clip(one, names, (), _unposed_camera(one))
+    return Clip(one, names, (), unposed_camera(one))
 
 
 def on_ground(clip: Clip, ground: Any) -> Sighting:
@@ -113,8 +102,8 @@ def on_ground(clip: Clip, ground: Any) -> Sighting:
     if any(camera_frame_is_recording(one) for one in clip.observations):
         found = _carried(clip, camera_above(plane), known=False)
     else:
-        named = len(sensors.tracked(clip.observations)) == len(clip.observations)
-        found = _carried(clip, world_above(plane), known=named)
+        level = all(one.level for one in clip.observations)
+        found = _carried(clip, world_above(plane), known=level)
     return replace(found, clip=replace(found.clip, ground_given=True))
 
 
@@ -130,13 +119,8 @@ def counted_less_beyond(clip: Clip, distance: float) -> Clip:
     """
     if not 0 < distance < float("inf"):
         raise ReconError(f"robust: expected 'auto' or metres above 0, got {distance!r}")
-    kernel = partial(geman_mcclure, sigma=distance)
     return replace(
-        clip,
-        observations=tuple(
-            one.derived(kernel=kernel) if sensors.tracked([one]) else one
-            for one in clip.observations
-        ),
+        clip, observations=tuple(one.robust_beyond(distance) for one in clip.observations)
     )
 
 
@@ -145,7 +129,7 @@ def _names(seen: Sequence[Any]) -> tuple[str, ...]:
     for one in seen:
         if not isinstance(one, Sensor):
             raise _no_observation(one)
-    kinds = [_KINDS.get(type(one), type(one).__name__.lower()) for one in seen]
+    kinds = [one.kind for one in seen]
     count, number = Counter(kinds), Counter[str]()
     names: list[str] = []
     for kind in kinds:
@@ -156,7 +140,8 @@ def _names(seen: Sequence[Any]) -> tuple[str, ...]:
 
 def _no_observation(given: object) -> ObservationError:
     return ObservationError(
-        "expected observations (recon.Joints3D, Markers3D, Keypoints2D or PointCloud; "
+        "expected observations (recon.Joints3D, Markers3D, Keypoints2D, PointCloud or a sensor of "
+        "your own that keeps recon.method.protocols.Sensor; "
         f"recon.load_observation reads files), got {type(given).__name__}"
     )
 
@@ -173,21 +158,13 @@ def _one_clip(one: Sensor) -> Sensor:
     return one
 
 
-def _unposed_camera(seen: Sequence[Sensor]) -> Float[np.ndarray, "4 4"] | None:
-    """First pose of the first camera that does not know the ground, T_recording_camera."""
-    for one in (*sensors.views(seen), *sensors.clouds(seen)):
-        if one.camera is not None and not one.ground_known:
-            return one.camera.T_world_camera[0, 0].double().cpu().numpy()
-    return None
-
-
 def _declared(clip: Clip, *, known: bool) -> Clip:
     seen = tuple(one.derived(ground_known=known) for one in clip.observations)
-    return replace(clip, observations=seen, T_recording_camera=_unposed_camera(seen))
+    return replace(clip, observations=seen, T_recording_camera=unposed_camera(seen))
 
 
 def _carried(clip: Clip, T: Float[np.ndarray, "4 4"], *, known: bool) -> Sighting:
-    moved = replace(clip, observations=tuple(carried(one, T) for one in clip.observations))
+    moved = replace(clip, observations=tuple(one.transformed(T) for one in clip.observations))
     return Sighting(_declared(moved, known=known), T)
 
 

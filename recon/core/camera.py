@@ -169,6 +169,12 @@ class Camera(TensorStruct):
         size = pixels.new_tensor(self.image_size)
         return ((pixels >= 0) & (pixels < size)).all(-1)
 
+    def moved(self, T_new_old: Float[np.ndarray, "4 4"]) -> "Camera":
+        """A camera in another world frame, to which the transform maps the old one."""
+        poses = self.T_camera_world
+        back = torch.from_numpy(np.linalg.inv(T_new_old)).to(poses)
+        return self.derived(T_camera_world=poses @ back)
+
     def placed(self, position: Float[Tensor, "3"], target: Float[Tensor, "3"]) -> "Camera":
         """This camera at a fixed place of the world (z up), looking at a target.
 

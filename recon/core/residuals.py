@@ -8,7 +8,7 @@ from torch import Tensor
 
 from recon.core.struct import TensorStruct
 
-Unit = Literal["metres", "pixels"]
+Unit = Literal["metres", "pixels", "radians"]
 
 
 @dataclass(frozen=True)
@@ -16,7 +16,7 @@ class Noise:
     """Standard deviation of the coordinates of one observation."""
 
     own: float
-    """Standard deviation of every coordinate in the observation's own unit, metres or pixels.
+    """Standard deviation of every coordinate in the observation's own unit.
 
     Where neighbouring points err alike, it is so much larger that together they count as one.
     """
@@ -32,7 +32,8 @@ class Residuals(TensorStruct):
     """
 
     values: Float[Tensor, "*batch moments points dims"]
-    """Three coordinates in the frame of the recording, or two in the image, in `unit`."""
+    """Coordinates of every point's residual, in `unit`: three in the frame of the recording, two
+    in an image, one of a distance."""
     weights: Float[Tensor, "*batch moments points"]
     """Weight of a point: 0 where it was not seen or the estimate does not cover its moment, the
     confidence of a detection, 1 for a measured point."""

@@ -12,6 +12,7 @@ from observations.keypoints2d import OFFSET_UNIT
 from observations.noise import weights_of
 from observations.together import kinds
 from observations.together.first_guess import FirstGuess, first_guess
+from priors.roles import FIRST
 from recon.body.model import BodyModel
 from recon.core.errors import ObservationError
 from recon.core.motion import Motion
@@ -38,7 +39,7 @@ It differs by a centimetre or two, but frames repeat each other."""
 GROUND_DEVIATION = 0.001
 """Metres and radians by which a plane that is given or seen may miss the ground: thousands of
 points see it, and no step of a person should outweigh them."""
-POSE_PRIOR = FitOptions(prior="pose")
+ROUGH = FitOptions(prior=FIRST)
 
 
 @dataclass(frozen=True)
@@ -114,7 +115,7 @@ def _with_offsets(observations: tuple[Sensor, ...]) -> tuple[tuple[Sensor, ...],
     count = len(views[0].points.names)
     rows = (0, count)
     return tuple(
-        o.derived(offset_rows=rows) if o.unit == "pixels" else o for o in observations
+        o.derived(offset_rows=rows) if kinds.views([o]) else o for o in observations
     ), count
 
 
@@ -168,7 +169,7 @@ class _Job:
     @property
     def rough(self) -> FitOptions:
         """The pose prior alone, which does not ask where the ground is, for first motions."""
-        return replace(POSE_PRIOR, shape=self.options.shape)
+        return replace(ROUGH, shape=self.options.shape)
 
     def method(self, options: FitOptions, moved: frozenset[str]) -> Method:
         noise = min(noise.metres for noise in self.noises)
@@ -251,7 +252,7 @@ class _Job:
     def with_ground(self) -> Reconstruction:
         """The whole clip and its ground, found from the way people stand."""
         start = self.guess.motion
-        level = len(kinds.tracked(self.observations)) == len(self.observations)
+        level = all(one.level for one in self.observations)
         if level:  # the recording's z is up, only heights are not known
             start, unknown = self.free(), HEIGHT
             ground = ground_below(start, self.body)

@@ -14,6 +14,7 @@ from observations.people.masks import load_silhouettes, masked
 from observations.people.views import load_views
 from recon.body.model import BodyModel
 from recon.core.errors import FormatError, ObservationError
+from recon.fitting.readers import read_by, readers
 from recon.fitting.settings import DEFAULTS, FitSettings
 from recon.formats.calibration.cameras import load_cameras
 from recon.formats.clouds.depth_images import read_depth_images
@@ -47,7 +48,8 @@ class Clip:
 def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> Clip:
     """Read files and folders of one clip.
 
-    Observation files (.npz) of any kind; folders or files of 2D detections, one per view, with
+    Whatever the class `settings.reader` or one that is registered as `recon.observations` reads;
+    observation files (.npz) of any kind; folders or files of 2D detections, one per view, with
     `--camera`; a folder of scans (.ply, .pcd); a folder of 16-bit depth images (.png) with
     `--camera`. Sensors without a pose are taken to be one and the same camera.
 
@@ -57,7 +59,8 @@ def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> 
     """
     if len(paths) == 0:
         raise ObservationError("nothing to fit: expected at least one observation file, got none")
-    files: list[tuple[str, ObservationFile]] = []
+    own = readers(settings.reader)
+    files: list[tuple[str, ObservationFile | Sensor]] = []
     notes: list[str] = []
     detections: list[Path] = []
     for path in paths:
@@ -68,7 +71,9 @@ def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> 
                 f"{path}: the folder is empty; expected scans (.ply, .pcd), depth images (.png) "
                 "or 2D detections (.json, .csv) in it"
             )
-        if path.suffix.lower() == ".npz":
+        if (seen := read_by(own, path, body)) is not None:
+            files.append((str(path), seen))
+        elif path.suffix.lower() == ".npz":
             files.append((str(path), load_observation(path, unit=settings.unit)))
         elif kinds := _inside(path) & (_CLOUDS | _IMAGES):
             files.append((str(path), _read_folder(path, kinds, settings)))
@@ -87,16 +92,16 @@ def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> 
             image_size=settings.image_size,
         )  # fmt: skip
         notes += views.decisions
-        seen = views.files
+        shown = views.files
         if settings.masks is not None:
-            if len(seen) != 1:
+            if len(shown) != 1:
                 raise ObservationError(
-                    f"--masks are of one view, got {len(seen)} views; write the masked keypoints "
+                    f"--masks are of one view, got {len(shown)} views; write the masked keypoints "
                     "of each view to an observation file first"
                 )
             mask = load_silhouettes(settings.masks)
-            seen = (masked(seen[0], mask, first_frame=views.first_frame),)
-        files += zip(views.names, seen, strict=True)
+            shown = (masked(shown[0], mask, first_frame=views.first_frame),)
+        files += zip(views.names, shown, strict=True)
     return _together(files, notes, settings, body)
 
 
@@ -135,7 +140,7 @@ def seen_times(observation: Sensor) -> Float[np.ndarray, " moments"]:
 
 
 def _together(
-    files: Sequence[tuple[str, ObservationFile]],
+    files: Sequence[tuple[str, ObservationFile | Sensor]],
     notes: list[str],
     settings: FitSettings,
     body: BodyModel,
@@ -172,13 +177,15 @@ def _together(
             found[k] = positions_of(
                 file, name, body, unit=settings.unit, up=settings.up, robust=settings.robust
             )
+        elif not isinstance(file, PointsFile):
+            found[k] = file
     observations = tuple(found[k] for k in range(len(files)))
     names = tuple(name for name, _ in files)
     return Clip(observations, names, tuple(notes), T, settings.ground is not None)
 
 
-def _has_pose(file: ObservationFile) -> bool:
-    if isinstance(file, PositionsFile):
+def _has_pose(file: ObservationFile | Sensor) -> bool:
+    if not isinstance(file, PointsFile | KeypointsFile):
         return True
     return file.camera is None or file.camera.T_camera_world is not None
 

@@ -6,6 +6,7 @@ from importlib import resources
 from pathlib import Path
 
 from observations.people.camera_names import expand
+from priors.roles import FIRST
 from recon.fitting.settings import FitSettings
 from recon.formats.files.checksums import MISSING, file_checksum, files_checksum, value_checksum
 from recon.formats.weight_files import weights_path
@@ -125,10 +126,8 @@ def clip_checksum(paths: Sequence[Path], settings: str) -> str:
 
 
 def _weights(settings: FitSettings) -> list[str]:
-    """The prior's, and the pose prior's, with which every first motion is found."""
-    names = [("open", "pose")]
-    if settings.prior != "pose":
-        names.append((settings.weights, settings.prior))
+    """The prior's, and those of the one with which every first motion is found."""
+    names = dict.fromkeys([("open", FIRST), (settings.weights, settings.prior)])
     paths = [weights_path(name, kind) for name, kind in names]
     return [Input(path, (path,)).checksum() for path in paths]
 

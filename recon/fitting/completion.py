@@ -5,10 +5,11 @@ have minima for both. So typical codes are tried in several headings, all as one
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from time import perf_counter
+from typing import Any
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -18,18 +19,17 @@ from observations.depth import CLOUD_NOISE, CLOUD_WORTH, PointCloud, bounded
 from observations.noise import weights_of
 from observations.together import kinds
 from observations.together.kinds import InSpace
-from priors.anchor.fit import AnchorFit
-from priors.anchor.frames import ANCHORS, rest_pelvis
-from priors.anchor.prior import AnchorFrames, AnchorVariables
 from recon.body.cycles import LONGEST_CYCLE, SHORTEST_CYCLE
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
-from recon.core.errors import ObservationError
+from recon.core.errors import ObservationError, ReconError
 from recon.core.residuals import Noise
 from recon.core.scene import OFFSETS, Scene
 from recon.core.struct import concatenate
 from recon.fitting.clip import ClipFit
 from recon.fitting.options import FitOptions
+from recon.fitting.priors import loaded
+from recon.method.priors import CycleMethod, CyclePrior
 from recon.method.protocols import REFERENCE_FPS, Sensor
 from recon.method.reconstruction import Reconstruction
 from recon.method.stages import Stage, StageReport, Watch, evaluate_stage, run_stage
@@ -61,7 +61,7 @@ def complete(
     options: FitOptions,
     body: BodyModel,
     watch: Watch | None = None,
-    kind: type[AnchorFit] = AnchorFit,
+    kind: Callable[..., CycleMethod] | None = None,
 ) -> ClipFit:
     """Fit one cycle to every clip of the batch.
 
@@ -70,10 +70,10 @@ def complete(
 
     Args:
         observations: of the clips, which are independent of each other.
-        options: of the fit; its prior is `anchor`, by name or loaded.
+        options: of the fit; its prior is of cycles, by name or loaded.
         body: whose motion it is.
         watch: told about every iteration.
-        kind: how residuals are weighed: by their noise, or as published.
+        kind: of method, called as kind(prior, noise, detailed=...), instead of the prior's own.
 
     Raises:
         ValueError: when nothing tells where the body is, a clip does not last 0.3 to 3 s, or
@@ -81,27 +81,32 @@ def complete(
     """
     if options.physics != 0:
         raise ObservationError(
-            "cycles are completed without physics; leave it out, or fit by humor"
+            "cycles are completed without physics; leave it out, or fit by another prior"
         )
     if options.shape is not None or options.terms:
         raise ObservationError(
             "cycles are completed with a shape of their own and no further terms; leave shape and "
-            "terms out, or fit by humor"
+            "terms out, or fit by another prior"
         )
     device = body.template.device
     seen = tuple(o.to(device=device) for o in kinds.in_space(observations))
     if len(seen) < len(observations):
         raise ObservationError(
             "completing a cycle takes scans, landmarks or joints, got 2D keypoints as well; fit "
-            "them with --prior humor"
+            "them with another prior"
         )
-    prior = options.prior
-    if not isinstance(prior, AnchorFrames):
-        prior = AnchorFrames.load(options.weights, body)
+    prior = loaded(options.prior, options.weights, body)
+    if not isinstance(prior, CyclePrior):
+        raise ReconError(f"expected a prior of cycles, got a {type(prior).__name__}")
     seen, rows = _with_offsets(tuple(o.thinned(FITTED) for o in seen))
     noises = tuple(_noise(o, options.noise_of(row)) for row, o in enumerate(seen))
     dense = any(_fullest(o) >= DENSE for o in kinds.clouds(seen))
-    method = kind(prior, min(noise.metres for noise in noises), detailed=dense)
+    noise = min(one.metres for one in noises)
+    method = (
+        prior.cycle_method(noise, detailed=dense)
+        if kind is None
+        else kind(prior, noise, detailed=dense)
+    )
     return _Search(seen, noises, method, body, _Clock.of(seen), rows, watch).fitted()
 
 
@@ -133,7 +138,7 @@ class _Clock:
             raise ObservationError(
                 f"a cycle of gait lasts {SHORTEST_CYCLE} to {LONGEST_CYCLE:g} s, what is seen "
                 f"here {float(worst[0]):.2f} s; cut one cycle out (--between), or fit the whole "
-                "with --prior humor"
+                "with another prior"
             )
         count = (last * fps - 1e-6).ceil().long() + 1
         return cls(torch.arange(int(count.max())) < count[:, None], fps, start)
@@ -145,7 +150,7 @@ class _Search:
 
     observations: tuple[InSpace, ...]
     noises: tuple[Noise, ...]
-    method: AnchorFit
+    method: CycleMethod
     body: BodyModel
     clock: _Clock
     offsets: int
@@ -168,7 +173,7 @@ class _Search:
         result = Reconstruction(estimate, tuple(reports))
         return ClipFit(result, self.noises, True, T, self.observations)
 
-    def searched(self) -> tuple[AnchorVariables, Int[Tensor, " rows"]]:
+    def searched(self) -> tuple[Any, Int[Tensor, " rows"]]:
         """The beginnings that are roughly best, on a clock of few moments until they are found."""
         step = self.rough_step
         variables, clip = self.beginnings()
@@ -180,18 +185,18 @@ class _Search:
         variables, clip, _ = _best(variables, clip, self.misfit(variables, scene, clip), KEPT)
         return variables.replace(valid=self.clock.valid[clip], fps=self.clock.fps), clip
 
-    def beginnings(self) -> tuple[AnchorVariables, Int[Tensor, " rows"]]:
+    def beginnings(self) -> tuple[Any, Int[Tensor, " rows"]]:
         """Every typical cycle in every heading, along the path that is seen; whose each is."""
         prior, clock = self.method.prior, self.clock
-        typical = prior.weights.spread.typical
+        typical = prior.typical
         angles = torch.arange(SEARCHED_HEADINGS) * (math.tau / SEARCHED_HEADINGS)
         turns = so3.about_z(angles.to(typical))
         shape = typical.new_zeros(self.body.shape_size)
-        path = self._paths(shape)
-        variables: list[AnchorVariables] = []
+        path = prior.paths(shape)
+        variables: list[Any] = []
         for clip, (seen, there) in enumerate(zip(*self._seen_path(), strict=True)):
             last = int(clock.valid[clip].sum()) - 1
-            place = torch.arange(len(seen)).clamp(max=last) / last * (ANCHORS - 1)
+            place = torch.arange(len(seen)).clamp(max=last) / last * (path.shape[1] - 1)
             walked = path[:, place.round().long()]
             turned = walked[:, None] @ turns.mT
             away = (seen - turned).where(there[:, None], 0.0).sum(-2) / there.sum().clamp(min=1)
@@ -212,8 +217,8 @@ class _Search:
         return concatenate(variables), clip
 
     def run(
-        self, stages: Sequence[Stage], variables: AnchorVariables, scene: Scene
-    ) -> tuple[AnchorVariables, Scene, list[StageReport]]:
+        self, stages: Sequence[Stage], variables: Any, scene: Scene
+    ) -> tuple[Any, Scene, list[StageReport]]:
         """Some stages in turn."""
         reports: list[StageReport] = []
         for asked in stages:
@@ -224,7 +229,7 @@ class _Search:
         return variables, scene, reports
 
     def misfit(
-        self, variables: AnchorVariables, scene: Scene, clip: Int[Tensor, " rows"]
+        self, variables: Any, scene: Scene, clip: Int[Tensor, " rows"]
     ) -> Float[Tensor, " rows"]:
         """A measure that compares fits of one clip: no scale of it depends on the fit."""
         found: list[Tensor] = []
@@ -271,13 +276,6 @@ class _Search:
             for stage in stages
         )
 
-    def _paths(self, shape: Float[Tensor, " shape"]) -> Float[Tensor, "typical 100 3"]:
-        """The path of the pelvis in each typical cycle."""
-        prior = self.method.prior
-        typical = prior.weights.spread.typical
-        rows = prior.weights.networks.decode(typical, shape.expand(len(typical), -1))
-        return rows[..., -4:-1] + rest_pelvis(self.body, shape)
-
     def _seen_path(
         self,
     ) -> tuple[Float[Tensor, "clips moments 3"], Bool[Tensor, "clips moments"]]:
@@ -297,11 +295,11 @@ class _Search:
 
 
 def _best(
-    variables: AnchorVariables,
+    variables: Any,
     clip: Int[Tensor, " rows"],
     misfit: Float[Tensor, " rows"],
     count: int,
-) -> tuple[AnchorVariables, Int[Tensor, " kept"], Int[Tensor, " kept"]]:
+) -> tuple[Any, Int[Tensor, " kept"], Int[Tensor, " kept"]]:
     """The best so many rows of every clip; their clips and numbers."""
     ordered = misfit.nan_to_num(torch.inf).argsort()
     own = [ordered[clip[ordered] == k][:count] for k in range(int(clip.max()) + 1)]

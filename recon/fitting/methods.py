@@ -3,21 +3,15 @@
 from dataclasses import dataclass, replace
 from typing import Any
 
-from priors.humor.collocation import Collocation
-from priors.humor.prior import Humor
-from priors.humos.collocation import HumosFit
-from priors.humos.prior import Humos
-from priors.pose.prior import PosePrior, PoseWeights
 from recon.body.model import BodyModel
 from recon.core.errors import ReconError
 from recon.fitting.options import FitOptions
+from recon.fitting.priors import loaded
+from recon.method.priors import NoisyPrior
 from recon.method.reconstruction import Method
 from recon.method.stages import Stage
 from recon.method.terms import Term
 from recon.physics import energies as physics
-
-NAMES = ("humor", "pose", "anchor", "humos")
-"""Priors that are known by a name."""
 
 
 def method_of(options: FitOptions, noise: float, body: BodyModel) -> Method:
@@ -35,35 +29,20 @@ def method_of(options: FitOptions, noise: float, body: BodyModel) -> Method:
 
 
 def _of_prior(options: FitOptions, noise: float, body: BodyModel) -> Method:
-    match options.prior:
-        case "pose":
-            prior = PosePrior.load(weights=PoseWeights.for_noise(noise))
-            return prior.to(device=body.template.device)
-        case "humor":
-            humor = Humor.load(options.weights, body.to(device="cpu"))
-            return Collocation.for_noise(humor.like(body.template), noise)
-        case Humor() as humor:
-            return Collocation.for_noise(humor.like(body.template), noise)
-        case "humos":
-            humos = Humos.load(options.weights, body.to(device="cpu"))
-            return _of_humos(humos, noise, body)
-        case Humos() as humos:
-            return _of_humos(humos, noise, body)
-        case Method() as method:
-            return method
-        case str() as name if name != "anchor":
-            raise ReconError(f"expected a prior called {' or '.join(NAMES)}, got {name!r}")
-        case _:
-            raise ReconError(
-                "the prior anchor is of one whole cycle, for which beginnings are searched: "
-                "call recon.fitting.completion.complete, or `recon complete`"
-            )
-
-
-def _of_humos(humos: Humos, noise: float, body: BodyModel) -> HumosFit:
-    if body.template.device.type != "cpu":
-        raise ReconError("the HUMOS prior runs on the processor: leave --device at cpu")
-    return HumosFit.for_noise(humos, noise)
+    """A loaded method is fitted as it is; whatever was named is made for the noise."""
+    if options.completes:
+        raise ReconError(
+            "this prior is of one whole cycle, for which beginnings are searched: call "
+            "recon.fitting.completion.complete, or `recon complete`"
+        )
+    given = options.prior
+    if not isinstance(given, str) and isinstance(given, Method):
+        return given
+    prior = loaded(given, options.weights, body)
+    if isinstance(prior, NoisyPrior):
+        return prior.method(noise, body)
+    assert isinstance(prior, Method)
+    return prior
 
 
 _PLACE = frozenset({"translation", "root"})

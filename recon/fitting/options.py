@@ -5,15 +5,8 @@ from dataclasses import dataclass
 from jaxtyping import Float
 from torch import Tensor
 
-from priors.anchor.prior import AnchorFrames
-from priors.humor.prior import Humor
-from priors.humos.prior import Humos
-from priors.pose.prior import PosePrior
-from recon.method.reconstruction import Method
+from recon.fitting.priors import PriorObject, traits
 from recon.method.terms import Term
-
-PriorObject = Method | Humor | Humos | AnchorFrames
-"""A prior that is loaded already, or a method of the caller's own."""
 
 
 @dataclass(frozen=True)
@@ -21,7 +14,7 @@ class FitOptions:
     """The prior of a fit, the noise of the data, and what else the fit should heed."""
 
     prior: str | PriorObject = "humor"
-    """A name (humor, pose, anchor, humos), a loaded prior, or a method with `stages`."""
+    """A registered name, the place of a class, a loaded prior, or a method with `stages`."""
     weights: str = "open"
     """Weights of a prior that is given by its name: `open`, `nc` or a file."""
     noise: tuple[float | None, ...] = ()
@@ -41,12 +34,12 @@ class FitOptions:
     @property
     def completes(self) -> bool:
         """Whether the prior knows whole gait cycles, for which beginnings are searched."""
-        return self.prior == "anchor" or isinstance(self.prior, AnchorFrames)
+        return traits(self.prior).completes
 
     @property
     def knows_gravity(self) -> bool:
         """Whether the prior tells more of where the ground is than how people stand on it."""
-        return self.prior != "pose" and not isinstance(self.prior, PosePrior)
+        return traits(self.prior).knows_gravity
 
     def noise_of(self, row: int) -> float | None:
         """The standard deviation given for an observation, by its number."""

@@ -9,10 +9,11 @@ from typing import Literal
 class FitSettings:
     """How to fit files."""
 
-    prior: Literal["humor", "pose", "anchor", "humos"] = "humor"
+    prior: str = "humor"
     """What is likely: `humor` is every step from pose to pose and where feet touch, `pose` single
     poses and smoothness (stages 1-2 of HuMoR), `anchor` one whole cycle of gait, `humos` codes of
-    stretches of 0.8 s for the body that moves."""
+    stretches of 0.8 s for the body that moves. Or one that another package registered, or the
+    class of one of your own, package.module:Class."""
     weights: str = "open"
     """Weights of the prior: `open`, `nc` (not for commercial use; in a source checkout) or a
     file."""
@@ -48,6 +49,9 @@ class FitSettings:
     are taken as occluded."""
     frame_rate: float | None = None
     """Frames per second of detections and scans, where files do not tell."""
+    reader: str | None = None
+    """Class that reads files of a sensor of your own, package.module:Class; not needed where it is
+    registered as `recon.observations`."""
     depth_scale: float = 0.001
     """Metres per unit of depth images; 0.001 where they hold millimetres."""
     robust: float | None = None

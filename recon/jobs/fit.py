@@ -66,10 +66,8 @@ def fit_files(
 
 def _noise(clip: Clip, settings: FitSettings) -> list[float | None]:
     """What --noise and --noise-pixels say of every observation."""
-    return [
-        settings.noise_pixels if one.unit == "pixels" else settings.noise
-        for one in clip.observations
-    ]
+    given = {"metres": settings.noise, "pixels": settings.noise_pixels}
+    return [given.get(one.unit) for one in clip.observations]
 
 
 def write_result(

@@ -91,12 +91,20 @@ class Observation(Protocol):
 class Sensor(Observation, Protocol):
     """An observation with all that a fit asks of it; one more sensor is one class with these.
 
-    It is a frozen record of tensors (`recon.core.struct.TensorStruct`) with a leading axis of
-    clips. In its own frame, that of the recording, z = 0 may be the ground.
+    `observations.records.sensor.SensorRecord` has usual answers to derive from. A sensor is a
+    frozen record of tensors (`recon.core.struct.TensorStruct`) with a leading axis of clips. In
+    its own frame, that of the recording, z = 0 may be the ground.
     """
 
     unit: ClassVar[Unit]
     """The unit of its residuals."""
+    level: ClassVar[bool]
+    """Whether the z axis of the recording's frame points up even where its ground is not known."""
+
+    @property
+    def kind(self) -> str:
+        """The sensor's name in reports."""
+        ...
 
     @property
     def fps(self) -> float:
@@ -146,6 +154,18 @@ class Sensor(Observation, Protocol):
 
     def coarse(self: Observed, body: BodyModel, step: int = 2) -> Observed:
         """Fewer moments and points, for a quick comparison of hypotheses."""
+        ...
+
+    def thinned(self: Observed, most: int) -> Observed:
+        """Few points of every moment, at most so many, where points come in no order."""
+        ...
+
+    def transformed(self: Observed, T_new_old: Float[np.ndarray, "4 4"]) -> Observed:
+        """Data after a rigid transform of the frame that they are given in, metres."""
+        ...
+
+    def robust_beyond(self: Observed, distance: float) -> Observed:
+        """Points count ever less beyond so many metres; where they do not yet and have names."""
         ...
 
     def derived(self: Observed, **fields: Any) -> Observed:

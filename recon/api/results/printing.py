@@ -44,7 +44,9 @@ def _sensor(one: ResidualSummary) -> str:
 
 
 def _size(value: float, one: ResidualSummary) -> str:
-    return f"{100 * value:.1f} cm" if one.unit == "metres" else f"{value:.1f} {one.unit}"
+    if one.unit == "metres":
+        return f"{100 * value:.1f} cm"
+    return f"{value:.{2 if one.unit == 'radians' else 1}f} {one.unit}"
 
 
 def one_line(text: str) -> str:

@@ -59,6 +59,9 @@ def batch(
     """
     del quiet  # heeded by `writes`
     from recon.cli import console
+    from recon.cli.own import check_plugs
+
+    check_plugs(settings.prior, settings.reader)
     from recon.jobs.many.batch import fit_all, read_manifest
     from recon.jobs.many.batch import shard as part
 

@@ -56,6 +56,9 @@ def fit_and_say(
         FileNotFoundError, ValueError: for bad input.
     """
     from recon.cli import console
+    from recon.cli.own import check_plugs
+
+    check_plugs(settings.prior, settings.reader)
     from recon.jobs.fit import fit_files
 
     with console.fitting({}) as watch:

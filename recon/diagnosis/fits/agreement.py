@@ -11,7 +11,7 @@ from recon.method.protocols import Estimate, Sensor
 
 _SUSPECT = 5.0
 """Multiple of the estimated standard deviation from which on a median residual is suspicious."""
-_LEAST = {"pixels": 15.0, "metres": 0.06}
+_LEAST = {"pixels": 15.0, "metres": 0.06, "radians": 0.4}
 """Median residuals below these are not suspicious, whatever the noise."""
 
 

@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from priors.anchor.prior import AnchorFrames
 from recon.body.cycles import find_cycles
 from recon.core.motion import Motion
 from recon.diagnosis.findings import Finding
 from recon.diagnosis.fits.summaries import ResidualSummary
 from recon.fitting.clip import ClipFit
 from recon.fitting.clip_files import seen_times
+from recon.method.priors import CyclePrior
 
 SWING = 0.3
 """Largest difference of a completed cycle's hips from those of gait, as `find_cycles` measures it.
@@ -52,14 +52,14 @@ def cycle_report(found: ClipFit, residuals: Sequence[ResidualSummary]) -> CycleR
     """
     motion = found.result.clip(0).detach().to(device="cpu")
     prior = found.result.reports[-1].stage.prior
-    assert isinstance(prior, AnchorFrames)
+    assert isinstance(prior, CyclePrior)
     latent = found.result.estimate.decoded.energies["latent"][0]
     moments = np.unique(np.concatenate([seen_times(one) for one in found.observations]).round(3))
     difference = swing_difference(motion)
     numbers = {
         "seconds": (motion.frames - 1) / motion.fps,
         "moments_seen": len(moments),
-        "code_distance": float(latent) / prior.weights.networks.latent,
+        "code_distance": float(latent) / prior.code_size,
         "swing_difference": difference,
         "residual_mm": [None if one.median is None else 1000 * one.median for one in residuals],
         "details": any(report.stage.name == "details" for report in found.result.reports),
@@ -70,8 +70,8 @@ def cycle_report(found: ClipFit, residuals: Sequence[ResidualSummary]) -> CycleR
             Finding(
                 "residual",
                 "this is no cycle of gait, which is all that the prior knows: the hips do not go "
-                "through one swing and back. Cut one cycle out (--between), or fit with --prior "
-                "humor",
+                "through one swing and back. Cut one cycle out (--between), or fit with another "
+                "prior",
                 value=difference,
             )
         )

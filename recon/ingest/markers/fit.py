@@ -213,7 +213,7 @@ def _calibrate(
 
     prior = FreeMotion()
     # first everything counts alike: a body lying in another pose is no outlier
-    plain = Term("markers", seen.replace(kernel=Markers3D.kernel), 1.0)
+    plain = Term("markers", seen.replace(kernel=squared), 1.0)
     robust = Term("markers", seen, 1.0)
     shape = Term("shape", terms.shape, weights.shape)
     offsets = Term("offsets", away, float(count))

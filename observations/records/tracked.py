@@ -2,38 +2,39 @@
 
 from abc import abstractmethod
 from collections.abc import Callable
+from functools import partial
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
+import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
 from observations.correspondences import joints_shown
 from observations.noise import estimate_noise
 from observations.offsets import displaced
+from observations.records.sensor import SensorRecord
 from observations.start.rigid import rigid_start
 from observations.timing import moments_between, point_energy, point_residuals
 from recon.body.model import BodyModel, PosedBody
+from recon.core.camera import transform
 from recon.core.motion import Motion
-from recon.core.residuals import Noise, Residuals, Unit
-from recon.core.struct import TensorStruct
+from recon.core.residuals import Noise, Residuals
+from recon.core.robust import geman_mcclure
 from recon.method.protocols import Estimate
 
 P = TypeVar("P", bound="TrackedPoints")
 
 
-class TrackedPoints(TensorStruct):
+class TrackedPoints(SensorRecord):
     """Positions of points whose places on the body are known; an energy in metres²."""
 
-    unit: ClassVar[Unit] = "metres"
+    level: ClassVar[bool] = True
     on_skin: ClassVar[bool]
     """Whether the points lie on the skin rather than being joints of the skeleton."""
     positions: Float[Tensor, "*batch moments points 3"]
     visible: Bool[Tensor, "*batch moments points"]
-    fps: float
-    start_time: float
     kernel: Callable[[Tensor], Tensor]
-    ground_known: bool
     offset_rows: tuple[int, int] | None
 
     @abstractmethod
@@ -51,16 +52,6 @@ class TrackedPoints(TensorStruct):
     @abstractmethod
     def point_names(self, body: BodyModel) -> tuple[str, ...]:
         """Names of the points, for reports."""
-
-    @property
-    def clips(self) -> tuple[int, ...]:
-        """Sizes of the leading axes; one axis of clips, or none."""
-        return tuple(self.positions.shape[:-3])
-
-    @property
-    def moments(self) -> int:
-        """Number of moments of a clip."""
-        return self.positions.shape[-3]
 
     @property
     def places(self) -> Float[Tensor, "*batch moments points 3"]:
@@ -111,10 +102,15 @@ class TrackedPoints(TensorStruct):
         )  # fmt: skip
         return self.derived(positions=positions, visible=visible, start_time=first)
 
-    def thinned(self: P, most: int) -> P:
-        """All points: each has a name."""
-        del most
-        return self
+    def transformed(self: P, T_new_old: Float[np.ndarray, "4 4"]) -> P:
+        """Points after a rigid transform of the frame that they are given in, metres."""
+        T = torch.from_numpy(T_new_old).to(self.positions)
+        positions = transform(T, self.positions).where(self.visible[..., None], 0.0)
+        return self.derived(positions=positions)
+
+    def robust_beyond(self: P, distance: float) -> P:
+        """Points with Geman and McClure's kernel, whose scale is a distance in metres."""
+        return self.derived(kernel=partial(geman_mcclure, sigma=distance))
 
     def coarse(self: P, body: BodyModel, step: int = 2) -> P:
         """Every `step`-th moment; all of them where most are empty."""

@@ -1,0 +1,1 @@
+"""What kinds of sensors have in common, to derive a sensor from."""

@@ -1,0 +1,52 @@
+"""Files of sensors that other packages bring: who reads which."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Protocol, runtime_checkable
+
+from recon.body.model import BodyModel
+from recon.core.errors import ObservationError
+from recon.method.plugins import SENSORS, imported, registered
+from recon.method.protocols import Sensor
+
+
+@runtime_checkable
+class Reader(Protocol):
+    """A class of sensors that have files of their own."""
+
+    def reads(self, path: Path) -> bool:
+        """Whether a file or folder is one of these; quick, and false rather than an error."""
+        ...
+
+    def load(self, path: Path, body: BodyModel) -> Sensor:
+        """The sensor's data.
+
+        Raises:
+            ValueError: when the file is damaged; says what was expected.
+        """
+        ...
+
+
+def readers(named: str | None) -> list[Reader]:
+    """The class that the caller named, then those that are registered as `recon.observations`.
+
+    Raises:
+        ReconError: when one of them cannot be imported, or reads no files.
+    """
+    places = [*([] if named is None else [named]), *registered(SENSORS).values()]
+    found = [imported(place, "reader") for place in places]
+    for place, kind in zip(places, found, strict=True):
+        if not isinstance(kind, Reader):
+            raise ObservationError(
+                f"reader: {place!r} needs the class methods reads(path) and load(path, body)"
+            )
+    return found
+
+
+def read_by(own: Sequence[Reader], path: Path, body: BodyModel) -> Sensor | None:
+    """What the first class that knows a file reads of it, with a leading axis of clips."""
+    for reader in own:
+        if reader.reads(path):
+            seen = reader.load(path, body)
+            return seen[None] if seen.clips == () else seen
+    return None

@@ -1,0 +1,101 @@
+"""A prior in one file: named, placed, loaded; long recordings, unknown ground, cameras, CLI."""
+
+import json
+
+import pytest
+import torch
+
+import recon
+from recon import cli
+from recon.core.errors import WeightsError
+from recon.core.skeleton import JOINTS
+from recon.fitting.methods import method_of
+from recon.fitting.options import FitOptions
+from recon.fitting.priors import class_of, traits
+from recon.formats.motions import save_motion
+from recon.formats.observations import PositionsFile, save_observation
+from recon.method import plugins
+from recon.simulation.points import Corruption, joints3d
+from tests import laws
+from tests.filmed import bundled, cameras, joint_error, view, walk
+from tests.own import PRIOR, NearPoses
+
+pytestmark = pytest.mark.numerics
+OURS = ("humor", "pose", "anchor", "humos")
+
+
+def prior() -> NearPoses:
+    return NearPoses.load("open", bundled())
+
+
+def test_it_keeps_the_laws_of_priors(toy_body):
+    motion = laws.a_motion(toy_body)
+    laws.check_prior(prior(), motion, 1e-6)
+    laws.check_heading_invariance(prior(), motion, 0.7, torch.tensor([1.0, -2.0, 0.3]).double())
+
+
+def test_ours_are_registered_through_the_same_door():
+    """A name was written into eight places of the library; now into `pyproject.toml` alone."""
+    assert set(OURS) <= set(plugins.registered(plugins.PRIORS))
+    assert [traits(name).completes for name in OURS] == [False, False, True, False]
+    assert [traits(name).knows_gravity for name in OURS] == [True, False, True, True]
+
+
+def test_a_registered_prior_has_a_name(monkeypatch):
+    names = {**plugins.registered(plugins.PRIORS), "near": PRIOR}
+    monkeypatch.setattr("recon.fitting.priors.registered", lambda _: names)
+    assert class_of("near") is NearPoses
+    found = method_of(FitOptions(prior="near"), 0.05, bundled())
+    assert found.noise == 0.05
+
+
+def test_names_of_nobody_are_refused():
+    with pytest.raises(WeightsError, match="humor, pose"):
+        class_of("humr")
+    with pytest.raises(WeightsError, match="cannot be imported"):
+        recon.fit(joints3d(walk(4), bundled(), Corruption(), 0), "nobody:Nothing")
+
+
+def test_long_recordings_and_unknown_ground():
+    slow = walk(43).replace(fps=4.0)
+    slow = slow.replace(translation=slow.translation + torch.tensor([0.0, 0.0, 0.5]))
+    seen = joints3d(slow, bundled(), Corruption(noise=0.02), 0)
+    result = recon.fit(seen, PRIOR, ground="unknown")
+    assert isinstance(result.reconstruction, recon.LongReconstruction)
+    assert joint_error(result.motion, slow) < 0.05
+    assert float(result.ground[3]) == pytest.approx(0.5, abs=0.04)
+
+
+def test_one_camera_without_a_pose():
+    truth = walk(16)
+    posed = view(truth, cameras(truth)[0], seed=3)
+    lens = posed.camera.camera_matrix.flatten(0, -3)[0]
+    unposed = posed.replace(camera=recon.Camera.create(lens, posed.camera.image_size))
+    result = recon.fit(unposed, prior())
+    assert not result.failed
+    assert result.T_world_camera is not None
+    aligned = result.joints - result.joints.mean((0, 1))
+    expected = bundled().pose(truth).joints
+    assert float(aligned.norm(dim=-1).mean()) == pytest.approx(
+        float((expected - expected.mean((0, 1))).norm(dim=-1).mean()), rel=0.15
+    )
+
+
+def test_the_command_line_takes_it_by_its_place(tmp_path, monkeypatch, capsys):
+    truth = walk(16)
+    points, own, out = (tmp_path / name for name in ("joints.npz", "own.npz", "out.npz"))
+    joints = joints3d(truth, bundled(), Corruption(noise=0.02), 0)
+    save_observation(
+        points,
+        PositionsFile("joints3d", joints.positions.numpy(), joints.visible.numpy(), JOINTS, 30.0),
+    )
+    save_motion(own, truth)
+    words = f"fit {points} --prior {PRIOR} --weights {own} --json --out {out}"
+    assert cli.run(words.split()) == cli.OK
+    report = json.loads(capsys.readouterr().out)
+    assert [stage["name"] for stage in report["stages"]] == ["root", "all"]
+    assert report["settings"]["prior"] == PRIOR
+    assert joint_error(recon.load_motion(out).motion, truth) < 0.05
+    misspelt = f"fit {points} --prior humr --out {tmp_path / 'no.npz'}"
+    assert cli.run(misspelt.split()) == cli.BAD_INPUT
+    assert "did you mean humor?" in capsys.readouterr().err

@@ -1,0 +1,100 @@
+"""A fifth sensor in one file: alone, with others, in long recordings, cameras, from files."""
+
+import json
+
+import numpy as np
+import pytest
+import torch
+
+import recon
+from recon import cli
+from recon.core.errors import ObservationError, ReconError
+from recon.core.motion import Motion
+from recon.core.skeleton import JOINTS
+from recon.formats.observations import PositionsFile, save_observation
+from recon.simulation.points import Corruption, joints3d
+from tests.filmed import bundled, cameras, joint_error, view, walk
+from tests.own import SENSOR, WORN, turns, units
+
+pytestmark = pytest.mark.numerics
+FRAMES = 16
+
+
+def posture_error(found: Motion, truth: Motion) -> float:
+    """Mean distance of joints from where the pelvis is, metres."""
+    away = bundled().pose(found).joints - bundled().pose(truth).joints
+    return float((away - away[:, :1]).norm(dim=-1).mean())
+
+
+def test_alone_it_tells_the_posture_of_a_body_of_known_size():
+    truth = walk(FRAMES)
+    result = recon.fit(units(truth, bundled()), "pose", shape=truth.shape)
+    assert posture_error(result.motion, truth) < 0.04
+    assert result.residuals[0].unit == "radians"
+    assert "imus" in str(result)
+
+
+def test_joints_of_the_trunk_and_units_tell_more_than_the_trunk():
+    truth = walk(FRAMES)
+    every = joints3d(truth, bundled(), Corruption(noise=0.02), 0)
+    trunk = [0, 9, 16, 17]
+    few = recon.Joints3D(
+        every.positions[:, trunk], every.visible[:, trunk], trunk, truth.fps, ground_known=True
+    )
+    alone = recon.fit(few, "pose")
+    for both in ([few, units(truth, bundled())], [units(truth, bundled()), few]):
+        result = recon.fit(both, "pose")
+        assert joint_error(result.motion, truth) < 0.7 * joint_error(alone.motion, truth)
+
+
+def test_its_ground_may_be_unknown():
+    """The height of the floor is found from how people stand; data with z up keep theirs."""
+    truth = walk(24)
+    raised = truth.replace(translation=truth.translation + torch.tensor([0.0, 0.0, 0.7]))
+    every = joints3d(raised, bundled(), Corruption(noise=0.01), 0)
+    seen = [every, units(raised, bundled())]
+    result = recon.fit(seen, "pose", ground="unknown")
+    assert joint_error(result.motion, raised) < 0.03
+    assert float(result.ground[3]) == pytest.approx(0.7, abs=0.03)
+    tilted = recon.fit(seen, "pose", ground=(0.0, 0.0, 1.0, 0.7))
+    assert joint_error(tilted.motion, truth) < 0.03
+
+
+def test_beside_a_camera_its_posture_is_better():
+    truth = walk(FRAMES)
+    seen = view(truth, cameras(truth)[0], seed=3)
+    alone = recon.fit(seen, "pose").motion
+    both = recon.fit([seen, units(truth, bundled())], "pose").motion
+    assert posture_error(both, truth) < 0.9 * posture_error(alone, truth)
+
+
+def test_long_recordings_are_cut_into_windows():
+    slow = walk(43).replace(fps=4.0)
+    every = joints3d(slow, bundled(), Corruption(noise=0.02), 0)
+    result = recon.fit([units(slow, bundled()), every], "pose")
+    assert isinstance(result.reconstruction, recon.LongReconstruction)
+    assert joint_error(result.motion, slow) < 0.04
+
+
+def test_files_are_read_by_its_class(tmp_path, capsys):
+    truth = walk(FRAMES)
+    file, points, out = (tmp_path / name for name in ("units.npz", "joints.npz", "out.npz"))
+    np.savez(file, orientations=turns(truth, bundled()), bones=WORN, fps=truth.fps)
+    joints = joints3d(truth, bundled(), Corruption(noise=0.02), 0)
+    named = PositionsFile(
+        "joints3d", joints.positions.numpy(), joints.visible.numpy(), JOINTS, truth.fps
+    )
+    save_observation(points, named)
+    both = recon.load_observation([points, file], reader=SENSOR)
+    assert isinstance(both, list)
+    assert [one.kind for one in both] == ["joints3d", "imus"]
+    torch.testing.assert_close(both[1].axes[0], units(truth, bundled()).axes)
+    words = f"fit {points} {file} --reader {SENSOR} --prior pose --json --out {out}"
+    assert cli.run(words.split()) == cli.OK
+    report = json.loads(capsys.readouterr().out)
+    assert [one["unit"] for one in report["residuals"]] == ["metres", "radians"]
+    assert joint_error(recon.load_motion(out).motion, truth) < 0.03
+    with pytest.raises(ReconError, match="imported"):
+        recon.load_observation(file, reader="nobody:Nothing")
+    with pytest.raises(ObservationError, match="reads"):
+        recon.load_observation(file, reader="pathlib:Path")
