@@ -5,6 +5,8 @@
 BASELINE is a source checkout of the other version, for example `git worktree add BASELINE 0ce0517`
 for 0.1.0. Times are CPU seconds, of the user and of the system, of whole processes; the two
 versions take turns, so that the ratio of their medians says little of what else the machine does.
+Compiled modules are kept between the runs, as they are where recon is installed, whatever
+PYTHONDONTWRITEBYTECODE says: without them half of a start is Python compiling torch anew.
 """
 
 import argparse
@@ -13,7 +15,7 @@ import resource
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from statistics import median
 
@@ -47,26 +49,40 @@ def main() -> None:
 def measured(baseline: Path) -> dict[str, dict[str, float]]:
     """Medians of both, CPU seconds, and the ratio of ours to the baseline's."""
     rows: dict[str, dict[str, float]] = {}
-    with tempfile.TemporaryDirectory() as folder:
-        np.savez(Path(folder) / WRONG, nothing=np.zeros(3))
-        for name, words in (*COMMANDS.items(), (TORCH, ("-c", "import torch"))):
-            # once before, so that compiled modules and files are at hand
-            pairs = [
-                [cpu_seconds(words, tree, Path(folder)) for tree in (baseline, ROOT)]
-                for _ in range(RUNS + 1)
-            ][1:]
-            theirs, ours = (median(times) for times in zip(*pairs, strict=True))
-            rows[name] = {"baseline": theirs, "ours": ours, "ratio": ours / theirs}
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        np.savez(folder / WRONG, nothing=np.zeros(3))
+        for row, words in (*COMMANDS.items(), (TORCH, ("-c", "import torch"))):
+            for tree in (baseline, ROOT):  # compiles modules and brings files into memory
+                cpu_seconds(words, tree, folder)
+            rows[row] = in_turns(
+                lambda tree, words=words: cpu_seconds(words, tree, folder), baseline, RUNS
+            )
     return rows
 
 
+def in_turns(seconds: Callable[[Path], float], baseline: Path, runs: int) -> dict[str, float]:
+    """Medians of both versions, which take turns in both orders, and their ratio."""
+    trees = (baseline, ROOT)
+    times: dict[Path, list[float]] = {tree: [] for tree in trees}
+    for run in range(runs):
+        for tree in trees if run % 2 else trees[::-1]:
+            times[tree].append(seconds(tree))
+    theirs, ours = (median(times[tree]) for tree in trees)
+    return {"baseline": theirs, "ours": ours, "ratio": ours / theirs}
+
+
 def cpu_seconds(words: Sequence[str], tree: Path, folder: Path) -> float:
-    """User and system seconds of one Python process with the packages of a source tree."""
+    """User and system seconds of one Python process with the packages of a source tree.
+
+    `folder` is where it runs; compiled modules are kept there.
+    """
+    environment = {**os.environ, "PYTHONPATH": str(tree), "OMP_NUM_THREADS": "1"}
+    environment["PYTHONPYCACHEPREFIX"] = str(folder / "compiled")
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    subprocess.run(
-        [sys.executable, "-P", *words], cwd=folder, capture_output=True, check=False,
-        env={**os.environ, "PYTHONPATH": str(tree), "OMP_NUM_THREADS": "1"},
-    )  # fmt: skip
+    command = [sys.executable, "-P", *words]
+    subprocess.run(command, cwd=folder, capture_output=True, check=False, env=environment)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     return after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
 
