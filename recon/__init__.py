@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from recon.api.load import load_observation as load_observation
     from recon.api.result import Result as Result
     from recon.api.results.motion import MotionResult as MotionResult
+    from recon.api.shapes import Shape as Shape
     from recon.api.verbs.complete import complete as complete
     from recon.api.verbs.convert import convert as convert
     from recon.api.verbs.evaluate import evaluate as evaluate
@@ -48,6 +49,7 @@ _HOMES = {
     "fit": "recon.api.fit",
     "load_observation": "recon.api.load",
     "Result": "recon.api.result",
+    "Shape": "recon.api.shapes",
     "complete": "recon.api.verbs.complete",
     "retarget": "recon.api.verbs.retarget",
     "sample": "recon.api.verbs.generate",

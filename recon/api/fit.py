@@ -18,7 +18,7 @@ from recon.api.observations import (
 )
 from recon.api.priors import prior_of
 from recon.api.result import Result, result_of
-from recon.api.shapes import ShapeLike, shape_given
+from recon.api.shapes import Shape, ShapeLike, shape_known
 from recon.api.stopping import Stopper
 from recon.body.model import BodyModel
 from recon.core.arrays import finite, positive
@@ -41,7 +41,7 @@ def fit(
     *,
     weights: str = "open",
     body: BodyLike = None,
-    shape: ShapeLike | None = None,
+    shape: ShapeLike | Shape | float | None = None,
     terms: Sequence[Term] = (),
     noise: float | Sequence[float | None] | None = None,
     robust: float | str = "auto",
@@ -70,8 +70,9 @@ def fit(
             method with `stages(data)`, or "package.module:Class".
         weights: of a prior given by its name: `open`, `nc` (not for commercial use) or a file.
         body: a body, a SMPL-family file, or None for the bundled body.
-        shape: shape coefficients that are held, or a motion or result that has them (of a static
-            trial, say); None estimates them.
+        shape: shape coefficients that are held, or a motion, result or motion file that has them
+            (of a static trial, say); or the person's height in metres or a `recon.Shape`, which
+            the fit heeds beside the data; None estimates the shape from the data alone.
         terms: further energies, added in all stages that move poses; their weights stand beside
             ½ |residual|² in metres² of the least noisy observation.
         noise: standard deviation of every coordinate, metres or, of keypoints, pixels: one number
@@ -107,6 +108,7 @@ def fit(
     clip = sighting.clip
     if fps is not None:
         FRAME_RATE.check(positive(fps, "fps"), "fit", "fps")
+    held, expected = shape_known(shape, model)
     options = FitOptions(
         prior=prior_of(prior, weights),
         weights=weights,
@@ -114,7 +116,8 @@ def fit(
         physics=finite(physics, "physics"),
         ground_given=clip.ground_given,
         repair=repair,
-        shape=None if shape is None else shape_given(shape, model),
+        shape=held,
+        shape_prior=expected,
         terms=tuple(terms),
     )
     stopper = None
@@ -185,7 +188,7 @@ def _stopped(stopper: Stopper | None) -> Finding | None:
 
 def _plain(options: FitOptions) -> dict[str, Any]:
     """Options as a report holds them."""
-    prior, shape = options.prior, options.shape
+    prior, shape, expected = options.prior, options.shape, options.shape_prior
     return {
         "prior": prior if isinstance(prior, str) else type(prior).__name__,
         "weights": options.weights,
@@ -193,5 +196,13 @@ def _plain(options: FitOptions) -> dict[str, Any]:
         "physics": options.physics,
         "repair": options.repair,
         "shape": None if shape is None else shape.tolist(),
+        "shape_prior": None
+        if expected is None
+        else {
+            "height": expected.height,
+            "height_std": expected.height_std,
+            "like": expected.mean.tolist(),
+            "like_std": expected.std,
+        },
         "terms": {term.name: term.weight for term in options.terms},
     }

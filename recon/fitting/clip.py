@@ -25,6 +25,7 @@ from recon.fitting.methods import WithoutRoot, WithScene, method_of
 from recon.fitting.options import FitOptions
 from recon.method.protocols import Sensor
 from recon.method.reconstruction import Method, Reconstruction, solve
+from recon.method.shape_prior import WithShape
 from recon.method.stages import Watch
 from recon.method.start import checked_start
 from recon.method.terms import Term, ground_moved, offsets
@@ -122,14 +123,17 @@ def _with_offsets(observations: tuple[Sensor, ...]) -> tuple[tuple[Sensor, ...],
 def _first_guess(
     observations: Sequence[Sensor], body: BodyModel, start: Motion | None, options: FitOptions
 ) -> FirstGuess:
-    """The caller's start, or what the data tell; of the shape that is held, if one is."""
+    """The caller's start, or what the data tell; of the shape that is known, if one is."""
     if start is None:
         guess = first_guess(observations, body)
     else:
         guess = FirstGuess(checked_start(start, tuple(observations), body), True)
-    if options.shape is None:
+    known = options.shape
+    if known is None and options.shape_prior is not None:
+        known = options.shape_prior.mean
+    if known is None:
         return guess
-    shape = options.shape.to(guess.motion.shape).expand_as(guess.motion.shape)
+    shape = known.to(guess.motion.shape).expand_as(guess.motion.shape)
     return FirstGuess(
         guess.motion.replace(shape=shape),
         guess.distance_known,
@@ -169,13 +173,16 @@ class _Job:
     @property
     def rough(self) -> FitOptions:
         """The pose prior alone, which does not ask where the ground is, for first motions."""
-        return replace(ROUGH, shape=self.options.shape)
+        known = self.options
+        return replace(ROUGH, shape=known.shape, shape_prior=known.shape_prior)
 
     def method(self, options: FitOptions, moved: frozenset[str]) -> Method:
         noise = min(noise.metres for noise in self.noises)
         method = method_of(options, noise, self.body)
         if options.shape is not None:
             method = OneShape(method)
+        elif options.shape_prior is not None:
+            method = WithShape(method, options.shape_prior.terms(self.body, noise))
         terms = options.terms
         if moved >= OFFSETS:
             weight = (noise * OFFSET_UNIT / KEYPOINT_OFFSET_DEVIATION) ** 2

@@ -83,7 +83,7 @@ def complete(
         raise ObservationError(
             "cycles are completed without physics; leave it out, or fit by another prior"
         )
-    if options.shape is not None or options.terms:
+    if options.shape is not None or options.shape_prior is not None or options.terms:
         raise ObservationError(
             "cycles are completed with a shape of their own and no further terms; leave shape and "
             "terms out, or fit by another prior"

@@ -6,6 +6,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from recon.fitting.priors import PriorObject, traits
+from recon.method.shape_prior import ShapePrior
 from recon.method.terms import Term
 
 
@@ -28,6 +29,8 @@ class FitOptions:
     """Whether faults of the data are repaired before the fit."""
     shape: Float[Tensor, " shape"] | None = None
     """Shape coefficients that are held; None estimates them."""
+    shape_prior: ShapePrior | None = None
+    """What is known of the shape, where it is not held."""
     terms: tuple[Term, ...] = ()
     """Further energies, added in every stage that moves poses."""
 

@@ -13,6 +13,7 @@ import recon
 from priors import PosePrior
 from recon.api.observations import clip_of, on_ground
 from recon.api.priors import prior_of
+from recon.body.identities import height
 from recon.core.skeleton import JOINTS
 from recon.fitting import clip as clip_module
 from recon.formats.observations import PositionsFile, save_observation
@@ -250,3 +251,40 @@ def test_importing_is_cheap_and_seeds_and_threads_are_left_alone():
     recon.fit(seen(noisy(8)), Quick())
     assert torch.equal(before, torch.random.get_rng_state())
     assert torch.get_num_threads() == threads
+
+
+def test_a_height_is_heeded_where_data_cannot_tell():
+    """Pixels of one camera tell a person from a smaller one who is nearer by nothing but feet."""
+    true = view(walk(12), cameras(walk(12))[0])
+    camera = recon.Camera.create(true.camera.camera_matrix[0, 0], true.camera.image_size)
+    lost = recon.Keypoints2D(true.pixels[0], true.confidence[0], true.points, camera, fps=30.0)
+    for metres in (1.6, 1.9):
+        result = recon.fit(lost, Quick(), shape=metres)
+        assert float(height(result.body, result.motion.shape)) == pytest.approx(metres, abs=0.03)
+        assert result.arguments["shape_prior"]["height"] == metres
+
+
+def test_a_known_shape_is_corrected_by_data_as_its_deviation_allows():
+    free = recon.fit(seen(noisy(8)), Quick())
+    away = [2.0, -2.0]
+    distances = []
+    for std in (0.01, 10.0):
+        result = recon.fit(seen(noisy(8)), Quick(), shape=recon.Shape(like=away, like_std=std))
+        distances.append(float((result.motion.shape[:2] - torch.tensor(away)).norm()))
+    assert distances[0] < 0.1
+    assert distances[1] > 1.0
+    assert float(free.motion.shape.norm()) < 2.0
+
+
+@pytest.mark.parametrize(
+    ("shape", "words"),
+    [
+        (17.5, "height of 1 to 2.5 metres, got 17.5"),
+        (recon.Shape(), "a height, or a shape"),
+        (recon.Shape(height=1.7, height_std=0.0), "height_std: expected a number above 0"),
+    ],
+    ids=str,
+)
+def test_what_is_no_height_is_refused(shape, words):
+    with pytest.raises(recon.ReconError, match=words):
+        recon.fit(seen(noisy(8)), "pose", shape=shape)

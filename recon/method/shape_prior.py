@@ -1,0 +1,99 @@
+"""What is known of a person's shape before a fit, as energies beside the data."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from recon.body.identities import height
+from recon.body.model import BodyModel
+from recon.method.protocols import REFERENCE_FPS, Energy, Estimate
+from recon.method.reconstruction import Method
+from recon.method.stages import Stage
+from recon.method.terms import Term
+
+_LEAST_NOISE = 0.008
+"""Metres by which a body differs from its model: even perfect points need so much noise."""
+
+
+@dataclass(frozen=True)
+class ShapePrior:
+    """A normal density over shapes: of the height, of the coefficients, or of both.
+
+    Like the density that every fit has over shapes, it counts once per frame at 30 Hz: what
+    sensors and models err about sizes, they err in every frame alike.
+    """
+
+    mean: Float[Tensor, " shape"]
+    """The likeliest coefficients, which fits begin with."""
+    height: float | None
+    """Metres from the soles to the crown; None leaves it open."""
+    height_std: float
+    """Standard deviation of the height, metres."""
+    std: float | None
+    """Standard deviation of every coefficient about `mean`; None leaves them open."""
+
+    def terms(self, body: BodyModel, noise: float) -> tuple[Term, ...]:
+        """Energies beside observations whose coordinates are off by `noise` metres."""
+        weight = max(noise, _LEAST_NOISE) ** 2
+        found: list[Term] = []
+        if self.height is not None:
+            energy = _height_energy(body, self.mean, self.height, self.height_std)
+            found.append(Term("height", energy, weight))
+        if self.std is not None:
+            found.append(Term("known shape", _nearness(self.mean, self.std), weight))
+        return tuple(found)
+
+
+@dataclass(frozen=True)
+class WithShape:
+    """A method with further energies in every stage that moves the shape."""
+
+    method: Method
+    terms: tuple[Term, ...]
+
+    def stages(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
+        """Its stages, in which the shape is held to what is known of it."""
+        return tuple(
+            replace(stage, terms=(*stage.terms, *self.terms)) if "shape" in stage.free else stage
+            for stage in self.method.stages(data)
+        )
+
+
+def _height_energy(
+    body: BodyModel, mean: Float[Tensor, " shape"], metres: float, std: float
+) -> Energy:
+    """½ ((h(s) - h) / std)² per frame; heights are linear in the shape, but for where a crown is.
+
+    h(s) = h(s0) + g·(s - s0), with the gradient g at the likeliest shape s0.
+    """
+    exact = body.to(device="cpu", dtype=torch.float64)
+    at = mean.detach().cpu().double().requires_grad_()
+    with torch.enable_grad():
+        tall = height(exact, at)
+        (slope,) = torch.autograd.grad(tall, at)
+    rest = float(tall.detach()) - float(slope @ at.detach()) - metres
+
+    def energy(estimate: Estimate) -> Float[Tensor, "*batch"]:
+        shape = estimate.motion.shape
+        return 0.5 * ((shape @ slope.to(shape) + rest) / std).square() * _frames(estimate)
+
+    return energy
+
+
+def _nearness(mean: Float[Tensor, " shape"], std: float) -> Energy:
+    """½ |s - mean|² / std² per frame."""
+
+    def energy(estimate: Estimate) -> Float[Tensor, "*batch"]:
+        shape = estimate.motion.shape
+        return 0.5 * ((shape - mean.to(shape)) / std).square().sum(-1) * _frames(estimate)
+
+    return energy
+
+
+def _frames(estimate: Estimate) -> Float[Tensor, "*batch"]:
+    """Frames that exist, taken at 30 Hz."""
+    motion = estimate.motion
+    return motion.valid.sum(-1).to(motion.shape) * (REFERENCE_FPS / motion.fps)
