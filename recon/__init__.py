@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from observations.markers3d import Markers3D as Markers3D
     from recon.api.fit import fit as fit
     from recon.api.load import load_observation as load_observation
+    from recon.api.many import fit_clips as fit_clips
     from recon.api.result import Result as Result
     from recon.api.results.motion import MotionResult as MotionResult
     from recon.api.shapes import Shape as Shape
@@ -48,6 +49,7 @@ if TYPE_CHECKING:
 _HOMES = {
     "fit": "recon.api.fit",
     "load_observation": "recon.api.load",
+    "fit_clips": "recon.api.many",
     "Result": "recon.api.result",
     "Shape": "recon.api.shapes",
     "complete": "recon.api.verbs.complete",

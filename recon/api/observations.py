@@ -152,8 +152,8 @@ def _one_clip(one: Sensor) -> Sensor:
         return one[None]
     if one.clips != (1,):
         raise ObservationError(
-            f"expected the observations of one clip, got leading axes {one.clips}; call recon.fit "
-            "for every clip, observation[k], or recon.solve for a batch"
+            f"expected the observations of one clip, got leading axes {one.clips}; "
+            "recon.fit_clips takes several, recon.solve a batch"
         )
     return one
 

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from recon.api.fit import fit
 from recon.api.motion_file import described
+from recon.api.result import Result
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.fitting.clip_files import Clip, load_clip
@@ -28,13 +29,15 @@ def fit_files(
     settings: FitSettings,
     watch: Watch | None = None,
     *,
+    shape: Sequence[float] | None = None,
     overwrite: bool = False,
 ) -> dict[str, Any]:
     """Fit one clip's observation files by `recon.fit` and write OUT and OUT.json.
 
     The prior `anchor` completes them to one cycle of gait; the report then has `cycle`.
-    Returns the report; its `failed` says whether the fit met nan or inf, in which case the last
-    finite estimate was written.
+    A `shape` that is given is held, as clips of one subject share it. Returns the report; its
+    `failed` says whether the fit met nan or inf, in which case the last finite estimate was
+    written.
 
     Raises:
         FileNotFoundError, ValueError: for bad input; nothing is written then.
@@ -42,11 +45,35 @@ def fit_files(
             `overwrite`.
     """
     check_outputs([Output(out)], paths_in((*paths, settings)), overwrite=overwrite)
-    body = BodyModel.load(settings.body)
     # before anything is read: what changes from now on must not pass for what was fitted
     inputs = input_checksums(paths, settings)
+    result = fitted(paths, settings, watch, shape)
+    said = asdict(settings) | ({} if shape is None else {"shape": list(shape)})
+    report = result.report(inputs, said)
+    result.save(out, overwrite=overwrite, report=report)
+    return report
+
+
+def fitted(
+    paths: Sequence[Path],
+    settings: FitSettings,
+    watch: Watch | None = None,
+    shape: Sequence[float] | None = None,
+) -> Result:
+    """What `recon.fit` makes of one clip's observation files.
+
+    Args:
+        paths: files and folders of one clip.
+        settings: how to read and to fit them.
+        watch: told about every iteration.
+        shape: coefficients that are held; None estimates them.
+
+    Raises:
+        FileNotFoundError, ValueError: for bad input.
+    """
+    body = BodyModel.load(settings.body)
     clip = load_clip(paths, settings, body)
-    result = fit(
+    return fit(
         clip,
         settings.prior,
         weights=settings.weights,
@@ -58,10 +85,8 @@ def fit_files(
         device=settings.device,
         callback=watch,
         repair=settings.repair,
+        shape=shape,
     )
-    report = result.report(inputs, asdict(settings))
-    result.save(out, overwrite=overwrite, report=report)
-    return report
 
 
 def _noise(clip: Clip, settings: FitSettings) -> list[float | None]:

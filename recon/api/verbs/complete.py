@@ -6,7 +6,7 @@ from recon.api.fit import fit
 from recon.api.given import BodyLike
 from recon.api.observations import GroundChoice, ObservationsLike
 from recon.api.result import Result
-from recon.fitting.options import PriorObject
+from recon.fitting.priors import PriorObject
 from recon.method.stages import Watch
 
 

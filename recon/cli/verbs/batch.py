@@ -44,9 +44,11 @@ def batch(
     """Fit every clip of a manifest; run it again to go on where it stopped.
 
     The manifest has one JSON object per line: {"id": "clip", "observations": ["clip.npz"]}.
-    Results are OUT/ID.npz; OUT/log.jsonl says what became of each clip. A clip is fitted again
-    when the contents of its files, of the calibration, body, masks or weights, or the settings
-    are others than before. Exit code 1 says that some clip has no result; see the log for why.
+    With "subject": "anna" beside, the clips of one subject share one shape, which is estimated
+    from all of them first. Results are OUT/ID.npz; OUT/log.jsonl says what became of each clip.
+    A clip is fitted again when the contents of its files, of the calibration, body, masks or
+    weights, the settings or its subject's shape are others than before. Exit code 1 says that
+    some clip has no result; see the log for why.
 
     Args:
         manifest: JSON lines; paths are relative to it.

@@ -9,7 +9,8 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 from recon.fitting.settings import FitSettings
-from recon.formats.files.checksums import file_checksum
+from recon.formats.files.checksums import file_checksum, value_checksum
+from recon.jobs.many.subjects import shapes_of_subjects
 from recon.jobs.many.workers import Failure, run_jobs
 from recon.jobs.many.worklog import Record, open_log
 
@@ -26,12 +27,14 @@ class BatchClip:
 
     name: str
     observations: tuple[Path, ...]
+    subject: str | None = None
+    """The person who moves; clips of one subject share one shape. None: nobody was named."""
 
 
 def read_manifest(path: Path) -> tuple[BatchClip, ...]:
     """The clips of a manifest: a JSON object per line, {"id": ..., "observations": [...]}.
 
-    Paths are relative to the manifest.
+    Each may have a `subject`, whose clips share one shape. Paths are relative to the manifest.
 
     Raises:
         FileNotFoundError: when there is no such manifest.
@@ -83,18 +86,29 @@ def _clip(line: str, path: Path, number: int) -> BatchClip:
             f"{where}: {', '.join(foreign)} cannot differ between clips of a batch; give such "
             "settings as options, and clips with others in a batch of their own"
         )
-    return BatchClip(name, tuple(path.parent / file for file in files))
+    subject = row.get("subject")
+    if subject is not None and not (isinstance(subject, str | int) and str(subject).strip()):
+        raise ValueError(f"{where}: expected a name as subject, got {subject!r:.80}")
+    whose = None if subject is None else str(subject)
+    return BatchClip(name, tuple(path.parent / file for file in files), whose)
 
 
 def shard(clips: Sequence[BatchClip], index: int, count: int) -> tuple[BatchClip, ...]:
-    """The clips of one of `count` equal workers, by hash of their id: the same every time."""
+    """The clips of one of `count` equal workers: the same every time.
+
+    They are told apart by a hash of the id; clips of one subject stay together.
+    """
     if not 0 <= index < count:
         raise ValueError(f"--shard is I/N with 0 <= I < N, got {index}/{count}")
     return tuple(
         clip
         for clip in clips
-        if int(hashlib.sha256(clip.name.encode()).hexdigest(), 16) % count == index
+        if int(hashlib.sha256(_kept_together(clip).encode()).hexdigest(), 16) % count == index
     )
+
+
+def _kept_together(clip: BatchClip) -> str:
+    return clip.name if clip.subject is None else f"subject {clip.subject}"
 
 
 @dataclass(frozen=True)
@@ -112,6 +126,8 @@ class Job:
     """The last record of the clip, or nothing."""
     overwrite: bool = False
     """Whether a result that is there and recon did not write may be replaced."""
+    shape: tuple[float, ...] | None = None
+    """Coefficients that are held, those of the clip's subject; None estimates them."""
 
 
 def fit_all(
@@ -148,9 +164,20 @@ def fit_all(
     _check_targets(clips, out, settings)
     out.mkdir(parents=True, exist_ok=True)
     common = settings_checksum(settings, FIT_VERSION)
+    shapes = shapes_of_subjects(clips, settings, processes, log, common)
     with open_log(log) as lines:
         jobs = (
-            (Job(clip, target(out, clip), settings, common, known, overwrite),)
+            (
+                Job(
+                    clip,
+                    target(out, clip),
+                    settings,
+                    common,
+                    known,
+                    overwrite,
+                    shapes.get(clip.name),
+                ),
+            )
             for clip in clips
             for known in [lines.records.get(clip.name, {})]
         )
@@ -171,13 +198,17 @@ def fit_one(job: Job) -> Record:
 
     # before anything is read: what changes from now on is found out by the next run
     key = clip_checksum(job.clip.observations, job.settings_checksum)
+    if job.shape is not None:
+        key = value_checksum([key, *job.shape])
     record: Record = {"id": job.clip.name, "output": str(job.target)}
     if is_done(job, key):
         return record | {"status": "skipped"}
     from recon.jobs.fit import fit_files
 
     began = time.perf_counter()
-    report = fit_files(job.clip.observations, job.target, job.settings, overwrite=job.overwrite)
+    report = fit_files(
+        job.clip.observations, job.target, job.settings, shape=job.shape, overwrite=job.overwrite
+    )
     return record | {
         "status": "failed" if report["failed"] else "ok",
         "seconds": round(time.perf_counter() - began, 3),

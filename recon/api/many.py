@@ -1,0 +1,90 @@
+"""`recon.fit_clips`: several clips, each on its own or all of one person."""
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from recon.api.fit import fit
+from recon.api.observations import ObservationsLike
+from recon.api.result import Result
+from recon.core.errors import ReconError
+from recon.fitting.priors import PriorObject
+from recon.method.protocols import Sensor
+
+_FIRST = ("weights", "physics", "terms", "shape", "start")
+"""Arguments of a fit that do not concern the first look at shapes."""
+
+
+def fit_clips(
+    clips: Sequence[ObservationsLike] | Sensor,
+    prior: str | PriorObject = "humor",
+    *,
+    subject: bool = False,
+    **arguments: Any,
+) -> list[Result]:
+    """Several clips, fitted one after the other; a result for each, in their order.
+
+    It is a function beside `recon.fit` so that one always returns a result and the other always
+    a list. `recon.solve` computes many short clips as one batch.
+
+    Args:
+        clips: the observations of every clip, each as `recon.fit` takes them; or one observation
+            with a leading axis of clips.
+        prior: as of `recon.fit`.
+        subject: whether all clips are of one person, whose shape they then share: it is estimated
+            from every clip by the pose prior, and the median of these is held in all of them.
+        arguments: others of `recon.fit`, the same for all clips.
+
+    Raises:
+        ReconError: as `recon.fit`, naming the number of the clip; when there is no clip, or a
+            shape is given that clips of one subject are to share.
+        FileNotFoundError: as `recon.fit`.
+    """
+    every = _clips(clips)
+    if not subject:
+        return [_fitted(k, one, prior, arguments) for k, one in enumerate(every)]
+    if arguments.get("shape") is not None:
+        raise ReconError(
+            "subject: estimates the shape that all clips share, but a shape is given; leave one "
+            "of them out"
+        )
+    first = {name: value for name, value in arguments.items() if name not in _FIRST}
+    shapes = [_fitted(k, one, "pose", first).motion.shape for k, one in enumerate(every)]
+    held = arguments | {"shape": shared_shape(shapes)}
+    return [_fitted(k, one, prior, held) for k, one in enumerate(every)]
+
+
+def shared_shape(shapes: Sequence[Float[Tensor, " shape"]]) -> Float[Tensor, " shape"]:
+    """The shape of a person of whom several clips tell: the median of every coefficient.
+
+    Of an even number of clips it is the mean of the two in the middle.
+    """
+    return torch.stack(tuple(shapes)).double().quantile(0.5, dim=0).to(shapes[0])
+
+
+def _clips(given: Any) -> list[Any]:
+    if isinstance(given, Sensor):
+        if given.clips == ():
+            raise ReconError(
+                "clips: expected a leading axis of clips, or a list with the observations of "
+                "every clip; recon.fit takes those of one"
+            )
+        return [given[k] for k in range(given.clips[0])]
+    if isinstance(given, str) or not isinstance(given, Iterable):
+        raise ReconError(
+            f"clips: expected a list with the observations of every clip, got {given!r:.60}"
+        )
+    every = list(given)
+    if len(every) == 0:
+        raise ReconError("clips: nothing to fit: expected at least one clip, got none")
+    return every
+
+
+def _fitted(number: int, clip: Any, prior: str | PriorObject, arguments: dict[str, Any]) -> Result:
+    try:
+        return fit(clip, prior, **arguments)
+    except ReconError as error:
+        raise type(error)(f"clip {number}: {error}") from error
