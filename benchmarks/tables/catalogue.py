@@ -26,6 +26,7 @@ TABLES: Mapping[str, Table] = {
     "solver": others.solver,
     "speed": others.speed,
     "start": others.start,
+    "pictures": others.pictures,
     "rollout": others.rollout,
     "fuzz": others.fuzz,
     "cameras-summary": cameras.summary,

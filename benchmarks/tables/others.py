@@ -148,11 +148,21 @@ def speed() -> str:
 
 def start() -> str:
     """Starts of commands, beside version 0.1.0."""
+    return _beside("start")
+
+
+def pictures() -> str:
+    """Pictures and films, beside version 0.1.0."""
+    return _beside("pictures")
+
+
+def _beside(file: str) -> str:
+    """CPU seconds of 0.1.0 and of this version, and their ratio."""
     rows = [
         [name, *(number(row[key], 1, 2) for key in ("baseline", "ours", "ratio"))]
-        for name, row in result("start")["rows"].items()
+        for name, row in result(file)["rows"].items()
     ]
-    return markdown(["CPU s", "0.1.0", "now", "ratio"], rows) + source("start")
+    return markdown(["CPU s", "0.1.0", "now", "ratio"], rows) + source(file)
 
 
 def rollout() -> str:
