@@ -48,7 +48,7 @@ from observations.joints3d import Joints3D
 from observations.markers3d import Markers3D
 from priors.humor.collocation import Collocation
 from priors.humor.prior import Humor
-from priors.humor.shooting import HumorWeights, Shooting
+from priors.humor.shooting import Shooting
 from priors.pose.prior import PosePrior, PoseWeights
 from priors.training.dataset import Splits
 from recon.body.model import BodyModel
@@ -155,7 +155,6 @@ def entries(
     networks: Networks,
     noise: float,
     published: PoseWeights,
-    shooting: HumorWeights,
     most: int | None,
 ) -> list[Entry]:
     """All that is fitted to points with so much noise.
@@ -164,12 +163,11 @@ def entries(
         networks: what is compared.
         noise: metres.
         published: weights of stages 1 and 2.
-        shooting: published weights of the roll-out.
         most: windows that are fitted through the roll-out.
     """
     tuned = PoseWeights.for_noise(noise)
     few = "" if most is None else f", {most} windows"
-    rolled = Shooting(networks.default, weights=shooting, poses=tuned)
+    rolled = Shooting.for_noise(networks.default, noise)
     found = [
         Entry("stages 1-2, published", PosePrior.load(weights=published)),
         Entry("stages 1-2, tuned", PosePrior.load(weights=tuned)),
@@ -199,14 +197,13 @@ def protocols(
         for name, (smooth, _) in tune_smoothers(tuning, body).items():
             if "tuned" in name:
                 rows[name] = score_points(windows, smooth(seen.positions), joints)
-        published = PoseWeights.published_joints(), HumorWeights.published_joints()
-        rows |= fitted_rows(windows, seen, joints, entries(networks, 0.04, *published, most), body)
+        published = PoseWeights.published_joints()
+        rows |= fitted_rows(windows, seen, joints, entries(networks, 0.04, published, most), body)
         return {**rows, "each joint's more frequent contact": constant_contacts(windows)}
 
     def hidden() -> dict[str, Rows]:
         occluded, points = occluded_points(windows.truth, body)
-        published = PoseWeights.published_points(), HumorWeights.published_points()
-        fits = entries(networks, 0.0, *published, most)
+        fits = entries(networks, 0.0, PoseWeights.published_points(), most)
         return fitted_rows(windows, occluded, points, fits, body)
 
     return {

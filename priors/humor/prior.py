@@ -5,6 +5,7 @@ import math
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
+from typing import ClassVar
 
 import torch
 from jaxtyping import Bool, Float
@@ -30,7 +31,7 @@ from priors.humor.weights import (
 )
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
-from recon.core.motion import Motion
+from recon.core.motion import Motion, carried_translation
 from recon.core.struct import TensorStruct
 from recon.method.plugins import imported
 from recon.method.protocols import REFERENCE_FPS, Decoded
@@ -39,6 +40,12 @@ from recon.method.reconstruction import Method
 _LOG = logging.getLogger(__name__)
 
 _LOG_TWO_PI = math.log(2 * math.pi)
+
+_METHODS = {
+    "collocation": "priors.humor.collocation:Collocation",
+    "rollout": "priors.humor.shooting:Shooting",
+}
+"""Classes of the ways to fit, by name; the usual one first."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +70,21 @@ class HumorVariables(TensorStruct):
     valid: Bool[Tensor, "clips time"]
     start_time: float
 
+    def carried(self, T: Float[Tensor, "clips 4 4"], body: BodyModel) -> "HumorVariables":
+        """Variables of a motion that begins in the first state after a rigid transform.
+
+        Latents are changes as the body sees them and stay. Where the transform tilts, the
+        roll-out from there is another motion, because the decoder knows where up is.
+        """
+        turn, pelvis = T[:, :3, :3], body.rest_joints(self.shape)[:, 0]
+        return self.replace(
+            translation=carried_translation(self.translation[:, None], T, pelvis)[:, 0],
+            velocity=(turn @ self.velocity[..., None])[..., 0],
+            angular_velocity=(turn @ self.angular_velocity[..., None])[..., 0],
+            joint_velocities=self.joint_velocities @ turn.mT,
+            base=torch.cat((turn[:, None] @ self.base[:, :1], self.base[:, 1:]), 1),
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class Humor:
@@ -71,6 +93,9 @@ class Humor:
     `decode(encode(m))` is near m but not m: the posterior's means say what the network can say.
     """
 
+    methods: ClassVar[tuple[str, ...]] = tuple(_METHODS)
+    level: ClassVar[bool] = True
+    """Motions are in the world: a step depends on where up is and where the ground."""
     networks: HumorNetworks
     initial: Mixture
     body: BodyModel
@@ -121,9 +146,12 @@ class Humor:
         assert whitening is not None
         return cls(networks.requires_grad_(False), initial, body, whitening)
 
-    def method(self, noise: float, body: BodyModel) -> Method:
-        """All frames at once, for observations whose coordinates are off by `noise` metres."""
-        kind = imported("priors.humor.collocation:Collocation", "method")
+    def method(self, noise: float, body: BodyModel, name: str | None = None) -> Method:
+        """One of the `methods`, for observations whose coordinates are off by `noise` metres.
+
+        None is `collocation`, all frames at once; `rollout` moves a first state and latents.
+        """
+        kind = imported(_METHODS[self.methods[0] if name is None else name], "method")
         return kind.for_noise(self.like(body.template), noise)
 
     def to(

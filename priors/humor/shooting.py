@@ -1,12 +1,15 @@
-"""HuMoR's published fit, single shooting: a first state and latents, in three phases."""
+"""HuMoR's roll-out fitted to data (single shooting): a first state and latents are moved."""
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 from typing import Any
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from priors.humor.collocation import Collocation
 from priors.humor.prior import Humor
 from priors.humor.terms import (
     bone_length,
@@ -16,8 +19,9 @@ from priors.humor.terms import (
 )
 from priors.pose.prior import PosePrior, PoseWeights
 from recon.method.protocols import Energy, Estimate
+from recon.method.reconstruction import Method
 from recon.method.stages import Stage
-from recon.method.terms import Term, prior_energy, shape
+from recon.method.terms import Term, ground_moved, prior_energy, shape
 from recon.solver.lbfgs import LBFGS
 
 FIRST_FRAMES = 15
@@ -42,6 +46,15 @@ class HumorWeights:
     bones: float = 10.0
     contact_velocity: float = 1.0
     contact_height: float = 1.0
+    ground: float = 0.0
+    """Weight of ½ (turn² + lift²) of an unknown ground away from where it began, radians² and
+    metres², for every frame."""
+
+    @classmethod
+    def for_noise(cls, noise: float) -> "HumorWeights":
+        """Weights for observations of a standard deviation of `noise` metres per coordinate."""
+        variance = max(noise, 0.014) ** 2
+        return cls(transition=0.2 * variance, initial=0.02 * variance, shape=5e-6)
 
     @classmethod
     def published_joints(cls) -> "HumorWeights":
@@ -53,68 +66,166 @@ class HumorWeights:
         """Published for surface points, some hidden (fit_amass_keypts.cfg, stage 3)."""
         return cls(transition=5e-4, initial=5e-4)
 
+    @classmethod
+    def published_images(cls) -> "HumorWeights":
+        """Published for keypoints of one camera, of weight 0.002 (fit_rgb_demo_*.cfg, stage 3)."""
+        return cls(
+            transition=0.075, initial=0.075, shape=0.05, consistency=100.0, bones=2000.0,
+            contact_velocity=100.0, contact_height=10.0, ground=0.167,
+        )  # fmt: skip
+
+    @classmethod
+    def published_depth(cls) -> "HumorWeights":
+        """Published for keypoints, of weight 0.002, with depth (fit_proxd.cfg, stage 3)."""
+        return replace(cls.published_images(), shape=0.034, ground=1.0)
+
 
 @dataclass(frozen=True)
 class Schedule:
-    """Largest numbers of iterations of the three phases; 600, 500 and 300 were published."""
+    """Largest numbers of iterations of the phases; none is a phase that is left out."""
 
-    first: int = 150
-    latents: int = 120
-    all: int = 200
+    first: int = 0
+    """Phase of the first 15 frames, in which first state and latents move."""
+    latents: int = 0
+    """Phase of all latents, in which the first state is held."""
+    all: int = 1000
+    """Phase in which everything moves."""
     tolerance: float = 1e-5
+    """Relative decrease of the objective at which a phase ends, thrice in a row."""
+    history: int = 100
+    """Steps from which the minimiser learns how the objective bends."""
+
+    @classmethod
+    def published(cls) -> "Schedule":
+        """600, 500 and 300 iterations, whatever the decrease (30, 25 and 15 times 20)."""
+        return cls(600, 500, 300, tolerance=1e-9)
+
+
+_AS_PUBLISHED = MappingProxyType({"metres": 1.0, "pixels": 0.002})
 
 
 @dataclass(frozen=True, eq=False)
 class Shooting:
-    """Stages 1 and 2 under the pose prior, then HuMoR's three phases (section 6.8).
+    """The motion is what the decoder makes of a first state and latents, which are moved.
 
-    The optimised variables are a first state, the latents and the shape. The decoder computes the
-    motion from them.
+    The shape is moved with them, and so is the ground where it is not known. The first state has
+    the mixture for an energy and the latents the conditional prior. The usual start is the motion
+    that `Collocation` finds without contacts; the presets have the phases, weights and start of
+    the publication (section 6.8).
     """
 
     prior: Humor
     weights: HumorWeights = field(default_factory=HumorWeights.published_joints)
     schedule: Schedule = field(default_factory=Schedule)
-    poses: PoseWeights = field(default_factory=PoseWeights.tuned_joints)
-    """Weights of stages 1 and 2."""
+    start: Method = field(default_factory=PosePrior.load)
+    """Finds the motion from which first state and latents are encoded."""
+    data_weights: Mapping[str, float] | None = None
+    """Weights of observations by their unit, instead of those of the fit."""
+
+    @classmethod
+    def for_noise(cls, humor: Humor, noise: float) -> "Shooting":
+        """The method for observations of a standard deviation of `noise` metres per coordinate."""
+        weights = HumorWeights.for_noise(noise)
+        return cls(humor, weights, start=Steps(Collocation.for_noise(humor, noise)))
+
+    @classmethod
+    def published_joints(cls, humor: Humor) -> "Shooting":
+        """The publication's fit to joints in space."""
+        return _published(humor, HumorWeights.published_joints(), PoseWeights.published_joints())
+
+    @classmethod
+    def published_points(cls, humor: Humor) -> "Shooting":
+        """The publication's fit to points of the surface, some of them hidden."""
+        return _published(humor, HumorWeights.published_points(), PoseWeights.published_points())
+
+    @classmethod
+    def published_images(cls, humor: Humor) -> "Shooting":
+        """The publication's fit to the keypoints of one camera."""
+        return _published(humor, HumorWeights.published_images(), PoseWeights.published_images())
+
+    @classmethod
+    def published_depth(cls, humor: Humor) -> "Shooting":
+        """The publication's fit to the keypoints and the depth of one camera."""
+        return _published(humor, HumorWeights.published_depth(), PoseWeights.published_depth())
 
     def stages(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
-        """The root, the poses, the first 15 frames, all latents (first state fixed), and then all.
+        """The start, the first 15 frames, all latents (the first state held), and then all.
 
-        Contacts count in the first and the last phase.
+        Contacts count in the first and the last phase. Phases without iterations are left out.
         """
-        start = PosePrior.load(weights=self.poses).to(device=self.prior.body.template.device)
-        return (*start.stages(data), *_phases(self.prior, self.weights, self.schedule, data))
+        if self.data_weights is not None:
+            data = tuple(_weighted(term, self.data_weights) for term in data)
+        return (*self.start.stages(data), *self._phases(data))
+
+    def _phases(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
+        w, schedule = self.weights, self.schedule
+        ground = (Term("ground held", _ground_held, w.ground),) if w.ground > 0 else ()
+        always = (
+            *data,
+            Term("transition", prior_energy("transition"), w.transition),
+            Term("initial", _per_first_frames(prior_energy("initial")), w.initial),
+            Term("shape", shape, w.shape),
+            Term("consistency", joint_consistency, w.consistency),
+            Term("bones", bone_length, w.bones),
+            *ground,
+        )
+        contacts = (
+            Term("contact velocity", contact_velocity, w.contact_velocity),
+            Term("contact height", contact_height, w.contact_height),
+        )
+
+        def stage(
+            name: str,
+            terms: tuple[Term, ...],
+            free: frozenset[str],
+            iterations: int,
+            frames: int | None = None,
+        ) -> tuple[Stage[Any], ...]:
+            minimiser = LBFGS(
+                max_iterations=iterations,
+                history=schedule.history,
+                tolerance_decrease=schedule.tolerance,
+            )
+            found = Stage(name, self.prior, terms, free, minimiser, frames)
+            return (found,) if iterations > 0 else ()
+
+        return (
+            *stage(
+                "first state", (*always, *contacts), _STATE | _REST, schedule.first, FIRST_FRAMES
+            ),
+            *stage("latents", always, _REST, schedule.latents),
+            *stage("all", (*always, *contacts), _STATE | _REST, schedule.all),
+        )
 
 
-def _phases(
-    prior: Humor, weights: HumorWeights, schedule: Schedule, data: tuple[Term, ...]
-) -> tuple[Stage[Any], ...]:
-    w = weights
-    always = (
-        *data,
-        Term("transition", prior_energy("transition"), w.transition),
-        Term("initial", _per_first_frames(prior_energy("initial")), w.initial),
-        Term("shape", shape, w.shape),
-        Term("consistency", joint_consistency, w.consistency),
-        Term("bones", bone_length, w.bones),
-    )
-    contacts = (
-        Term("contact velocity", contact_velocity, w.contact_velocity),
-        Term("contact height", contact_height, w.contact_height),
-    )
+@dataclass(frozen=True)
+class Steps:
+    """Collocation without its last stage, in which feet are held as well."""
 
-    def least(iterations: int) -> LBFGS:
-        return LBFGS(max_iterations=iterations, tolerance_decrease=schedule.tolerance)
+    method: Collocation
 
-    return (
-        Stage(
-            "first state", prior, (*always, *contacts), _STATE | _REST, least(schedule.first),
-            frames=FIRST_FRAMES,
-        ),
-        Stage("latents", prior, always, _REST, least(schedule.latents)),
-        Stage("all", prior, (*always, *contacts), _STATE | _REST, least(schedule.all)),
-    )  # fmt: skip
+    def stages(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
+        """All but the last."""
+        return self.method.stages(data)[:-1]
+
+
+def _published(humor: Humor, weights: HumorWeights, poses: PoseWeights) -> Shooting:
+    start = PosePrior.load(weights=poses).to(device=humor.body.template.device)
+    return Shooting(humor, weights, Schedule.published(), start, _AS_PUBLISHED)
+
+
+def _weighted(term: Term, weights: Mapping[str, float]) -> Term:
+    """The term with the weight of its sensor's unit; terms of no sensor as they are."""
+    unit: str = getattr(term.energy, "unit", "")
+    return term if unit not in weights else replace(term, weight=weights[unit])
+
+
+def _ground_held(estimate: Estimate) -> Float[Tensor, "*batch"]:
+    """`ground_moved` for every frame, and nothing where the ground is known."""
+    frames = estimate.motion.valid.sum(-1)
+    if estimate.scene.ground is None:
+        return torch.zeros_like(estimate.motion.shape[..., 0])
+    return ground_moved(estimate) * frames
 
 
 def _per_first_frames(energy: Energy) -> Callable[[Estimate], Float[Tensor, "*batch"]]:

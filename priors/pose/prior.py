@@ -70,6 +70,16 @@ class PoseWeights:
         return cls(pose=2e-4, shape=1.67e-4, velocity=0.1)
 
     @classmethod
+    def published_images(cls) -> "PoseWeights":
+        """HuMoR's weights for one camera's keypoints of weight 0.002 (fit_rgb_demo, stage 2)."""
+        return cls(pose=0.04, shape=0.05, velocity=100.0)
+
+    @classmethod
+    def published_depth(cls) -> "PoseWeights":
+        """HuMoR's weights for keypoints of weight 0.002 with depth (fit_proxd, stage 2)."""
+        return cls(pose=0.1, shape=0.034, velocity=100.0)
+
+    @classmethod
     def for_noise(cls, noise: float) -> "PoseWeights":
         """Weights for observations of a standard deviation of `noise` metres per coordinate.
 

@@ -40,6 +40,7 @@ def fit(
     prior: str | PriorObject = "humor",
     *,
     weights: str = "open",
+    method: str | None = None,
     body: BodyLike = None,
     shape: ShapeLike | Shape | float | None = None,
     terms: Sequence[Term] = (),
@@ -69,6 +70,9 @@ def fit(
         prior: a name (`humor`, `pose`, `anchor` for one gait cycle, `humos`), a loaded prior, a
             method with `stages(data)`, or "package.module:Class".
         weights: of a prior given by its name: `open`, `nc` (not for commercial use) or a file.
+        method: the way in which the prior is fitted, one of its `methods`; None is the usual one.
+            `humor` has `collocation` (the motion itself is moved; usual) and `rollout` (a first
+            state and latents, through the decoder's roll-out).
         body: a body, a SMPL-family file, or None for the bundled body.
         shape: shape coefficients that are held, or a motion, result or motion file that has them
             (of a static trial, say); or the person's height in metres or a `recon.Shape`, which
@@ -110,8 +114,9 @@ def fit(
         FRAME_RATE.check(positive(fps, "fps"), "fit", "fps")
     held, expected = shape_known(shape, model)
     options = FitOptions(
-        prior=prior_of(prior, weights),
+        prior=prior_of(prior, weights, method),
         weights=weights,
+        method=method,
         noise=_noises(noise, clip),
         physics=finite(physics, "physics"),
         ground_given=clip.ground_given,
@@ -192,6 +197,7 @@ def _plain(options: FitOptions) -> dict[str, Any]:
     return {
         "prior": prior if isinstance(prior, str) else type(prior).__name__,
         "weights": options.weights,
+        "method": options.method,
         "noise": list(options.noise),
         "physics": options.physics,
         "repair": options.repair,

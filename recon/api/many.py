@@ -14,7 +14,7 @@ from recon.core.errors import ReconError
 from recon.fitting.priors import PriorObject
 from recon.method.protocols import Sensor
 
-_FIRST = ("weights", "physics", "terms", "shape", "start")
+_FIRST = ("weights", "method", "physics", "terms", "shape", "start")
 """Arguments of a fit that do not concern the first look at shapes."""
 
 

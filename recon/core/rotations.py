@@ -173,6 +173,12 @@ def rigid(
     return torch.cat((upper, last), -2)
 
 
+def inverse_rigid(T: Float[Tensor, "*shape 4 4"]) -> Float[Tensor, "*shape 4 4"]:
+    """The inverse of a rigid transform, a rotation and a shift in metres."""
+    back = T[..., :3, :3].mT
+    return rigid(back, -(back @ T[..., :3, 3:])[..., 0])
+
+
 def heading(root: Float[Tensor, "*shape 3 3"]) -> Float[Tensor, "*shape 3 3"]:
     """Turn A about the vertical that brings the body's right side to +x (so forward to +y).
 

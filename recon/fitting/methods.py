@@ -6,8 +6,8 @@ from typing import Any
 from recon.body.model import BodyModel
 from recon.core.errors import ReconError
 from recon.fitting.options import FitOptions
-from recon.fitting.priors import loaded
-from recon.method.priors import NoisyPrior
+from recon.fitting.priors import checked_method, loaded
+from recon.method.priors import ManyMethods, NoisyPrior
 from recon.method.reconstruction import Method
 from recon.method.stages import Stage
 from recon.method.terms import Term
@@ -20,7 +20,7 @@ def method_of(options: FitOptions, noise: float, body: BodyModel) -> Method:
     Raises:
         FileNotFoundError: when there are no such weights.
         ValueError: when the file of the weights holds none, the prior has a way of its own, or
-            physics is to weigh less than nothing.
+            physics is to weigh less than nothing, or the prior has no such method.
     """
     method = _of_prior(options, noise, body)
     if options.physics == 0:
@@ -35,10 +35,12 @@ def _of_prior(options: FitOptions, noise: float, body: BodyModel) -> Method:
             "this prior is of one whole cycle, for which beginnings are searched: call "
             "recon.fitting.completion.complete, or `recon complete`"
         )
-    given = options.prior
+    given, name = options.prior, checked_method(options.prior, options.method)
     if not isinstance(given, str) and isinstance(given, Method):
         return given
     prior = loaded(given, options.weights, body)
+    if name is not None and isinstance(prior, ManyMethods):
+        return prior.method(noise, body, name)
     if isinstance(prior, NoisyPrior):
         return prior.method(noise, body)
     assert isinstance(prior, Method)

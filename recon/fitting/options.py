@@ -18,6 +18,8 @@ class FitOptions:
     """A registered name, the place of a class, a loaded prior, or a method with `stages`."""
     weights: str = "open"
     """Weights of a prior that is given by its name: `open`, `nc` or a file."""
+    method: str | None = None
+    """One of the prior's `methods`, the ways in which it can be fitted; None is the usual one."""
     noise: tuple[float | None, ...] = ()
     """Standard deviation of each observation's coordinates in its own unit (metres, or pixels of
     keypoints); None, and an empty tuple, estimate it from the data."""

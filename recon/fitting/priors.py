@@ -5,7 +5,7 @@ from typing import Any
 from recon.body.model import BodyModel
 from recon.core.errors import ReconError, WeightsError
 from recon.method.plugins import PRIORS, imported, registered
-from recon.method.priors import CyclePrior, NoisyPrior, Traits, traits_of
+from recon.method.priors import CyclePrior, NoisyPrior, Traits, methods_of, traits_of
 from recon.method.reconstruction import Method
 
 PriorObject = Method | NoisyPrior | CyclePrior
@@ -58,3 +58,20 @@ def loaded(prior: str | PriorObject, weights: str, body: BodyModel) -> PriorObje
 def traits(prior: str | PriorObject) -> Traits:
     """What is known of a prior without its weights."""
     return traits_of(class_of(prior) if isinstance(prior, str) else prior)
+
+
+def checked_method(prior: str | PriorObject, name: str | None) -> str | None:
+    """The name of a way to fit a prior, one of its `methods`, or None for the usual one.
+
+    Raises:
+        ReconError: when the prior has no such method.
+    """
+    if name is None:
+        return None
+    known = methods_of(class_of(prior) if isinstance(prior, str) else prior)
+    if name in known:
+        return name
+    whose = repr(prior) if isinstance(prior, str) else f"a {type(prior).__name__}"
+    if len(known) == 0:
+        raise ReconError(f"method: {whose} is fitted in one way only, got {name!r}; leave it out")
+    raise ReconError(f"method: {whose} is fitted by {' or '.join(known)}, got {name!r}")

@@ -17,6 +17,9 @@ class FitSettings:
     weights: str = "open"
     """Weights of the prior: `open`, `nc` (not for commercial use; in a source checkout) or a
     file."""
+    method: str | None = None
+    """How the prior is fitted, where there are several ways: `humor` by `collocation` (the motion
+    itself is moved; default) or `rollout` (a first state and latents are, as published)."""
     body: Path | None = None
     """A SMPL-family file of your own; default: the bundled body."""
     between: tuple[float, float] | None = None

@@ -77,6 +77,7 @@ def fitted(
         clip,
         settings.prior,
         weights=settings.weights,
+        method=settings.method,
         body=body,
         noise=_noise(clip, settings),
         physics=settings.physics,

@@ -35,6 +35,11 @@ def traits_of(kind: object) -> Traits:
     return getattr(kind, "traits", Traits())
 
 
+def methods_of(kind: object) -> tuple[str, ...]:
+    """Names of the ways in which a prior, or one of its class, can be fitted; none for one way."""
+    return tuple(getattr(kind, "methods", ()))
+
+
 @runtime_checkable
 class NoisyPrior(Protocol):
     """A prior that is fitted in a way that depends on how noisy the data are."""
@@ -45,6 +50,20 @@ class NoisyPrior(Protocol):
         Its terms stand beside ½ |residual|² in metres² of the least noisy observation, so that a
         negative log-probability is weighted by noise².
         """
+        ...
+
+
+@runtime_checkable
+class ManyMethods(Protocol):
+    """A prior that can be fitted in more than one way."""
+
+    @property
+    def methods(self) -> tuple[str, ...]:
+        """Names of the ways, the usual one first; a variable of the class."""
+        ...
+
+    def method(self, noise: float, body: BodyModel, name: str | None = None) -> Method:
+        """The stages of one way, None being the usual one; see `NoisyPrior.method`."""
         ...
 
 

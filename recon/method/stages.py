@@ -5,13 +5,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from time import perf_counter
-from typing import Any, Generic, Protocol, runtime_checkable
+from typing import Any, ClassVar, Generic, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
 from recon.body.model import BodyModel
+from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.scene import Scene
 from recon.core.struct import S, TensorStruct
@@ -98,6 +99,17 @@ class Carried(Protocol):
         ...
 
 
+@runtime_checkable
+class Level(Protocol):
+    """A prior that knows where up is: its motions are in the world, not in a recording's frame.
+
+    Where the ground is unknown, motions are brought to the world before `encode`, and its
+    variables, which are `Carried`, back to the frame of the recording.
+    """
+
+    level: ClassVar[bool]
+
+
 Watch = Callable[[str, Progress], bool | None]
 """Told the stage's name and how far its minimisation has come; True ends that stage."""
 
@@ -174,12 +186,34 @@ def run_stages(
         began = perf_counter()
         if stage.prior is not prior:
             with torch.no_grad():
-                prior, variables = stage.prior, stage.prior.encode(motion)
+                prior, variables = stage.prior, _encoded(stage.prior, body, motion, scene)
         variables, scene, solution = run_stage(stage, body, variables, scene, watch)
         with torch.no_grad():
-            motion = stage.prior.decode(variables).motion
+            motion = _motion(stage.prior, body, variables, scene)
         reports.append(StageReport(stage, solution, perf_counter() - began))
     return evaluate_stage(stages[-1], body, variables, scene), reports
+
+
+def _encoded(prior: Prior[S], body: BodyModel, motion: Motion, scene: Scene) -> S:
+    """Variables, in the recording's frame, of a motion in the recording's frame."""
+    if scene.ground is None or not _is_level(prior):
+        return prior.encode(motion)
+    T = scene.ground.T_world_recording
+    variables: Any = prior.encode(motion.carried(T, body.rest_joints(motion.shape)[..., 0, :]))
+    return variables.carried(so3.inverse_rigid(T), body)
+
+
+def _motion(prior: Prior[S], body: BodyModel, variables: S, scene: Scene) -> Motion:
+    """The motion of variables, both in the recording's frame."""
+    if scene.ground is None or not _is_level(prior):
+        return prior.decode(variables).motion
+    motion = _estimate(prior, body, Unknowns(variables, scene)).motion
+    T = so3.inverse_rigid(scene.ground.T_world_recording)
+    return motion.carried(T, body.rest_joints(motion.shape)[..., 0, :])
+
+
+def _is_level(prior: Prior[Any]) -> bool:
+    return isinstance(prior, Level) and prior.level
 
 
 def _estimate(

@@ -43,3 +43,16 @@ def test_what_are_no_clips_is_refused():
         recon.fit_clips([seen(noisy(6))], subject=True, shape=1.7)
     with pytest.raises(recon.ObservationError, match="clip 1: nothing to fit"):
         recon.fit_clips([seen(noisy(6)), []], Quick())
+
+
+def test_the_first_look_at_shapes_has_a_method_of_its_own(monkeypatch):
+    """The pose prior, which is fitted in one way only, would refuse the clips' method."""
+    asked = []
+
+    def fit(clip, prior, **arguments):
+        asked.append((prior, arguments.get("method")))
+        return recon.fit(clip, Quick())
+
+    monkeypatch.setattr("recon.api.many.fit", fit)
+    recon.fit_clips([seen(noisy(4))], method="rollout", subject=True)
+    assert asked == [("pose", None), ("humor", "rollout")]

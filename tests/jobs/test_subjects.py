@@ -69,3 +69,11 @@ def test_what_is_no_subject_is_refused(tmp_path):
     clips = read_manifest(written(tmp_path, {"a": "anna"}))
     with pytest.raises(ValueError, match="shapes of their own"):
         subjects.shapes_of_subjects(clips, FitSettings(prior="anchor"), 1, tmp_path / "l", "")
+
+
+def test_the_first_look_at_shapes_has_a_method_of_its_own(tmp_path):
+    """The pose prior, which is fitted in one way only, would refuse the batch's method."""
+    clip = read_manifest(written(tmp_path, {"a": "anna"}))[0]
+    settings = FitSettings(method="rollout")
+    found = subjects.estimate_shape("a", clip.observations, settings, "checksum", {})
+    assert len(found["shape"]) > 0

@@ -1,19 +1,24 @@
-"""The test-time optimisation: its phases, and a planted motion found again."""
+"""The roll-out as a method: its phases and presets, and a planted motion found again."""
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 import torch
 
 from observations.joints3d import Joints3D
 from priors.humor.prior import HumorVariables
-from priors.humor.shooting import HumorWeights, Shooting
+from priors.humor.shooting import HumorWeights, Schedule, Shooting
+from priors.pose.prior import PosePrior
 from recon.body.model import BodyModel
-from recon.core.scene import Scene
+from recon.core import rotations as so3
+from recon.core.scene import Scene, UnknownGround
+from recon.method.free import FreeMotion
 from recon.method.protocols import Estimate
-from recon.method.reconstruction import Method
-from recon.method.stages import evaluate_stage, run_stage
+from recon.method.reconstruction import Method, solve
+from recon.method.stages import Stage, evaluate_stage, run_stage, run_stages
 from recon.method.terms import Term
+from recon.solver.lbfgs import LBFGS
 from tests.priors.test_humor import humor, motions
 
 pytestmark = pytest.mark.numerics
@@ -24,10 +29,11 @@ def zero(estimate: Estimate) -> torch.Tensor:
 
 
 def test_the_phases_are_the_published_ones(body: BodyModel) -> None:
-    method = Shooting(humor(body))
+    method = Shooting.published_joints(humor(body))
     assert isinstance(method, Method)
     _, _, first, latents, everything = method.stages((Term("data", zero, 1.0),))
     assert (first.frames, latents.frames, everything.frames) == (15, None, None)
+    assert [s.minimiser.max_iterations for s in (first, latents, everything)] == [600, 500, 300]
     assert latents.free == {"latents", "shape"}
     assert "contact height" not in {term.name for term in latents.terms}
     weights = {term.name: term.weight for term in everything.terms}
@@ -36,9 +42,39 @@ def test_the_phases_are_the_published_ones(body: BodyModel) -> None:
     assert weights["bones"] == 10.0
 
 
+@pytest.mark.parametrize(
+    ("case", "unit", "weight", "expected"),
+    [
+        ("joints", "metres", 1.0, {"transition": 1e-3, "initial": 1e-3, "consistency": 1.0}),
+        ("points", "metres", 1.0, {"transition": 5e-4, "contact height": 1.0}),
+        ("images", "pixels", 0.002, {"transition": 0.075, "bones": 2000.0, "ground held": 0.167}),
+        ("depth", "pixels", 0.002, {"shape": 0.034, "contact velocity": 100.0, "ground held": 1}),
+    ],
+)
+def test_presets_have_the_published_weights_whatever_the_fit_gives(
+    body: BodyModel, case: str, unit: str, weight: float, expected: dict[str, float]
+) -> None:
+    class Seen:
+        def __call__(self, estimate: Estimate) -> torch.Tensor:
+            return zero(estimate)
+
+    seen = Seen()
+    seen.unit = unit  # type: ignore[attr-defined]
+    method = getattr(Shooting, f"published_{case}")(humor(body))
+    *_, last = method.stages((Term("data", seen, 17.0),))
+    weights = {term.name: term.weight for term in last.terms}
+    assert weights["data"] == weight
+    assert expected.items() <= weights.items()
+
+
+def test_a_phase_without_iterations_is_left_out(body: BodyModel) -> None:
+    stages = Shooting.for_noise(humor(body), 0.04).stages((Term("data", zero, 1.0),))
+    assert [stage.name for stage in stages] == ["root", "pose", "steps", "all"]
+
+
 def test_a_phase_of_some_frames_sees_only_them(body: BodyModel) -> None:
     prior = humor(body)
-    stage = Shooting(prior).stages((Term("data", zero, 1.0),))[2]
+    stage = Shooting.published_joints(prior).stages((Term("data", zero, 1.0),))[2]
     stage = replace(stage, frames=4, minimiser=replace(stage.minimiser, max_iterations=2))
     start = prior.encode(motions(8))
     scene = Scene.create(2, like=start.translation)
@@ -55,14 +91,18 @@ def test_a_phase_of_some_frames_sees_only_them(body: BodyModel) -> None:
     assert whole.motion.frames == 8
 
 
+def seen_of(joints: torch.Tensor) -> Joints3D:
+    visible = torch.ones(joints.shape[:-1], dtype=torch.bool)
+    return Joints3D(joints, visible, tuple(range(22)), 30.0)
+
+
 def test_the_last_phase_brings_the_motion_nearer_to_the_data(body: BodyModel) -> None:
     weights = HumorWeights(1e-6, 1e-6, contact_velocity=0.0, contact_height=0.0)
     prior = humor(body)
     truth = prior.decode(prior.encode(motions(6))).motion
     joints = body.pose(truth).joints
-    seen = Joints3D(joints, torch.ones(2, 6, 22, dtype=torch.bool), tuple(range(22)), 30.0)
     # untrained, it knows nothing of contacts
-    *_, stage = Shooting(prior, weights).stages((Term("data", seen, 1.0),))
+    *_, stage = Shooting(prior, weights).stages((Term("data", seen_of(joints), 1.0),))
     stage = replace(stage, minimiser=replace(stage.minimiser, max_iterations=40))
     start = prior.encode(truth)
     start = start.replace(translation=start.translation + 0.1, root=start.root + 0.1)
@@ -74,3 +114,59 @@ def test_the_last_phase_brings_the_motion_nearer_to_the_data(body: BodyModel) ->
         return (posed.joints - joints).norm(dim=-1).mean((1, 2))
 
     assert (error(found) < 0.3 * error(start)).all()
+
+
+class Hurried:
+    """The pose prior with two iterations a stage, as a start."""
+
+    def stages(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
+        return tuple(replace(stage, minimiser=LBFGS(2)) for stage in PosePrior.load().stages(data))
+
+
+def test_a_clip_alone_is_the_clip_in_its_batch_and_hidden_points_say_nothing(
+    body: BodyModel,
+) -> None:
+    prior = humor(body)
+    joints = body.pose(motions(6)).joints
+    method = Shooting(prior, schedule=Schedule(first=2, latents=2, all=3), start=Hurried())
+    visible = seen_of(joints).visible.clone()
+    visible[:, 2:4, :8] = False
+    hidden = seen_of(joints.where(visible[..., None], 0.0)).replace(visible=visible)
+    elsewhere = hidden.replace(positions=joints.where(visible[..., None], 5.0))
+    both = solve([hidden], method, body)
+    alone = solve([hidden[1:]], method, body)
+    other = solve([elsewhere], method, body)
+    torch.testing.assert_close(
+        alone.motion.rotations[0], both.motion.rotations[1], rtol=0.0, atol=1e-5
+    )
+    torch.testing.assert_close(
+        alone.motion.translation[0], both.motion.translation[1], rtol=0.0, atol=1e-5
+    )
+    assert torch.equal(other.motion.rotations, both.motion.rotations)
+
+
+def test_a_motion_on_an_unknown_ground_is_encoded_and_rolled_out_in_the_world(
+    body: BodyModel,
+) -> None:
+    """Latents were encoded in the frame of the recording, where up is elsewhere."""
+    prior = humor(body)
+    motion = motions(6)
+    method = Shooting(prior, schedule=Schedule(all=1), start=Hurried())
+    *_, stage = method.stages((Term("data", zero, 1.0),))
+    stage = replace(stage, terms=stage.terms[:1], minimiser=LBFGS(0))
+    known, _ = run_stages([stage], body, motion, Scene.create(2, like=motion.translation))
+    ground = UnknownGround.create(torch.tensor([[0.1, 0.2, 0.0], [0.0, 0.0, 0.0]]).double())
+    ground = ground.replace(tilt=ground.tilt + 2.0, lift=ground.lift + 0.3)
+    T = so3.inverse_rigid(ground.T_world_recording)
+    recorded = motion.carried(T, body.rest_joints(motion.shape)[:, 0])
+    scene = Scene.create(2, like=motion.translation).replace(ground=ground)
+    found, _ = run_stages([stage], body, recorded, scene)
+    torch.testing.assert_close(found.motion.rotations, known.motion.rotations)
+    torch.testing.assert_close(found.motion.translation, known.motion.translation)
+    assert known.decoded.joints is not None
+    torch.testing.assert_close(found.decoded.joints, known.decoded.joints)
+    ends, _ = run_stages([stage, replace(stage, prior=FreeMotion(), free=frozenset({"shape"}))],
+                         body, recorded, scene)  # fmt: skip
+    torch.testing.assert_close(ends.motion.rotations, known.motion.rotations)
+    turned = prior.encode(recorded)
+    assert not torch.allclose(turned.latents, prior.encode(motion).latents, atol=1e-3)

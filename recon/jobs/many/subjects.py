@@ -78,7 +78,7 @@ def estimate_shape(
         return known
     from recon.jobs.fit import fitted
 
-    first = replace(settings, prior="pose", weights="open", physics=0.0)
+    first = replace(settings, prior="pose", weights="open", method=None, physics=0.0)
     result = fitted(observations, first)
     return {"id": name, "key": key, "shape": result.motion.shape.tolist()}
 
