@@ -13,7 +13,7 @@ from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.diagnosis.findings import Finding
 from recon.diagnosis.fits.agreement import agreement_warnings
-from recon.diagnosis.fits.plausibility import body_warnings, mirror_warnings
+from recon.diagnosis.fits.plausibility import body_warnings, child_findings, mirror_warnings
 from recon.diagnosis.fits.seen_joints import observed_joints, unseen_findings
 from recon.diagnosis.fits.summaries import ResidualSummary, summarise
 from recon.diagnosis.motions.belt import treadmill_finding
@@ -166,7 +166,11 @@ def examine(found: ClipFit, names: Sequence[str], screened: ScreenedClip) -> Exa
     return Examined(
         fit=found,
         residuals=summaries,
-        diagnosis=(*unseen_findings(observed), *support_findings(motion, body, seen)),
+        diagnosis=(
+            *unseen_findings(observed),
+            *support_findings(motion, body, seen),
+            *child_findings(found),
+        ),
         repairs=screened.repairs,
         warnings=(*screened.warnings, *after),
         observed=observed,

@@ -3,9 +3,11 @@
 import torch
 
 from observations.keypoints2d import Keypoints2D
+from recon.body.identities import height
 from recon.core.motion import Motion
 from recon.diagnosis.fits.plausibility import (
     body_warnings,
+    child_findings,
     distance_warnings,
     mirror_warnings,
     views_error,
@@ -90,6 +92,19 @@ def test_bodies_that_nobody_has_and_soles_in_the_air_are_said():
     shape[5] = 6.5
     odd = body_warnings(as_fit(walk().replace(shape=shape), ground_known=False))
     assert "6.5 standard deviations" in odd[0].message
+
+
+def test_a_child_in_metres_is_no_fault():
+    """Four good recordings of children were warned of."""
+    small = torch.zeros_like(walk().shape)
+    small[0] = -4.0
+    child = as_fit(walk().replace(shape=small), ground_known=False)
+    tall = float(height(bundled(), small))
+    assert 0.95 < tall < 1.42
+    assert body_warnings(child) == []
+    (said,) = child_findings(child)
+    assert f"{tall:.2f} m tall" in said.message
+    assert child_findings(as_fit(walk())) == []
 
 
 def test_mirrored_images_are_told_by_two_views_and_more():

@@ -22,6 +22,8 @@ _ODDEST, _ODDEST_MARKERS = 1.5 * ODDEST, 15.0
 """Standard deviations of shape beyond which a fit is no person's. Noise and acrobatics add to what
 people differ by, and real markers stand off the skin or beside the landmark that they are named
 after: good recordings reach 14. Wrong units and scales are told by the height."""
+_SHORTEST_CHILD = 0.95
+"""Metres; smaller children do not walk on command."""
 _OFF_GROUND = 0.15
 """Metres between the soles that stand and the ground."""
 _CLEARLY = 0.6
@@ -54,7 +56,7 @@ def body_warnings(found: ClipFit) -> list[Finding]:
     posed = found.result.estimate.body
     tall = float(height(posed.model, posed.shape.detach()).mean())
     warnings: list[Finding] = []
-    if not SHORTEST_BODY < tall < TALLEST_BODY:
+    if not SHORTEST_BODY < tall < TALLEST_BODY and not _is_child(found, tall):
         warnings.append(
             Finding(
                 "body size",
@@ -85,6 +87,27 @@ def body_warnings(found: ClipFit) -> list[Finding]:
                 )
             )
     return warnings
+
+
+def child_findings(found: ClipFit) -> list[Finding]:
+    """Points in metres that a small body fits show a child, which is no fault of the data."""
+    posed = found.result.estimate.body
+    tall = float(height(posed.model, posed.shape.detach()).mean())
+    if not _is_child(found, tall):
+        return []
+    return [
+        Finding(
+            "body size",
+            f"the person is {tall:.2f} m tall: a child, whose proportions an adult body meets "
+            "only roughly. If it is an adult, check the unit and the scale of the points",
+            value=tall,
+        )
+    ]
+
+
+def _is_child(found: ClipFit, tall: float) -> bool:
+    """Whether points that are measured in metres show somebody as small as children are."""
+    return not kinds.views(found.observations) and _SHORTEST_CHILD < tall <= SHORTEST_BODY
 
 
 def _sizes(found: ClipFit) -> str:

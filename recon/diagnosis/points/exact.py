@@ -17,6 +17,9 @@ _REPEATS = 3
 may be rounding in a file with few digits."""
 _MOVES = 1e-4
 """Metres per moment that other points must move meanwhile: a recording of a statue repeats."""
+_TRAVELLED = 2e-3
+"""Metres that the other points' paths must be long meanwhile: somebody who stands still sways by
+less than the last digit of some files, and a value that is held then is no harm."""
 _NOISELESS = 3e-4
 """Metres of noise below which positions are computed rather than measured; animated feet then
 stand exactly still, and that is no fault."""
@@ -89,7 +92,8 @@ def _repeated_frames(points: NamedPoints) -> Found:
 def _held_points(points: NamedPoints) -> Found:
     """Points that keep one value for several moments while others move."""
     same = _unchanged(points)
-    moved = _step(points).max(1) > _MOVES
+    step = _step(points)
+    moved = step.max(1) > _MOVES
     hidden = np.zeros_like(same)
     computed = temporal_noise(points) < _NOISELESS
     for point in range(same.shape[1]):
@@ -97,7 +101,12 @@ def _held_points(points: NamedPoints) -> Found:
             continue
         for first, last in stretches(same[:, point]):
             held = slice(first, last + 1)
-            if last - first + 2 >= _REPEATS and moved[held].mean() > 0.5:
+            travelled = np.median(step[held].sum(0)[points.visible[held].any(0)])
+            if (
+                last - first + 2 >= _REPEATS
+                and moved[held].mean() > 0.5
+                and travelled > _TRAVELLED
+            ):
                 hidden[held, point] = True
     if not hidden.any():
         return hidden, None

@@ -2,6 +2,7 @@
 
 import numpy as np
 import torch
+from jaxtyping import Float
 
 from recon.body.model import BodyModel
 from recon.body.soles import Soles, Stance
@@ -19,6 +20,9 @@ _FLOOR_NOISE = 1.0
 """Multiple of a coordinate's standard deviation by which soles may lie off the ground besides."""
 _SMALLEST, _LARGEST = 0.72, 1.25
 """Sizes against the average body, about 1.70 m tall, that grown people and older children have."""
+_LOW, _SOLE_TO_POINT = 0.05, 0.2
+"""Quantile of the heights of a foot's points that stands for the lowest, and metres within which
+the soles of a fit must be of it: ankles are a tenth of a metre up."""
 _STANDING = 0.2
 """Seconds during which a foot that is seen must stand."""
 _FEWEST_FEET = 0.3
@@ -29,7 +33,8 @@ def floor_height(points: NamedPoints, motion: Motion, body: BodyModel, noise: fl
     """Height of the ground below a quick fit, metres; zero where it is at z = 0 or unknown.
 
     It is unknown where feet hid, and where none that is seen ever stands: the hidden feet of a
-    handstand say nothing about the floor.
+    handstand say nothing about the floor. Nor does a quick fit whose soles are far from the points
+    of the feet themselves.
     """
     feet = [k for k, bone in enumerate(points.bones) if bone in FEET]
     if not feet or np.any(points.visible[:, feet], axis=1).mean() < _FEWEST_FEET:
@@ -41,9 +46,15 @@ def floor_height(points: NamedPoints, motion: Motion, body: BodyModel, noise: fl
     if stance.frames < _STANDING * motion.fps:
         return 0.0
     height = stance.height()
+    if abs(height - np.quantile(_foot_heights(points, feet), _LOW)) > _SOLE_TO_POINT:
+        return 0.0
     low, high = _FLOOR_JOINTS if points.are_joints else _FLOOR_MARKERS
     noise *= _FLOOR_NOISE
     return 0.0 if min(low, -noise) <= height <= max(high, noise) else height
+
+
+def _foot_heights(points: NamedPoints, feet: list[int]) -> Float[np.ndarray, " seen"]:
+    return points.positions[:, feet, 2][points.visible[:, feet]]
 
 
 def floor_finding(height: float) -> Finding:
