@@ -6,7 +6,7 @@
 # make bench: those result files themselves (needs RECON_DATA; many hours).
 PYTHON ?= python3
 BIN := .venv/bin
-PIP := $(BIN)/pip install --quiet --no-compile --constraint constraints.txt
+PIP := $(BIN)/pip install --quiet --constraint constraints.txt
 OUT ?= out
 # On the kernels of other processors, from inputs off by a few units in the last place.
 NUMERICS = $(BIN)/pytest -q -n 2 --dist loadfile -m 'numerics and not slow' --ulps 4
