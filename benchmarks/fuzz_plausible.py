@@ -24,6 +24,7 @@ _RANGES: dict[type, dict[str, Limit]] = {
     MarkerRecording: {"positions": limits.POSITION, "fps": limits.FRAME_RATE},
     PositionsFile: {
         "positions": limits.POSITION, "fps": limits.FRAME_RATE, "start_time": limits.TIME,
+        "std": limits.DEVIATION,
     },
     KeypointsFile: {
         "pixels": limits.PIXEL, "confidence": limits.CONFIDENCE, "fps": limits.FRAME_RATE,

@@ -22,7 +22,7 @@ from recon.core.arrays import (
 )
 from recon.core.camera import Camera
 from recon.core.errors import ObservationError, UnitsError
-from recon.core.limits import CONFIDENCE, FRAME_RATE, PIXEL, POSITION, TIME
+from recon.core.limits import CONFIDENCE, FRAME_RATE, PIXEL, POINT_DEVIATION, POSITION, TIME
 
 FARTHEST = 5.0
 """Metres that the points of one moment lie from their middle, the median over points and moments.
@@ -54,6 +54,41 @@ def checked_positions(
     POSITION.check(positions.detach().cpu(), kind, name)
     _refuse_other_units(kind, name, positions.detach(), visible)
     return positions, visible
+
+
+def checked_std(
+    kind: str, std: Any, visible: Bool[Tensor, "*batch moments points"], like: Tensor
+) -> tuple[Float[Tensor, "*batch moments points"] | None, float | None]:
+    """Standard deviations of points, zero where not visible, and their root mean square.
+
+    Args:
+        kind: the observation's class, for messages.
+        std: of every coordinate, metres; of a shape that broadcasts to (moments, points). None
+            where nobody knows it.
+        visible: which points were seen; the mean is over these.
+        like: a tensor of the wanted precision and device.
+
+    Raises:
+        ValueError: for other shapes, and for what is no standard deviation where visible.
+    """
+    if std is None:
+        return None, None
+    values = float_tensor(std, f"{kind}.std").to(like)
+    try:
+        values = values.broadcast_to(visible.shape)
+    except RuntimeError:
+        raise ObservationError(
+            f"{kind}.std: expected a shape that broadcasts to {tuple(visible.shape)}, one number "
+            "for all, (points), (moments, 1) or (moments, points); got "
+            f"{tuple(values.shape)}"
+        ) from None
+    if not bool(visible.any()):
+        return None, None
+    POINT_DEVIATION.check(values.detach().cpu(), kind, "std", seen=visible.cpu())
+    present = values[visible].detach().double()
+    # by shares of the largest, so that the mean of equal numbers is exactly that number
+    mean = present.max() * (present / present.max()).square().mean().sqrt()
+    return values.where(visible, 0.0), float(mean)
 
 
 def checked_pixels(

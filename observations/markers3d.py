@@ -1,14 +1,19 @@
 """3D markers: positions of points on the body's surface, noisy and partly missing."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from observations.checks import checked_clock, checked_places, checked_positions
+from observations.checks import (
+    checked_clock,
+    checked_places,
+    checked_positions,
+    checked_std,
+)
 from observations.records.tracked import TrackedPoints
 from recon.body.landmarks import landmarks
 from recon.body.model import BodyModel, PosedBody
@@ -42,6 +47,13 @@ class Markers3D(TrackedPoints):
     offset_rows: tuple[int, int] | None = None
     """First row, and the row after the last, of `Scene.offsets` that these markers own: constant
     offsets from the body model that are estimated with the motion. None estimates none."""
+    std: Float[Tensor, "*batch moments points"] | None = None
+    """Standard deviation of the coordinates of every marker at every moment, metres; zero where it
+    was not visible. Weights go with the inverse square, and their root mean square is the noise
+    where a fit is given none. None counts all markers alike and estimates the noise."""
+    rms_std: float | None = field(init=False, default=None)
+    """Root mean square of `std` over the visible markers of the whole recording, metres. Its
+    parts keep it, so that a marker weighs the same in every window."""
 
     def __init__(
         self,
@@ -53,8 +65,11 @@ class Markers3D(TrackedPoints):
         kernel: Callable[[Tensor], Tensor] = squared,
         ground_known: bool = True,
         offset_rows: tuple[int, int] | None = None,
+        std: Numbers | float | None = None,
     ) -> None:
         """Arrays of numpy become tensors in single precision; what is not visible becomes zero.
+
+        `std` may have any shape that broadcasts to (moments, points).
 
         Raises:
             ValueError: naming the array, what was expected and what came.
@@ -64,9 +79,11 @@ class Markers3D(TrackedPoints):
         )
         places = checked_places("Markers3D", "vertices", vertices, positions.shape[-2])
         fps, start_time = checked_clock("Markers3D", fps, start_time)
+        std, rms_std = checked_std("Markers3D", std, visible, positions)
         self._settle(
             positions=positions, visible=visible, vertices=places, fps=fps, start_time=start_time,
             kernel=kernel, ground_known=ground_known, offset_rows=offset_rows,
+            std=std, rms_std=rms_std,
         )  # fmt: skip
 
     def on(self, posed: PosedBody) -> Float[Tensor, "*batch time points 3"]:

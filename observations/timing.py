@@ -86,13 +86,19 @@ def point_energy(
     fps: float,
     start_time: float,
     kernel: Callable[[Tensor], Tensor],
+    weights: Float[Tensor, "*batch moments points"] | None = None,
 ) -> Float[Tensor, "*batch"]:
-    """½ Σ kernel(|observed - predicted|²) over visible points, taken at 30 Hz; metres²."""
+    """½ Σ kernel(w² |observed - predicted|²) over visible points, taken at 30 Hz; metres².
+
+    Without weights, w is 1.
+    """
     moments = positions.shape[-3]
     points, seen = at_observation_times(
         predicted, motion, fps=fps, start_time=start_time, moments=moments
     )
     distance = (points - positions[..., seen, :, :]).square().sum(-1)
+    if weights is not None:
+        distance = weights[..., seen, :].square() * distance
     counted = kernel(distance).where(visible[..., seen, :], 0.0)
     return 0.5 * counted.sum((-2, -1)) * (REFERENCE_FPS / fps)
 
@@ -105,13 +111,15 @@ def point_residuals(
     *,
     fps: float,
     start_time: float,
+    weights: Float[Tensor, "*batch moments points"] | None = None,
 ) -> Residuals:
-    """Observed minus predicted positions at every moment, metres."""
+    """Observed minus predicted positions at every moment, metres; without weights these are 1."""
     moments = positions.shape[-3]
     points, seen = at_observation_times(
         predicted, motion, fps=fps, start_time=start_time, moments=moments
     )
-    return padded(positions[..., seen, :, :] - points, visible[..., seen, :], seen, moments)
+    counted = visible if weights is None else weights
+    return padded(positions[..., seen, :, :] - points, counted[..., seen, :], seen, moments)
 
 
 def padded(

@@ -76,7 +76,10 @@ def positions_of(
     visible = torch.from_numpy(file.visible)[None]
     points = torch.from_numpy(positions).float()[None] * visible[..., None]
     adapter = Joints3D if file.kind == "joints3d" else Markers3D
-    return adapter(points, visible, places, file.fps, file.start_time, kernel, file.ground_known)
+    std = None if file.std is None else file.std * (METRES[unit] if unit else 1.0)
+    return adapter(
+        points, visible, places, file.fps, file.start_time, kernel, file.ground_known, std=std
+    )
 
 
 def _places(

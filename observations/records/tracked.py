@@ -34,6 +34,8 @@ class TrackedPoints(SensorRecord):
     """Whether the points lie on the skin rather than being joints of the skeleton."""
     positions: Float[Tensor, "*batch moments points 3"]
     visible: Bool[Tensor, "*batch moments points"]
+    std: Float[Tensor, "*batch moments points"] | None
+    rms_std: float | None
     kernel: Callable[[Tensor], Tensor]
     offset_rows: tuple[int, int] | None
 
@@ -63,6 +65,18 @@ class TrackedPoints(SensorRecord):
         """Which points were seen."""
         return self.visible
 
+    @property
+    def weights(self) -> Float[Tensor, "*batch moments points"] | None:
+        """`rms_std` over the standard deviation of every point; zero where it was not visible.
+
+        None where no standard deviations are given.
+        """
+        if self.std is None or self.rms_std is None:
+            return None
+        # a quotient of tensors: that of a number and a tensor goes by way of the reciprocal
+        rms = self.std.new_tensor(self.rms_std)
+        return (rms / self.std.where(self.visible, 1.0)).where(self.visible, 0.0)
+
     def predict(self, estimate: Estimate) -> Float[Tensor, "*batch time points 3"]:
         """Positions of these points on the estimated body, in the world, metres."""
         points = self.on(estimate.body)
@@ -71,14 +85,14 @@ class TrackedPoints(SensorRecord):
         return displaced(points, estimate, self.bones(estimate.body.model), self.offset_rows)
 
     def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
-        """½ Σ kernel(|observed - predicted|²) over visible points, taken at 30 Hz.
+        """½ Σ kernel(w² |observed - predicted|²) over visible points, taken at 30 Hz.
 
-        HuMoR section 6.5: joints3d and verts3d.
+        HuMoR section 6.5, joints3d and verts3d, with a weight w for every point.
         """
         return point_energy(
             estimate.scene.to_recording(self.predict(estimate)), estimate.motion,
             self.positions, self.visible,
-            fps=self.fps, start_time=self.start_time, kernel=self.kernel,
+            fps=self.fps, start_time=self.start_time, kernel=self.kernel, weights=self.weights,
         )  # fmt: skip
 
     def residuals(self, estimate: Estimate) -> Residuals:
@@ -86,21 +100,27 @@ class TrackedPoints(SensorRecord):
         return point_residuals(
             estimate.scene.to_recording(self.predict(estimate)), estimate.motion,
             self.positions, self.visible, fps=self.fps, start_time=self.start_time,
+            weights=self.weights,
         )  # fmt: skip
 
     def noise(self, guess: Motion, body: BodyModel, given: float | None = None) -> Noise:
-        """The standard deviation of a coordinate: given, or estimated from the points' paths."""
+        """The standard deviation of a coordinate.
+
+        It is the one that is given, or the root mean square of those of the points, or estimated
+        from the points' paths.
+        """
         del guess, body
-        found = given or estimate_noise(self.positions, self.visible)
+        found = given or self.rms_std or estimate_noise(self.positions, self.visible)
         return Noise(found, found)
 
     def window(self: P, start: float, stop: float) -> P:
         """The part of the observation from one time to another, both included, in seconds."""
-        positions, visible, first = moments_between(
-            self.positions, self.visible,
-            fps=self.fps, start_time=self.start_time, start=start, stop=stop,
-        )  # fmt: skip
-        return self.derived(positions=positions, visible=visible, start_time=first)
+        clock = {"fps": self.fps, "start_time": self.start_time, "start": start, "stop": stop}
+        positions, visible, first = moments_between(self.positions, self.visible, **clock)
+        std = self.std
+        if std is not None:
+            std = moments_between(std[..., None], self.visible, **clock)[0][..., 0]
+        return self.derived(positions=positions, visible=visible, std=std, start_time=first)
 
     def transformed(self: P, T_new_old: Float[np.ndarray, "4 4"]) -> P:
         """Points after a rigid transform of the frame that they are given in, metres."""
@@ -109,7 +129,11 @@ class TrackedPoints(SensorRecord):
         return self.derived(positions=positions)
 
     def robust_beyond(self: P, distance: float) -> P:
-        """Points with Geman and McClure's kernel, whose scale is a distance in metres."""
+        """Points with Geman and McClure's kernel, whose scale is a distance in metres.
+
+        Where standard deviations are given, it is the distance of a point that has their root
+        mean square; a point of twice that deviation may be twice as far away.
+        """
         return self.derived(kernel=partial(geman_mcclure, sigma=distance))
 
     def coarse(self: P, body: BodyModel, step: int = 2) -> P:
@@ -121,6 +145,7 @@ class TrackedPoints(SensorRecord):
         few: dict[str, Any] = {
             "positions": self.positions[..., ::step, :, :],
             "visible": self.visible[every],
+            "std": None if self.std is None else self.std[every],
         }
         return self.derived(fps=self.fps / step, **few)
 

@@ -137,6 +137,10 @@ DEVIATION = Limit(
     "standard deviation", 0.0, 100.0, "m",
     "what is known no better than that is not known",
 )  # fmt: skip
+POINT_DEVIATION = Limit(
+    "standard deviation of a measured point", 1e-6, 100.0, "m",
+    "nothing measures people to a micrometre, and what is known no better than 100 m is not known",
+)  # fmt: skip
 IMAGE_SIZE = Limit(
     "image size", 8.0, 65_535.0, "pixels",
     "the smallest depth sensors have 8 pixels a side, image files 65,535 at most",

@@ -36,7 +36,8 @@ class Residuals(TensorStruct):
     in an image, one of a distance."""
     weights: Float[Tensor, "*batch moments points"]
     """Weight of a point: 0 where it was not seen or the estimate does not cover its moment, the
-    confidence of a detection, 1 for a measured point."""
+    confidence of a detection. That of a measured point is 1 or, where every point has a standard
+    deviation, the root mean square of these over the point's own."""
     unit: Unit
 
     @property

@@ -52,6 +52,9 @@ class PositionsFile:
     """Whether the ground is at z = 0."""
     truth_visible: Bool[np.ndarray, "time 22"] | None = None
     """Body joints that a simulated sensor could see; fits never read it."""
+    std: Float[np.ndarray, "time points"] | None = None
+    """Standard deviation of the coordinates of every point, metres; zero where not visible. None
+    where it is not known."""
 
 
 @dataclass(frozen=True)
@@ -144,6 +147,7 @@ def save_observation(path: str | Path, file: ObservationFile) -> None:
         arrays |= {"kind": file.kind, "positions": file.positions, "visible": file.visible}
         arrays |= {"names": np.array(file.names), "up_axis": "z"}
         arrays |= {"ground_known": file.ground_known}
+        arrays |= {} if file.std is None else {"std": file.std}
     elif isinstance(file, KeypointsFile):
         arrays |= {"kind": "keypoints2d", "pixels": file.pixels, "confidence": file.confidence}
         arrays |= {"layout": file.layout}
@@ -180,8 +184,20 @@ def _positions(
         visible=visible,
         names=tuple(names.astype(str).tolist()),
         ground_known=bool(_number(path, arrays, "ground_known", 1.0)),
+        std=_deviations(path, arrays, visible, metres),
         **common,
     )
+
+
+def _deviations(
+    path: Path, arrays: dict[str, np.ndarray], visible: np.ndarray, metres: float
+) -> np.ndarray | None:
+    """Standard deviations of points in the unit of their positions, where the file has them."""
+    if "std" not in arrays:
+        return None
+    std = _floats(path, arrays, "std", visible.shape)
+    limits.POINT_DEVIATION.check(std * metres, path, "std", seen=visible)
+    return np.where(visible, std, 0.0)
 
 
 def _keypoints(path: Path, arrays: dict[str, np.ndarray], common: dict[str, Any]) -> KeypointsFile:

@@ -190,6 +190,7 @@ POSITIONS = PositionsFile(
     2.5,
     False,
     np.ones((3, 22), dtype=bool),
+    0.01 * VISIBLE,
 )
 KEYPOINTS = KeypointsFile(
     RNG.standard_normal((3, 2, 2)) * VISIBLE[..., None], 0.5 * VISIBLE, "coco17", 25.0, CAMERA
@@ -239,6 +240,9 @@ def test_observations_with_y_up_are_turned(tmp_path: Path) -> None:
         ({"fps": 0.0}, "frame rate of 0.001"),
         ({"up_axis": "x"}, "y or z"),
         ({"start_time": np.nan}, "start_time"),
+        ({"std": np.full((3, 3), 0.01)}, r"\(3, 2\) in std"),
+        ({"std": np.full((3, 2), np.nan)}, "std holds NaN"),
+        ({"std": np.zeros((3, 2))}, "standard deviation of a measured point of 1e-06"),
     ],
 )
 def test_bad_observations_are_refused_with_the_reason(

@@ -22,7 +22,7 @@ from tests.filmed import bundled, cameras, walk
 from tests.own import units
 
 FRAMES = 8
-KINDS = ("joints", "markers", "camera", "cloud", "own")
+KINDS = ("joints", "weighted", "markers", "camera", "cloud", "own")
 
 
 def truth() -> Motion:
@@ -34,8 +34,11 @@ def exact(kind: str) -> Sensor:
     """What a sensor without noise sees of it."""
     body, motion = bundled(), truth()
     posed, clock = body.pose(motion), (motion.fps, motion.start_time)
-    if kind == "joints":
-        return Joints3D(posed.joints, np.ones((FRAMES, 22), bool), tuple(range(22)), *clock)
+    if kind in ("joints", "weighted"):
+        std = np.linspace(0.01, 0.03, FRAMES * 22).reshape(FRAMES, 22)
+        seen = np.ones((FRAMES, 22), bool)
+        std = std if kind == "weighted" else None
+        return Joints3D(posed.joints, seen, tuple(range(22)), *clock, std=std)
     if kind == "markers":
         places = (0, 700, 1400, 2100)
         seen = posed.points(torch.tensor(places))

@@ -27,11 +27,16 @@ def _far(points: NamedPoints) -> Bool[np.ndarray, "moments points"]:
 
 
 def smoothed(points: NamedPoints) -> NamedPoints:
-    """The points' medians over a quarter of a second: a first guess that outliers do not move."""
+    """The points' medians over a quarter of a second: a first guess that outliers do not move.
+
+    They have no standard deviations: medians exist where points were not seen as well.
+    """
     kept = points.without(_far(points))
     median = _running_median(kept)
     known = np.isfinite(median[..., 0])
-    return replace(kept, positions=np.where(known[..., None], median, 0.0), visible=known)
+    return replace(
+        kept, positions=np.where(known[..., None], median, 0.0), visible=known, std=None
+    )
 
 
 def _spikes(points: NamedPoints) -> Bool[np.ndarray, "moments points"]:

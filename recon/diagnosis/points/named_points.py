@@ -34,6 +34,8 @@ class NamedPoints:
     fps: float
     are_joints: bool
     """Whether the points are the joints themselves rather than points of the skin."""
+    std: Float[np.ndarray, "moments points"] | None = None
+    """Standard deviation of the coordinates, metres; None where none are given."""
 
     @classmethod
     def of(cls, observation: Points, body: BodyModel) -> "NamedPoints":
@@ -46,14 +48,17 @@ class NamedPoints:
             rest=observation.at_rest(body).double().cpu().numpy(),
             fps=observation.fps,
             are_joints=not observation.on_skin,
+            std=None if observation.std is None else observation.std[0].double().cpu().numpy(),
         )
 
     def into(self, observation: Points) -> Points:
         """The observation with these positions instead of its own, zero where not visible."""
         positions = self.positions * self.visible[..., None]
+        std = None if self.std is None else torch.from_numpy(self.std.copy())[None]
         return observation.replace(
             positions=torch.from_numpy(positions)[None].to(observation.positions),
             visible=torch.from_numpy(self.visible.copy())[None].to(observation.visible.device),
+            std=std,
         )
 
     def without(self, hidden: Bool[np.ndarray, "moments points"]) -> "NamedPoints":
@@ -68,7 +73,11 @@ class NamedPoints:
         positions, visible = self.positions.copy(), self.visible.copy()
         positions[moments] = self.positions[moments][:, index]
         visible[moments] = self.visible[moments][:, index]
-        return replace(self, positions=positions, visible=visible)
+        std = self.std
+        if std is not None:
+            std = std.copy()
+            std[moments] = std[moments][:, index]
+        return replace(self, positions=positions, visible=visible, std=std)
 
     @property
     def counterparts(self) -> tuple[int, ...]:

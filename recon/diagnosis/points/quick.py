@@ -126,8 +126,6 @@ def _excerpt(points: Points) -> Points:
     middle = int((counts < counts[-1] / 2).sum())
     first = min(max(middle - length // 2, 0), moments - length)
     cut = slice(first, first + length)
-    return points.replace(
-        positions=points.positions[:, cut],
-        visible=points.visible[:, cut],
-        start_time=points.start_time + first / points.fps,
+    return points.map(lambda tensor: tensor[:, cut]).derived(
+        start_time=points.start_time + first / points.fps
     )

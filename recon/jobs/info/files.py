@@ -93,6 +93,7 @@ def _observation(path: Path) -> dict[str, Any]:
             **common,
             "missing": float(1 - file.visible.mean()) if file.visible.size else 1.0,
             "ground_known": file.ground_known,
+            "std": file.std is not None,
             "names": list(file.names),
         }
     if isinstance(file, KeypointsFile):
