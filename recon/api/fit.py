@@ -87,7 +87,9 @@ def fit(
         ground: `auto` as the observations say, and unknown where a camera has no pose; `known` at
             z = 0; `unknown`, to be found; or the plane (nx, ny, nz, d), n·x = d, in the frame of
             the observations, metres. Where it was not known, results are in a world on the ground;
-            3D points with z up keep their frame, and `Result.ground` says how high it is.
+            3D points with z up keep their frame, and `Result.ground` says how high it is. None
+            where there is no ground that feet stand on (water, ropes, stairs): nothing is judged
+            by heights, so the prior must not (`pose` does not), and no contacts are told.
         between: times from which and up to which to fit, seconds of the observations' clock.
         fps: rate of the result; None is that of the first observation.
         start: a motion or result to begin with, in the frame of the observations; it covers the
@@ -120,6 +122,7 @@ def fit(
         noise=_noises(noise, clip),
         physics=finite(physics, "physics"),
         ground_given=clip.ground_given,
+        grounded=ground is not None,
         repair=repair,
         shape=held,
         shape_prior=expected,

@@ -14,12 +14,12 @@ from recon.formats.motions import MotionFile
 def described(
     motion: Motion,
     body: BodyModel,
-    ground: float = 0.0,
+    ground: float | None = 0.0,
     T_world_camera: Float[Tensor, "4 4"] | None = None,
     observed: Bool[Tensor, "time 22"] | None = None,
     belt: Float[Tensor, "time 3"] | None = None,
 ) -> MotionFile:
-    """A motion with its joints, contacts and ground.
+    """A motion with its joints, contacts and ground; without a ground no contacts are told.
 
     Where a camera's pose was found, the file has it and the root in the camera's frame besides.
     On a treadmill, contacts are told against the belt, by how far it has come.
@@ -27,23 +27,26 @@ def described(
     Args:
         motion: one clip, no batch axis.
         body: whose motion it is.
-        ground: height of the ground, metres.
+        ground: height of the ground, metres; None where there is none.
         T_world_camera: of a camera whose pose was found, metres.
         observed: false where a joint was inferred rather than seen.
         belt: how far the treadmill's belt has come at every frame, metres.
     """
     joints = body.pose(motion).joints
-    above = joints - joints.new_tensor([0.0, 0.0, ground])
-    if belt is not None:
-        above = above - belt[:, None]
-    labels = contact_labels(above, rest_heights(body, motion.shape), motion.fps)
+    contacts = None
+    if ground is not None:
+        above = joints - joints.new_tensor([0.0, 0.0, ground])
+        if belt is not None:
+            above = above - belt[:, None]
+        heights = rest_heights(body, motion.shape)
+        contacts = contact_labels(above, heights, motion.fps).to(joints)
     return MotionFile(
         motion,
         body=body.name,
         checksum=body.checksum,
         joints=joints,
-        contacts=labels.to(joints),
-        ground=torch.tensor([0.0, 0.0, 1.0, ground]),
+        contacts=contacts,
+        ground=None if ground is None else torch.tensor([0.0, 0.0, 1.0, ground]),
         observed=observed,
         T_world_camera=None if T_world_camera is None else T_world_camera[None],
         in_camera=None if T_world_camera is None else in_camera(motion, T_world_camera, body),

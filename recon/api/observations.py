@@ -23,7 +23,7 @@ Plane = tuple[float, float, float, float]
 ObservationsLike = Sensor | Path | str | Sequence[Sensor | Path | str] | Iterable[Sensor] | Clip
 """One or several observations of one clip: records, files and folders that
 `recon.load_observation` reads, or what `recon.simulate` returned."""
-GroundChoice = Literal["auto", "known", "unknown"] | Plane
+GroundChoice = Literal["auto", "known", "unknown"] | Plane | None
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ def on_ground(clip: Clip, ground: Any) -> Sighting:
     """The clip with what the caller knows about the ground.
 
     A camera whose pose is the identity has none: the recording's frame is its own, and the ground
-    is searched from that of a level camera.
+    is searched from that of a level camera, whose frame is kept where there is no ground.
 
     Args:
         clip: as it was given.
@@ -82,11 +82,16 @@ def on_ground(clip: Clip, ground: Any) -> Sighting:
     Raises:
         ReconError: when the choice is none, or a plane is not below the camera.
     """
+    if ground is None:
+        if any(camera_frame_is_recording(one) for one in clip.observations):
+            return _carried(clip, camera_above(LEVEL_CAMERA), known=False)
+        ungrounded = tuple(one.derived(ground_known=False) for one in clip.observations)
+        return Sighting(replace(clip, observations=ungrounded))
     if isinstance(ground, str):
         if ground not in ("auto", "known", "unknown"):
             raise ReconError(
-                "ground: expected 'auto', 'known', 'unknown' or a plane (nx, ny, nz, d), got "
-                f"{ground!r}"
+                "ground: expected 'auto', 'known', 'unknown', None or a plane (nx, ny, nz, d), "
+                f"got {ground!r}"
             )
         if any(camera_frame_is_recording(one) for one in clip.observations):
             if ground == "known":
@@ -175,8 +180,8 @@ def _checked_plane(ground: object) -> Plane:
         plane = np.zeros(0)
     if plane.shape != (4,) or not np.isfinite(plane).all():
         raise ReconError(
-            "ground: expected 'auto', 'known', 'unknown' or a plane (nx, ny, nz, d), got "
-            f"{ground!r}"
+            "ground: expected 'auto', 'known', 'unknown', None or a plane (nx, ny, nz, d), "
+            f"got {ground!r}"
         )
     nx, ny, nz, d = plane.tolist()
     return nx, ny, nz, d

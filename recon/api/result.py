@@ -90,6 +90,7 @@ class Result(MotionResult):
         report |= {
             "noise": [asdict(noise) for noise in fit.noises],
             "ground_known": fit.ground_known,
+            "grounded": fit.grounded,
             "read": self.notes,
             "residuals": [summary.report() for summary in self.residuals],
         }
@@ -135,8 +136,8 @@ def result_of(
     # the clock of few scans is too slow to show a motion
     rate = max(first.fps, motion.fps) if completes else first.fps
     motion = motion.resample(rate if fps is None else fps)
-    T, ground = found.T_world_recording[0].double(), 0.0
-    if clip.T_recording_camera is None and not found.ground_known:
+    T, ground = found.T_world_recording[0].double(), 0.0 if found.grounded else None
+    if found.grounded and clip.T_recording_camera is None and not found.ground_known:
         # 3D recordings with z up keep their frame; only the ground is lower or higher there
         ground = -float(T[2, 3])
         motion = motion.replace(

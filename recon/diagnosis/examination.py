@@ -120,7 +120,7 @@ def screen(
     belts: list[Float[Tensor, " 2"]] = []
     for row, one in enumerate(observations):
         for points in kinds.tracked([one]):
-            found = screen_points(points, body)
+            found = screen_points(points, body, grounded=options.grounded)
             kept[row] = found.points
             repairs += [_of(names[row], finding) for finding in found.repairs]
             warnings += [_of(names[row], finding) for finding in found.warnings]
@@ -154,8 +154,11 @@ def examine(found: ClipFit, names: Sequence[str], screened: ScreenedClip) -> Exa
     sizes = body_warnings(found)
     # cameras whose ground and person do not fit together measure in no metres
     unmeasured = len(views) > 0 and any(finding.code == "floor" for finding in sizes)
-    rate = None if broken or unmeasured else rate_finding(motion, body, seen)
-    carried = None if broken else _carried(names, found.observations, motion, body, seen)
+    # without a ground, neither gait nor falls nor standing feet tell anything
+    free = broken or not found.grounded
+    rate = None if free or unmeasured else rate_finding(motion, body, seen)
+    carried = None if free else _carried(names, found.observations, motion, body, seen)
+    support = support_findings(motion, body, seen) if found.grounded else []
     after = [
         *([] if carried is None else [carried]),
         *agreement_warnings(summaries, found.observations, here),
@@ -166,11 +169,7 @@ def examine(found: ClipFit, names: Sequence[str], screened: ScreenedClip) -> Exa
     return Examined(
         fit=found,
         residuals=summaries,
-        diagnosis=(
-            *unseen_findings(observed),
-            *support_findings(motion, body, seen),
-            *child_findings(found),
-        ),
+        diagnosis=(*unseen_findings(observed), *support, *child_findings(found)),
         repairs=screened.repairs,
         warnings=(*screened.warnings, *after),
         observed=observed,

@@ -55,6 +55,9 @@ class ClipFit:
     """Maps the frame of the observations to the world; metres."""
     observations: tuple[Sensor, ...]
     """The observations as they were compared, with the rows of their offsets."""
+    grounded: bool = True
+    """Whether there is a ground at all; without one, the world is the frame of the observations
+    and its z = 0 means nothing."""
 
 
 def fit_clip(
@@ -70,7 +73,8 @@ def fit_clip(
 
     Where the ground is not known, the pose prior alone finds a first motion, the way people stand
     a first ground, and the method moves both further. Recordings longer than `LONG` keep the
-    ground that their first seconds tell.
+    ground that their first seconds tell. Without any ground (`options.grounded`) the method
+    alone is fitted, in the frame of the observations.
 
     Args:
         observations: of the clips.
@@ -97,6 +101,11 @@ def fit_clip(
     )
     seen, offsets = _with_offsets(tuple(observations))
     job = _Job(seen, guess, noises, offsets, body, options, watch).decided()
+    if not options.grounded:
+        start = job.guess.motion
+        T = torch.eye(4).expand(len(start.translation), 4, 4)
+        result = job.fit(options, job.scene(start), start, job.moved)
+        return ClipFit(result, noises, False, T, seen, grounded=False)
     if known == {True}:
         start = guess.motion if guess.distance_known else job.on_known_ground()
         T = torch.eye(4).expand(len(start.translation), 4, 4)

@@ -156,7 +156,8 @@ def _together(
             f"the cameras of {', '.join(views_without)} have no pose (T_camera_world), so nobody "
             "knows how they stand to each other; give a calibration, or fit one view alone"
         )
-    T = None if settings.ground is None else camera_above(settings.ground)
+    plane = None if settings.ground == "none" else settings.ground
+    T = None if plane is None else camera_above(plane)
     found: dict[int, Sensor] = {}
     for k, (name, file) in enumerate(files):
         if isinstance(file, PointsFile):
@@ -181,7 +182,7 @@ def _together(
             found[k] = file
     observations = tuple(found[k] for k in range(len(files)))
     names = tuple(name for name, _ in files)
-    return Clip(observations, names, tuple(notes), T, settings.ground is not None)
+    return Clip(observations, names, tuple(notes), T, plane is not None)
 
 
 def _has_pose(file: ObservationFile | Sensor) -> bool:

@@ -40,9 +40,10 @@ class FitSettings:
     """Axis of the calibration's world that points up; default: z."""
     image_size: tuple[int, int] | None = None
     """Width and height of the images, pixels, where the calibration does not tell."""
-    ground: tuple[float, float, float, float] | None = None
+    ground: tuple[float, float, float, float] | Literal["none"] | None = None
     """Ground seen by a camera without pose: the plane n·x = d in its frame (x right, y down, z
-    forward), the normal up, metres; 0 -1 0 -1.2 is 1.2 m below a level camera. Default: found."""
+    forward), the normal up, metres; 0 -1 0 -1.2 is 1.2 m below a level camera. Default: found.
+    `none`, with --prior pose, where feet stand on no ground: water, ropes, stairs."""
     layout: str | None = None
     """Layout of the keypoints, where files do not tell: openpose25, coco17, ..."""
     person: int | None = None

@@ -81,6 +81,7 @@ def fitted(
         body=body,
         noise=_noise(clip, settings),
         physics=settings.physics,
+        ground=None if settings.ground == "none" else "auto",
         between=settings.between,
         fps=settings.fps,
         device=settings.device,

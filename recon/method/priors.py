@@ -23,8 +23,8 @@ class Traits:
     """
 
     knows_gravity: bool = True
-    """Whether it tells more of where the ground is than how people stand on it, so that an
-    unknown ground is moved by its stages."""
+    """Whether it judges heights above the ground and which way is up. An unknown ground is then
+    moved by its stages, and without any ground (`recon.fit(..., ground=None)`) it is refused."""
     completes: bool = False
     """Whether it is of one whole cycle of gait, for which beginnings are searched; it is then a
     `CyclePrior`."""

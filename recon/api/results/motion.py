@@ -52,16 +52,18 @@ class MotionResult(ABC):
         """1 where a joint stands on the ground of the room, 0 elsewhere.
 
         Feet on the belt of a treadmill move in the room: where they are told by no belt's speed,
-        all are 0.
+        all are 0, and so they are where there is no ground.
         """
         if self.file.contacts is None:
             return torch.zeros(self.joints.shape[:2]).to(self.joints)
         return self.file.contacts
 
     @property
-    def ground(self) -> Float[Tensor, "4"]:
-        """(nx, ny, nz, d): the points x of the ground have n·x = d in the world, metres."""
-        assert self.file.ground is not None
+    def ground(self) -> Float[Tensor, "4"] | None:
+        """(nx, ny, nz, d): the points x of the ground have n·x = d in the world, metres.
+
+        None where there is none (`recon.fit(..., ground=None)`).
+        """
         return self.file.ground
 
     @property

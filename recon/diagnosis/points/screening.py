@@ -58,13 +58,13 @@ class Screened:
         return replace(self, warnings=(*self.warnings, *warnings))
 
 
-def screen_points(points: Points, body: BodyModel) -> Screened:
+def screen_points(points: Points, body: BodyModel, *, grounded: bool = True) -> Screened:
     """Check one clip's joints or markers, and repair what can be repaired surely.
 
     In this order: what repeats bit for bit, the order of frames, sides and single pairs that
     change names within the clip, jumps of the whole body, its size, sides exchanged throughout,
     and, against a quick robust fit, two points exchanged, points away from their place, outliers
-    and the ground.
+    and the ground, unless there is none (`grounded`).
     """
     exact, found = repaired_exact(NamedPoints.of(points, body))
     state = Screened(points).after(exact.into(points), *found)
@@ -83,7 +83,7 @@ def screen_points(points: Points, body: BodyModel) -> Screened:
         return state.warned(*jumps)
     state, fitted = _sides(state, exchanges, body)
     state, fitted = _exchanged(state, fitted, body)
-    return _against_a_body(state, fitted, body)
+    return _against_a_body(state, fitted, body, grounded=grounded)
 
 
 def _sides(
@@ -201,7 +201,9 @@ def _exchange_finding(
     )
 
 
-def _against_a_body(state: Screened, fitted: QuickFit, body: BodyModel) -> Screened:
+def _against_a_body(
+    state: Screened, fitted: QuickFit, body: BodyModel, *, grounded: bool
+) -> Screened:
     """What a quick robust fit says about single points, the ground and the noise."""
     named = NamedPoints.of(state.points, body)
     noise = temporal_noise(NamedPoints.of(fitted.points, body))
@@ -214,6 +216,8 @@ def _against_a_body(state: Screened, fitted: QuickFit, body: BodyModel) -> Scree
     state = state.after(kept.into(state.points), *misplaced).warned(*misplaced)
     if wild is not None:
         state = state.after(_robust(state.points, noise), wild)
+    if not grounded:
+        return state
     if state.points.ground_known:
         height = floor_height(kept, fitted.estimate.motion, body, noise)
         if height != 0:
