@@ -26,6 +26,10 @@ from recon.solver.lbfgs import LBFGS
 
 FIRST_FRAMES = 15
 """Number of frames of the phase that finds the first state, as published."""
+_LEAST_NOISE = 0.014
+"""Metres; nobody moves just like the people of the corpus, however exact points are."""
+_NUMBERS = 60 * 22 * 3
+"""Coordinates of joints in a usual clip; noise alone is an energy of half their number."""
 
 _STATE = frozenset(
     {"translation", "root", "pose", "velocity", "angular_velocity", "joint_velocities"}
@@ -53,7 +57,7 @@ class HumorWeights:
     @classmethod
     def for_noise(cls, noise: float) -> "HumorWeights":
         """Weights for observations of a standard deviation of `noise` metres per coordinate."""
-        variance = max(noise, 0.014) ** 2
+        variance = max(noise, _LEAST_NOISE) ** 2
         return cls(transition=0.2 * variance, initial=0.02 * variance, shape=5e-6)
 
     @classmethod
@@ -92,6 +96,8 @@ class Schedule:
     """Phase in which everything moves."""
     tolerance: float = 1e-5
     """Relative decrease of the objective at which a phase ends, thrice in a row."""
+    scale: float = 0.0
+    """Objective below which its decrease is taken relative to this, in the unit of the data."""
     history: int = 100
     """Steps from which the minimiser learns how the objective bends."""
 
@@ -125,8 +131,13 @@ class Shooting:
     @classmethod
     def for_noise(cls, humor: Humor, noise: float) -> "Shooting":
         """The method for observations of a standard deviation of `noise` metres per coordinate."""
-        weights = HumorWeights.for_noise(noise)
-        return cls(humor, weights, start=Steps(Collocation.for_noise(humor, noise)))
+        variance = max(noise, _LEAST_NOISE) ** 2
+        return cls(
+            humor,
+            HumorWeights.for_noise(noise),
+            Schedule(scale=0.5 * _NUMBERS * variance),
+            start=Steps(Collocation.for_noise(humor, noise)),
+        )
 
     @classmethod
     def published_joints(cls, humor: Humor) -> "Shooting":
@@ -185,6 +196,7 @@ class Shooting:
                 max_iterations=iterations,
                 history=schedule.history,
                 tolerance_decrease=schedule.tolerance,
+                scale=schedule.scale,
             )
             found = Stage(name, self.prior, terms, free, minimiser, frames)
             return (found,) if iterations > 0 else ()

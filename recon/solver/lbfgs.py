@@ -42,6 +42,9 @@ class LBFGS:
     tolerance_decrease: float = 1e-9
     """Converged once (f_old - f_new) / max(|f_old|, |f_new|) was at most this, `patience` times
     in a row."""
+    scale: float = 0.0
+    """Objective, in its own unit, below which decreases are taken relative to this instead. An
+    objective of log-densities may be zero or less, where a relative decrease means nothing."""
     patience: int = 3
     """Consecutive iterations of too little decrease that count as convergence."""
     tolerance_gradient: float = 1e-7
@@ -66,6 +69,7 @@ class LBFGS:
             ("max_line_search", 1),
             ("tolerance_decrease", 0.0),
             ("tolerance_gradient", 0.0),
+            ("scale", 0.0),
         ):
             setting = getattr(self, name)
             if setting is not None and not setting >= least:
@@ -131,9 +135,10 @@ def _minimise(
             continue
         moved = finished & (searches.low[0] > 0)
         ledger.step(active, moved)
-        active.count_stalls(moved, settings.tolerance_decrease)
+        active.count_stalls(moved, settings.tolerance_decrease, settings.scale)
         # Even the full quasi-Newton step promises a decrease too small to count.
-        least = max(settings.tolerance_decrease, resolution) * np.abs(searches.origin)
+        size = np.maximum(np.abs(searches.origin), settings.scale)
+        least = max(settings.tolerance_decrease, resolution) * size
         flat = ~active.steepest & ~verdict.unreachable & (-origin_slope <= least)
         reason = _first_reason(
             (moved & (active.largest <= settings.tolerance_gradient), Termination.GRADIENT),

@@ -96,10 +96,13 @@ class Active:
         self.curvature.keep(index)
         self.searches.keep(rows)
 
-    def count_stalls(self, moved: Bool[np.ndarray, " active"], tolerance: float) -> None:
+    def count_stalls(
+        self, moved: Bool[np.ndarray, " active"], tolerance: float, scale: float
+    ) -> None:
         """Count the steps in a row whose relative decrease was within the tolerance."""
         old, new = self.searches.origin, self.searches.low[1]
-        small = old - new <= tolerance * np.maximum(np.abs(old), np.abs(new))
+        size = np.maximum(np.maximum(np.abs(old), np.abs(new)), scale)
+        small = old - new <= tolerance * size
         self.stalled = np.where(moved, np.where(small, self.stalled + 1, 0), self.stalled)
 
     def turn(

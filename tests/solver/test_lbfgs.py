@@ -199,6 +199,20 @@ def test_ends_on_small_decrease() -> None:
         assert not small.unfold(0, 4, 1).all(-1)[:-1].any()
 
 
+def test_objectives_that_end_at_zero_end_by_tolerance_too() -> None:
+    """Log-densities added to data may sum to nothing, which no decrease is small beside."""
+    settings = {"tolerance_decrease": 1e-3, "tolerance_gradient": 0.0}
+
+    def objective(x: torch.Tensor, _: torch.Tensor) -> torch.Tensor:
+        return 100 * rosenbrock(x)
+
+    alone = LBFGS(**settings)(objective, starts(3))
+    scaled = LBFGS(**settings, scale=100.0)(objective, starts(3))
+    assert set(scaled.termination) == {Termination.CONVERGED}
+    assert (scaled.iterations <= alone.iterations).all()
+    assert (scaled.iterations < alone.iterations).any()
+
+
 @pytest.mark.parametrize("limit", [0, 1, 5])
 def test_ends_at_the_iteration_limit(limit: int) -> None:
     solution = LBFGS(max_iterations=limit)(rosenbrock, starts(3))
