@@ -14,6 +14,7 @@ from recon.core.camera import Camera
 from recon.core.errors import ObservationError
 from recon.core.geometry.planes import FoundGround, above, find_ground, largest_cluster, spacing
 from recon.core.ground import Ground
+from recon.core.limits import FRAMES, PADDED_CLOUD
 from recon.formats.observations import CameraArrays, PointsFile
 
 POINTS = 512
@@ -72,9 +73,10 @@ def cloud_of(
         T_recording_camera: where a camera without pose is, if the ground is given.
 
     Raises:
-        ValueError: when no frame has enough points of a person, or scans show a ground that is not
-            where it should be.
+        ValueError: when no frame has enough points of a person, scans show a ground that is not
+            where it should be, or there are more frames than memory for them.
     """
+    frames = _frames(file, points)
     known = file.camera is None or file.camera.T_camera_world is not None
     generator = np.random.default_rng(seed)
     few = file.points
@@ -94,9 +96,6 @@ def cloud_of(
                 f"the points show a ground at z = {float(found.ground.offset):.2f} m, expected it "
                 "at z = 0: move the points there, or leave out what is no person"
             )
-    frames = int(file.frame.max()) + 1
-    if file.truth_visible is not None:
-        frames = max(frames, len(file.truth_visible))
     order = np.argsort(file.frame, kind="stable")
     ends = np.searchsorted(file.frame[order], np.arange(frames + 1))
     clouds = [turned[order[first:last]] for first, last in pairwise(ends)]
@@ -118,7 +117,9 @@ def cloud_of(
             f"the fullest of {frames} frames has {most} points of a person; expected {_LEAST} or "
             "more, so check unit, axes and mask"
         )
-    padded, present = np.zeros((1, frames, most, 3)), np.zeros((1, frames, most), np.bool_)
+    precision = np.float64 if body.template.dtype == torch.float64 else np.float32
+    padded = np.zeros((1, frames, most, 3), precision)
+    present = np.zeros((1, frames, most), np.bool_)
     for k, cloud in enumerate(clouds):
         padded[0, k, : len(cloud)], present[0, k, : len(cloud)] = cloud, True
     observation = PointCloud(
@@ -132,6 +133,21 @@ def cloud_of(
         ground_seen=found.ground is not None,
     )
     return LoadedCloud(observation, found, T)
+
+
+def _frames(file: PointsFile, points: int) -> int:
+    """Number of frames; every one takes the memory of the fullest, empty ones as well.
+
+    Raises:
+        ValueError: when there are too many of them.
+    """
+    frames = int(file.frame.max()) + 1
+    if file.truth_visible is not None:
+        frames = max(frames, len(file.truth_visible))
+    FRAMES.check(frames, "points", "frame")
+    fullest = int(np.unique(file.frame, return_counts=True)[1].max())
+    PADDED_CLOUD.check(frames * min(fullest, points), "points", "frame")
+    return frames
 
 
 def _largest(clouds: list[np.ndarray]) -> list[np.ndarray]:

@@ -2,12 +2,13 @@
 
 import logging
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
-from recon.api.given import BodyLike, body_given
+from recon.api.given import BodyLike, body_given, motion_given
 from recon.api.observations import (
     GroundChoice,
     ObservationsLike,
@@ -50,7 +51,7 @@ def fit(
     ground: GroundChoice = "auto",
     between: tuple[float, float] | None = None,
     fps: float | None = None,
-    start: Motion | Result | None = None,
+    start: Motion | Result | Path | str | None = None,
     device: str = "cpu",
     callback: Watch | None = None,
     max_seconds: float | None = None,
@@ -92,8 +93,8 @@ def fit(
             by heights, so the prior must not (`pose` does not), and no contacts are told.
         between: times from which and up to which to fit, seconds of the observations' clock.
         fps: rate of the result; None is that of the first observation.
-        start: a motion or result to begin with, in the frame of the observations; it covers the
-            time of one of them.
+        start: a motion, a result or the path of a motion file to begin with, in the frame of the
+            observations; it covers the time of one of them.
         device: where to compute, `cpu` or `cuda`.
         callback: called as callback(stage, progress) after every iteration; True ends the fit.
         max_seconds: time after which the fit is ended. Checks before and after the fit are not
@@ -102,7 +103,7 @@ def fit(
 
     Raises:
         ReconError: for what cannot be fitted or understood; the message says what to do.
-        FileNotFoundError: when there is no such body or weights.
+        FileNotFoundError: when there is no such body, weights or start.
     """
     model = body_given(body).to(device=device, dtype=torch.float32)
     clip = clip_of(observations, model)
@@ -169,10 +170,14 @@ def _noises(given: float | Sequence[float | None] | None, clip: Clip) -> tuple[f
     return tuple(None if one is None else positive(one, "noise") for one in given)
 
 
-def _start(given: Motion | Result | None, sighting: Sighting, body: BodyModel) -> Motion | None:
+def _start(
+    given: Motion | Result | Path | str | None, sighting: Sighting, body: BodyModel
+) -> Motion | None:
     """The caller's start with a leading axis, in the frame in which observations are fitted."""
     if given is None:
         return None
+    if isinstance(given, Path | str):
+        given = motion_given(given, body, "start").motion
     motion = given.motion if isinstance(given, Result) else given
     if motion.translation.ndim == 2:
         motion = motion.map(lambda tensor: tensor[None])

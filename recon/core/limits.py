@@ -101,6 +101,10 @@ CLOUD = Limit(
     "number of points in a cloud", 0.0, 2e7, "",
     "more does not fit into 2 GB while it is read, and 4,096 of a frame are used: thin it out",
 )  # fmt: skip
+PADDED_CLOUD = Limit(
+    "number of frames times the points that are fitted of the fullest", 0.0, 5e7, "",
+    "more does not fit into 2 GB while it is fitted: cut the recording",
+)  # fmt: skip
 ROTATION = Limit(
     "rotation vector", -100.0, 100.0, "rad",
     "a turn needs pi at most; files that count on through whole turns get to a few of them",

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from importlib import resources
+from importlib.util import find_spec
 from pathlib import Path
 
 from observations.people.camera_names import expand
@@ -98,7 +99,8 @@ def settings_checksum(settings: FitSettings, version: int) -> str:
     """Changes when the same observations would be fitted to another result.
 
     It depends on the settings, on the contents of the calibration, masks, body and weights, of
-    the bundled tables, and on the version of the method.
+    the bundled tables, on the code of a prior or reader that is given by its place
+    "package.module:Class", and on the version of the method.
 
     Raises:
         OSError, ValueError: when a file is there and cannot be read.
@@ -111,6 +113,11 @@ def settings_checksum(settings: FitSettings, version: int) -> str:
         "body": None if body is None else Input(body, (body,)).checksum(),
         "weights": _weights(settings),
         "tables": _bundled("recon", "assets", ("body.npz", "landmarks.json", "markers.toml")),
+    }
+    places = {"prior": settings.prior, "reader": settings.reader}
+    # only where there is such code, so that all other results keep their checksums
+    contents |= {
+        f"code of {what}": _code(place) for what, place in places.items() if place and ":" in place
     }
     return value_checksum({"version": version, "settings": plain, **contents})
 
@@ -130,6 +137,17 @@ def _weights(settings: FitSettings) -> list[str]:
     names = dict.fromkeys([("open", FIRST), (settings.weights, settings.prior)])
     paths = [weights_path(name, kind) for name, kind in names]
     return [Input(path, (path,)).checksum() for path in paths]
+
+
+def _code(place: str) -> str:
+    """Checksum of the file that has the class; what this file imports does not count."""
+    try:
+        spec = find_spec(place.partition(":")[0])
+    except (ImportError, ValueError):
+        spec = None  # the fit refuses it and says why
+    if spec is None or spec.origin is None or not Path(spec.origin).is_file():
+        return MISSING
+    return file_checksum(spec.origin)
 
 
 def _bundled(package: str, folder: str, names: Sequence[str]) -> list[str]:

@@ -113,11 +113,17 @@ def test_terms_of_the_caller_count():
     assert (pulled.joints[:, 15, 2] > plain.joints[:, 15, 2] + 0.05).all()
 
 
-def test_a_start_is_gone_on_from():
+def test_a_start_is_gone_on_from(tmp_path):
     first = recon.fit(seen(noisy(8)), Quick())
     stages = recon.fit(seen(noisy(8)), Quick(), start=first).reconstruction.reports
     fresh = recon.fit(seen(noisy(8)), Quick()).reconstruction.reports
     assert float(stages[0].solution.trace[0, 0].sum()) < float(fresh[0].solution.trace[0, 0].sum())
+    first.save(tmp_path / "first.npz")
+    read = recon.fit(seen(noisy(8)), Quick(), start=tmp_path / "first.npz").reconstruction.reports
+    ours, theirs = (float(one[0].solution.trace[0, 0].sum()) for one in (stages, read))
+    assert theirs == pytest.approx(ours, rel=1e-3)
+    with pytest.raises(FileNotFoundError, match=r"nothing\.npz"):
+        recon.fit(seen(noisy(8)), Quick(), start=tmp_path / "nothing.npz")
 
 
 def test_a_callback_may_end_the_fit():
@@ -191,7 +197,7 @@ def test_other_arguments_are_refused(arguments, message):
         recon.fit(seen(noisy(8)), **({"prior": "pose"} | arguments))
 
 
-@pytest.mark.parametrize("ground", ["flat", (0.0, 1.0), None, (0.0, 0.0, float("nan"), 0.0)])
+@pytest.mark.parametrize("ground", ["flat", (0.0, 1.0), 3, (0.0, 0.0, float("nan"), 0.0)])
 def test_what_is_no_ground_is_refused(ground):
     with pytest.raises(recon.ReconError, match="ground: expected"):
         on_ground(clip_of(seen(noisy(8)), bundled()), ground)

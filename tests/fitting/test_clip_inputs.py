@@ -1,5 +1,6 @@
 """What a fit depends on: files that are read count by content, all others not at all."""
 
+import importlib
 from dataclasses import replace
 from pathlib import Path
 
@@ -122,3 +123,18 @@ def test_reports_name_all_that_was_given(tmp_path):
     camera = written(tmp_path, "c.toml") / "c.toml"
     found = input_checksums([observation], replace(FitSettings(), camera=camera))
     assert found == {str(p): file_checksum(p) for p in (observation, camera)}
+
+
+@pytest.mark.parametrize("what", ["prior", "reader"])
+def test_another_code_of_an_own_class_is_another_fit(tmp_path, monkeypatch, what):
+    """Results of an edited prior of one's own were kept as if its class had not changed."""
+    monkeypatch.syspath_prepend(tmp_path)
+    module = tmp_path / f"own_{what}.py"
+    settings = FitSettings(**{what: f"own_{what}:Own"})
+    missing = settings_checksum(settings, 1)
+    module.write_text("class Own: pass")
+    importlib.invalidate_caches()
+    before = settings_checksum(settings, 1)
+    assert before == settings_checksum(settings, 1) != missing
+    module.write_text("class Own: width = 1")
+    assert settings_checksum(settings, 1) != before

@@ -11,9 +11,11 @@ from observations.files.clouds import cloud_of
 from observations.surfels import Surfels
 from recon.core import rotations as so3
 from recon.core.camera import depth_camera
+from recon.core.errors import ReconError
 from recon.core.geometry.nearest import nearest
 from recon.core.scene import Scene, UnknownGround
 from recon.core.skeleton import joint_index
+from recon.formats.observations import PointsFile
 from recon.simulation.depth import PERFECT, DepthSensor, Surface, depth_points, without_pose
 from recon.simulation.points import Corruption
 from recon.simulation.scans import scan_points
@@ -260,3 +262,15 @@ def test_a_sensor_that_does_not_know_its_place_finds_the_ground(body):
     assert (seen - seen.median(0).values).norm(dim=-1).max() < 1.6
     bodies = without_pose(depth_points(motion[0], body, sensor, Corruption(), 0))
     assert cloud_of(bodies, body).ground.ground is None
+
+
+@pytest.mark.parametrize(
+    ("last", "said"), [(10**15, "number of frames of 1 to"), (200_000, "points that are fitted")]
+)
+def test_frames_that_do_not_fit_into_memory_are_refused_before_any_is_taken(body, last, said):
+    """A frame number of 10^15 in a simulated file, whose clock is believed, ended in numpy's
+    MemoryError; every frame has as many places as the fullest, however empty it is."""
+    frame = np.append(np.zeros(600, int), last)
+    file = PointsFile(np.zeros((601, 3)), frame, 30.0, truth_visible=np.ones((1, 22), bool))
+    with pytest.raises(ReconError, match=said):
+        cloud_of(file, body)
