@@ -1,6 +1,6 @@
 """Roll-out and collocation, HuMoR's two ways to fit, on the same windows in several protocols.
 
-    python -m benchmarks.rollout_fits CORPUS --only 8 --json rollout_fits.json
+    python -m benchmarks.rollout_fits CORPUS --only 6 --json rollout_fits.json
     python -m benchmarks.rollout_fits CORPUS --part validation --only 6 --protocols "noisy joints"
 
 Windows of 60 frames. Noisy joints: 22 with 4 cm of noise per coordinate; hidden points: 43 of the

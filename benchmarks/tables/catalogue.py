@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 
-from benchmarks.tables import bodies, cameras, gait, others, points, trust
+from benchmarks.tables import bodies, cameras, gait, others, points, rollouts, trust
 from benchmarks.tables.page import Table
 
 TABLES: Mapping[str, Table] = {
@@ -28,6 +28,7 @@ TABLES: Mapping[str, Table] = {
     "start": others.start,
     "pictures": others.pictures,
     "rollout": others.rollout,
+    "rollout-fits": rollouts.rollout_fits,
     "fuzz": others.fuzz,
     "cameras-summary": cameras.summary,
     "cameras": cameras.cameras,
