@@ -47,6 +47,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "slip_sizes": ("slips.sizes", "CORPUS"),
     "slips": ("slips", "CORPUS", "--prior", "pose", "--good", "300", "--observations",
               "OBSERVATIONS"),
+    "live": ("live", "CORPUS"),
     "start": ("start", "BASELINE"),
     "pictures": ("pictures", "BASELINE"),
     "nearest": ("nearest",),

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from observations.keypoints2d import Keypoints2D as Keypoints2D
     from observations.markers3d import Markers3D as Markers3D
     from recon.api.fit import fit as fit
+    from recon.api.live.estimate import LiveEstimate as LiveEstimate
+    from recon.api.live.stream import Stream as Stream
     from recon.api.load import load_observation as load_observation
     from recon.api.many import fit_clips as fit_clips
     from recon.api.result import Result as Result
@@ -50,6 +52,8 @@ _HOMES = {
     "fit": "recon.api.fit",
     "load_observation": "recon.api.load",
     "fit_clips": "recon.api.many",
+    "Stream": "recon.api.live.stream",
+    "LiveEstimate": "recon.api.live.estimate",
     "Result": "recon.api.result",
     "Shape": "recon.api.shapes",
     "complete": "recon.api.verbs.complete",

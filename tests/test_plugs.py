@@ -15,12 +15,15 @@ MAKERS = ("simulation", "ingest")
 VERBS = {
     "recon/api/verbs/complete.py", "recon/api/verbs/generate.py",
     "recon/api/verbs/interpolate.py", "recon/api/verbs/retarget.py",
-    "recon/cli/verbs/complete.py", "recon/cli/verbs/sample.py", "recon/cli/verbs/train.py",
+    "recon/cli/verbs/complete.py", "recon/cli/verbs/generation/sample.py",
+    "recon/cli/verbs/train.py",
     "recon/fitting/interpolation.py", "recon/fitting/retargeting.py", "recon/jobs/demo.py",
     "recon/jobs/generate.py",
 }  # fmt: skip
 """Files about what one prior alone can do: training it, drawing from it, changing bodies."""
 TOOLS = {
+    "recon/api/live/beginning.py", "recon/api/live/objective.py", "recon/api/live/smoother.py",
+    "recon/api/live/stream.py", "recon/api/live/tracking.py", "recon/api/live/window.py",
     "recon/diagnosis/points/quick.py", "recon/fitting/settling.py", "recon/ingest/markers/rest.py",
 }  # fmt: skip
 """Files that use the pose prior for a step of their own, not for the fit that was asked for."""

@@ -21,6 +21,7 @@ TABLES: Mapping[str, Table] = {
     "real-hidden": others.real_hidden,
     "generation": others.generation,
     "long": others.long,
+    "live": others.live,
     "markers": others.markers,
     "corpus": others.corpus,
     "solver": others.solver,

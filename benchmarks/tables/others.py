@@ -100,6 +100,35 @@ def long() -> str:
     return markdown(headings, rows) + source("long", "long_pose")
 
 
+def live() -> str:
+    """Streams beside offline fits of the same clips, and one that goes on for minutes."""
+    found = result("live")
+    clips = list(found["rows"].values())
+    rows = []
+    for name in clips[0]:
+        every = [clip[name] for clip in clips]
+        ratios = [clip[name]["error"] / clip["offline, pose"]["error"] for clip in clips]
+        rows.append(
+            [name, number(_mean(every, "error"), 100, 2), number(float(np.mean(ratios)), 1, 3),
+             number(_mean(every, "step"), 100, 2), number(_mean(every, "step_truth"), 100, 2),
+             *(number(_mean(every, key), 1, 0) for key in ("median_ms", "p95_ms", "longest_ms"))]
+        )  # fmt: skip
+    long = found["long_stream"]
+    rows.append(
+        [f"lag 15, {found['minutes']:g} minutes", number(long["error"], 100, 2), NONE,
+         number(long["step"], 100, 2), number(long["step_truth"], 100, 2),
+         *(number(long[key], 1, 0) for key in ("median_ms", "p95_ms", "longest_ms"))]
+    )  # fmt: skip
+    headings = ["4 cm of noise", "error cm", "of offline, pose", "99 % step cm", "the truth's cm",
+                "CPU ms a push, median", "95 %", "longest"]  # fmt: skip
+    return markdown(headings, rows) + source("live")
+
+
+def _mean(rows: list[dict[str, float]], key: str) -> float | None:
+    values = [row[key] for row in rows if key in row]
+    return float(np.mean(values)) if values else None
+
+
 def markers() -> str:
     """Each fifth marker left out and predicted."""
     rows = [

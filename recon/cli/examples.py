@@ -17,6 +17,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "recon batch clips.jsonl --out results",
         "recon batch clips.jsonl --out results --shard 0/4 --prior pose",
     ),
+    "stream": (
+        "recon stream seen.npz < moments.jsonl > motion.jsonl",
+        "recon stream view_1.npz view_2.npz --lag 5 < moments.jsonl",
+    ),
     "convert": (
         "recon convert walk.c3d walk.npz",
         "recon convert recordings/ motions/ --all --processes 4",

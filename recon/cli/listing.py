@@ -10,12 +10,13 @@ from recon.cli.verbs.demo import demo
 from recon.cli.verbs.evaluate import evaluate
 from recon.cli.verbs.export import export
 from recon.cli.verbs.fit import fit
+from recon.cli.verbs.generation.predict import predict
+from recon.cli.verbs.generation.sample import sample
 from recon.cli.verbs.info import info
 from recon.cli.verbs.interpolate import interpolate
-from recon.cli.verbs.predict import predict
 from recon.cli.verbs.retarget import retarget
-from recon.cli.verbs.sample import sample
 from recon.cli.verbs.simulate import simulate
+from recon.cli.verbs.stream import stream
 from recon.cli.verbs.train import train
 from recon.cli.verbs.view import view
 
@@ -24,6 +25,7 @@ ALL = (
     fit,
     complete,
     batch,
+    stream,
     convert,
     sample,
     predict,

@@ -1,0 +1,1 @@
+"""A person while being recorded: fixed-lag smoothing, moment by moment."""

@@ -1,0 +1,176 @@
+"""Fixed-lag smoothing: a window of the newest frames, moved a little with every moment."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from observations.together.carried import carried_points
+from observations.together.moments import Tracker, joined, moments
+from priors.pose.density import PoseDensity
+from priors.pose.prior import PoseWeights
+from recon.api.live.objective import Equations, Objective
+from recon.api.live.shape import ShapeKnowledge
+from recon.api.live.window import VARIABLES, Window
+from recon.body.derivatives import CarriedPoints
+from recon.body.model import BodyModel
+from recon.solver.chain import solve_chain
+
+HELD = 2
+"""Frames before the window that are held where they are, so that motion goes on without a seam:
+as many as a second difference reaches back."""
+_DAMPING, _LARGEST = 1e-6, 1e3
+"""Least share that the diagonal is raised by in an accepted step, and the share at which a frame
+is taken to be as good as it gets."""
+_ENOUGH = 1e-4
+"""Relative decrease of the energy below which no further step is taken."""
+_SLOWED = 0.9
+"""Share of the last step with which a new frame begins."""
+
+
+@dataclass(frozen=True)
+class Smoothed:
+    """The window and what is known of the person, after a push."""
+
+    window: Window
+    objective: Objective
+    seen: tuple[Tracker, ...]
+    """Data of the active frames, the last ones of the window; without an axis of clips."""
+    knowledge: ShapeKnowledge
+    learning: bool
+    """Whether the shape is still moved."""
+    equations: Equations | None = None
+    """Equations of the last step, from which the shape learns when a frame leaves."""
+
+    @property
+    def active(self) -> int:
+        """Frames that are still moved."""
+        return self.seen[0].moments
+
+    def extended(self, seen: Sequence[Tracker], most: int, learn_until: int) -> "Smoothed":
+        """A window that has one frame more, and the oldest one less if there are more than `most`.
+
+        Args:
+            seen: data of the new frame.
+            most: active frames.
+            learn_until: frames after which the shape is held.
+        """
+        data = tuple(joined(a, b) for a, b in zip(self.seen, seen, strict=True))
+        window, knowledge, learning = self.window.extended(_SLOWED), self.knowledge, self.learning
+        if (count := data[0].moments) > most:
+            data = tuple(moments(one, count - most, count) for one in data)
+            window = window[-(most + HELD) :]
+            if learning and self.equations is not None:
+                objective = self.objective
+                weight = objective.weights.shape * objective.rate
+                knowledge = knowledge.learned(self.equations, objective.shape, weight)
+                learning = knowledge.frames < learn_until
+        return replace(
+            self, window=window, seen=data, knowledge=knowledge, learning=learning, equations=None
+        )
+
+    def refined(self, steps: int) -> "Smoothed":
+        """After so many damped Gauss-Newton steps, or fewer where they gain nothing."""
+        now = self
+        for _ in range(steps):
+            equations = now.objective.equations(now.window, now.seen, now.learning)
+            now = replace(now, equations=equations)
+            after = now._stepped(equations)
+            if after is None:
+                return now
+            now, gained = after
+            if gained <= _ENOUGH * abs(equations.value):
+                return now
+        return now
+
+    def _stepped(self, equations: Equations) -> tuple["Smoothed", float] | None:
+        """After one step that lowers the energy, and by how much; None where none does."""
+        objective, shape = self.objective, self.objective.shape
+        before = equations.value
+        chain = equations.chain
+        damping = _DAMPING
+        if self.learning:
+            before += self._value_of_shape(shape)
+        while damping < _LARGEST:
+            system = chain(damping)
+            if self.learning:
+                weight = 2 * objective.weights.shape * objective.rate * self.active
+                held = weight * torch.eye(len(shape), dtype=shape.dtype, device=shape.device)
+                slope = self.knowledge.gradient(shape) + weight * shape
+                system = replace(
+                    system,
+                    corner=system.corner + self.knowledge.information + held,
+                    right_border=system.right_border - slope,
+                )
+            solution = solve_chain(system)
+            if solution is not None:
+                steps = solution.inner.reshape(-1, VARIABLES)[-self.active :]
+                window = self.window.moved(steps)
+                tried = objective
+                if self.learning:
+                    tried = reshaped(objective, shape + solution.border, self.seen)
+                value = tried.value(window, self.seen)
+                if self.learning:
+                    value += self._value_of_shape(tried.shape)
+                if value <= before:
+                    return replace(self, window=window, objective=tried), before - value
+            damping *= 100
+        return None
+
+    def _value_of_shape(self, shape: Float[Tensor, " shape"]) -> float:
+        objective = self.objective
+        weight = objective.weights.shape * objective.rate * self.active
+        return self.knowledge.value(shape) + weight * float(shape.square().sum())
+
+
+def begun(
+    window: Window,
+    shape: Float[Tensor, " shape"],
+    seen: Sequence[Tracker],
+    scales: Sequence[float],
+    noise: float,
+    offsets: Float[Tensor, "rows 3"],
+    body: BodyModel,
+    density: PoseDensity,
+    knowledge: ShapeKnowledge | None,
+) -> Smoothed:
+    """A window from a first motion.
+
+    Args:
+        window: the first motion.
+        shape: of the body.
+        seen: data of all its frames.
+        scales: weights of the sensors' energies.
+        noise: standard deviation of the least noisy one's coordinates, metres.
+        offsets: of the sensors' points from their place on the model, as in `Scene.offsets`.
+        body: whose motion it is.
+        density: of poses.
+        knowledge: of the shape from before; None holds the shape that is given.
+    """
+    objective = Objective(
+        body, density, PoseWeights.for_noise(noise), tuple(scales), (),
+        CarriedPoints.joints(body, shape), shape, body.rest_joints(shape), seen[0].fps, offsets,
+    )  # fmt: skip
+    return Smoothed(
+        window,
+        reshaped(objective, shape, seen),
+        tuple(seen),
+        ShapeKnowledge.none(shape) if knowledge is None else knowledge,
+        learning=knowledge is not None,
+    )
+
+
+def reshaped(
+    objective: Objective, shape: Float[Tensor, " shape"], seen: Sequence[Tracker]
+) -> Objective:
+    """The objective for a body of another shape."""
+    body = objective.body
+    return replace(
+        objective,
+        points=tuple(carried_points(one, body, shape, objective.offsets) for one in seen),
+        joints=CarriedPoints.joints(body, shape),
+        shape=shape,
+        rest=body.rest_joints(shape),
+    )

@@ -1,0 +1,130 @@
+"""Points of the body and their derivatives by joint rotations and shape, in closed form."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from recon.body.kinematics import forward_kinematics
+from recon.body.model import BodyModel
+from recon.core import rotations as so3
+from recon.core.skeleton import JOINTS, descendants
+
+
+@dataclass(frozen=True)
+class CarriedPoints:
+    """Points that bones carry: p_v = Σ_j O_j c_vj + m_vj p_j, with O_j and p_j the bones' poses.
+
+    Joints, points of the skin (linear blend skinning) and their means are such points.
+    """
+
+    share: Float[Tensor, "points 22"]
+    """The numbers m_vj; they add up to one over the joints j."""
+    place: Float[Tensor, "points 22 3"]
+    """The vectors c_vj, metres."""
+    place_by_shape: Float[Tensor, "shape points 22 3"]
+    """Their derivatives by the coefficients of the shape."""
+
+    @classmethod
+    def create(
+        cls,
+        body: BodyModel,
+        shape: Float[Tensor, " shape"],
+        of_joints: Float[Tensor, "points 22"],
+        of_vertices: Float[Tensor, "points vertices"],
+        vertices: Int[Tensor, " vertices"],
+    ) -> "CarriedPoints":
+        """Points as means of joints and vertices, p = A joints + B vertices.
+
+        The rotation-dependent corrections of SMPL bodies are left out.
+        """
+        of_joints, of_vertices = of_joints.to(shape), of_vertices.to(shape)
+        weights = body.weights[vertices]
+        surface, joints = body.rest_vertices(shape, vertices), body.rest_joints(shape)
+        away = surface[:, None] - joints
+        directions = body.shape_directions[vertices][:, None] - body.joint_directions
+        place = torch.einsum("vu,uj,ujd->vjd", of_vertices, weights, away)
+        by_shape = torch.einsum("vu,uj,ujdk->kvjd", of_vertices, weights, directions)
+        return cls(of_joints + of_vertices @ weights, place, by_shape[: len(shape)])
+
+    @classmethod
+    def joints(cls, body: BodyModel, shape: Float[Tensor, " shape"]) -> "CarriedPoints":
+        """The 22 joints themselves."""
+        count = len(JOINTS)
+        none = torch.zeros(0, dtype=torch.long, device=shape.device)
+        eye = torch.eye(count, dtype=shape.dtype, device=shape.device)
+        return cls.create(body, shape, eye, shape.new_zeros(count, 0), none)
+
+    def some(self, rows: Sequence[int]) -> "CarriedPoints":
+        """Some of the points, by their numbers."""
+        order = list(rows)
+        return CarriedPoints(self.share[order], self.place[order], self.place_by_shape[:, order])
+
+    def of(
+        self,
+        orientations: Float[Tensor, "*batch 22 3 3"],
+        joints: Float[Tensor, "*batch 22 3"],
+    ) -> Float[Tensor, "*batch points 3"]:
+        """The points on bones in these poses, metres."""
+        return _parts(self.place, orientations).sum(-2) + self.share @ joints
+
+    def by_rotations(
+        self, orientations: Float[Tensor, "time 22 3 3"], joints: Float[Tensor, "time 22 3"]
+    ) -> Float[Tensor, "time points 3 66"]:
+        """Derivatives by steps d_a of all joints' rotations R_a Exp(d_a), metres per radian.
+
+        A step turns all that hangs from joint a about p_a by the world vector O_a d_a.
+        """
+        parts = _parts(self.place, orientations) + self.share[:, :, None] * joints[:, None]
+        below = _BELOW.to(parts)
+        levers = below @ parts - (self.share @ below.mT)[:, :, None] * joints[:, None]
+        axes = orientations.mT[:, None]  # (time, 1, joints, axis, 3)
+        turned = torch.linalg.cross(axes, levers[..., None, :], dim=-1)
+        return turned.flatten(2, 3).mT
+
+    def by_shape(
+        self,
+        rotations: Float[Tensor, "time 22 3 3"],
+        orientations: Float[Tensor, "time 22 3 3"],
+        body: BodyModel,
+    ) -> Float[Tensor, "time points 3 shape"]:
+        """Derivatives by the coefficients of the shape, metres."""
+        count = len(self.place_by_shape)
+        rest = body.joint_directions[..., :count].movedim(-1, 0)
+        moved = forward_kinematics(rotations.expand(count, -1, -1, -1, -1), rest)[1]
+        parts = torch.einsum("tjab,kvjb->ktva", orientations, self.place_by_shape)
+        return (parts + self.share @ moved).movedim(0, -1)
+
+
+def turned_by(
+    steps: Float[Tensor, "*batch joints 3"],
+) -> Float[Tensor, "*batch joints 3 3"]:
+    """The right Jacobian J of SO(3): Exp(v + dv) = Exp(v) Exp(J dv) to first order."""
+    squared = steps.square().sum(-1)[..., None, None]
+    small = squared < 1e-4
+    safe = torch.where(small, 1.0, squared)
+    angle = safe.sqrt()
+    first = torch.where(small, 0.5 - squared / 24, (1 - angle.cos()) / safe)
+    second = torch.where(small, 1 / 6 - squared / 120, (angle - angle.sin()) / (safe * angle))
+    cross = so3.hat(steps)
+    identity = torch.eye(3, dtype=steps.dtype, device=steps.device)
+    return identity - first * cross + second * (cross @ cross)
+
+
+def _parts(
+    place: Float[Tensor, "points 22 3"], orientations: Float[Tensor, "*batch 22 3 3"]
+) -> Float[Tensor, "*batch points 22 3"]:
+    return torch.einsum("...jab,vjb->...vja", orientations, place)
+
+
+def _below() -> Float[Tensor, "22 22"]:
+    """Row a: 1 for joint a and all joints that hang from it."""
+    below = torch.zeros(len(JOINTS), len(JOINTS))
+    for joint in range(len(JOINTS)):
+        below[joint, list(descendants(joint))] = 1.0
+    return below
+
+
+_BELOW = _below()

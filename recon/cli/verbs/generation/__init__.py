@@ -1,0 +1,1 @@
+"""Verbs that make motions of people who were not recorded."""
