@@ -48,6 +48,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "slips": ("slips", "CORPUS", "--prior", "pose", "--good", "300", "--observations",
               "OBSERVATIONS"),
     "live": ("live", "CORPUS"),
+    "uncertainty": ("uncertainty", "CORPUS"),
     "start": ("start", "BASELINE"),
     "pictures": ("pictures", "BASELINE"),
     "nearest": ("nearest",),

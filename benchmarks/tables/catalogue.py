@@ -58,4 +58,5 @@ TABLES: Mapping[str, Table] = {
     "false-alarms": trust.false_alarms,
     "damaged-files": trust.damaged_files,
     "mutants": trust.mutants,
+    "uncertainty": trust.uncertainty,
 }

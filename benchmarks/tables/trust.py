@@ -58,6 +58,20 @@ def damaged_files() -> str:
     return markdown(headings, rows) + said + source("fuzz_readers")
 
 
+def uncertainty() -> str:
+    """Errors beside the standard deviations that fits state."""
+    rows = [
+        [name, kind, number(row[kind]["within"], 1, 2), number(row[kind]["rms"], 100, 2),
+         number(row[kind]["median_std"], 100, 2), number(row[kind]["rank_correlation"], 1, 2),
+         number(row["cost"]["share_of_fit"], 100, 0)]
+        for name, row in result("uncertainty")["rows"].items()
+        for kind in ("seen", "hidden") if kind in row
+    ]  # fmt: skip
+    headings = ["data; prior", "joints", "within 1.645 std (0.9)", "error of an axis, cm",
+                "median std, cm", "rank correlation", "% of the fit's time"]  # fmt: skip
+    return markdown(headings, rows) + source("uncertainty")
+
+
 def mutants() -> str:
     """Small faults in the code that its tests notice."""
     found = result("mutants")

@@ -20,7 +20,7 @@ from priors.humor.prior import Humor
 from priors.humor.state import Frame, contact_probabilities, initial_features, states_of
 from priors.humor.steps import explain
 from priors.humor.terms import contact_velocity
-from priors.pose.prior import PosePrior, PoseVariables, PoseWeights
+from priors.pose.prior import PoseBelief, PosePrior, PoseVariables, PoseWeights
 from recon.core.motion import Motion
 from recon.method.protocols import REFERENCE_FPS, Decoded
 from recon.method.stages import Stage
@@ -84,6 +84,11 @@ class CollocatedHumor:
                 "take the pose prior for single frames"
             )
         return self.poses.encode(motion)
+
+    def belief(self, noise: float) -> PoseBelief:
+        """That of the pose prior with all of its smoothness, which stands for the steps here."""
+        weights = PoseWeights.for_noise(noise)
+        return PosePrior(self.poses.density, weights).belief(noise)
 
     def decode(self, variables: PoseVariables) -> Decoded:
         """The motion, what the networks think of its steps, and where feet touch.

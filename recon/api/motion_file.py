@@ -18,6 +18,7 @@ def described(
     T_world_camera: Float[Tensor, "4 4"] | None = None,
     observed: Bool[Tensor, "time 22"] | None = None,
     belt: Float[Tensor, "time 3"] | None = None,
+    joint_std: Float[Tensor, "time 22"] | None = None,
 ) -> MotionFile:
     """A motion with its joints, contacts and ground; without a ground no contacts are told.
 
@@ -31,6 +32,7 @@ def described(
         T_world_camera: of a camera whose pose was found, metres.
         observed: false where a joint was inferred rather than seen.
         belt: how far the treadmill's belt has come at every frame, metres.
+        joint_std: standard deviation of a coordinate of every joint, metres.
     """
     joints = body.pose(motion).joints
     contacts = None
@@ -47,6 +49,7 @@ def described(
         joints=joints,
         contacts=contacts,
         ground=None if ground is None else torch.tensor([0.0, 0.0, 1.0, ground]),
+        joint_std=joint_std,
         observed=observed,
         T_world_camera=None if T_world_camera is None else T_world_camera[None],
         in_camera=None if T_world_camera is None else in_camera(motion, T_world_camera, body),

@@ -16,6 +16,7 @@ from recon.body.model import BodyModel
 from recon.core.residuals import Noise
 from recon.diagnosis.examination import Examined
 from recon.diagnosis.findings import Finding
+from recon.diagnosis.fits.certainty import certainty_report
 from recon.diagnosis.fits.domain import cycle_report
 from recon.diagnosis.fits.summaries import ResidualSummary
 from recon.diagnosis.motions.treadmill import in_room, path_of_belt
@@ -65,6 +66,18 @@ class Result(MotionResult):
         return self.examined.repairs
 
     @property
+    def shape_std(self) -> Float[Tensor, " shape"] | None:
+        """Standard deviation of every shape coefficient; None where none is known."""
+        found = self.examined.deviations
+        return None if found is None else found.shape.float()
+
+    @property
+    def root_std(self) -> Float[Tensor, " time"] | None:
+        """Standard deviation of the rotation of the root, radians, at the fit's own frames."""
+        found = self.examined.deviations
+        return None if found is None else found.root.float()
+
+    @property
     def failed(self) -> bool:
         """Whether the fit met NaN or infinity; the motion is then its last finite estimate."""
         return self.examined.fit.result.failed[0]
@@ -94,6 +107,8 @@ class Result(MotionResult):
             "read": self.notes,
             "residuals": [summary.report() for summary in self.residuals],
         }
+        if self.examined.deviations is not None:
+            report["standard_deviations"] = certainty_report(self.examined.deviations)
         if self.cycle is not None:
             report["cycle"] = self.cycle
         return report | {
@@ -153,7 +168,9 @@ def result_of(
         motion = in_room(motion, examined.belt)
     observed = torch.from_numpy(examined.observed_at(motion))
     return Result(
-        file=described(motion, body, ground, T_world_camera, observed, belt),
+        file=described(
+            motion, body, ground, T_world_camera, observed, belt, examined.joint_std_at(motion)
+        ),
         body=body,
         examined=examined,
         warnings=(

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from observations.together import kinds
@@ -13,6 +13,7 @@ from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.diagnosis.findings import Finding
 from recon.diagnosis.fits.agreement import agreement_warnings
+from recon.diagnosis.fits.certainty import certainty
 from recon.diagnosis.fits.plausibility import body_warnings, child_findings, mirror_warnings
 from recon.diagnosis.fits.seen_joints import observed_joints, unseen_findings
 from recon.diagnosis.fits.summaries import ResidualSummary, summarise
@@ -26,6 +27,7 @@ from recon.diagnosis.views.screening import screen_views
 from recon.fitting.clip import ClipFit, fit_clip
 from recon.fitting.completion import complete
 from recon.fitting.options import FitOptions
+from recon.method.laplace import Deviations
 from recon.method.protocols import Estimate, Sensor
 from recon.method.stages import Watch
 
@@ -49,16 +51,29 @@ class Examined:
     """What should be read before the result is used."""
     observed: Bool[np.ndarray, "time 22"]
     """False where a joint of the fitted motion was inferred rather than seen."""
+    deviations: Deviations | None = None
+    """Standard deviations of joints, root and shape; None where the prior has no density."""
     belt: Float[Tensor, " 2"] | None = None
     """Velocity of the treadmill in the recording, m/s; the fit is in the frame that moves with
     it. None where feet stand in the room."""
 
     def observed_at(self, motion: Motion) -> Bool[np.ndarray, "time 22"]:
         """`observed` at the frames of the fitted motion resampled to another rate."""
+        return self.observed[self._frames(motion, len(self.observed))]
+
+    def joint_std_at(self, motion: Motion) -> Float[Tensor, "time 22"] | None:
+        """Standard deviations of a joint's coordinates at the frames of that motion, metres."""
+        if self.deviations is None:
+            return None
+        joints = self.deviations.joints
+        return joints[torch.from_numpy(self._frames(motion, len(joints)))].float().cpu()
+
+    def _frames(self, motion: Motion, count: int) -> Int[np.ndarray, " time"]:
+        """The fitted frame that is nearest to each of a motion's."""
         fitted = self.fit.result.motion
         times = motion.start_time + np.arange(motion.frames) / motion.fps
         frames = np.rint((times - fitted.start_time) * fitted.fps).astype(int)
-        return self.observed[np.clip(frames, 0, len(self.observed) - 1)]
+        return np.clip(frames, 0, count - 1)
 
 
 def fit_examined(
@@ -173,6 +188,7 @@ def examine(found: ClipFit, names: Sequence[str], screened: ScreenedClip) -> Exa
         repairs=screened.repairs,
         warnings=(*screened.warnings, *after),
         observed=observed,
+        deviations=certainty(found),
         belt=screened.belt,
     )
 

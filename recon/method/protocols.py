@@ -88,6 +88,29 @@ class Observation(Protocol):
 
 
 @runtime_checkable
+class Density(Protocol):
+    """What a method believes of a motion without data, as residuals of unit variance.
+
+    -log p = ½ Σ |whitened|² + ½ acceleration Σ |second difference of a joint|² + ½ shape |betas|²,
+    sums over frames at 30 Hz.
+    """
+
+    @property
+    def acceleration(self) -> float:
+        """Inverse variance of a joint coordinate's second differences at 30 Hz, 1 / metres²."""
+        ...
+
+    @property
+    def shape(self) -> float:
+        """Inverse variance of a shape coefficient, for every frame."""
+        ...
+
+    def whitened(self, motion: Motion) -> Float[Tensor, "*batch time coordinates"]:
+        """Coordinates of every pose, of unit variance."""
+        ...
+
+
+@runtime_checkable
 class Sensor(Observation, Protocol):
     """An observation with all that a fit asks of it; one more sensor is one class with these.
 

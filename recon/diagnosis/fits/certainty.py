@@ -1,0 +1,57 @@
+"""How sure a fit is of every joint, from the curvature of its objective."""
+
+from dataclasses import replace
+from typing import Any
+
+import torch
+
+from recon.core.residuals import Noise, Unit
+from recon.core.skeleton import JOINTS
+from recon.fitting.clip import ClipFit
+from recon.method.laplace import Believing, Deviations, deviations
+from recon.method.protocols import Estimate, Sensor
+
+_WORTH: dict[Unit, float] = {"metres": 4.0, "pixels": 2.0}
+"""Independent observations that one in this unit is worth. Priors smooth more than the density
+that stands for them says, so errors are smaller than its curvature promises; chosen on validation
+people so that 90 % of the errors of seen joints lie within 1.645 standard deviations."""
+
+
+def certainty(found: ClipFit) -> Deviations | None:
+    """Standard deviations of a fit's joints; None where its prior has no density to bend.
+
+    Clouds are thinned first: neighbouring points err alike.
+    """
+    estimate = found.result.estimate
+    prior = found.result.reports[-1].stage.prior
+    if not isinstance(prior, Believing) or found.result.failed[0]:
+        return None
+    seen, noises = [], []
+    for one, noise in zip(found.observations, found.noises, strict=True):
+        thin, noise = _thinned(one, noise, estimate)
+        seen.append(thin)
+        noises.append(replace(noise, own=noise.own / _WORTH.get(one.unit, 1.0) ** 0.5))
+    least = min(noise.metres for noise in found.noises)
+    with torch.no_grad():
+        try:
+            return deviations(estimate, seen, noises, prior.belief(least))
+        except RuntimeError:  # a Hessian that is singular to rounding has no inverse
+            return None
+
+
+def _thinned(one: Sensor, noise: Noise, estimate: Estimate) -> tuple[Sensor, Noise]:
+    body = estimate.body.model
+    if one.point_names(body):
+        return one, noise
+    thin = one.coarse(body)
+    return thin, thin.noise(estimate.motion, body, noise.metres)
+
+
+def certainty_report(deviations: Deviations) -> dict[str, Any]:
+    """Standard deviations as a report has them: medians of joints and root, and of the shape."""
+    joints = deviations.joints.median(0).values.tolist()
+    return {
+        "joints": dict(zip(JOINTS, joints, strict=True)),
+        "root": float(deviations.root.median()),
+        "shape": deviations.shape.tolist(),
+    }

@@ -1,0 +1,272 @@
+"""How sure a fit is: standard deviations of joints from the curvature of the objective (Laplace).
+
+Around its minimum -log p of a motion given the data is nearly quadratic. Its Hessian H is taken
+in the Gauss-Newton approximation, Σ JᵀJ over all residuals divided by their standard deviations;
+the covariance of the motion is H⁻¹ and that of a joint G H⁻¹ Gᵀ, with G the joint's derivative.
+
+Every frame has 69 coordinates: the translation in metres and the rotation steps of 22 joints in
+radians, R_j Exp(w_j). The shape is shared by all. A residual of a sensor depends on one frame, a
+pose's coordinates likewise, a joint's acceleration on three; so H is banded in time, with the
+shape as a border (`recon.solver.blocks`).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from recon.body.model import BodyModel
+from recon.core import rotations as so3
+from recon.core.motion import Motion
+from recon.core.residuals import Noise
+from recon.core.scene import Scene
+from recon.method.protocols import REFERENCE_FPS, Decoded, Density, Estimate, Sensor
+from recon.solver.blocks import Bordered, Inverse, inverse
+
+FRAME = 69
+"""Coordinates of a frame: three of the translation, three of every joint's rotation step."""
+_STEP = 1e-3
+"""Metres, radians and standard deviations of shape over which derivatives are differences."""
+_DISBELIEVED = 4.0
+"""Standard deviations beyond which residuals say ever less: the fit does not believe them."""
+_CHUNK = 150
+"""Frames that are looked at together; longer motions are cut, and cuts overlap."""
+_OVERLAP = 15
+_LEAST = 0.1
+"""Curvature that every coordinate has at least, 1 / metres² or 1 / radians²: what nothing holds is
+unknown by no more than three metres and half a turn."""
+
+
+@runtime_checkable
+class Believing(Protocol):
+    """A prior that says how likely motions are, as a density that has a curvature."""
+
+    def belief(self, noise: float) -> Density:
+        """The density that the prior's weights stand for beside data of this noise, metres."""
+        ...
+
+
+@dataclass(frozen=True)
+class Deviations:
+    """Standard deviations of a fitted motion of one clip."""
+
+    joints: Float[Tensor, "time 22"]
+    """Of a coordinate of every joint, metres: root of the mean variance along three axes."""
+    root: Float[Tensor, " time"]
+    """Of the rotation of the root about an axis, radians."""
+    shape: Float[Tensor, " shape"]
+    """Of every shape coefficient."""
+
+
+def deviations(
+    estimate: Estimate,
+    sensors: Sequence[Sensor],
+    noises: Sequence[Noise],
+    density: Density,
+) -> Deviations:
+    """How far the joints of a fit of one clip may be from the truth.
+
+    Args:
+        estimate: the fit; a leading axis of length one.
+        sensors: what was seen, likewise.
+        noises: standard deviations of the sensors' coordinates.
+        density: how likely poses, shapes and accelerations are, without the data.
+    """
+    body = estimate.body.model.to(dtype=torch.float64)
+    motion = estimate.motion.detach().to(dtype=torch.float64)
+    scene = estimate.scene.detach().to(dtype=torch.float64)
+    held = [one.to(dtype=torch.float64) for one in sensors]
+    parts = [
+        _of_window(motion.window(first, stop), scene, body, held, noises, density)
+        for first, stop in _cuts(motion.frames)
+    ]
+    joints = motion.translation.new_zeros(motion.frames, len(body.joint_template))
+    root = motion.translation.new_zeros(motion.frames)
+    for (first, stop), part in zip(_cuts(motion.frames), parts, strict=True):
+        skip = _OVERLAP // 2 if first > 0 else 0
+        joints[first + skip : stop], root[first + skip : stop] = (
+            part.joints[skip:],
+            part.root[skip:],
+        )
+    least = torch.stack([part.shape for part in parts]).amin(0)
+    return Deviations(joints, root, least)
+
+
+def _cuts(frames: int) -> list[tuple[int, int]]:
+    """First and last frame, exclusive, of overlapping windows."""
+    step = _CHUNK - _OVERLAP
+    firsts = range(0, max(frames - _OVERLAP, 1), step)
+    return [(first, min(first + _CHUNK, frames)) for first in firsts]
+
+
+def _of_window(
+    motion: Motion,
+    scene: Scene,
+    body: BodyModel,
+    sensors: Sequence[Sensor],
+    noises: Sequence[Noise],
+    density: Density,
+) -> Deviations:
+    every = _perturbed(motion)
+    scenes = scene[torch.zeros(len(every.translation), dtype=torch.long)]
+    estimates = Estimate(Decoded(every), body.pose(every), scenes)
+    joints = _derivative(estimates.body.joints.flatten(-2))
+    frames = motion.frames
+    size = joints.shape[-1]
+    h = _Accumulated.zero(frames, size, like=motion.translation)
+    for one, noise in zip(sensors, noises, strict=True):
+        h.add_sensor(_clock(one, motion), *_whitened(one, noise, estimates))
+    h.add_frames(_derivative(density.whitened(every)) * (REFERENCE_FPS / motion.fps) ** 0.5)
+    rate = (motion.fps / REFERENCE_FPS) ** 3
+    h.add_accelerations(joints, density.acceleration * rate)
+    h.shape.diagonal().add_(density.shape * frames * REFERENCE_FPS / motion.fps)
+    found = inverse(h.bordered())
+    return _marginals(found, joints)
+
+
+def _perturbed(motion: Motion) -> Motion:
+    """The motion as it is, then after a step of each coordinate in all frames, then of shape."""
+    shapes = motion.shape.shape[-1]
+    count = 1 + FRAME + shapes
+    frames = motion.frames
+    translation = motion.translation.expand(count, frames, 3).clone()
+    steps = motion.translation.new_zeros(count, 22, 3)
+    shape = motion.shape.expand(count, shapes).clone()
+    for k in range(3):
+        translation[1 + k, :, k] += _STEP
+    for k in range(FRAME - 3):
+        steps[4 + k, k // 3, k % 3] = _STEP
+    for k in range(shapes):
+        shape[1 + FRAME + k, k] += _STEP
+    rotations = motion.rotations @ so3.exp(steps)[:, None]
+    return motion.replace(
+        translation=translation,
+        rotations=rotations,
+        shape=shape,
+        valid=motion.valid.expand(count, frames),
+    )
+
+
+def _derivative(
+    values: Float[Tensor, "steps rows dims"],
+) -> Float[Tensor, "rows dims coordinates"]:
+    """Differences from the first, per unit of the step."""
+    return ((values[1:] - values[:1]) / _STEP).movedim(0, -1)
+
+
+def _whitened(
+    one: Sensor, noise: Noise, estimates: Estimate
+) -> tuple[Float[Tensor, "moments residuals coordinates"], Float[Tensor, "moments residuals"]]:
+    """Derivatives of a sensor's residuals and their weights, standard deviations taken out."""
+    rows = torch.zeros(len(estimates.motion.translation), dtype=torch.long)
+    with torch.no_grad():
+        found = one[rows].residuals(estimates)
+    sigma = torch.full_like(found.values[0, ..., 0], noise.own)
+    distance = found.values[0].norm(dim=-1) / (_DISBELIEVED * sigma)
+    # the curvature of Geman-McClure's kernel, as far as it is positive
+    belief = (1 + distance.square()).reciprocal().square()
+    weight = found.weights[0].square() * belief / sigma.square() * (REFERENCE_FPS / one.fps)
+    dims = found.values.shape[-1]
+    values = found.values.flatten(-2)
+    return _derivative(values), weight[..., None].expand(*weight.shape, dims).flatten(-2)
+
+
+def _clock(one: Sensor, motion: Motion) -> Tensor:
+    """The frame of the motion that is nearest to every moment of a sensor."""
+    times = one.start_time + torch.arange(one.moments, dtype=torch.float64) / one.fps
+    frame = ((times - motion.start_time) * motion.fps).round().long()
+    return frame.clamp(0, motion.frames - 1)
+
+
+@dataclass(frozen=True)
+class _Accumulated:
+    """Blocks of the Hessian while residuals are added, in place."""
+
+    frames: Float[Tensor, "time 3 n n"]
+    """[t, k]: the block that couples frame t with frame t + k."""
+    border: Float[Tensor, "time n m"]
+    shape: Float[Tensor, "m m"]
+
+    @classmethod
+    def zero(cls, frames: int, size: int, like: Tensor) -> "_Accumulated":
+        m = size - FRAME
+        blocks = like.new_zeros(frames, 3, FRAME, FRAME)
+        blocks[:, 0].diagonal(dim1=-2, dim2=-1).add_(_LEAST)
+        corner = _LEAST * torch.eye(m, dtype=like.dtype, device=like.device)
+        return cls(blocks, like.new_zeros(frames, FRAME, m), corner)
+
+    def add_sensor(self, frame: Tensor, jacobian: Tensor, weight: Tensor) -> None:
+        """Residuals of single moments, each at its frame."""
+        whole = jacobian.mT @ (jacobian * weight[..., None])
+        self._add(frame, whole)
+
+    def add_frames(self, jacobian: Tensor) -> None:
+        """Whitened residuals of single frames."""
+        self._add(torch.arange(len(jacobian)), jacobian.mT @ jacobian)
+
+    def _add(self, frame: Tensor, whole: Tensor) -> None:
+        self.frames[:, 0].index_add_(0, frame, whole[:, :FRAME, :FRAME])
+        self.border.index_add_(0, frame, whole[:, :FRAME, FRAME:])
+        self.shape.add_(whole[:, FRAME:, FRAME:].sum(0))
+
+    def add_accelerations(self, joints: Tensor, weight: float) -> None:
+        """½ weight |p_(t-1) - 2 p_t + p_(t+1)|² of all joints."""
+        if len(joints) < 3:
+            return
+        moved, shaped = joints[..., :FRAME], joints[..., FRAME:]
+        sign = joints.new_tensor([1.0, -2.0, 1.0])
+        inner = len(joints) - 2
+        bend = shaped[:-2] - 2 * shaped[1:-1] + shaped[2:]
+        self.shape.add_(weight * (bend.mT @ bend).sum(0))
+        for a in range(3):
+            left = moved[a : a + inner]
+            self.border[a : a + inner] += weight * sign[a] * (left.mT @ bend)
+            for b in range(a, 3):
+                right = moved[b : b + inner]
+                pair = weight * sign[a] * sign[b] * (left.mT @ right)
+                self.frames[a : a + inner, b - a] += pair
+
+    def bordered(self) -> Bordered:
+        """Two frames to a block, so that only neighbouring blocks couple."""
+        count = len(self.frames)
+        pairs = -(-count // 2)
+        n = 2 * FRAME
+        own = self.frames.new_zeros(pairs, 2, 2, FRAME, FRAME)
+        beside = self.frames.new_zeros(pairs, 2, 2, FRAME, FRAME)
+        even, odd = self.frames[::2], self.frames[1::2]
+        full = len(odd)
+        own[:, 0, 0] = even[:, 0]
+        own[:full, 1, 1] = odd[:, 0]
+        own[full:, 1, 1] = torch.eye(FRAME, dtype=own.dtype, device=own.device)
+        own[:full, 0, 1] = even[:full, 1]
+        own[:full, 1, 0] = even[:full, 1].mT
+        beside[: pairs - 1, 0, 0] = even[:-1, 2]
+        beside[: pairs - 1, 1, 0] = odd[: pairs - 1, 1]
+        if full > 1:
+            beside[: full - 1, 1, 1] = odd[:-1, 2]
+        border = self.border.new_zeros(pairs, 2, FRAME, self.border.shape[-1])
+        border[:, 0], border[:full, 1] = self.border[::2], self.border[1::2]
+        return Bordered(
+            diagonal=own.transpose(2, 3).reshape(pairs, n, n),
+            upper=beside[: pairs - 1].transpose(2, 3).reshape(pairs - 1, n, n),
+            border=border.reshape(pairs, n, -1),
+            corner=self.shape,
+        )
+
+
+def _marginals(found: Inverse, joints: Float[Tensor, "time 66 coordinates"]) -> Deviations:
+    """Standard deviations of every frame's joints and root, and of the shape."""
+    count = len(joints)
+    blocks = found.within.unflatten(-1, (2, FRAME)).unflatten(-3, (2, FRAME))
+    own = torch.stack((blocks[:, 0, :, 0], blocks[:, 1, :, 1]), 1).flatten(0, 1)[:count]
+    onto = found.onto.unflatten(1, (2, FRAME)).flatten(0, 1)[:count]
+    moved, shaped = joints[..., :FRAME], joints[..., FRAME:]
+    rest = shaped - moved @ onto
+    variance = ((moved @ own) * moved).sum(-1) + ((rest @ found.border) * rest).sum(-1)
+    turned = own + onto @ found.border @ onto.mT
+    root = turned[:, 3:6, 3:6].diagonal(dim1=-2, dim2=-1).mean(-1).sqrt()
+    per_joint = variance.unflatten(-1, (-1, 3)).mean(-1).sqrt()
+    return Deviations(per_joint, root, found.border.diagonal().sqrt())

@@ -1,0 +1,112 @@
+"""Standard deviations from the curvature of the objective."""
+
+from dataclasses import dataclass
+
+import pytest
+import torch
+
+import recon
+from observations.files.clouds import cloud_of
+from observations.joints3d import Joints3D
+from priors.pose.prior import PosePrior, PoseWeights
+from recon.core.camera import depth_camera
+from recon.core.residuals import Noise
+from recon.method import laplace
+from recon.method.laplace import deviations
+from recon.method.protocols import Estimate
+from recon.simulation.depth import depth_points
+from recon.simulation.images import dome
+from recon.simulation.points import Corruption, joints3d
+from tests.filmed import bundled, cameras, view, walk
+
+FRAMES = 24
+
+
+def seen(noise: float = 0.02, **hidden) -> Joints3D:
+    clip = joints3d(walk(FRAMES), bundled(), Corruption(noise=noise, **hidden), 0)
+    return clip.map(lambda tensor: tensor[None])
+
+
+def at_truth() -> Estimate:
+    return Estimate.of_clip(walk(FRAMES), bundled())
+
+
+def belief(noise: float = 0.02):
+    return PosePrior.load(weights=PoseWeights.for_noise(noise)).belief(noise)
+
+
+@dataclass(frozen=True)
+class Flat:
+    """A density that holds nothing but the shape, barely."""
+
+    acceleration: float = 0.0
+    shape: float = 1e4
+
+    def whitened(self, motion):
+        """Nothing."""
+        return motion.translation[..., :1] * 0.0
+
+
+def test_twice_the_noise_is_twice_the_deviation_where_only_data_speak():
+    exact = seen(noise=0.0)  # residuals of zero are believed whatever the noise
+    one, two = (
+        deviations(at_truth(), [exact], [Noise(s, s)], Flat()).joints for s in (0.01, 0.02)
+    )
+    assert torch.allclose(two, 2 * one, rtol=0.05)
+
+
+def test_a_frame_of_points_without_prior_has_the_least_squares_deviation():
+    """A root that 22 points see is known to noise / √22 if the body is rigid, less well if not."""
+    found = deviations(at_truth(), [seen(noise=0.0)], [Noise(0.01, 0.01)], Flat())
+    assert (found.joints[:, 0] > 0.01 / 22**0.5).all()
+    assert (found.joints[:, 0] < 0.01).all()
+
+
+def test_joints_that_nobody_saw_are_less_certain():
+    hidden = seen(hide_below=0.6)
+    found = deviations(at_truth(), [hidden], [Noise(0.02, 0.02)], belief()).joints
+    visible = hidden.visible[0]
+    assert not visible.all()
+    assert float(found[~visible].median()) > 3 * float(found[visible].median())
+
+
+def test_more_sensors_make_surer_and_cuts_change_nothing(monkeypatch):
+    noise = Noise(0.02, 0.02)
+    one = deviations(at_truth(), [seen()], [noise], belief()).joints
+    two = deviations(at_truth(), [seen(), seen()], [noise, noise], belief()).joints
+    assert (two < one).all()
+    monkeypatch.setattr(laplace, "_CHUNK", 20)
+    cut = deviations(at_truth(), [seen()], [noise], belief()).joints
+    assert torch.allclose(cut, one, rtol=0.1)
+
+
+@pytest.mark.parametrize("prior", ["pose", "humor"])
+def test_a_result_knows_how_sure_it_is(prior, tmp_path):
+    result = recon.fit(seen(hide_below=0.6)[0], prior=prior)
+    assert result.joint_std is not None
+    assert result.joint_std.shape == (FRAMES, 22)
+    away = (result.joints - bundled().pose(walk(FRAMES)).joints).abs()
+    error = away / result.joint_std[..., None]
+    assert 0.6 < float((error < 1.645).float().mean()) <= 1.0
+    result.save(tmp_path / "out.npz")
+    loaded = recon.load_motion(tmp_path / "out.npz")
+    assert loaded.joint_std is not None
+    assert torch.allclose(loaded.joint_std, result.joint_std)
+    assert result.report()["standard_deviations"]["joints"]["pelvis"] > 0
+
+
+def test_depth_and_images_say_how_sure_they_are():
+    """What a sensor sees of a body is surer than what the body hides from it."""
+    truth = walk(FRAMES)
+    (camera,) = dome(truth, bundled(), depth_camera(), 1)
+    file = depth_points(truth, bundled(), camera, Corruption(), seed=4, points=128)
+    cloud = cloud_of(file, bundled()).cloud.coarse(bundled())
+    one = deviations(at_truth(), [cloud], [Noise(0.03, 0.01)], belief(0.01)).joints
+    assert ((one > 1e-3) & (one < 0.2)).all()
+    image = view(truth, cameras(truth)[0], seed=3)
+    along = deviations(at_truth(), [image], [Noise(3.0, 0.01)], belief(0.01)).joints
+    both = deviations(
+        at_truth(), [cloud, image], [Noise(0.03, 0.01), Noise(3.0, 0.01)], belief(0.01)
+    ).joints
+    assert (both < along).all()
+    assert (both < one).all()
