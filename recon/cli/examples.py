@@ -19,7 +19,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     ),
     "stream": (
         "recon stream seen.npz < moments.jsonl > motion.jsonl",
-        "recon stream view_1.npz view_2.npz --lag 5 < moments.jsonl",
+        "recon stream --lag 5 view_1.npz view_2.npz < moments.jsonl",
     ),
     "convert": (
         "recon convert walk.c3d walk.npz",
