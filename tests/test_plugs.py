@@ -27,7 +27,10 @@ TOOLS = {
     "recon/diagnosis/points/quick.py", "recon/fitting/settling.py", "recon/ingest/markers/rest.py",
 }  # fmt: skip
 """Files that use the pose prior for a step of their own, not for the fit that was asked for."""
-DEFAULTS = {"recon/api/fit.py", "recon/fitting/settings.py", "recon/fitting/options.py"}
+DEFAULTS = {
+    "recon/api/fit.py", "recon/api/many.py", "recon/fitting/settings.py",
+    "recon/fitting/options.py",
+}  # fmt: skip
 """Files with the default argument."""
 
 

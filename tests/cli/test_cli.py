@@ -135,7 +135,7 @@ def test_simulate_takes_a_part_at_another_rate(clip, tmp_path, capsys):
         (("batch", os.devnull, "--out", "out", "--shard", "2"), "--shard"),
         (("simulate", __file__, "o.npz", "--kind", "joints3d", "--frames", "9:3"), "A:B"),
         (("simulate", __file__, "o", "--kind", "depth", "--during", 2, 1), "A < B"),
-        (("sample", "--out", "a.npz", "--temperature", -1), "--temperature"),
+        (("sample", "--out", "a.npz", "--temperature", -1), "temperature: expected a number"),
     ],
 )
 def test_bad_input_is_exit_code_2_and_a_sentence(arguments, words, tmp_path, capsys, monkeypatch):

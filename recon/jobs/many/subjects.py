@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from recon.fitting.priors import traits
 from recon.fitting.settings import FitSettings
 from recon.jobs.many.workers import Failure, run_jobs
 from recon.jobs.many.worklog import Record, open_log
@@ -35,7 +36,7 @@ def shapes_of_subjects(
     known = [clip for clip in clips if clip.subject is not None]
     if not known:
         return {}
-    if settings.prior == "anchor":
+    if traits(settings.prior).completes:
         raise ValueError(
             "subject: cycles are completed with shapes of their own; leave `subject` out of the "
             "manifest, or fit with another prior"
