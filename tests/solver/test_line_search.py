@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from recon.solver.line_search import LineSearches, Wolfe
+from recon.solver.line_search import LineSearches, Wolfe, cubic_minimiser
 
 pytestmark = pytest.mark.numerics
 
@@ -42,3 +42,21 @@ def test_line_searches_end_at_strong_wolfe_points(centre: list[float], ripple: f
         if not waiting.any():
             return
     pytest.fail("a line search did not end")
+
+
+@given(
+    st.floats(0.2, 3.0), st.floats(-2.0, 2.0), st.floats(0.1, 2.0), st.floats(-1.0, 1.0),
+    st.floats(-2.0, 0.0), st.floats(0.5, 3.0),
+)  # fmt: skip
+def test_the_minimum_of_a_cubic_is_found_from_any_two_of_its_points(
+    k, middle, gap, level, t, span
+):
+    """φ(t) = k ((t - m)³ / 3 - g² (t - m)) + level has its minimum at m + g."""
+
+    def point(at):
+        x = at - middle
+        return np.array([[at], [k * (x**3 / 3 - gap**2 * x) + level], [k * (x**2 - gap**2)]])
+
+    a, b = point(middle + gap + t * gap), point(middle + gap + span * gap)
+    assert cubic_minimiser(a, b)[0] == pytest.approx(middle + gap, abs=1e-5)
+    assert cubic_minimiser(b, a)[0] == pytest.approx(middle + gap, abs=1e-5)
