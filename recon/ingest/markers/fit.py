@@ -104,7 +104,6 @@ def fit_markers(
     markers: MarkerSet,
     body: BodyModel,
     *,
-    used: Bool[Tensor, " markers"] | None = None,
     pose_terms: Sequence[Term] = (),
     weights: MarkerWeights | None = None,
 ) -> MarkerFit:
@@ -114,7 +113,6 @@ def fit_markers(
         recording: of exactly these markers, in their order.
         markers: their places on the body.
         body: whose motion it becomes.
-        used: markers that are fitted; None fits all.
         pose_terms: what is known of poses, in place of a pull towards the natural pose.
         weights: of the energies.
 
@@ -124,7 +122,6 @@ def fit_markers(
     weights = MarkerWeights() if weights is None else weights
     positions = torch.from_numpy(recording.positions).float()
     visible = torch.from_numpy(recording.visible)
-    visible = visible if used is None else visible & used
     data = _Data(positions, visible, markers.vertices, recording.fps)
     hold = tuple(pose_terms) or (Term("rest pose", natural_rest, weights.rest),)
     if _stands_on_zero(positions, visible):
