@@ -86,7 +86,7 @@ class CollocatedHumor:
         return self.poses.encode(motion)
 
     def belief(self, noise: float) -> PoseBelief:
-        """That of the pose prior with all of its smoothness, which stands for the steps here."""
+        """The pose prior with all of its smoothness, which stands for the steps here."""
         weights = PoseWeights.for_noise(noise)
         return PosePrior(self.poses.density, weights).belief(noise)
 

@@ -54,11 +54,11 @@ class Deviations:
     """Standard deviations of a fitted motion of one clip."""
 
     joints: Float[Tensor, "time 22"]
-    """Of a coordinate of every joint, metres: root of the mean variance along three axes."""
+    """Standard deviation of a coordinate of every joint, metres, over its three axes."""
     root: Float[Tensor, " time"]
-    """Of the rotation of the root about an axis, radians."""
+    """Standard deviation of the rotation of the root about an axis, radians."""
     shape: Float[Tensor, " shape"]
-    """Of every shape coefficient."""
+    """Standard deviation of every shape coefficient."""
 
 
 def deviations(

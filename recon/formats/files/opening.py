@@ -11,6 +11,9 @@ from recon.formats.files.npz_headers import DAMAGE, check_sizes
 from recon.formats.files.replacing import clear_leftovers
 from recon.formats.files.replacing import replacing as replacing
 
+_SAID = 200
+"""Letters of another library's error that are repeated: some quote the whole damaged file."""
+
 
 def existing(path: Path) -> Path:
     """The path of a file that is there and not empty.
@@ -79,7 +82,8 @@ def load_arrays(path: Path) -> dict[str, np.ndarray]:
         return arrays
     except DAMAGE as error:
         raise FormatError(
-            f"{path}: expected an .npz file of plain arrays, but it cannot be read ({error})"
+            f"{path}: expected an .npz file of plain arrays, but it cannot be read "
+            f"({error!s:.{_SAID}})"
         ) from error
 
 
