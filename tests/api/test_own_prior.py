@@ -50,7 +50,7 @@ def test_a_registered_prior_has_a_name(monkeypatch):
 
 
 def test_names_of_nobody_are_refused():
-    with pytest.raises(WeightsError, match="prior: expected .*humos"):
+    with pytest.raises(WeightsError, match=r"prior: expected .*humos"):
         class_of("humr")
     with pytest.raises(WeightsError, match="cannot be imported"):
         recon.fit(joints3d(walk(4), bundled(), Corruption(), 0), "nobody:Nothing")
