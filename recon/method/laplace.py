@@ -79,18 +79,15 @@ def deviations(
     motion = estimate.motion.detach().to(dtype=torch.float64)
     scene = estimate.scene.detach().to(dtype=torch.float64)
     held = [one.to(dtype=torch.float64) for one in sensors]
-    parts = [
-        _of_window(motion.window(first, stop), scene, body, held, noises, density)
-        for first, stop in _cuts(motion.frames)
-    ]
+    cuts = _cuts(motion.frames)
+    windows = [motion.window(first, stop) for first, stop in cuts]
+    parts = [_of_window(one, scene, body, _during(held, one), noises, density) for one in windows]
     joints = motion.translation.new_zeros(motion.frames, len(body.joint_template))
     root = motion.translation.new_zeros(motion.frames)
-    for (first, stop), part in zip(_cuts(motion.frames), parts, strict=True):
+    for (first, stop), part in zip(cuts, parts, strict=True):
         skip = _OVERLAP // 2 if first > 0 else 0
-        joints[first + skip : stop], root[first + skip : stop] = (
-            part.joints[skip:],
-            part.root[skip:],
-        )
+        joints[first + skip : stop] = part.joints[skip:]
+        root[first + skip : stop] = part.root[skip:]
     least = torch.stack([part.shape for part in parts]).amin(0)
     return Deviations(joints, root, least)
 
@@ -100,6 +97,12 @@ def _cuts(frames: int) -> list[tuple[int, int]]:
     step = _CHUNK - _OVERLAP
     firsts = range(0, max(frames - _OVERLAP, 1), step)
     return [(first, min(first + _CHUNK, frames)) for first in firsts]
+
+
+def _during(sensors: Sequence[Sensor], motion: Motion) -> list[Sensor]:
+    """What the sensors saw during a motion; the rest of a long recording costs nothing."""
+    stop = motion.start_time + (motion.frames - 1) / motion.fps
+    return [one.window(motion.start_time, stop) for one in sensors]
 
 
 def _of_window(
