@@ -13,6 +13,7 @@ from recon.diagnosis.points.named_points import NamedPoints
 from recon.diagnosis.points.predicted import Predicted
 from recon.diagnosis.points.screening import Screened, screen_points
 from recon.diagnosis.points.sides import exchanged_pairs
+from recon.method.protocols import Estimate
 from recon.simulation.points import Corruption, joints3d, markers3d
 from tests.filmed import bundled, walk
 
@@ -265,11 +266,11 @@ def test_a_pair_that_jumps_to_each_other_and_back_is_told_by_its_paths():
 def test_a_limb_that_the_quick_fit_lost_reaches_for_its_points_before_they_are_blamed():
     """Hands of a handspring and a head that looked round were said to be out of place."""
     points, body = seen(), bundled()
-    truth = walk().map(_batched)
+    truth = walk()
     turned = truth.rotations.clone()
     turned[..., JOINTS.index("left_shoulder"), :, :] @= so3.exp(torch.tensor([0.0, 2.0, 0.0]))
-    lost = quick.estimate_of(truth.replace(rotations=turned), body)
-    found = quick.pursued(quick.QuickFit(points, lost, cost=1.0, whole=True), body)
+    lost = Estimate.of_clip(truth.replace(rotations=turned), body)
+    found = quick.pursued(quick.QuickFit(points, lost, cost=1.0), body)
     wrist = index("left_wrist")
     before, after = (
         Predicted.of(NamedPoints.of(points, body), points, estimate).typical[wrist]

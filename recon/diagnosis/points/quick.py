@@ -8,14 +8,12 @@ from typing import Any
 from observations.noise import estimate_noise
 from priors.pose.prior import PosePrior, PoseWeights
 from recon.body.model import BodyModel
-from recon.core.motion import Motion
 from recon.core.robust import geman_mcclure, squared
-from recon.core.scene import Scene
 from recon.core.struct import concatenate
 from recon.diagnosis.points.cleaning import smoothed
 from recon.diagnosis.points.named_points import NamedPoints, Points
 from recon.fitting.long import fit_long
-from recon.method.protocols import Decoded, Estimate
+from recon.method.protocols import Estimate
 from recon.method.reconstruction import solve
 from recon.method.stages import Stage
 from recon.method.terms import Term
@@ -41,8 +39,6 @@ class QuickFit:
     """The motion that most of the points agree on, one clip."""
     cost: float
     """Objective per visible point, metres²; of an excerpt where the recording is long."""
-    whole: bool
-    """Whether the cost is that of the whole recording."""
 
 
 def quick_fits(versions: Sequence[Points], body: BodyModel) -> list[QuickFit]:
@@ -59,14 +55,15 @@ def quick_fits(versions: Sequence[Points], body: BodyModel) -> list[QuickFit]:
     value = result.reports[-1].solution.value / robust.visible.sum((-2, -1)).clamp(min=1)
     if excerpts[0] is versions[0]:
         return [
-            QuickFit(one, estimate_of(result.motion[[row]], body), float(value[row]), True)
+            QuickFit(one, Estimate.of_clip(result.motion[row].detach(), body), float(value[row]))
             for row, one in enumerate(versions)
         ]
     best = int(value.argmin())
     whole = versions[best].replace(kernel=partial(geman_mcclure, sigma=ROBUST_SCALE))
     start = smoothed(NamedPoints.of(whole, body)).into(whole).start(body)
     motion = fit_long([whole], method, body, start=start).motion
-    return [QuickFit(versions[best], estimate_of(motion, body), float(value[best]), False)]
+    estimate = Estimate.of_clip(motion[0].detach(), body)
+    return [QuickFit(versions[best], estimate, float(value[best]))]
 
 
 def pursued(fit: QuickFit, body: BodyModel) -> QuickFit:
@@ -78,7 +75,7 @@ def pursued(fit: QuickFit, body: BodyModel) -> QuickFit:
     lower objective unless the points really are misplaced. Long recordings are left as they are:
     no limb is lost throughout them.
     """
-    if not fit.whole:
+    if _excerpt(fit.points) is not fit.points:
         return fit
     method, start = _Quick(fit.points), fit.estimate.motion
     reached = solve([fit.points.replace(kernel=squared)], method, body, start=start).motion
@@ -86,7 +83,8 @@ def pursued(fit: QuickFit, body: BodyModel) -> QuickFit:
     result = solve([robust], method, body, start=reached.detach())
     count = max(int(fit.points.visible.sum()), 1)
     cost = float(result.reports[-1].solution.value[0]) / count
-    return min(fit, replace(fit, estimate=estimate_of(result.motion, body), cost=cost), key=_cost)
+    estimate = Estimate.of_clip(result.motion[0].detach(), body)
+    return min(fit, replace(fit, estimate=estimate, cost=cost), key=_cost)
 
 
 def _cost(fit: QuickFit) -> float:
@@ -108,12 +106,6 @@ class _Quick:
             replace(stage, minimiser=LBFGS(max_iterations=most, tolerance_decrease=1e-3))
             for stage, most in zip(prior.stages(data), _ITERATIONS, strict=True)
         )
-
-
-def estimate_of(motion: Motion, body: BodyModel) -> Estimate:
-    """A motion, with a leading axis of one clip, as what energies see."""
-    motion = motion.detach()
-    return Estimate(Decoded(motion), body.pose(motion), Scene.create(1, like=motion.translation))
 
 
 def _excerpt(points: Points) -> Points:
