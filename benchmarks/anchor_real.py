@@ -35,7 +35,7 @@ from observations.markers3d import Markers3D
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.fitting.clip import fit_clip
-from recon.fitting.completion import NAMED_NOISE, complete
+from recon.fitting.cycles.completion import NAMED_NOISE, complete
 from recon.fitting.options import FitOptions
 from recon.formats.mocap.reader import read_recording
 from recon.formats.mocap.recording import MarkerRecording

@@ -28,7 +28,7 @@ from benchmarks.results import corpus_source, show, write
 from benchmarks.scans import ScannedCycle, scanned_cycle
 from observations.together.kinds import InSpace
 from recon.body.model import BodyModel
-from recon.fitting.completion import complete
+from recon.fitting.cycles.completion import complete
 from recon.fitting.options import FitOptions
 from recon.formats.observations import save_observation
 

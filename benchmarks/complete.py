@@ -41,7 +41,7 @@ from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.struct import concatenate
 from recon.fitting.clip import fit_clip
-from recon.fitting.completion import NAMED_NOISE, complete
+from recon.fitting.cycles.completion import NAMED_NOISE, complete
 from recon.fitting.options import FitOptions
 from recon.method.reconstruction import solve
 from recon.metrics.chamfer import chamfer_of_clip

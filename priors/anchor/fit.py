@@ -1,15 +1,15 @@
 """Fits under the anchor-frame prior: place, then the code, then the body, then details."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import torch
 
 from priors.anchor.frames import Alignment
 from priors.anchor.prior import AnchorFrames, AnchorVariables
-from recon.body.model import BodyModel
-from recon.core.scene import Scene
 from recon.method.protocols import Estimate
-from recon.method.stages import Stage
+from recon.method.stages import Reweighting, Stage
 from recon.method.terms import Term, prior_energy
 from recon.solver.lbfgs import LBFGS
 
@@ -55,18 +55,16 @@ class AnchorFit:
             terms.append(Term("sink", prior_energy("sink"), variance))
         return tuple(terms)
 
-    def adapted(
-        self, stage: Stage, body: BodyModel, variables: AnchorVariables, scene: Scene
-    ) -> Stage:
-        """The stage as it is run from here: weights follow from the noise and stay."""
-        del body, variables, scene
-        return stage
+    def reweighting(self, data: tuple[Term, ...]) -> Reweighting | None:
+        """None: weights follow from the noise and stay."""
+        del data
+        return None
 
     def search(self, data: tuple[Term, ...]) -> tuple[Stage, ...]:
         """A quick fit that tells good beginnings from bad ones."""
         return (
-            Stage("place", self.prior, (*data, *self.terms), _PLACING, LBFGS(12)),
-            Stage("rough", self.prior, (*data, *self.terms), _CYCLE, LBFGS(30)),
+            self._stage("place", data, _PLACING, LBFGS(12)),
+            self._stage("rough", data, _CYCLE, LBFGS(30)),
         )
 
     def stages(self, data: tuple[Term, ...]) -> tuple[Stage, ...]:
@@ -75,10 +73,9 @@ class AnchorFit:
 
     def coded(self, data: tuple[Term, ...]) -> tuple[Stage, ...]:
         """The code, then the body as well."""
-        terms = (*data, *self.terms)
         return (
-            Stage("cycle", self.prior, terms, _CYCLE, LBFGS(30, tolerance_decrease=1e-4)),
-            Stage("body", self.prior, terms, _BODY, LBFGS(60, tolerance_decrease=1e-5)),
+            self._stage("cycle", data, _CYCLE, LBFGS(30, tolerance_decrease=1e-4)),
+            self._stage("body", data, _BODY, LBFGS(60, tolerance_decrease=1e-5)),
         )
 
     def details(self, data: tuple[Term, ...]) -> tuple[Stage, ...]:
@@ -87,8 +84,14 @@ class AnchorFit:
             return ()
         held = Term("details", prior_energy("details"), self.noise**2)
         minimiser = LBFGS(60, tolerance_decrease=1e-5)
-        terms = (*data, *self.terms, held)
-        return (Stage("details", self.prior, terms, _DETAILS, minimiser),)
+        stage = self._stage("details", data, _DETAILS, minimiser)
+        return (replace(stage, terms=(*stage.terms, held)),)
+
+    def _stage(
+        self, name: str, data: tuple[Term, ...], free: frozenset[str], minimiser: LBFGS
+    ) -> Stage[AnchorVariables]:
+        terms, reweighting = (*data, *self.terms), self.reweighting(data)
+        return Stage(name, self.prior, terms, free, minimiser, reweighting=reweighting)
 
 
 @dataclass(frozen=True)
@@ -109,24 +112,37 @@ class PublishedAnchorFit(AnchorFit):
             Term("ends", prior_energy("ends"), variance / self.ends**2),
         )
 
-    def adapted(
-        self, stage: Stage, body: BodyModel, variables: AnchorVariables, scene: Scene
-    ) -> Stage:
+    def reweighting(self, data: tuple[Term, ...]) -> Reweighting | None:
         """Weights that make the gradients of all residuals on the codes equally long."""
-        latent = variables.latent.detach().requires_grad_()
-        decoded = self.prior.decode(variables.replace(latent=latent))
-        estimate = Estimate(decoded, body.pose(decoded.motion), scene)
-        held = stage.held(estimate)
-        pulls: dict[str, float] = {}
-        for term in held.terms:
-            if term.name.startswith("data") or term.name == "ends":
-                (pull,) = torch.autograd.grad(
-                    term.energy(estimate).sum(), latent, retain_graph=True, allow_unused=True
-                )
-                pulls[term.name] = 0.0 if pull is None else float(pull.norm(dim=-1).mean())
-        mean = sum(pulls.values()) / len(pulls)
-        terms = tuple(
-            replace(term, weight=mean / pulls[term.name]) if pulls.get(term.name) else term
-            for term in stage.terms
-        )
-        return replace(stage, terms=terms)
+        return partial(balanced, residuals=frozenset(term.name for term in data) | {"ends"})
+
+
+def balanced(
+    stage: Stage[AnchorVariables],
+    decoded: Callable[[AnchorVariables], Estimate],
+    variables: AnchorVariables,
+    *,
+    residuals: frozenset[str],
+) -> tuple[Term, ...]:
+    """Terms of a stage, some weighted so that their gradients on the codes are equally long.
+
+    Args:
+        stage: to be minimised.
+        decoded: the estimate of variables.
+        variables: where it begins.
+        residuals: names of the terms that are weighted; the others are left as they are.
+    """
+    latent = variables.latent.detach().requires_grad_()
+    estimate = decoded(variables.replace(latent=latent))
+    pulls: dict[str, float] = {}
+    for term in stage.matched(estimate).terms:
+        if term.name in residuals:
+            (pull,) = torch.autograd.grad(
+                term.energy(estimate).sum(), latent, retain_graph=True, allow_unused=True
+            )
+            pulls[term.name] = 0.0 if pull is None else float(pull.norm(dim=-1).mean())
+    mean = sum(pulls.values()) / len(pulls)
+    return tuple(
+        replace(term, weight=mean / pulls[term.name]) if pulls.get(term.name) else term
+        for term in stage.terms
+    )

@@ -15,7 +15,7 @@ from recon.core.scene import Scene
 from recon.core.skeleton import JOINTS
 from recon.core.struct import TensorStruct
 from recon.method.protocols import REFERENCE_FPS, Estimate
-from recon.method.stages import run_stages
+from recon.method.running import run_stages
 from recon.method.terms import Term
 
 _FACING = ((-1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 1.0, 0.0))

@@ -85,6 +85,10 @@ class HumorVariables(TensorStruct):
             base=torch.cat((turn[:, None] @ self.base[:, :1], self.base[:, 1:]), 1),
         )
 
+    def first(self, frames: int) -> "HumorVariables":
+        """Variables of the motion's first frames."""
+        return self.derived(latents=self.latents[:, : frames - 1], valid=self.valid[:, :frames])
+
 
 @dataclass(frozen=True, eq=False)
 class Humor:
@@ -203,17 +207,13 @@ class Humor:
             start_time=motion.start_time,
         )
 
-    def decode(self, variables: HumorVariables, frames: int | None = None) -> Decoded:
-        """The motion of a first state and latents, or its first so many frames.
+    def decode(self, variables: HumorVariables) -> Decoded:
+        """The motion of a first state and latents.
 
         `energies["transition"]` is -Σ log p(z_t | x_(t-1)), `energies["initial"]` -log p(x_0),
         nats.
         """
         own = self.like(variables.translation)
-        if frames is not None:
-            variables = variables.replace(
-                latents=variables.latents[:, : frames - 1], valid=variables.valid[:, :frames]
-            )
         first = own._first(variables)
         pelvis = own.pelvis(variables.shape)
         frame = Frame.of(first)

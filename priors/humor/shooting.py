@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from priors.humor.collocation import Collocation
-from priors.humor.prior import Humor
+from priors.humor.prior import Humor, HumorVariables
 from priors.humor.terms import (
     bone_length,
     contact_height,
@@ -190,7 +190,7 @@ class Shooting:
             terms: tuple[Term, ...],
             free: frozenset[str],
             iterations: int,
-            frames: int | None = None,
+            portion: Callable[[HumorVariables], HumorVariables] | None = None,
         ) -> tuple[Stage[Any], ...]:
             minimiser = LBFGS(
                 max_iterations=iterations,
@@ -198,12 +198,12 @@ class Shooting:
                 tolerance_decrease=schedule.tolerance,
                 scale=schedule.scale,
             )
-            found = Stage(name, self.prior, terms, free, minimiser, frames)
+            found = Stage(name, self.prior, terms, free, minimiser, portion)
             return (found,) if iterations > 0 else ()
 
         return (
             *stage(
-                "first state", (*always, *contacts), _STATE | _REST, schedule.first, FIRST_FRAMES
+                "first state", (*always, *contacts), _STATE | _REST, schedule.first, _first_frames
             ),
             *stage("latents", always, _REST, schedule.latents),
             *stage("all", (*always, *contacts), _STATE | _REST, schedule.all),
@@ -219,6 +219,11 @@ class Steps:
     def stages(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
         """All but the last."""
         return self.method.stages(data)[:-1]
+
+
+def _first_frames(variables: HumorVariables) -> HumorVariables:
+    """What the publication's first phase moves."""
+    return variables.first(FIRST_FRAMES)
 
 
 def _published(humor: Humor, weights: HumorWeights, poses: PoseWeights) -> Shooting:

@@ -25,7 +25,7 @@ from recon.diagnosis.motions.treadmill import on_belt, with_belt
 from recon.diagnosis.points.screening import screen_points
 from recon.diagnosis.views.screening import screen_views
 from recon.fitting.clip import ClipFit, fit_clip
-from recon.fitting.completion import complete
+from recon.fitting.cycles.completion import complete
 from recon.fitting.options import FitOptions
 from recon.method.laplace import Deviations
 from recon.method.protocols import Estimate, Sensor
@@ -95,7 +95,8 @@ def fit_examined(
         start: a first guess in the frame of the observations, axes (1, time).
 
     Raises:
-        ValueError: as `recon.fitting.clip.fit_clip` and `recon.fitting.completion.complete` do.
+        ValueError: as `recon.fitting.clip.fit_clip` and
+            `recon.fitting.cycles.completion.complete` do.
     """
     if options.completes and start is not None:
         raise ValueError("gait cycles are searched from many starts: leave `start` out")

@@ -225,19 +225,28 @@ class _Job:
     def decided(self) -> "_Job":
         """The clips with the likeliest of their first guesses.
 
-        Which it is, a quick fit under the pose prior tells: half the moments, few of the points.
+        Which it is, a quick fit under the pose prior tells: half the moments, few of the points,
+        and of a long recording its first seconds.
         """
         if not self.guess.others:
             return self
+        shown = self.first_seconds() if self.long else self
         rough = tuple(
-            o.coarse(self.body) if not o.point_names(self.body) else o for o in self.observations
+            o.coarse(self.body) if not o.point_names(self.body) else o for o in shown.observations
         )
-        quick = replace(self, observations=rough)
+        starts = [one.resample(one.fps / 2) for one in (shown.guess.motion, *shown.guess.others)]
+        chosen = solve(
+            rough,
+            self.method(self.rough, frozenset()),
+            self.body,
+            start=starts[0],
+            others=starts[1:],
+            scene=self.scene(starts[0]),
+            weights=weights_of(self.noises),
+            watch=self.watch,
+        ).chosen
         every = (self.guess.motion, *self.guess.others)
-        starts = [motion.resample(motion.fps / 2) for motion in every]
-        fits = [quick.fit(self.rough, self.scene(start), start, frozenset()) for start in starts]
-        best = torch.stack([one.reports[-1].solution.value for one in fits]).argmin(0)
-        rows = [every[k][[row]] for row, k in enumerate(best.tolist())]
+        rows = [every[number][[row]] for row, number in enumerate(chosen or ())]
         return replace(self, guess=FirstGuess(concatenate(rows), self.guess.distance_known))
 
     def on_known_ground(self) -> Motion:
@@ -286,5 +295,9 @@ class _Job:
         begin = self.guess.motion.start_time
         frames = round(WINDOW * self.guess.motion.fps) + 1  # the window has both its ends
         seen = tuple(o.window(begin, begin + WINDOW) for o in self.observations)
-        guess = FirstGuess(self.guess.motion.window(0, frames), self.guess.distance_known)
+        guess = FirstGuess(
+            self.guess.motion.window(0, frames),
+            self.guess.distance_known,
+            tuple(other.window(0, frames) for other in self.guess.others),
+        )
         return replace(self, observations=seen, guess=guess)

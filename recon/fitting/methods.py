@@ -33,7 +33,7 @@ def _of_prior(options: FitOptions, noise: float, body: BodyModel) -> Method:
     if options.completes:
         raise ReconError(
             "this prior is of one whole cycle, for which beginnings are searched: call "
-            "recon.fitting.completion.complete, or `recon complete`"
+            "recon.fitting.cycles.completion.complete, or `recon complete`"
         )
     given, name = options.prior, checked_method(options.prior, options.method)
     if not isinstance(given, str) and isinstance(given, Method):

@@ -11,7 +11,8 @@ from recon.core.motion import Motion
 from recon.core.scene import Scene
 from recon.core.struct import TensorStruct
 from recon.method.protocols import REFERENCE_FPS, Estimate
-from recon.method.stages import Stage, run_stages
+from recon.method.running import run_stages
+from recon.method.stages import Stage
 from recon.method.terms import Term
 from recon.physics.energies import FloatingUnlessFlying, dynamic_stability, penetration, slide
 from recon.physics.samples import NO_GROUND

@@ -7,7 +7,6 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from recon.body.model import BodyModel
-from recon.core.scene import Scene
 from recon.core.struct import TensorStruct
 from recon.method.protocols import Prior
 from recon.method.reconstruction import Method
@@ -79,10 +78,6 @@ class CycleMethod(Protocol):
     @property
     def noise(self) -> float:
         """Metres by which coordinates of the data are off."""
-        ...
-
-    def adapted(self, stage: Stage, body: BodyModel, variables: Any, scene: Scene) -> Stage:
-        """The stage as it is run from these variables."""
         ...
 
     def search(self, data: tuple[Term, ...]) -> tuple[Stage, ...]:

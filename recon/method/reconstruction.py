@@ -1,7 +1,7 @@
 """The entry point: observations in, a motion and the reasons for it out."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol, cast, runtime_checkable
 
 import torch
@@ -15,7 +15,8 @@ from recon.core.motion import Motion
 from recon.core.scene import Scene
 from recon.core.struct import TensorStruct
 from recon.method.protocols import Estimate, Observation
-from recon.method.stages import Stage, StageReport, Watch, run_stages
+from recon.method.running import Hypotheses, run_hypotheses
+from recon.method.stages import Stage, StageReport, Watch
 from recon.method.start import Recorded, checked_start
 from recon.method.terms import Term
 from recon.solver.lbfgs import Termination
@@ -36,6 +37,9 @@ class Reconstruction:
 
     estimate: Estimate
     reports: tuple[StageReport, ...]
+    chosen: tuple[int, ...] | None = field(default=None, kw_only=True)
+    """Number of the hypothesis that every clip's motion was found from, the start being 0; None
+    where there was one only."""
 
     @property
     def motion(self) -> Motion:
@@ -89,6 +93,7 @@ def solve(
     body: BodyModel | None = None,
     *,
     start: Motion | None = None,
+    others: Sequence[Motion] = (),
     scene: Scene | None = None,
     weights: Sequence[float] | None = None,
     watch: Watch | None = None,
@@ -107,6 +112,8 @@ def solve(
         body: whose motion it is; None is the bundled body.
         start: a first guess to continue from instead, for example the previous chunk's motion; it
             covers the time of an observation.
+        others: further hypotheses to begin from. Stages say how many they keep; of those that
+            are left at the end, the motion of the lowest objective is the clip's.
         scene: what surrounds the motion; None puts every tracked point on the model.
         weights: multiplier of each observation; None weighs all equally.
         watch: told about every iteration.
@@ -116,7 +123,17 @@ def solve(
             many weights, or the start does not fit them or the body.
     """
     data, body, start, scene, weights = admitted(observations, body, start, scene, weights)
-    return reconstruct(data, prior, body, start=start, scene=scene, weights=weights, watch=watch)
+    recorded = tuple(one for one in data if isinstance(one, Recorded))
+    return reconstruct(
+        data,
+        prior,
+        body,
+        start=start,
+        others=[checked_start(other, recorded, body) for other in others],
+        scene=scene,
+        weights=weights,
+        watch=watch,
+    )
 
 
 Admitted = tuple[list[Observation], BodyModel, Motion | None, Scene | None, Sequence[float] | None]
@@ -170,6 +187,7 @@ def reconstruct(
     body: BodyModel,
     *,
     start: Motion | None = None,
+    others: Sequence[Motion] = (),
     scene: Scene | None = None,
     weights: Sequence[float] | None = None,
     watch: Watch | None = None,
@@ -185,8 +203,13 @@ def reconstruct(
         Term("data" if len(observations) == 1 else f"data {k + 1}", observation, weight)
         for k, (observation, weight) in enumerate(zip(observations, weights, strict=True))
     )
-    estimate, reports = run_stages(prior.stages(data), body, start, scene, watch)
-    return Reconstruction(estimate, tuple(reports))
+    stages = prior.stages(data)
+    if others and stages[-1].kept is None:
+        stages = (*stages[:-1], replace(stages[-1], kept=1))
+    began = Hypotheses.of_motions(stages[0].prior, [start, *others], scene, body)
+    found, reports = run_hypotheses(stages, body, began, watch)
+    chosen = None if found.number is None else tuple(found.number.tolist())
+    return Reconstruction(found.estimate(body), tuple(reports), chosen=chosen)
 
 
 def _body_beside(observation: Observation) -> BodyModel:

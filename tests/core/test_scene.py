@@ -16,8 +16,10 @@ from recon.core.scene import GROUND, TILT, Scene, UnknownGround
 from recon.core.struct import TensorStruct
 from recon.method.free import FreeMotion
 from recon.method.protocols import Decoded, Estimate
-from recon.method.stages import Carried, Stage, run_stage
+from recon.method.running import run_stage
+from recon.method.stages import Stage
 from recon.method.terms import Term
+from recon.method.unknowns import Carried
 from tests import laws
 
 

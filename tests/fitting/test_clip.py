@@ -6,8 +6,10 @@ import pytest
 import torch
 
 from observations import Joints3D
+from observations.depth import PointCloud
 from observations.files.images import keypoints_of
 from observations.keypoints2d import Keypoints2D
+from observations.surfels import Surfels
 from recon.core.motion import Motion
 from recon.core.struct import concatenate
 from recon.fitting import clip as clip_module
@@ -160,3 +162,24 @@ def test_nobody_in_the_first_frames():
     late = seen.replace(confidence=confidence)
     found = fit_clip([late], POSE, bundled())
     assert joint_error(found.result.motion.detach()[0], truth) < 0.09
+
+
+@pytest.mark.slow
+def test_a_long_recording_of_depth_alone_finds_its_heading_in_its_first_seconds():
+    """Comparing headings window by window, it met windows that no hypothesis has."""
+    body, count = bundled(), 43
+    there, up = torch.zeros(count), torch.full((count,), float(walk().translation[0, 2]))
+    standing = Motion.create(
+        torch.stack([0.03 * torch.arange(count), there, up], -1),
+        walk().rotations[:1].expand(count, -1, -1, -1),
+        walk().shape,
+        fps=3.0,
+    )
+    generator = torch.Generator().manual_seed(0)
+    pick = torch.randint(len(body.template), (count, 60, 1), generator=generator)
+    seen = body.pose(standing).vertices.gather(1, pick.expand(-1, -1, 3))
+    everywhere = torch.ones(1, count, 60, dtype=torch.bool)
+    cloud = PointCloud(seen[None], everywhere, Surfels.of(body, 400), 3.0)
+    found = fit_clip([cloud], POSE, body)
+    assert found.result.motion.frames == count
+    assert joint_error(found.result.clip(0), standing) < 0.08

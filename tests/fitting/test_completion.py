@@ -17,7 +17,7 @@ from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS
 from recon.core.struct import concatenate
-from recon.fitting.completion import complete
+from recon.fitting.cycles.completion import complete
 from recon.fitting.options import FitOptions
 from tests.filmed import cameras, view
 from tests.priors.tiny_anchor import tiny_prior, tiny_weights, walks
@@ -71,7 +71,8 @@ def test_landmarks_alone(settings):
     walk = truth(1, 2.5)
     found = complete([landmarks(walk)], settings, BODY)
     assert vertex_error(found.result.clip(0), walk) < 0.03
-    assert [report.stage.name for report in found.result.reports] == ["cycle", "body"]
+    names = [report.stage.name for report in found.result.reports]
+    assert names == ["place", "rough", "cycle", "body"]
 
 
 @pytest.mark.parametrize(("seed", "turned"), [(2, 0.0), (3, 4.0)])
@@ -97,7 +98,7 @@ def test_dense_points_tell_what_no_code_has(settings):
     walk = walk.replace(rotations=raised)
     found = complete([cloud(walk, 500)], settings, BODY)
     reports = {report.stage.name: report for report in found.result.reports}
-    assert set(reports) == {"cycle", "body", "details"}
+    assert set(reports) == {"place", "rough", "cycle", "body", "details"}
     elbow = found.result.clip(0).rotations[:, JOINTS.index("left_elbow")]
     bent = so3.log(elbow).norm(dim=-1).mean()
     assert float(bent) > 0.03  # in no walk of the prior it bends at all

@@ -1,17 +1,19 @@
 """Stages: what is freed moves, what is not stays; clips are independent; truth is recovered."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import pytest
 import torch
 
 from observations import Joints3D
+from recon.core import rotations as so3
 from recon.core.scene import Scene
 from recon.core.struct import concatenate
 from recon.method import terms
 from recon.method.free import FreeMotion
 from recon.method.reconstruction import solve
-from recon.method.stages import Stage, run_stages
+from recon.method.running import Hypotheses, run_hypotheses, run_stages
+from recon.method.stages import Stage
 from recon.method.terms import Term
 from recon.solver.lbfgs import LBFGS, Termination
 from tests import laws
@@ -152,3 +154,56 @@ def test_joined_records_are_their_parts(toy_body):
     motion = laws.a_motion(toy_body)
     again = concatenate([motion[:1], motion[1:]])
     assert torch.equal(again.rotations, motion.rotations)
+
+
+def test_of_several_hypotheses_the_one_of_the_lowest_objective_is_kept(body):
+    truth = laws.a_motion(body, clips=2, frames=5)
+    observation = observed(body, truth)
+    turned = truth.rotations.clone()
+    turned[:, :, 0] = so3.exp(torch.tensor([0.0, 0.0, 3.0]).to(turned)) @ turned[:, :, 0]
+    wrong = truth.replace(rotations=turned)
+    rows = torch.tensor([True, False])
+    first = truth.replace(rotations=turned.where(rows[:, None, None, None, None], truth.rotations))
+    second = truth.replace(
+        rotations=truth.rotations.where(rows[:, None, None, None, None], turned)
+    )
+    found = solve([observation], Free(2), body, start=first, others=[wrong, second])
+    assert found.chosen == (2, 0)
+    assert len(found.motion.translation) == 2
+    assert (found.body.joints - body.pose(truth).joints).norm(dim=-1).mean() < 0.05
+
+
+def test_a_stage_keeps_as_many_hypotheses_as_it_says_by_the_objective_it_names(body):
+    truth = laws.a_motion(body, clips=1, frames=3)
+    prior = FreeMotion()
+    higher = [truth.replace(translation=truth.translation + step) for step in (0.3, 0.1, 0.2)]
+    height = Term("height", lambda estimate: -estimate.motion.translation[..., 2].sum(-1), 1.0)
+    still = Term("still", lambda estimate: estimate.motion.rotations.flatten(1).sum(-1) * 0, 1.0)
+    stage = Stage(
+        "keep", prior, (still,), frozenset({"pose"}), LBFGS(1), kept=2, ranking=(height,)
+    )
+    scene = Scene.create(1, like=truth.translation)
+    began = Hypotheses.of_motions(prior, higher, scene, body)
+    found, reports = run_hypotheses([stage, replace(stage, kept=1)], body, began)
+    assert found.number is not None
+    assert found.number.tolist() == [0]
+    assert [len(report.solution.value) for report in reports] == [1, 1]
+    once, _ = run_hypotheses([stage], body, began)
+    assert once.number is not None
+    assert once.number.tolist() == [0, 2]
+
+
+def test_a_stage_is_minimised_with_the_weights_found_at_its_start(toy_body):
+    motion = laws.a_motion(toy_body)
+
+    def doubled(stage, decoded, variables):
+        assert decoded(variables).motion.frames == motion.frames
+        return tuple(replace(term, weight=2 * term.weight) for term in stage.terms)
+
+    data = Term("data", observed(toy_body, laws.a_motion(toy_body, seed=1)), 1.0)
+    stage = Stage("once", FreeMotion(), (data,), frozenset({"pose"}), LBFGS(1))
+    scene = Scene.create(1, like=motion.translation)
+    _, (plain,) = run_stages((stage,), toy_body, motion, scene)
+    _, (report,) = run_stages((replace(stage, reweighting=doubled),), toy_body, motion, scene)
+    assert report.stage.terms[0].weight == 2.0
+    assert float(report.solution.trace[0, 0]) == 2 * float(plain.solution.trace[0, 0])

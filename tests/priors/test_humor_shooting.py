@@ -16,8 +16,10 @@ from recon.core.scene import Scene, UnknownGround
 from recon.method.free import FreeMotion
 from recon.method.protocols import Estimate
 from recon.method.reconstruction import Method, solve
-from recon.method.stages import Stage, evaluate_stage, run_stage, run_stages
+from recon.method.running import run_stage, run_stages
+from recon.method.stages import Stage
 from recon.method.terms import Term
+from recon.method.unknowns import Unknowns
 from recon.solver.lbfgs import LBFGS
 from tests.priors.test_humor import humor, motions
 
@@ -32,7 +34,11 @@ def test_the_phases_are_the_published_ones(body: BodyModel) -> None:
     method = Shooting.published_joints(humor(body))
     assert isinstance(method, Method)
     _, _, first, latents, everything = method.stages((Term("data", zero, 1.0),))
-    assert (first.frames, latents.frames, everything.frames) == (15, None, None)
+    start = humor(body).encode(motions(20))
+    assert first.portion is not None
+    assert first.portion(start).valid.shape[1] == 15
+    assert latents.portion is None
+    assert everything.portion is None
     assert [s.minimiser.max_iterations for s in (first, latents, everything)] == [600, 500, 300]
     assert latents.free == {"latents", "shape"}
     assert "contact height" not in {term.name for term in latents.terms}
@@ -75,19 +81,21 @@ def test_a_phase_without_iterations_is_left_out(body: BodyModel) -> None:
 def test_a_phase_of_some_frames_sees_only_them(body: BodyModel) -> None:
     prior = humor(body)
     stage = Shooting.published_joints(prior).stages((Term("data", zero, 1.0),))[2]
-    stage = replace(stage, frames=4, minimiser=replace(stage.minimiser, max_iterations=2))
+    stage = replace(
+        stage, portion=lambda x: x.first(4), minimiser=replace(stage.minimiser, max_iterations=2)
+    )
     start = prior.encode(motions(8))
     scene = Scene.create(2, like=start.translation)
     found, _, solution = run_stage(stage, body, start, scene)
     assert torch.equal(found.latents[:, 3:], start.latents[:, 3:])
     assert not torch.equal(found.latents[:, :3], start.latents[:, :3])
-    short = prior.decode(found, 4)
+    short = prior.decode(found.first(4))
     energies = torch.stack([
         term.weight * term.energy(Estimate(short, body.pose(short.motion), scene))
         for term in stage.terms
     ], -1)  # fmt: skip
     torch.testing.assert_close(solution.trace[:, -1], energies.double())
-    whole = evaluate_stage(stage, body, found, scene)
+    whole = Unknowns(found, scene).estimate(prior, body)
     assert whole.motion.frames == 8
 
 

@@ -47,7 +47,7 @@ def cycle_report(found: ClipFit, residuals: Sequence[ResidualSummary]) -> CycleR
     them. `swing_difference` is that of `SWING`, null where the hips do not even return.
 
     Args:
-        found: by `recon.fitting.completion.complete`.
+        found: by `recon.fitting.cycles.completion.complete`.
         residuals: of its observations.
     """
     motion = found.result.clip(0).detach().to(device="cpu")

@@ -37,7 +37,8 @@ from recon.ingest.markers.rest import natural_rest, with_natural_pose
 from recon.method import terms
 from recon.method.free import FreeMotion
 from recon.method.protocols import REFERENCE_FPS, Estimate
-from recon.method.stages import Stage, run_stages
+from recon.method.running import run_stages
+from recon.method.stages import Stage
 from recon.method.terms import Term
 from recon.solver.lbfgs import LBFGS
 

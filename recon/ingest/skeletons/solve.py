@@ -17,7 +17,8 @@ from recon.ingest.energies import BoneOrientations
 from recon.ingest.skeletons.subject import Frames, SubjectModel, joint_terms
 from recon.method import terms
 from recon.method.free import FreeMotion
-from recon.method.stages import Stage, run_stages
+from recon.method.running import run_stages
+from recon.method.stages import Stage
 from recon.method.terms import Term
 from recon.solver.lbfgs import LBFGS
 

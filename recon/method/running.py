@@ -1,0 +1,204 @@
+"""The loop over the stages of a method."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from time import perf_counter
+from typing import Any, Generic
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from recon.body.model import BodyModel
+from recon.core.motion import Motion
+from recon.core.scene import Scene
+from recon.core.struct import S, concatenate
+from recon.method.protocols import Estimate, Prior
+from recon.method.stages import Stage, StageReport, Watch
+from recon.method.terms import Term
+from recon.method.unknowns import Layout, Unknowns
+from recon.solver.solution import Solution, in_turn
+
+_SHARE = 3
+"""Part of its iterations that every round of a stage has, where correspondences are found anew."""
+
+
+@dataclass(frozen=True)
+class Hypotheses(Generic[S]):
+    """Variables to begin from, one row or several for each clip."""
+
+    prior: Prior[S]
+    unknowns: Unknowns[S]
+    clip: Int[Tensor, " rows"] | None = None
+    """The clip of every row; None where the rows are the clips."""
+    number: Int[Tensor, " rows"] | None = None
+    """What the caller knows a row by."""
+
+    @classmethod
+    def of_motions(
+        cls, prior: Prior[S], motions: Sequence[Motion], scene: Scene, body: BodyModel
+    ) -> "Hypotheses[S]":
+        """Motions of the same clips, each a hypothesis known by its number, in one scene."""
+        with torch.no_grad():
+            if len(motions) == 1:
+                return cls(prior, Unknowns.of(prior, motions[0], scene, body))
+            scenes = concatenate([scene] * len(motions))
+            unknowns = Unknowns.of(prior, concatenate(list(motions)), scenes, body)
+        clips = torch.arange(len(motions[0].translation))
+        number = torch.arange(len(motions)).repeat_interleave(len(clips))
+        return cls(prior, unknowns, clips.repeat(len(motions)), number)
+
+    def best(self, value: Float[Tensor, " rows"], count: int) -> Int[Tensor, " kept"]:
+        """The rows of least value, so many of every clip, in the order of clips."""
+        clip = torch.arange(len(value)) if self.clip is None else self.clip
+        ordered = value.cpu().nan_to_num(torch.inf).argsort()
+        own = [ordered[clip[ordered] == k][:count] for k in range(int(clip.max()) + 1)]
+        return torch.cat(own)
+
+    def rows(self, index: Int[Tensor, " kept"]) -> "Hypotheses[S]":
+        """Some of them."""
+        clip = None if self.clip is None else self.clip[index]
+        number = None if self.number is None else self.number[index]
+        return Hypotheses(self.prior, self.unknowns[index], clip, number)
+
+    def of(self, stage: Stage[S]) -> Stage[S]:
+        """A stage, whose data are of clips, with the data of every row."""
+        return stage if self.clip is None else stage.rows(self.clip)
+
+    def estimate(self, body: BodyModel) -> Estimate:
+        """What energies would see of every row."""
+        with torch.no_grad():
+            return self.unknowns.estimate(self.prior, body)
+
+
+def run_stages(
+    stages: Sequence[Stage[Any]],
+    body: BodyModel,
+    motion: Motion,
+    scene: Scene,
+    watch: Watch | None = None,
+) -> tuple[Estimate, list[StageReport]]:
+    """All stages in turn, from one motion for each clip."""
+    began = Hypotheses.of_motions(stages[0].prior, [motion], scene, body)
+    found, reports = run_hypotheses(stages, body, began, watch)
+    return found.estimate(body), reports
+
+
+def run_hypotheses(
+    stages: Sequence[Stage[Any]],
+    body: BodyModel,
+    began: Hypotheses[Any],
+    watch: Watch | None = None,
+) -> tuple[Hypotheses[Any], list[StageReport]]:
+    """All stages in turn, from variables; the hypotheses that remain, and a report of each stage.
+
+    Data of stages are of clips. Consecutive stages of one prior object continue from its
+    variables; otherwise the motion is handed on, encoded anew.
+    """
+    held, reports = began, list[StageReport]()
+    for stage in stages:
+        started = perf_counter()
+        if stage.prior is not held.prior:
+            held = _encoded_anew(held, stage.prior, body)
+        stage, unknowns, solution = _solved(held.of(stage), body, held.unknowns, watch)
+        held = replace(held, unknowns=unknowns)
+        reports.append(StageReport(stage, solution, perf_counter() - started))
+        if stage.kept is not None:
+            value = rank(stage, held, body) if stage.ranking else solution.value
+            index = held.best(value, stage.kept)
+            held, reports = held.rows(index), [report.rows(index) for report in reports]
+    return held, reports
+
+
+def run_stage(
+    stage: Stage[S],
+    body: BodyModel,
+    variables: S,
+    scene: Scene,
+    watch: Watch | None = None,
+) -> tuple[S, Scene, Solution]:
+    """Minimise one stage's objective from the given variables.
+
+    Raises:
+        ValueError: when the stage frees a tensor that its prior and the scene do not have.
+    """
+    _, found, solution = _solved(stage, body, Unknowns(variables, scene), watch)
+    return found.variables, found.scene, solution
+
+
+def rank(
+    stage: Stage[Any], hypotheses: Hypotheses[Any], body: BodyModel
+) -> Float[Tensor, " rows"]:
+    """The objective by which a stage compares hypotheses, its `ranking` or its own terms."""
+    terms = [
+        term if hypotheses.clip is None else term.rows(hypotheses.clip)
+        for term in stage.ranking or stage.terms
+    ]
+    with torch.no_grad():
+        estimate = hypotheses.unknowns.estimate(hypotheses.prior, body, stage.portion)
+        return _values(terms, estimate).sum(-1)
+
+
+def _encoded_anew(held: Hypotheses[Any], prior: Prior[Any], body: BodyModel) -> Hypotheses[Any]:
+    with torch.no_grad():
+        motion = held.unknowns.motion(held.prior, body)
+        unknowns = Unknowns.of(prior, motion, held.unknowns.scene, body)
+    return replace(held, prior=prior, unknowns=unknowns)
+
+
+def _solved(
+    stage: Stage[S], body: BodyModel, unknowns: Unknowns[S], watch: Watch | None
+) -> tuple[Stage[S], Unknowns[S], Solution]:
+    """The stage as it was minimised, with its weights; what it found; and how it ended."""
+    if stage.reweighting is not None:
+        scene = unknowns.scene
+
+        def decoded(variables: S) -> Estimate:
+            return Unknowns(variables, scene).estimate(stage.prior, body, stage.portion)
+
+        terms = stage.reweighting(stage, decoded, unknowns.variables)
+        stage = replace(stage, terms=terms)
+    if not stage.matches:
+        return stage, *_minimised(stage, body, unknowns, watch)
+    most = math.ceil(stage.minimiser.max_iterations / _SHARE)
+    shorter = replace(stage, minimiser=replace(stage.minimiser, max_iterations=most))
+    solutions: list[Solution] = []
+    for _ in range(stage.rounds):
+        with torch.no_grad():
+            estimate = unknowns.estimate(stage.prior, body, stage.portion)
+        unknowns, solution = _minimised(shorter.matched(estimate), body, unknowns, watch)
+        solutions.append(solution)
+    return stage, unknowns, in_turn(solutions)
+
+
+def _minimised(
+    stage: Stage[S], body: BodyModel, unknowns: Unknowns[S], watch: Watch | None
+) -> tuple[Unknowns[S], Solution]:
+    start = unknowns.detach()
+    try:
+        layout = Layout.of(start, stage.free)
+    except ValueError as error:
+        raise ValueError(f"stage {stage.name!r}: {error}") from error
+    bound = stage.terms, start
+    bound_to: Tensor | None = None
+
+    def objective(x: Float[Tensor, "active n"], active: Int[Tensor, " active"]) -> Tensor:
+        nonlocal bound, bound_to
+        if active is not bound_to:  # the solver hands the same tensor until the rows change
+            bound = tuple(term.rows(active) for term in stage.terms), start[active]
+            bound_to = active
+        terms, fixed = bound
+        return _values(
+            terms, layout.unflatten(fixed, x).estimate(stage.prior, body, stage.portion)
+        )
+
+    told = None if watch is None else partial(watch, stage.name)
+    solution = stage.minimiser(objective, layout.flatten(start), told)
+    return layout.unflatten(start, solution.x), solution
+
+
+def _values(terms: Sequence[Term], estimate: Estimate) -> Float[Tensor, "rows terms"]:
+    """Weighted energies."""
+    return torch.stack([term.weight * term.energy(estimate) for term in terms], -1)

@@ -1,0 +1,126 @@
+"""Everything a stage may move: the prior's variables and the scene, as records and as a matrix."""
+
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+from typing import Any, ClassVar, Generic, Protocol, runtime_checkable
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from recon.body.model import BodyModel
+from recon.core import rotations as so3
+from recon.core.motion import Motion
+from recon.core.scene import Scene
+from recon.core.struct import S, TensorStruct
+from recon.method.protocols import Estimate, Prior
+
+
+@runtime_checkable
+class Carried(Protocol):
+    """Variables of a motion that can be had in another frame."""
+
+    def carried(self, T: Float[Tensor, "*batch 4 4"], body: BodyModel) -> Any:
+        """Variables of the same motion after a rigid transform."""
+        ...
+
+
+@runtime_checkable
+class Level(Protocol):
+    """A prior that knows where up is: its motions are in the world, not in a recording's frame.
+
+    Where the ground is unknown, motions are brought to the world before `encode`, and its
+    variables, which are `Carried`, back to the frame of the recording.
+    """
+
+    level: ClassVar[bool]
+
+
+@dataclass(frozen=True)
+class Unknowns(TensorStruct, Generic[S]):
+    """The prior's variables and the scene, both with a leading axis of clips."""
+
+    variables: S
+    scene: Scene
+
+    @classmethod
+    def of(cls, prior: Prior[S], motion: Motion, scene: Scene, body: BodyModel) -> "Unknowns[S]":
+        """The unknowns of a motion; both are in the frame of the recording."""
+        if scene.ground is None or not _is_level(prior):
+            return cls(prior.encode(motion), scene)
+        T = scene.ground.T_world_recording
+        variables: Any = prior.encode(motion.carried(T, body.rest_joints(motion.shape)[..., 0, :]))
+        return cls(variables.carried(so3.inverse_rigid(T), body), scene)
+
+    def motion(self, prior: Prior[S], body: BodyModel) -> Motion:
+        """The motion of the variables; both are in the frame of the recording."""
+        if self.scene.ground is None or not _is_level(prior):
+            return prior.decode(self.variables).motion
+        motion = self.estimate(prior, body).motion
+        T = so3.inverse_rigid(self.scene.ground.T_world_recording)
+        return motion.carried(T, body.rest_joints(motion.shape)[..., 0, :])
+
+    def estimate(
+        self, prior: Prior[S], body: BodyModel, portion: Callable[[S], S] | None = None
+    ) -> Estimate:
+        """What energies see: the motion in the world, or that of a portion of the variables."""
+        variables: Any = self.variables
+        ground = self.scene.ground
+        if ground is not None:
+            if not isinstance(variables, Carried):
+                raise ValueError(
+                    f"{type(prior).__name__} needs to know the ground: its variables cannot be "
+                    "carried to another world; give the cameras' poses, or take the default method"
+                )
+            variables = variables.carried(ground.T_world_recording, body)
+        if portion is not None:
+            variables = portion(variables)
+        decoded = prior.decode(variables)
+        return Estimate(decoded, body.pose(decoded.motion), self.scene)
+
+
+def _is_level(prior: Prior[Any]) -> bool:
+    return isinstance(prior, Level) and prior.level
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How the optimised tensors of a batch lie side by side in one matrix, a row for each clip."""
+
+    paths: tuple[str, ...]
+    shapes: tuple[torch.Size, ...]
+
+    @classmethod
+    def of(cls, unknowns: Unknowns[Any], free: Collection[str]) -> "Layout":
+        """The tensors that are named, in the order of the record.
+
+        Args:
+            unknowns: a record with these tensors.
+            free: the prior's tensors by their name (`pose`), the scene's by their path
+                (`scene.offsets`).
+
+        Raises:
+            ValueError: when there is no such tensor; the message lists those that there are.
+        """
+        tensors = unknowns.tensors()
+        named = {path.removeprefix("variables."): path for path in tensors}
+        if missing := set(free) - set(named):
+            raise ValueError(f"it frees {sorted(missing)}; there are {sorted(named)}")
+        paths = [path for name, path in named.items() if name in free]
+        return cls(tuple(paths), tuple(tensors[path].shape[1:] for path in paths))
+
+    def flatten(self, unknowns: Unknowns[Any]) -> Float[Tensor, "batch n"]:
+        """The matrix of a record."""
+        tensors = unknowns.tensors()
+        rows = [tensors[path].reshape(len(tensors[path]), -1) for path in self.paths]
+        return torch.cat(rows, 1)
+
+    def unflatten(self, unknowns: Unknowns[S], x: Float[Tensor, "batch n"]) -> Unknowns[S]:
+        """The record with the optimised tensors taken from a matrix."""
+        pieces = x.split([shape.numel() for shape in self.shapes], 1)
+        freed = {
+            path: piece.reshape(len(x), *shape)
+            for path, piece, shape in zip(self.paths, pieces, self.shapes, strict=True)
+        }
+        paths = iter(unknowns.tensors())
+        return unknowns.map(lambda tensor: freed.get(next(paths), tensor))
