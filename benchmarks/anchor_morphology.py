@@ -211,15 +211,12 @@ def _picture(body: BodyModel, motion: Motion, frame: int, value: Tensor, words: 
     view = follow([figure], _SIZE)[frame].scaled(2)
     vertices, faces = figure.posed.vertices[frame].double().numpy(), body.faces.numpy()
     pixels, depth = view.project(vertices)
-    raster = rasterise(pixels, 1 / depth, faces, view.size)
-    front = raster.face >= 0
-    corners, weights = faces[raster.face[front]], raster.barycentric[front][..., None]
     share = (value / value.max()).double().numpy()[:, None]
     tint = np.array([240.0, 240, 240]) * (1 - share) + np.array([200.0, 20, 20]) * share
-    normals = (vertex_normals(vertices, faces)[corners] * weights).sum(1)
-    lamp = 0.55 + 0.45 * np.clip(-normals @ view.R_camera_world[2], 0, 1)
-    image = np.full((*raster.face.shape, 3), 255.0)
-    image[front] = (tint[corners] * weights).sum(1) * lamp[:, None]
+    facing = -vertex_normals(vertices, faces) @ view.R_camera_world[2]
+    lit = tint * (0.55 + 0.45 * np.clip(facing, 0, 1))[:, None]
+    raster = rasterise(pixels, depth, faces, view.size, lit / 255)
+    image = np.where(raster.covered[..., None], 255.0 * raster.values, 255.0)
     small = image.reshape(_SIZE[1], 2, _SIZE[0], 2, 3).mean((1, 3)).astype(np.uint8)
     label(small, words)
     return small

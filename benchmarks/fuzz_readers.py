@@ -49,12 +49,13 @@ def main() -> None:
     parser.add_argument("--range", type=int, nargs=2, help="these mutants, in this process")
     arguments = parser.parse_args()
     if arguments.range is not None:
-        child(*arguments.range, arguments.seed, arguments.recordings)
+        first, stop = arguments.range
+        child(first, stop, arguments.seed, arguments.recordings)
         return
-    edges = np.linspace(0, arguments.count, arguments.workers + 1).astype(int).tolist()
+    edges: list[int] = np.linspace(0, arguments.count, arguments.workers + 1).astype(int).tolist()
     with ThreadPoolExecutor(arguments.workers) as pool:
         parts = pool.map(
-            lambda pair: watched(*pair, arguments.seed, arguments.recordings),
+            lambda pair: watched(pair[0], pair[1], arguments.seed, arguments.recordings),
             pairwise(edges),
         )
         verdicts = [verdict for part in parts for verdict in part]

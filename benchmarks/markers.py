@@ -18,6 +18,7 @@ fitted, evenly spaced.
 import argparse
 import logging
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -71,7 +72,8 @@ def evaluate(recording: MarkerRecording, body: BodyModel) -> Row:
     fitted: list[Tensor] = []
     for fold in range(FOLDS):
         used = numbers % FOLDS != fold
-        fit = fit_markers(chosen, markers, body, used=used)
+        shown = replace(chosen, visible=chosen.visible & used.numpy())
+        fit = fit_markers(shown, markers, body)
         apart = (fit.predicted - positions).norm(dim=-1)
         fitted.append(apart[:, used][visible[:, used]])
         raw, corrected = predictions(fit, markers, positions, visible, body)

@@ -157,7 +157,8 @@ def _exchange(path: Path, source: str) -> None:
     def get_data(self, name):
         return source.encode() if Path(name) == path else data(self, name)
 
-    loader.path_stats, loader.get_data = path_stats, get_data
+    for method in (path_stats, get_data):
+        setattr(loader, method.__name__, method)
     sys.dont_write_bytecode = True
 
 

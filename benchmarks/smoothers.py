@@ -1,5 +1,7 @@
 """What a user would pick instead of a body: smoothers of points, each coordinate for itself."""
 
+from typing import Any
+
 import numpy as np
 import torch
 from jaxtyping import Float
@@ -18,8 +20,8 @@ def butterworth(
     """
     from scipy.signal import butter, filtfilt
 
-    numerator, denominator = butter(2, cutoff, fs=fps)
-    smooth = filtfilt(numerator, denominator, positions.double().numpy(), axis=1)
+    coefficients: Any = butter(2, cutoff, fs=fps)
+    smooth = filtfilt(coefficients[0], coefficients[1], positions.double().numpy(), axis=1)
     return torch.from_numpy(np.ascontiguousarray(smooth)).to(positions)
 
 

@@ -24,7 +24,7 @@ Error = Callable[[PoseWeights], float]
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("corpus", type=Path, help="folder of converted motions")
     parser.add_argument("--splits", type=Path, default=SPLITS)
     parser.add_argument("--prior", type=Path, default=None, help="weights; default: bundled")

@@ -19,7 +19,7 @@ recordings have their ground several centimetres above or below z = 0, as their 
 
 import argparse
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -103,7 +103,9 @@ class GoodWindow:
     @property
     def allowed(self) -> tuple[Code, ...]:
         """What may be said about it because it is so."""
-        so = (code for part, codes in _SO.items() if part in self.source for code in codes)
+        so: Iterator[Code] = (
+            code for part, codes in _SO.items() if part in self.source for code in codes
+        )
         return ("unseen", "gap", *so)
 
 

@@ -99,7 +99,7 @@ def offset(point: str, axis: int) -> Spoil:
 
 def rate(recording: Recording, factor: float) -> tuple[Seen, ...]:
     """So many times the true number of frames per second is declared."""
-    return tuple(seen.replace(fps=seen.fps * factor) for seen in recording.clean)
+    return tuple(seen.derived(fps=seen.fps * factor) for seen in recording.clean)
 
 
 def shuffle(recording: Recording, block: float) -> tuple[Seen, ...]:

@@ -49,7 +49,7 @@ def edited(seen: Seen, values: Values, weights: Tensor | None = None) -> Seen:
     values = torch.where(weights[..., None] > 0, values, 0.0)
     if isinstance(seen, Keypoints2D):
         return seen.replace(pixels=values, confidence=weights)
-    return seen.replace(positions=values, visible=weights > 0)
+    return seen.derived(positions=values, visible=weights > 0)
 
 
 def pairs_of_sides(names: Sequence[str]) -> list[tuple[int, int]]:
