@@ -14,7 +14,8 @@ import recon
 from recon.core.skeleton import JOINTS
 from recon.fitting.settings import FitSettings
 from recon.formats.observations import PositionsFile, save_observation
-from recon.jobs.many.batch import fit_all, read_manifest
+from recon.jobs.many.batch import fit_all
+from recon.jobs.many.manifest import read_manifest
 from recon.simulation.points import Corruption, joints3d
 
 

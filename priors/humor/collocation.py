@@ -25,6 +25,7 @@ from recon.core.motion import Motion
 from recon.method.protocols import REFERENCE_FPS, Decoded
 from recon.method.stages import Stage
 from recon.method.terms import Term, joint_acceleration, prior_energy, shape
+from recon.method.together.alike import alike
 from recon.solver.lbfgs import LBFGS
 
 _ERROR, _SURPRISE = 100.0, 20.0
@@ -89,6 +90,10 @@ class CollocatedHumor:
         """The pose prior with all of its smoothness, which stands for the steps here."""
         weights = PoseWeights.for_noise(noise)
         return PosePrior(self.poses.density, weights).belief(noise)
+
+    def decodes_like(self, other: "CollocatedHumor") -> bool:
+        """Whether the other has the same networks, and a pose prior that decodes alike."""
+        return self.poses.decodes_like(other.poses) and alike(self.humor, other.humor)
 
     def decode(self, variables: PoseVariables) -> Decoded:
         """The motion, what the networks think of its steps, and where feet touch.

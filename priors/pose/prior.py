@@ -21,6 +21,7 @@ from recon.method.priors import Traits
 from recon.method.protocols import REFERENCE_FPS, Decoded
 from recon.method.stages import Stage
 from recon.method.terms import Term, joint_acceleration, joint_velocity, prior_energy, shape
+from recon.method.together.alike import alike
 from recon.solver.lbfgs import LBFGS
 
 _SHAPES = {
@@ -277,6 +278,15 @@ class PosePrior(TensorStruct):
                 minimiser=LBFGS(max_iterations=120, tolerance_decrease=1e-5),
             ),
         )
+
+    def decodes_like(self, other: "PosePrior") -> bool:
+        """Whether the other has the same density, and variables of the same units.
+
+        Other weights are another synthesis of a motion's steps, which is among the variables.
+        """
+        mine, theirs = (one._scales.tensors().values() for one in (self, other))
+        scales = all(torch.equal(a, b) for a, b in zip(mine, theirs, strict=True))
+        return scales and alike(self.density, other.density)
 
     @cached_property
     def _scales(self) -> "_Scales":

@@ -15,7 +15,10 @@ from recon.fitting.clip_inputs import clip_checksum
 from recon.fitting.settings import FitSettings
 from recon.formats.files.checksums import file_checksum
 from recon.formats.files.opening import load_arrays, save_arrays
-from recon.jobs.many.batch import Job, fit_all, fit_one, is_done, read_manifest
+from recon.jobs.many.batch import fit_all
+from recon.jobs.many.clip_jobs import Job, fit_one, is_done
+from recon.jobs.many.manifest import read_manifest
+from recon.jobs.many.workers import DONE
 from recon.jobs.many.worklog import Record
 
 
@@ -95,6 +98,15 @@ def fit_or_go_wrong(job: Job) -> Record:
     if job.clip.name in WAYS:
         WAYS[job.clip.name][0]()
     return fit_one(job)
+
+
+def here(function, jobs, processes):
+    """What `run_jobs` does without processes of their own, whose start takes seconds."""
+    del processes
+    for job in jobs:
+        for message in function(*job):
+            yield job, message
+        yield job, DONE
 
 
 if __name__ == "__main__":

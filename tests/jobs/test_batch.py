@@ -7,10 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from recon.core.skeleton import JOINTS
 from recon.fitting.settings import FitSettings
 from recon.formats.files.opening import load_arrays, save_arrays
-from recon.jobs.many.batch import BatchClip, fit_all, read_manifest, shard
-from tests.jobs.batch_jobs import WAYS, sum_one
+from recon.formats.observations import PositionsFile, save_observation
+from recon.jobs.many.batch import fit_all
+from recon.jobs.many.crew import Crew
+from recon.jobs.many.manifest import BatchClip, read_manifest, shard
+from tests.api.test_front_door import noisy
+from tests.jobs.batch_jobs import WAYS, here, sum_one
 
 
 def manifest(folder: Path, *rows: object) -> Path:
@@ -40,7 +45,8 @@ def clips(tmp_path) -> tuple[BatchClip, ...]:
 
 
 def statuses(clips, out: Path, settings: FitSettings | None = None) -> dict[str, str]:
-    found = fit_all(clips, out, settings or FitSettings(), 2, out / "log.jsonl", sum_one)
+    log, one_by_one = out / "log.jsonl", 1
+    found = fit_all(clips, out, settings or FitSettings(), 2, log, sum_one, together=one_by_one)
     return {record["id"]: record["status"] for record in found}
 
 
@@ -106,6 +112,56 @@ def test_ten_bad_clips_are_lines_of_the_log_and_no_more(clips, tmp_path):
     # tried again, since memory and programs change; what is known already is not said again
     assert statuses(both, out) == expected | dict.fromkeys("abcd", "skipped")
     assert len((out / "log.jsonl").read_text().splitlines()) == len(lines)
+
+
+def test_a_bad_clip_of_a_group_costs_its_neighbours_nothing(clips, tmp_path):
+    """Clips are fitted several at a time; each must end as if it had been alone."""
+    out = tmp_path / "out"
+    names = ("refuse", "be_killed", "exhaust", "overflow", "leave")
+    bad = [BatchClip(name, (tmp_path / "a.npz",)) for name in names]
+    both = [*bad[:2], *clips, *bad[2:]]
+    found = fit_all(both, out, FitSettings(), 1, out / "log.jsonl", sum_one)
+    expected = dict.fromkeys("abcd", "ok") | {name: WAYS[name][1] for name in names}
+    assert {record["id"]: record["status"] for record in found} == expected
+    lines = [json.loads(line) for line in (out / "log.jsonl").read_text().splitlines()]
+    assert sorted(line["id"] for line in lines) == sorted(expected)
+    assert statuses(clips, out) == dict.fromkeys("abcd", "skipped")
+
+
+def test_groups_are_of_one_size_and_large_ones_come_first(clips, tmp_path):
+    (tmp_path / "a.npz").write_bytes(b"-" * 90_000)
+    (tmp_path / "c.npz").write_bytes(b"-" * 80_000)
+    names = [{clip.name for clip in group} for group in Crew(2).groups(clips)]
+    assert names == [{"a", "c"}, {"b", "d"}]
+    assert [len(group) for group in Crew(1, together=1).groups(clips)] == [1, 1, 1, 1]
+    many = [BatchClip(str(k), (tmp_path / "none",)) for k in range(50)]
+    assert [len(group) for group in Crew(2).groups(many)] == [16, 16, 16, 2]
+    with pytest.raises(ValueError, match="at least one frame"):
+        Crew(1, together=0)
+
+
+def test_fits_of_a_batch_are_those_of_one_by_one(tmp_path):
+    """Within the tolerance of the minimiser, also of clips with noises of their own."""
+    for k, frames in enumerate((10, 12, 11)):
+        seen = np.ones((frames, 22), bool)
+        file = PositionsFile("joints3d", noisy(frames, 0.01 * (k + 1)), seen, JOINTS, 30.0)
+        save_observation(tmp_path / f"{k}.npz", file)
+    rows = [{"id": f"clip{k}", "observations": f"{k}.npz"} for k in range(3)]
+    clips, settings = read_manifest(manifest(tmp_path, *rows)), FitSettings(prior="pose")
+    for name, together in (("alone", 1), ("joined", 1000)):
+        out = tmp_path / name
+        found = fit_all(clips, out, settings, 1, out / "log.jsonl", together=together, run=here)
+        assert [record["status"] for record in found] == ["ok"] * 3
+    for k in range(3):
+        alone, joined = (
+            np.load(tmp_path / name / f"clip{k}.npz")["joints"] for name in ("alone", "joined")
+        )
+        assert np.linalg.norm(alone - joined, axis=-1).mean() < 4e-4
+        said = json.loads((tmp_path / "joined" / f"clip{k}.npz.json").read_text())
+        assert (
+            said["noise"]
+            == json.loads((tmp_path / "alone" / f"clip{k}.npz.json").read_text())["noise"]
+        )
 
 
 @pytest.mark.parametrize("where", ["observation", "report", "camera", "folder"])

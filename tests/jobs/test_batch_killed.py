@@ -19,7 +19,8 @@ from recon.fitting.settings import FitSettings
 from recon.formats.files.opening import save_arrays
 from recon.formats.motions import load_motion
 from recon.formats.observations import PositionsFile, save_observation
-from recon.jobs.many.batch import fit_all, read_manifest
+from recon.jobs.many.batch import fit_all
+from recon.jobs.many.manifest import read_manifest
 from tests.jobs.batch_jobs import WAYS
 
 ROOT = Path(__file__).parents[2]

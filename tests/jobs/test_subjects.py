@@ -9,9 +9,12 @@ import pytest
 from recon.core.skeleton import JOINTS
 from recon.fitting.settings import FitSettings
 from recon.formats.observations import PositionsFile, save_observation
-from recon.jobs.many import batch, subjects
-from recon.jobs.many.batch import fit_all, read_manifest, shard
+from recon.jobs.many import subjects
+from recon.jobs.many.batch import fit_all
+from recon.jobs.many.crew import Crew
+from recon.jobs.many.manifest import read_manifest, shard
 from tests.api.test_front_door import noisy
+from tests.jobs.batch_jobs import here
 
 
 def written(folder: Path, names: dict[str, str | None]) -> Path:
@@ -28,20 +31,12 @@ def written(folder: Path, names: dict[str, str | None]) -> Path:
     return path
 
 
-def here(function, jobs, processes):
-    """Jobs without processes of their own, whose start takes seconds."""
-    del processes
-    return ((job, function(*job)) for job in jobs)
-
-
-def test_clips_of_a_subject_have_one_shape_and_a_run_goes_on(tmp_path, monkeypatch):
-    monkeypatch.setattr(subjects, "run_jobs", here)
-    monkeypatch.setattr(batch, "run_jobs", here)
+def test_clips_of_a_subject_have_one_shape_and_a_run_goes_on(tmp_path):
     clips = read_manifest(written(tmp_path, {"a": "anna", "b": "anna", "c": None}))
     out, settings = tmp_path / "out", FitSettings(prior="pose")
 
     def run(some=clips) -> dict[str, str]:
-        found = fit_all(some, out, settings, 1, out / "log.jsonl")
+        found = fit_all(some, out, settings, 1, out / "log.jsonl", run=here)
         return {record["id"]: record["status"] for record in found}
 
     assert run() == dict.fromkeys("abc", "ok")
@@ -68,12 +63,14 @@ def test_what_is_no_subject_is_refused(tmp_path):
         read_manifest(path)
     clips = read_manifest(written(tmp_path, {"a": "anna"}))
     with pytest.raises(ValueError, match="shapes of their own"):
-        subjects.shapes_of_subjects(clips, FitSettings(prior="anchor"), 1, tmp_path / "l", "")
+        subjects.shapes_of_subjects(
+            clips, FitSettings(prior="anchor"), Crew(1), tmp_path / "l", ""
+        )
 
 
 def test_the_first_look_at_shapes_has_a_method_of_its_own(tmp_path):
     """The pose prior, which is fitted in one way only, would refuse the batch's method."""
     clip = read_manifest(written(tmp_path, {"a": "anna"}))[0]
     settings = FitSettings(method="rollout")
-    found = subjects.estimate_shape("a", clip.observations, settings, "checksum", {})
+    found = subjects.estimate_shape(subjects.ShapeJob(clip, settings, "checksum", {}))
     assert len(found["shape"]) > 0

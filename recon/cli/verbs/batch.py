@@ -24,7 +24,7 @@ def _results(out: Path, _: Arguments) -> tuple[Output, ...]:
 
 
 def _observations(given: Arguments) -> Iterator[Path]:
-    from recon.jobs.many.batch import read_manifest
+    from recon.jobs.many.manifest import read_manifest
 
     if given["manifest"].is_file():
         for clip in read_manifest(given["manifest"]):
@@ -37,6 +37,7 @@ def batch(
     out: Path,
     settings: OmitArgPrefixes[FitSettings] = DEFAULTS,
     processes: int = 2,
+    together: int = 1000,
     shard: str = "0/1",
     overwrite: Overwrite = False,
     quiet: Quiet = False,
@@ -54,7 +55,9 @@ def batch(
         manifest: JSON lines; paths are relative to it.
         out: folder for the results.
         settings: how to fit.
-        processes: clips at a time, one thread each.
+        processes: that work at a time, one thread each.
+        together: frames of several clips of like length that a process fits together at most,
+            which takes less time and more memory; 1 fits clips one by one.
         shard: I/N fits the I-th of N equal parts: one part per machine or job of a cluster.
         overwrite: replace files that are there and recon did not write.
         quiet: say nothing but errors and, last, where the result is.
@@ -64,8 +67,9 @@ def batch(
     from recon.cli.own import check_plugs
 
     check_plugs(settings.prior, settings.reader)
-    from recon.jobs.many.batch import fit_all, read_manifest
-    from recon.jobs.many.batch import shard as part
+    from recon.jobs.many.batch import fit_all
+    from recon.jobs.many.manifest import read_manifest
+    from recon.jobs.many.manifest import shard as part
 
     index, slash, count = shard.partition("/")
     if not (slash and index.isdigit() and count.isdigit()):
@@ -76,7 +80,9 @@ def batch(
     counts: dict[str, int] = {}
     with console.progress() as bar:
         task = bar.add_task("clips", total=len(clips))
-        for record in fit_all(clips, out, settings, processes, log, overwrite=overwrite):
+        for record in fit_all(
+            clips, out, settings, processes, log, overwrite=overwrite, together=together
+        ):
             counts[record["status"]] = counts.get(record["status"], 0) + 1
             if "error" in record:
                 console.complain(f"{record['id']}: {record['status']}: {record['error']}")

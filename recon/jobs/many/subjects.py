@@ -1,13 +1,14 @@
 """Clips of one subject share one shape: all of them tell it, and it is held in each."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from recon.fitting.priors import traits
 from recon.fitting.settings import FitSettings
-from recon.jobs.many.workers import Failure, run_jobs
+from recon.jobs.many.crew import Crew
+from recon.jobs.many.manifest import BatchClip
+from recon.jobs.many.workers import Failure
 from recon.jobs.many.worklog import Record, open_log
 
 Shape = tuple[float, ...]
@@ -15,7 +16,7 @@ Shape = tuple[float, ...]
 
 
 def shapes_of_subjects(
-    clips: Sequence[Any], settings: FitSettings, processes: int, log: Path, checksum: str
+    clips: Sequence[BatchClip], settings: FitSettings, crew: Crew, log: Path, checksum: str
 ) -> dict[str, Shape]:
     """The shape that every clip of a subject is fitted with, by the clip's id.
 
@@ -24,9 +25,9 @@ def shapes_of_subjects(
     found is logged beside the log of the fits, so that a run goes on where it stopped.
 
     Args:
-        clips: of a manifest (`recon.jobs.many.batch.read_manifest`).
+        clips: of a manifest (`recon.jobs.many.manifest.read_manifest`).
         settings: of all fits.
-        processes: clips at a time.
+        crew: who works at a time.
         log: of the fits.
         checksum: of the settings and the files they name.
 
@@ -42,31 +43,40 @@ def shapes_of_subjects(
             "manifest, or fit with another prior"
         )
     found: dict[str, list[Shape]] = {}
-    names = {clip.name: clip.subject for clip in known}
-    for record in _shapes(known, settings, processes, log, checksum):
+    names = {clip.name: str(clip.subject) for clip in known}
+    for record in _shapes(known, settings, crew, log, checksum):
         found.setdefault(names[record["id"]], []).append(tuple(record["shape"]))
     shared = {subject: _shared(shapes) for subject, shapes in found.items()}
     return {name: shared[subject] for name, subject in names.items() if subject in shared}
 
 
 def _shapes(
-    clips: Sequence[Any], settings: FitSettings, processes: int, log: Path, checksum: str
+    clips: Sequence[BatchClip], settings: FitSettings, crew: Crew, log: Path, checksum: str
 ) -> Iterator[Record]:
     """A record with the shape of every clip that can be fitted."""
     with open_log(log.with_name(f"shapes-{log.name}")) as lines:
-        jobs = (
-            (clip.name, clip.observations, settings, checksum, lines.records.get(clip.name, {}))
-            for clip in clips
+        groups = (
+            [ShapeJob(one, settings, checksum, lines.records.get(one.name, {})) for one in group]
+            for group in crew.groups(clips)
         )
-        for _, result in run_jobs(estimate_shape, jobs, processes):
+        for _, result in crew.work(estimate_shape, groups):
             if not isinstance(result, Failure):
                 lines.append(result)
                 yield result
 
 
-def estimate_shape(
-    name: str, observations: tuple[Path, ...], settings: FitSettings, checksum: str, known: Record
-) -> Record:
+@dataclass(frozen=True)
+class ShapeJob:
+    """All that a process needs to find the shape that one clip tells."""
+
+    clip: BatchClip
+    settings: FitSettings
+    settings_checksum: str
+    known: Record
+    """The last record of the clip's shape, or nothing."""
+
+
+def estimate_shape(job: ShapeJob) -> Record:
     """The shape that one clip tells, unless the log has it already; done in a process.
 
     Raises:
@@ -74,14 +84,14 @@ def estimate_shape(
     """
     from recon.fitting.clip_inputs import clip_checksum
 
-    key = clip_checksum(observations, checksum)
-    if known.get("key") == key:
-        return known
+    key = clip_checksum(job.clip.observations, job.settings_checksum)
+    if job.known.get("key") == key:
+        return job.known
     from recon.jobs.fit import fitted
 
-    first = replace(settings, prior="pose", weights="open", method=None, physics=0.0)
-    result = fitted(observations, first)
-    return {"id": name, "key": key, "shape": result.motion.shape.tolist()}
+    first = replace(job.settings, prior="pose", weights="open", method=None, physics=0.0)
+    result = fitted(job.clip.observations, first)
+    return {"id": job.clip.name, "key": key, "shape": result.motion.shape.tolist()}
 
 
 def _shared(shapes: Sequence[Shape]) -> Shape:

@@ -5,6 +5,7 @@ its reason. Unlike in `concurrent.futures`, a process that dies costs its own jo
 """
 
 import contextlib
+import ctypes
 import os
 import signal
 import sys
@@ -26,6 +27,8 @@ _REFUSALS = (
     PermissionError,
 )  # fmt: skip
 
+_ARENA_MAX = -8
+"""Glibc's number for how many heaps there may be."""
 _PATIENCE = 5.0
 """Seconds that a process has to clean up when it is told to end."""
 
@@ -143,6 +146,7 @@ def _serve(function: Callable[..., Any], connection: Connection) -> None:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
     threading.Thread(target=_end_with_parent, daemon=True).start()
     _one_thread()
+    _one_heap()
     with contextlib.suppress(EOFError, BrokenPipeError, ConnectionResetError):
         while True:
             for result in _attempt(function, connection.recv()):
@@ -158,13 +162,17 @@ def _attempt(function: Callable[..., Any], job: tuple[Any, ...]) -> Iterator[tup
                 yield part, False
             result = DONE
         yield result, True
-    except MemoryError as error:
-        yield Failure("out of memory", _described(error)), True
     except Exception as error:
-        if _is_refusal(error):
-            yield Failure("bad input", str(error)), True
-        else:
-            yield Failure("error", _described(error), traceback.format_exc()), True
+        yield failure_of(error), True
+
+
+def failure_of(error: Exception) -> Failure:
+    """The reason that an exception is."""
+    if isinstance(error, MemoryError):
+        return Failure("out of memory", _described(error))
+    if _is_refusal(error):
+        return Failure("bad input", str(error))
+    return Failure("error", _described(error), "".join(traceback.format_exception(error)))
 
 
 def _is_refusal(error: Exception) -> bool:
@@ -198,3 +206,13 @@ def _one_thread() -> None:
         import torch
 
         torch.set_num_threads(1)
+
+
+def _one_heap() -> None:
+    """Threads of a process take turns here, so they share what was freed.
+
+    By default every thread of glibc has a heap of its own, in which freed memory stays.
+    """
+    allocator = getattr(ctypes.CDLL(None), "mallopt", None) if os.name == "posix" else None
+    if allocator is not None:
+        allocator(_ARENA_MAX, 1)
