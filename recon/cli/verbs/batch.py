@@ -1,7 +1,10 @@
 """`recon batch`: many clips at once."""
 
+import sys
 from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from tyro.conf import OmitArgPrefixes, Positional
 
@@ -9,6 +12,9 @@ from recon.cli.errors import Failed
 from recon.cli.places import Arguments, Overwrite, Place, Quiet, writes
 from recon.fitting.settings import DEFAULTS, FitSettings
 from recon.formats.results.outputs import Kind, Output
+
+if TYPE_CHECKING:
+    from recon.jobs.many.crew import Run
 
 
 def _is_former(folder: Path) -> bool:
@@ -36,9 +42,10 @@ def batch(
     manifest: Positional[Path],
     out: Path,
     settings: OmitArgPrefixes[FitSettings] = DEFAULTS,
-    processes: int = 2,
+    processes: int | None = None,
     together: int = 1000,
     shard: str = "0/1",
+    ray: str | None = None,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
 ) -> None:
@@ -55,10 +62,13 @@ def batch(
         manifest: JSON lines; paths are relative to it.
         out: folder for the results.
         settings: how to fit.
-        processes: that work at a time, one thread each.
+        processes: that work at a time, one thread each; default: 2, and with --ray as many as
+            the cluster has processors.
         together: frames of several clips of like length that a process fits together at most,
             which takes less time and more memory; 1 fits clips one by one.
         shard: I/N fits the I-th of N equal parts: one part per machine or job of a cluster.
+        ray: `local`, or the address of a Ray cluster that does the work (recon[ray]); its machines
+            have recon and see the same files under the same paths.
         overwrite: replace files that are there and recon did not write.
         quiet: say nothing but errors and, last, where the result is.
     """
@@ -71,6 +81,11 @@ def batch(
     from recon.jobs.many.manifest import read_manifest
     from recon.jobs.many.manifest import shard as part
 
+    if ray is not None:
+        from recon.jobs.many.ray_cluster import absolute
+
+        # processes of a cluster begin in another folder
+        manifest, out, settings = manifest.absolute(), out.absolute(), absolute(settings)
     index, slash, count = shard.partition("/")
     if not (slash and index.isdigit() and count.isdigit()):
         raise ValueError(f"--shard is I/N, for example 0/4; got {shard!r}")
@@ -78,10 +93,10 @@ def batch(
     out.mkdir(parents=True, exist_ok=True)
     log = out / ("log.jsonl" if shard == "0/1" else f"log-{index}-{count}.jsonl")
     counts: dict[str, int] = {}
-    with console.progress() as bar:
+    with console.progress() as bar, _crew(processes, ray) as (workers, run):
         task = bar.add_task("clips", total=len(clips))
         for record in fit_all(
-            clips, out, settings, processes, log, overwrite=overwrite, together=together
+            clips, out, settings, workers, log, overwrite=overwrite, together=together, run=run
         ):
             counts[record["status"]] = counts.get(record["status"], 0) + 1
             if "error" in record:
@@ -92,3 +107,18 @@ def batch(
     if any(status not in ("ok", "skipped") for status in counts):
         bad = sum(n for status, n in counts.items() if status not in ("ok", "skipped"))
         raise Failed(f"{bad} of {len(clips)} clips were not fitted; {log} says why")
+
+
+@contextmanager
+def _crew(processes: int | None, ray: str | None) -> Iterator[tuple[int, "Run"]]:
+    """How many processes work at a time, and what runs them."""
+    if ray is None:
+        from recon.jobs.many.workers import run_jobs
+
+        yield 2 if processes is None else processes, run_jobs
+        return
+    from recon.jobs.many.ray_cluster import ray_cluster
+
+    # Ray prints what happens to its processes; stdout is for the answer
+    with redirect_stdout(sys.stderr), ray_cluster(ray, processes) as cluster:
+        yield cluster.cpus if processes is None else processes, cluster.run

@@ -145,15 +145,14 @@ def _serve(function: Callable[..., Any], connection: Connection) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    _one_thread()
-    _one_heap()
+    as_worker()
     with contextlib.suppress(EOFError, BrokenPipeError, ConnectionResetError):
         while True:
-            for result in _attempt(function, connection.recv()):
+            for result in attempt(function, connection.recv()):
                 connection.send(result)
 
 
-def _attempt(function: Callable[..., Any], job: tuple[Any, ...]) -> Iterator[tuple[Any, bool]]:
+def attempt(function: Callable[..., Any], job: tuple[Any, ...]) -> Iterator[tuple[Any, bool]]:
     """Results, and whether each is the last; whatever goes wrong ends this job and no other."""
     try:
         result = function(*job)
@@ -197,6 +196,12 @@ def _end_with_parent() -> None:
     assert parent is not None  # there is one in a spawned process
     parent.join()
     os._exit(1)
+
+
+def as_worker() -> None:
+    """Settle a process for jobs: one thread, and one heap for the functions that take turns."""
+    _one_thread()
+    _one_heap()
 
 
 def _one_thread() -> None:
