@@ -53,18 +53,3 @@ class FlatSoles(TensorStruct):
         balls = body.points(self.balls.flatten())[..., 2].unflatten(-1, shape).mean(-1)
         tilt = (heels - balls).square().where(self.standing & motion.valid[..., None], 0.0)
         return 0.5 * tilt.sum((-1, -2)) * (REFERENCE_FPS / motion.fps)
-
-
-@dataclass(frozen=True)
-class AboveGround:
-    """Half the squared depth of the soles below z = 0; metres²."""
-
-    points: Int[Tensor, " points"]
-    """Vertices under the feet."""
-
-    def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
-        """½ Σ min(z, 0)², the mean over the vertices, at 30 Hz."""
-        motion = estimate.motion
-        depth = estimate.body.points(self.points)[..., 2].clamp(max=0.0)
-        total = depth.square().mean(-1).where(motion.valid, 0.0).sum(-1)
-        return 0.5 * total * (REFERENCE_FPS / motion.fps)

@@ -1,7 +1,6 @@
 """A recording of markers as a motion of our body: checked, fitted, and checked again."""
 
 import dataclasses
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +23,6 @@ from recon.ingest.markers.fit import MarkerFit, fit_markers, nominal_places
 from recon.ingest.markers.gaps import gap_findings
 from recon.ingest.markers.joint_centres import keypoint_finding
 from recon.ingest.markers.jumps import jump_findings
-from recon.method.terms import Term
 
 _BAD = 0.02
 """Metres of mean residual from which on other labels are tried."""
@@ -38,7 +36,6 @@ def convert_markers(
     body: BodyModel,
     *,
     mapping: str | Path | None = None,
-    pose_terms: Sequence[Term] = (),
 ) -> Conversion:
     """A recording of any full-body marker set as a motion of our body.
 
@@ -49,7 +46,6 @@ def convert_markers(
         recording: in metres, z up.
         body: whose motion it becomes; marker names are points of the bundled body's mesh.
         mapping: TOML file, marker label = landmark or vertex; None uses the known labels.
-        pose_terms: what is known of poses, in place of a pull towards the natural pose.
 
     Raises:
         FileNotFoundError: when there is no such mapping file.
@@ -57,11 +53,11 @@ def convert_markers(
     """
     markers = full_body_markers(recording, body, mapping)
     chosen, repairs = steady_labels(recording.select(markers.labels))
-    fit = fit_markers(chosen, markers, body, pose_terms=pose_terms)
+    fit = fit_markers(chosen, markers, body)
     if mean_residual(fit, chosen) > _BAD and (other := _relabelled(chosen, markers, body, fit)):
         chosen, finding = other
         repairs.append(finding)
-        fit = fit_markers(chosen, markers, body, pose_terms=pose_terms)
+        fit = fit_markers(chosen, markers, body)
     mended, jumps = jump_findings(fit.unmade, fit.mended)
     warnings = [*gap_findings(fit.observed, recording.fps), *jumps]
     if markers.inside:

@@ -4,26 +4,22 @@ Loper, Mahmood and Black, MoSh, 2014: a marker sits a little off the skin and no
 name says; where exactly is found together with the body's shape from a few frames, and held.
 """
 
-import logging
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from observations.markers3d import Markers3D
+from observations.start.rigid import rigid_start
 from recon.body.model import BodyModel
 from recon.body.soles import Soles
 from recon.core.errors import ReconError
 from recon.core.motion import Motion
-from recon.core.robust import geman_mcclure, squared
-from recon.core.scene import Scene
+from recon.core.skeleton import JOINTS
 from recon.core.struct import TensorStruct
 from recon.formats.mocap.recording import MarkerRecording
-from recon.ingest.energies import AboveGround
+from recon.ingest.markers.calibration import SubjectEnergies, calibrated
 from recon.ingest.markers.coverage import MarkerSet
 from recon.ingest.markers.gaps import (
     between,
@@ -32,29 +28,18 @@ from recon.ingest.markers.gaps import (
     placed_frames,
     turned_joints,
 )
-from recon.ingest.markers.jumps import UNMADE, mended, unmade_steps
-from recon.ingest.markers.rest import natural_rest, with_natural_pose
-from recon.method import terms
-from recon.method.free import FreeMotion
-from recon.method.protocols import REFERENCE_FPS, Estimate
-from recon.method.running import run_stages
-from recon.method.stages import Stage
-from recon.method.terms import Term
-from recon.solver.lbfgs import LBFGS
-
-logger = logging.getLogger(__name__)
+from recon.ingest.markers.points import Poses, SkinPoints
+from recon.ingest.markers.poses import PoseEnergies
+from recon.ingest.markers.rest import natural_pose, with_natural_pose
+from recon.ingest.markers.stages import mended_frames, solved_apart, solved_in_turn
+from recon.method.protocols import REFERENCE_FPS
 
 OUTLIER = 0.1
 """Metres at which a marker counts half as much: swapped labels, ghosts."""
 CALIBRATION_FRAMES = 150
 _FOOT_MARKER = (0.0, 0.08)
 """Metres above the ground of the lowest marker of a body that stands."""
-_NOISE = 3.0
-"""Multiple of the mean residual by which joints may step without their markers, as noise does."""
 _KEY_RATE = 10.0
-_CHUNK = 3000
-_PLACE = frozenset({"translation", "root"})
-_POSE = _PLACE | {"pose"}
 
 
 @dataclass(frozen=True)
@@ -67,7 +52,7 @@ class MarkerWeights:
     loose: float = 0.03
     """Per frame, of offsets of markers that are put anywhere on a limb."""
     rest: float = 1e-3
-    """Weight of the distance from the natural pose, where no better `pose_terms` are given."""
+    """Weight of the distance from the natural pose."""
     turning: float = 2e-4
     """Weight of the rotation from frame to frame."""
     ground: float = 20.0
@@ -105,7 +90,6 @@ def fit_markers(
     markers: MarkerSet,
     body: BodyModel,
     *,
-    pose_terms: Sequence[Term] = (),
     weights: MarkerWeights | None = None,
 ) -> MarkerFit:
     """Shape and offsets from some frames, then the pose of all frames.
@@ -114,187 +98,145 @@ def fit_markers(
         recording: of exactly these markers, in their order.
         markers: their places on the body.
         body: whose motion it becomes.
-        pose_terms: what is known of poses, in place of a pull towards the natural pose.
         weights: of the energies.
 
     Raises:
         ValueError: when no frame shows enough markers to place a body.
     """
-    weights = MarkerWeights() if weights is None else weights
-    positions = torch.from_numpy(recording.positions).float()
-    visible = torch.from_numpy(recording.visible)
-    data = _Data(positions, visible, markers.vertices, recording.fps)
-    hold = tuple(pose_terms) or (Term("rest pose", natural_rest, weights.rest),)
-    if _stands_on_zero(positions, visible):
-        soles = Soles.of(body).points.flatten()
-        hold = (*hold, Term("ground", AboveGround(soles), weights.ground))
-    bones = data.observation().bones(body)
-    placed = placed_frames(visible, bones).nonzero()[:, 0]
-    if len(placed) == 0:
-        raise ReconError(
-            f"{recording.name}: no frame shows enough markers of one body to place it; there are "
-            f"{int(visible.sum(-1).max())} of {len(markers.labels)} at most"
-        )
-    chosen = _well_seen(visible)
-    subject, motion = _calibrate(data.frames(chosen), markers, body, hold, weights)
-    step = max(1, round(recording.fps / _KEY_RATE))
-    keys = torch.unique(torch.cat((placed[::step], placed[-1:])))
-    motion = _solve(data.frames(keys), between(motion, chosen, keys), subject, body, hold, 100)
-    smooth = (*hold, Term("turning", terms.rotation_velocity, weights.turning))
-    parts = [
-        _solve(data.frames(part), between(motion, keys, part), subject, body, smooth, 80)
-        for part in placed.split(_CHUNK)
-    ]
-    motion = Motion.create(
-        translation=torch.cat([part.translation for part in parts]),
-        rotations=torch.cat([part.rotations for part in parts]),
-        shape=subject.shape,
-        fps=recording.fps,
-    )
-    motion, changed, unmade = _mended(data.frames(placed), motion, subject, body, smooth)
-    motion = bridged(motion, placed, turned_joints(visible, bones))
     with torch.no_grad():
-        predicted = _predict(data, motion, subject.offsets, body)
+        data = _Data.of(recording, markers, body, weights or MarkerWeights())
+        placed = placed_frames(data.visible, data.bones).nonzero()[:, 0]
+        if len(placed) == 0:
+            raise ReconError(
+                f"{recording.name}: no frame shows enough markers of one body to place it; there "
+                f"are {int(data.visible.sum(-1).max())} of {len(markers.labels)} at most"
+            )
+        chosen = _well_seen(data.visible)
+        subject, motion = _calibrate(data, chosen)
+        energies = data.energies(subject)
+        step = max(1, round(recording.fps / _KEY_RATE))
+        keys = torch.unique(torch.cat((placed[::step], placed[-1:])))
+        motion = solved_apart(energies, keys, between(motion, chosen, keys))
+        energies = energies.frames(placed)
+        motion = solved_in_turn(energies, between(motion, keys, placed))
+        motion, changed, unmade = mended_frames(
+            energies, data.bones, lambda motion: body.pose(motion).joints, motion
+        )
+        motion = bridged(motion, placed, turned_joints(data.visible, data.bones))
+        predicted = _predicted(motion, subject, data.vertices, body)
     return MarkerFit(
         motion,
         subject,
         predicted,
-        observed=observed_joints(visible, markers.vertices, body),
-        mended=_spread(changed, placed, len(positions)),
-        unmade=_spread(unmade, placed[1:] - 1, len(positions) - 1),
+        observed=observed_joints(data.visible, markers.vertices, body),
+        mended=_spread(changed, placed, recording.frames),
+        unmade=_spread(unmade, placed[1:] - 1, recording.frames - 1),
     )
 
 
 @dataclass(frozen=True)
 class _Data:
-    positions: Float[Tensor, "time markers 3"]
-    visible: Bool[Tensor, "time markers"]
-    vertices: tuple[int, ...]
+    """Markers of some frames, the body that they sit on, and what poses are held by."""
+
+    positions: Float[Tensor, "frames markers 3"]
+    """World, metres; zero where not visible."""
+    visible: Bool[Tensor, "frames markers"]
     fps: float
+    markers: MarkerSet
+    body: BodyModel
+    under: Int[Tensor, " soles"] | None
+    """Vertices under the feet; None where the ground is not at z = 0."""
+    weights: MarkerWeights
+
+    @classmethod
+    def of(
+        cls,
+        recording: MarkerRecording,
+        markers: MarkerSet,
+        body: BodyModel,
+        weights: MarkerWeights,
+    ) -> "_Data":
+        visible = torch.from_numpy(recording.visible)
+        positions = torch.from_numpy(recording.positions).float().where(visible[..., None], 0.0)
+        on_ground = _stands_on_zero(positions, visible)
+        under = Soles.of(body).points.flatten() if on_ground else None
+        return cls(positions, visible, recording.fps, markers, body, under, weights)
+
+    @property
+    def vertices(self) -> Int[Tensor, " markers"]:
+        return torch.tensor(self.markers.vertices)
+
+    @property
+    def bones(self) -> tuple[int, ...]:
+        """The bone that moves each marker most."""
+        return tuple(self.body.weights[self.vertices].argmax(-1).tolist())
 
     def frames(self, index: Int[Tensor, " chosen"]) -> "_Data":
-        return _Data(self.positions[index], self.visible[index], self.vertices, self.fps)
+        """Some of the frames."""
+        return replace(self, positions=self.positions[index], visible=self.visible[index])
 
-    def observation(self) -> Markers3D:
-        return Markers3D(
-            positions=self.positions.where(self.visible[..., None], 0.0)[None],
-            visible=self.visible[None],
-            vertices=self.vertices,
-            fps=self.fps,
-            kernel=partial(geman_mcclure, sigma=OUTLIER),
-            offset_rows=(0, len(self.vertices)),
+    def energies(self, subject: MarkerSubject) -> PoseEnergies:
+        """The energies of poses of a known subject, at 30 Hz."""
+        rate, under = REFERENCE_FPS / self.fps, self.under
+        return PoseEnergies(
+            rest=self.body.rest_joints(subject.shape),
+            markers=SkinPoints.of(self.body, subject.shape, self.vertices, subject.offsets),
+            soles=None if under is None else SkinPoints.of(self.body, subject.shape, under),
+            positions=self.positions.mT.contiguous(),
+            visible=self.visible.to(self.positions),
+            linked=torch.ones(len(self.visible) - 1, dtype=torch.bool),
+            natural=natural_pose(),
+            pull=self.weights.rest,
+            ground=self.weights.ground,
+            turning=torch.full((len(JOINTS),), self.weights.turning / rate),
+            weight=rate,
+            sigma=OUTLIER,
         )
 
 
-def _calibrate(
-    data: _Data,
-    markers: MarkerSet,
-    body: BodyModel,
-    hold: tuple[Term, ...],
-    weights: MarkerWeights,
-) -> tuple[MarkerSubject, Motion]:
-    """Shape and offsets; the frames count as 30 a second, without order."""
-    count = len(data.positions)
-    data = _Data(data.positions, data.visible, data.vertices, REFERENCE_FPS)
-    seen = data.observation()
-    nominal = markers.nominal
-    scene = Scene(nominal[None])
-    with torch.no_grad():
-        motion = seen.start(body)
-    motion = motion.replace(rotations=with_natural_pose(motion.rotations))
-    stiff = torch.tensor([weights.loose if loose else weights.placed for loose in markers.loose])
+def _calibrate(data: _Data, chosen: Int[Tensor, " chosen"]) -> tuple[MarkerSubject, Motion]:
+    """Shape and offsets, and the poses of the frames that they were found from.
 
-    def away(estimate: Estimate) -> Float[Tensor, "*batch"]:
-        """½ Σ |o - nominal|², each marker with its own weight."""
-        apart = (estimate.scene.offsets - nominal).square().sum(-1)
-        return 0.5 * (apart * stiff).sum(-1)
-
-    prior = FreeMotion()
-    # first everything counts alike: a body lying in another pose is no outlier
-    plain = Term("markers", seen.replace(kernel=squared), 1.0)
-    robust = Term("markers", seen, 1.0)
-    shape = Term("shape", terms.shape, weights.shape)
-    offsets = Term("offsets", away, float(count))
-    body_free = _POSE | {"shape"}
-    stages = (
-        Stage("place", prior, (plain, *hold), _PLACE, LBFGS(max_iterations=30)),
-        Stage("pose", prior, (plain, shape, *hold), body_free, LBFGS(max_iterations=120)),
-        Stage(
-            "offsets",
-            prior,
-            (robust, shape, offsets, *hold),
-            body_free | {"scene.offsets"},
-            LBFGS(max_iterations=200, tolerance_decrease=1e-7),
-        ),
+    These frames count as 30 a second, without order.
+    """
+    nominal, weights, body = data.markers.nominal, data.weights, data.body
+    average = MarkerSubject(data.positions.new_zeros(body.shape_size), nominal)
+    some = replace(data.frames(chosen), fps=REFERENCE_FPS)
+    loose = torch.tensor(data.markers.loose)
+    energies = SubjectEnergies(
+        body=body,
+        vertices=data.vertices,
+        under=data.under,
+        nominal=nominal,
+        stiffness=torch.where(loose, weights.loose, weights.placed),
+        stature=weights.shape,
+        poses=some.energies(average).untied(),
+        with_offsets=True,
     )
-    estimate, _ = run_stages(stages, body, motion, scene)
-    estimate_motion = estimate.motion.detach()
-    subject = MarkerSubject(estimate_motion.shape[0], estimate.scene.offsets[0].detach())
-    return subject, estimate_motion[0]
-
-
-def _solve(
-    data: _Data,
-    start: Motion,
-    subject: MarkerSubject,
-    body: BodyModel,
-    hold: tuple[Term, ...],
-    iterations: int,
-    kernel: Callable[[Tensor], Tensor] | None = None,
-) -> Motion:
-    """Poses of some frames, shape and offsets held, by the robust kernel or another."""
-    seen = data.observation()
-    seen = seen if kernel is None else seen.replace(kernel=kernel)
-    motion = start.replace(fps=data.fps, shape=subject.shape).map(lambda tensor: tensor[None])
-    stage = Stage(
-        "frames",
-        FreeMotion(),
-        (Term("markers", seen, 1.0), *hold),
-        _POSE,
-        LBFGS(max_iterations=iterations, history=10, tolerance_decrease=1e-6),
-    )
-    estimate, _ = run_stages((stage,), body, motion, Scene(subject.offsets[None]))
-    return estimate.motion.detach()[0]
+    start = rigid_start(
+        body, body.template[data.vertices], data.bones, some.positions, some.visible,
+        fps=some.fps, start_time=0.0,
+    )  # fmt: skip
+    found = calibrated(energies, start.translation, with_natural_pose(start.rotations), OUTLIER)
+    motion = Motion.create(found.poses.translation, found.poses.rotations, found.shape, data.fps)
+    return MarkerSubject(found.shape, found.offsets), motion
 
 
 def nominal_places(
     fit: MarkerFit, markers: MarkerSet, body: BodyModel
 ) -> Float[Tensor, "time markers 3"]:
     """Places of markers that sit exactly where their names say on a fitted body, metres."""
+    subject = MarkerSubject(fit.motion.shape, markers.nominal)
     with torch.no_grad():
-        posed = body.pose(fit.motion)
-        points = posed.points(torch.tensor(markers.vertices))
-        bones = body.weights[list(markers.vertices)].argmax(-1)
-        return points + (posed.orientations[:, bones] @ markers.nominal[..., None])[..., 0]
+        return _predicted(fit.motion, subject, torch.tensor(markers.vertices), body)
 
 
-def _mended(
-    data: _Data, motion: Motion, subject: MarkerSubject, body: BodyModel, hold: tuple[Term, ...]
-) -> tuple[Motion, Bool[Tensor, " time"], Bool[Tensor, "steps 22"]]:
-    """Frames in which the body leaves its markers solved again; which, and what steps remain."""
-    bones = data.observation().bones(body)
-
-    def unmade(motion: Motion) -> Bool[Tensor, "steps 22"]:
-        with torch.no_grad():
-            joints = body.pose(motion).joints
-        limit = max(UNMADE, _NOISE * float(start[data.visible].mean()))
-        return unmade_steps(joints, data.positions, data.visible, bones, limit)
-
-    def residuals(motion: Motion) -> Float[Tensor, "time markers"]:
-        with torch.no_grad():
-            predicted = _predict(data, motion, subject.offsets, body)
-        return (predicted - data.positions).norm(dim=-1).where(data.visible, 0.0)
-
-    start = residuals(motion)
-
-    def again(frames: Int[Tensor, " frames"], start: Motion) -> Motion:
-        some = data.frames(frames)
-        # first everything counts alike: limbs that were turned over are no outliers
-        plain = _solve(some, start, subject, body, hold, 60, squared)
-        return _solve(some, plain, subject, body, hold, 80)
-
-    motion, changed = mended(motion, unmade, residuals, again)
-    return motion, changed, unmade(motion)
+def _predicted(
+    motion: Motion, subject: MarkerSubject, vertices: Int[Tensor, " markers"], body: BodyModel
+) -> Float[Tensor, "time markers 3"]:
+    points = SkinPoints.of(body, subject.shape, vertices, subject.offsets)
+    rest = body.rest_joints(subject.shape)
+    return points.places(Poses.of(motion.translation, motion.rotations, rest)).mT
 
 
 def _spread(some: Bool[Tensor, "..."], index: Int[Tensor, " rows"], count: int) -> Tensor:
@@ -302,15 +244,6 @@ def _spread(some: Bool[Tensor, "..."], index: Int[Tensor, " rows"], count: int) 
     everything = torch.zeros(count, *some.shape[1:], dtype=torch.bool)
     everything[index] = some
     return everything
-
-
-def _predict(
-    data: _Data, motion: Motion, offsets: Float[Tensor, "markers 3"], body: BodyModel
-) -> Float[Tensor, "time markers 3"]:
-    posed = body.pose(motion)
-    bones = list(data.observation().bones(body))
-    points = posed.points(torch.tensor(data.vertices))
-    return points + (posed.orientations[:, bones] @ offsets[..., None])[..., 0]
 
 
 def _well_seen(visible: Bool[Tensor, "time markers"]) -> Int[Tensor, " chosen"]:

@@ -33,8 +33,13 @@ _LIMIT = 0.5
 """Share of all frames up to which frames are exceptions that their neighbours can mend."""
 _ROUNDS = 2
 
+_STIFFER = (1e2, 1e3, 1e4)
+"""Multiples of the weight of turns that spread a step that remains over the frames around it."""
+
 Solve = Callable[[Int[Tensor, " frames"], Motion], Motion]
-"""Poses of some frames, given by their numbers, from a start."""
+"""A motion with the poses of some frames, given by their numbers, solved again."""
+Stiffer = Callable[[Int[Tensor, " frames"], Motion, Float[Tensor, " 22"]], Motion]
+"""The same, with the weights of all joints' turns from frame to frame multiplied."""
 Residuals = Callable[[Motion], Float[Tensor, "time markers"]]
 """Distance of every marker from its place on the body, metres; zero where not visible."""
 
@@ -87,20 +92,71 @@ def mended(
             break
         asked = suspects.nonzero()[:, 0]
         kept = (~suspects).nonzero()[:, 0]
-        found = solve(asked, between(chosen(motion, kept), kept, asked))
-        tried = motion.replace(
-            translation=motion.translation.index_copy(0, asked, found.translation),
-            rotations=motion.rotations.index_copy(0, asked, found.rotations),
-        )
+        tried = solve(asked, _joined(motion, asked, kept))
         better = _better(suspects, (jumps, unmade(tried)), (far, residuals(tried)))
         if not better.any():
             break
         changed |= better
-        motion = motion.replace(
-            translation=tried.translation.where(better[:, None], motion.translation),
-            rotations=tried.rotations.where(better[:, None, None, None], motion.rotations),
-        )
+        motion = _taken(motion, tried, better)
     return motion, changed
+
+
+def eased(
+    motion: Motion, unmade: Callable[[Motion], Bool[Tensor, "steps 22"]], solve: Stiffer
+) -> tuple[Motion, Bool[Tensor, " time"]]:
+    """The motion with steps that remain spread over the frames around them, and which those are.
+
+    Markers that change places, or filled gaps that cross, leave two poses that are good each and
+    far from each other. The limb goes from one to the other in the time that markers take.
+
+    Args:
+        motion: of all frames.
+        unmade: steps of a motion that the markers do not make.
+        solve: solves frames with stiffer ties.
+    """
+    changed = torch.zeros(motion.frames, dtype=torch.bool)
+    for stiffer in _STIFFER:
+        jumps = unmade(motion)
+        around = _suspects(jumps, motion.translation.new_zeros(motion.frames, 0), motion.fps)
+        if not around.any() or around.float().mean() > _LIMIT:
+            break
+        joints = jumps.any(0)
+        turning = torch.ones(len(JOINTS))
+        for joint in joints.nonzero()[:, 0].tolist():
+            turning[_carriers(joint)] = stiffer
+        asked, kept = around.nonzero()[:, 0], (~around).nonzero()[:, 0]
+        tried = solve(asked, _joined(motion, asked, kept), turning)
+        after = unmade(tried)
+        better = torch.zeros_like(around)
+        for first, last in stretches(around.numpy()):
+            steps = slice(max(0, first - 1), last + 1)
+            better[first : last + 1] = int(after[steps].sum()) < int(jumps[steps].sum())
+        changed |= better
+        motion = _taken(motion, tried, better)
+    return motion, changed
+
+
+def _joined(motion: Motion, frames: Int[Tensor, " frames"], kept: Int[Tensor, " kept"]) -> Motion:
+    """The motion with some frames joined from those that are kept."""
+    found = between(chosen(motion, kept), kept, frames)
+    return motion.replace(
+        translation=motion.translation.index_copy(0, frames, found.translation),
+        rotations=motion.rotations.index_copy(0, frames, found.rotations),
+    )
+
+
+def _taken(motion: Motion, other: Motion, frames: Bool[Tensor, " time"]) -> Motion:
+    """The motion with some frames of another one."""
+    return motion.replace(
+        translation=other.translation.where(frames[:, None], motion.translation),
+        rotations=other.rotations.where(frames[:, None, None, None], motion.rotations),
+    )
+
+
+def _carriers(joint: int) -> list[int]:
+    """The joints whose turns move a joint fast: its parent and the parent of that."""
+    found = [PARENTS[joint]] if joint > 0 else [0]
+    return found + [PARENTS[found[0]]] * (found[0] > 0)
 
 
 def jump_findings(

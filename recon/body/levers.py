@@ -1,0 +1,204 @@
+"""Points that bones carry as matrix products, with their derivatives by turns about the joints.
+
+The pose of a frame is its affine matrix [O_j | p_j] of all bones (3 x 88): orientation and joint,
+world. A point is that matrix times a constant column, and so is a lever: the vector from a joint
+to the part of the point that hangs from this joint. A turn by the small world vector w about joint
+a moves the point by w x lever. What forces and stiffnesses at points mean for such turns follows
+without any Jacobian: torques, and second moments of levers.
+
+Coordinates of a step of one frame: the translation (3), then the turns, axis by axis: x about all
+22 joints, then y, then z.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from recon.body.derivatives import CarriedPoints
+from recon.body.model import BodyModel
+from recon.core import rotations as so3
+from recon.core.skeleton import JOINTS, PARENTS, descendants
+from recon.core.struct import TensorStruct
+
+COORDINATES = 3 + 3 * len(JOINTS)
+"""Coordinates of a step of one frame: metres and radians."""
+
+
+def affine(
+    orientations: Float[Tensor, "frames 22 3 3"], joints: Float[Tensor, "frames 22 3"]
+) -> Float[Tensor, "frames 3 88"]:
+    """The poses of all bones side by side, [O_j | p_j]."""
+    return torch.cat((orientations, joints[..., None]), -1).transpose(1, 2).flatten(-2)
+
+
+def turned(
+    rotations: Float[Tensor, "frames 22 3 3"],
+    orientations: Float[Tensor, "frames 22 3 3"],
+    turns: Float[Tensor, "frames 66"],
+) -> Float[Tensor, "frames 22 3 3"]:
+    """Rotations R_a Exp(O_aᵀ w_a) after turns w_a, as the coordinates of a step have them."""
+    world = turns.unflatten(-1, (3, -1)).transpose(1, 2)
+    return rotations @ so3.exp((orientations.mT @ world[..., None])[..., 0])
+
+
+def world_turns(
+    local: Float[Tensor, "frames 22 3"], orientations: Float[Tensor, "frames 22 3 3"]
+) -> Float[Tensor, "frames 66"]:
+    """Vectors in the frames of the bones, such as gradients by R_a Exp(d_a), as coordinates."""
+    return (orientations @ local[..., None])[..., 0].transpose(1, 2).flatten(-2)
+
+
+def gathered(values: Float[Tensor, "*batch 22"]) -> Float[Tensor, "*batch 22"]:
+    """Sums over every joint and all that hang from it."""
+    return values @ _BELOW.to(values).mT
+
+
+@dataclass(frozen=True)
+class Levers(TensorStruct):
+    """Constant columns of points and of their levers about all joints."""
+
+    points: Float[Tensor, "88 points"]
+    arms: Float[Tensor, "88 columns"]
+    """Point by point, the columns of its levers about the 22 joints; zero where it does not hang
+    from the joint."""
+
+    @classmethod
+    def of(cls, points: CarriedPoints) -> "Levers":
+        """The columns of some points: places c_vj on the bones and shares m_vj of the joints."""
+        columns = torch.cat((points.place, points.share[..., None]), -1)
+        below = _BELOW.to(columns)
+        arms = columns[:, None] * below[None, :, :, None]
+        # p_a itself, as far as the point hangs from joint a
+        hung = torch.diag_embed(points.share @ below.mT)
+        arms[..., 3] -= hung
+        return cls(
+            columns.flatten(1).mT.contiguous(), arms.flatten(2).flatten(0, 1).mT.contiguous()
+        )
+
+    def places(self, pose: Float[Tensor, "frames 3 88"]) -> Float[Tensor, "frames 3 points"]:
+        """The points, world, metres."""
+        return pose @ self.points
+
+    def about(self, pose: Float[Tensor, "frames 3 88"]) -> Float[Tensor, "frames 3 points 22"]:
+        """The levers, world, metres."""
+        return (pose @ self.arms).unflatten(-1, (-1, len(JOINTS)))
+
+    def pull(
+        self, pose: Float[Tensor, "frames 3 88"], forces: Float[Tensor, "frames 3 points"]
+    ) -> Float[Tensor, "frames 69"]:
+        """Derivatives of Σ forces · points by the coordinates of a step."""
+        bones = pose.unflatten(-1, (-1, 4))
+        loads = (forces @ self.points.mT).unflatten(-1, (-1, 4))
+        push = loads[..., 3]
+        torque = torch.linalg.cross(bones, loads, dim=1).sum(-1)
+        torque, push = gathered(torque), gathered(push)
+        turns = torque - torch.linalg.cross(bones[..., 3], push, dim=1)
+        return torch.cat((forces.sum(-1), turns.flatten(1)), -1)
+
+    def jacobian(self, pose: Float[Tensor, "frames 3 88"]) -> Float[Tensor, "frames points 3 69"]:
+        """Derivatives of the points by the coordinates of a step."""
+        arms = self.about(pose).transpose(1, 2)
+        out = arms.new_zeros(*arms.shape[:2], 3, COORDINATES)
+        out.diagonal(dim1=-2, dim2=-1)[:] = 1  # by the translation
+        turns = out[..., 3:].unflatten(-1, (3, len(JOINTS)))
+        for axis in range(3):
+            after, last = (axis + 1) % 3, (axis + 2) % 3
+            turns[..., after, last, :] = arms[..., axis, :]
+            turns[..., last, after, :] = -arms[..., axis, :]
+        return out
+
+    def stiffness(
+        self, pose: Float[Tensor, "frames 3 88"], weights: Float[Tensor, "frames points"]
+    ) -> Float[Tensor, "frames 69 69"]:
+        """Σ weight JᵀJ over points, with J their derivatives by the coordinates of a step."""
+        arms = self.about(pose)
+        joints = len(JOINTS)
+        flat = arms.transpose(1, 2).flatten(-2)
+        weighted = flat * weights[..., None]
+        moments = weighted.mT @ flat
+        moments = moments.unflatten(-1, (3, joints)).unflatten(-3, (3, joints))
+        out = pose.new_zeros(len(pose), COORDINATES, COORDINATES)
+        turns = out[:, 3:, 3:].unflatten(-1, (3, joints)).unflatten(-3, (3, joints))
+        trace = moments[:, 0, :, 0] + moments[:, 1, :, 1] + moments[:, 2, :, 2]
+        for row in range(3):
+            for column in range(3):
+                turns[:, row, :, column] = -moments[:, column, :, row]
+            turns[:, row, :, row] += trace
+        out.diagonal(dim1=1, dim2=2)[:, :3] = weights.sum(-1, keepdim=True)
+        first = weighted.sum(1).unflatten(-1, (3, joints))
+        side = out[:, :3, 3:].unflatten(-1, (3, joints))
+        for axis in range(3):
+            after, last = (axis + 1) % 3, (axis + 2) % 3
+            side[:, after, last] = first[:, axis]
+            side[:, last, after] = -first[:, axis]
+        out[:, 3:, :3] = out[:, :3, 3:].mT
+        return out
+
+    def add_rising(
+        self,
+        to: Float[Tensor, "all 69 69"],
+        frames: Int[Tensor, " frames"],
+        pose: Float[Tensor, "frames 3 88"],
+        weights: Float[Tensor, "frames points"],
+    ) -> None:
+        """Add Σ weight jᵀj over points, j the derivatives of their heights, to some matrices."""
+        joints = self._joints
+        columns = self.arms.unflatten(-1, (-1, len(JOINTS)))[..., joints].flatten(1)
+        arms = (pose[:, :2] @ columns).unflatten(-1, (-1, len(joints)))
+        # the height changes by (w x lever)_z = w_x lever_y - w_y lever_x
+        up = arms.new_ones(*arms[:, 0].shape[:2], 1)
+        slopes = torch.cat((up, arms[:, 1], -arms[:, 0]), -1)
+        gram = (slopes * weights[..., None]).mT @ slopes
+        turned_by = torch.cat((joints, joints + len(JOINTS)))
+        place = torch.cat((torch.tensor([2]), 3 + turned_by))
+        to[frames[:, None, None], place[:, None], place] += gram
+
+    @cached_property
+    def _joints(self) -> Int[Tensor, " some"]:
+        """The joints from which any of the points hang."""
+        arms = self.arms.unflatten(-1, (-1, len(JOINTS)))
+        return (arms != 0).any(0).any(0).nonzero()[:, 0]
+
+
+@dataclass(frozen=True)
+class ShapeLevers(TensorStruct):
+    """Constant columns of the derivatives of points by the coefficients of the shape."""
+
+    columns: Float[Tensor, "88 columns"]
+    """Point by point, those of all coefficients."""
+    root: Float[Tensor, "3 shape"]
+    """Derivatives of the place of the root at rest, which all points share."""
+
+    @classmethod
+    def of(cls, points: CarriedPoints, body: BodyModel) -> "ShapeLevers":
+        """The columns of some points of a body: places on the bones and bones themselves grow."""
+        count = len(points.place_by_shape)
+        joints = body.joint_directions[..., :count].to(points.place)
+        bones = joints[1:] - joints[list(PARENTS[1:])]
+        hung = points.share @ _BELOW.to(joints).mT
+        grown = points.place_by_shape.permute(1, 2, 3, 0).clone()
+        for child, parent in enumerate(PARENTS[1:], 1):
+            grown[:, parent] += hung[:, child, None, None] * bones[child - 1]
+        columns = torch.nn.functional.pad(grown, (0, 0, 0, 1))  # joints' places do not matter
+        return cls(columns.permute(1, 2, 0, 3).flatten(2).flatten(0, 1), joints[0])
+
+    def by_shape(
+        self, pose: Float[Tensor, "frames 3 88"]
+    ) -> Float[Tensor, "frames points 3 shape"]:
+        """Derivatives of the points, metres."""
+        moved = (pose @ self.columns).unflatten(-1, (-1, self.root.shape[-1]))
+        return moved.transpose(1, 2) + self.root
+
+
+def _below() -> Float[Tensor, "22 22"]:
+    """Row a: 1 for joint a and all joints that hang from it."""
+    below = torch.zeros(len(JOINTS), len(JOINTS))
+    for joint in range(len(JOINTS)):
+        below[joint, list(descendants(joint))] = 1.0
+    return below
+
+
+_BELOW = _below()

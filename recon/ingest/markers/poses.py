@@ -1,0 +1,165 @@
+"""The energies of poses that are to meet markers, with their first and second derivatives."""
+
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+from torch.nn.functional import pad
+
+from recon.body.levers import COORDINATES, world_turns
+from recon.core import rotations as so3
+from recon.ingest.markers.points import Poses, SkinPoints
+
+
+@dataclass(frozen=True)
+class PoseEnergies:
+    """Energies of the poses of a body of known shape, frame by frame, and ties between frames.
+
+    Markers, ½ Σ kernel(|p - m|²); the pull to the natural pose, Σ (1 - cos angle); soles below the
+    ground, half of their mean squared depth; and turns from frame to frame, Σ (1 - cos angle).
+    """
+
+    rest: Float[Tensor, "22 3"]
+    """Joints of the unposed body, metres."""
+    markers: SkinPoints
+    soles: SkinPoints | None
+    """Points under the feet that are held above z = 0; None where the ground is elsewhere."""
+    positions: Float[Tensor, "frames 3 markers"]
+    """World, metres; zero where not visible."""
+    visible: Float[Tensor, "frames markers"]
+    """1 where a marker is visible, 0 elsewhere."""
+    linked: Bool[Tensor, " between"]
+    """Whether a frame is tied to the next one."""
+    natural: Float[Tensor, "21 3 3"]
+    """Rotations that joints are drawn to."""
+    pull: float
+    """Weight of the distance from them."""
+    ground: float
+    """Weight of the soles."""
+    turning: Float[Tensor, " 22"]
+    """Weight of every joint's turns from frame to frame; they are not multiplied by `weight`."""
+    weight: float = 1.0
+    """Multiplier of the energies of single frames."""
+    sigma: float | None = None
+    """Scale of Geman and McClure's kernel, metres; None is least squares."""
+
+    @property
+    def stiffness(self) -> Float[Tensor, " 69"]:
+        """Second derivatives of a tie: turns are tied, translations are not."""
+        return torch.cat((self.turning.new_zeros(3), self.turning.repeat(3)))
+
+    def frames(self, index: Int[Tensor, " frames"]) -> "PoseEnergies":
+        """The energies of some frames, ascending; only those that are linked stay tied."""
+        apart = (~self.linked).cumsum(0)
+        run = pad(apart, (1, 0))[index]
+        linked = (index.diff() == 1) & (run.diff() == 0)
+        positions, visible = self.positions[index], self.visible[index]
+        return replace(self, positions=positions, visible=visible, linked=linked)
+
+    def untied(self) -> "PoseEnergies":
+        """The energies of frames that are independent of each other."""
+        return replace(self, linked=torch.zeros_like(self.linked))
+
+    def begun(
+        self, translation: Float[Tensor, "frames 3"], rotations: Float[Tensor, "frames 22 3 3"]
+    ) -> Poses:
+        """Poses of this body."""
+        return Poses.of(translation, rotations, self.rest)
+
+    def look(
+        self, state: Poses, rows: Int[Tensor, " rows"]
+    ) -> tuple[Float[Tensor, " rows"], Float[Tensor, "rows 69"]]:
+        """Energies of some frames without ties, and their gradients."""
+        some = _rows(state, rows)
+        value, slope, away = self._residuals(some, rows)
+        gradient = self.markers.pull(some, away * slope[:, None])
+        value = 0.5 * value.sum(-1)
+        drawn = some.rotations[:, 1:]
+        value = value + self.pull / 4 * (drawn - self.natural).square().sum((1, 2, 3))
+        bent = pad(so3.axis_sine(self.natural.mT @ drawn), (0, 0, 1, 0))
+        gradient[:, 3:] += self.pull * world_turns(bent, some.orientations)
+        if self.soles is not None:
+            depth, weight = self.depths(some)
+            value = value + 0.5 * (weight * depth.square()).sum(-1)
+            gradient = gradient + self.soles.pull(some, _upwards(weight * depth))
+        return self.weight * value, self.weight * gradient
+
+    def curvature(self, state: Poses, rows: Int[Tensor, " rows"]) -> Float[Tensor, "rows 69 69"]:
+        """Their LevenbergMarquardt-Newton Hessians."""
+        some = _rows(state, rows)
+        _, slope, _ = self._residuals(some, rows)
+        out = self.markers.levers.stiffness(some.bones, slope)
+        diagonal = out.diagonal(dim1=1, dim2=2)[:, 3:].unflatten(-1, (3, -1))
+        diagonal[..., 1:] += self.pull
+        if self.soles is not None:
+            _, weight = self.depths(some)
+            touching = weight.any(-1).nonzero()[:, 0]
+            self.soles.levers.add_rising(out, touching, some.bones[touching], weight[touching])
+        return self.weight * out
+
+    def alike(
+        self, some: Int[Tensor, " rows"], others: Int[Tensor, " rows"]
+    ) -> Bool[Tensor, " rows"]:
+        """Which frames show the same markers."""
+        return (self.visible[some] == self.visible[others]).all(-1)
+
+    def tied(self, state: Poses) -> tuple[Float[Tensor, " between"], Float[Tensor, "frames 69"]]:
+        """Energies of the turns from frame to frame, and their gradients by steps."""
+        rotations = state.rotations
+        gradient = rotations.new_zeros(len(rotations), COORDINATES)
+        weight = self.turning * self.linked[:, None]
+        if not bool(weight.any()):
+            return weight.sum(-1), gradient
+        value = (weight / 4 * rotations.diff(dim=0).square().sum((2, 3))).sum(-1)
+        bent = weight[..., None] * so3.axis_sine(rotations[:-1].mT @ rotations[1:])
+        ends = pad(bent, (0, 0, 0, 0, 1, 1))
+        gradient[:, 3:] = world_turns(ends[:-1] - ends[1:], state.orientations)
+        return value, gradient
+
+    def moved(self, state: Poses, rows: Int[Tensor, " rows"], steps: Tensor) -> Poses:
+        """The state after steps of some frames."""
+        found = _rows(state, rows).moved(steps, self.rest)
+        if len(rows) == len(state.translation):
+            return found
+        fresh = iter(found.tensors().values())
+        return state.map(lambda tensor: tensor.index_copy(0, rows, next(fresh)))
+
+    def forces(
+        self, state: Poses
+    ) -> tuple[Float[Tensor, "frames 3 markers"], Float[Tensor, "frames markers"]]:
+        """Derivatives of the energies by the places of markers, and the weights of residuals."""
+        _, slope, away = self._residuals(state, torch.arange(len(state.translation)))
+        slope = self.weight * slope
+        return away * slope[:, None], slope
+
+    def depths(
+        self, state: Poses
+    ) -> tuple[Float[Tensor, "frames soles"], Float[Tensor, "frames soles"]]:
+        """Heights of points under the feet, metres, and weights: zero above the ground."""
+        assert self.soles is not None
+        height = self.soles.places(state)[:, 2]
+        return height, (self.ground / height.shape[-1]) * (height < 0).to(height)
+
+    def _residuals(self, some: Poses, rows: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """The kernel of squared distances of markers, its slope, and predicted minus observed."""
+        away = self.markers.places(some) - _some(self.positions, rows)
+        seen, size = _some(self.visible, rows), away.square().sum(1)
+        if self.sigma is None:
+            return size * seen, seen, away
+        scale = self.sigma**2
+        share = scale / (scale + size)
+        return share * size * seen, share.square() * seen, away
+
+
+def _upwards(force: Float[Tensor, "frames points"]) -> Float[Tensor, "frames 3 points"]:
+    return torch.stack((torch.zeros_like(force), torch.zeros_like(force), force), 1)
+
+
+def _rows(state: Poses, rows: Tensor) -> Poses:
+    # indexing copies, so all frames are taken as they are
+    return state if len(rows) == len(state.translation) else state[rows]
+
+
+def _some(values: Tensor, rows: Tensor) -> Tensor:
+    return values if len(rows) == len(values) else values[rows]
