@@ -1,1 +1,1 @@
-"""L-BFGS over batches of independent problems: tensors only, nothing of people."""
+"""L-BFGS over batches, damped Gauss-Newton over sequences: tensors, nothing of people."""
