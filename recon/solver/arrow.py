@@ -65,7 +65,7 @@ def solve_arrow(
 
 
 @runtime_checkable
-class Shared(Protocol[S]):
+class SharedEnergies(Protocol[S]):
     """Energies of blocks that share common variables."""
 
     def value(self, state: S) -> Tensor:
@@ -92,7 +92,7 @@ class Settled(Generic[S]):
 
 
 def minimise_shared(
-    energies: Shared[S], state: S, *, tolerance: float, max_iterations: int, damping: float = 0.0
+    energies: SharedEnergies[S], state: S, *, tolerance: float, max_iterations: int, damping: float = 0.0
 ) -> Settled[S]:
     """Minimise by damped steps until one promises and brings less than a share of the energy.
 
