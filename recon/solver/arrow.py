@@ -92,7 +92,12 @@ class Settled(Generic[S]):
 
 
 def minimise_shared(
-    energies: SharedEnergies[S], state: S, *, tolerance: float, max_iterations: int, damping: float = 0.0
+    energies: SharedEnergies[S],
+    state: S,
+    *,
+    tolerance: float,
+    max_iterations: int,
+    damping: float = 0.0,
 ) -> Settled[S]:
     """Minimise by damped steps until one promises and brings less than a share of the energy.
 
