@@ -1,4 +1,4 @@
-"""Correspondences of detected points to the body: one table for all layouts of 2D detectors."""
+"""Correspondences of detected points to the body: one table for all layouts of keypoints."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,9 +10,12 @@ from torch import Tensor
 
 from recon.body.landmarks import landmark
 from recon.body.model import BodyModel, PosedBody
-from recon.core.layouts import keypoint_names
+from recon.core.errors import ObservationError
+from recon.core.layouts import JOINT, keypoint_names
 from recon.core.skeleton import JOINTS, PARENTS, joint_index
 
+_APART = 0.03
+"""Metres at rest between two points whose distance tells something."""
 _NEAR = 0.2
 """Metres at rest within which a point on a neighbouring bone tells where a joint is."""
 
@@ -67,12 +70,31 @@ PLACES: Mapping[str, BodyPlace] = {
     "mid_hip": BodyPlace(joints=("left_hip", "right_hip")),
     "spine": BodyPlace(joints=("spine1", "spine2")),
     "thorax": BodyPlace(joints=("left_shoulder", "right_shoulder")),
+    "spine_navel": BodyPlace(joints=("spine1",)),
+    "spine_chest": BodyPlace(joints=("spine3",)),
+    **_sided(
+        {
+            "clavicle": BodyPlace(joints=("collar",)),
+            "hand": BodyPlace(landmarks=("hand", "index_knuckle", "pinky_knuckle")),
+            "fingertip": BodyPlace(landmarks=("fingertip",)),
+        }
+    ),
+    **{f"{joint}{JOINT}": BodyPlace((joint,)) for joint in JOINTS},
 }
 """Every keypoint of `recon.core.layouts` but those of `smpl22`, which are the joints themselves.
 
 Two places follow what detectors mean more than the words: the top of the head is found where the
 hair begins, the upper neck at its base (triangulated BODY_25B detections of a person at rest).
 """
+
+
+TRUNK: Mapping[str, int] = {
+    name: joint_index(bone)
+    for name, bone in {
+        "neck": "spine3", "thorax": "spine3", "spine": "spine2", "mid_hip": "pelvis"
+    }.items()
+}  # fmt: skip
+"""Bones that carry means of joints of both sides."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +119,27 @@ class BodyPoints:
             ValueError: when there is no such layout.
         """
         names = keypoint_names(layout)
-        places = [BodyPlace((name,)) if layout == "smpl22" else PLACES[name] for name in names]
+        if layout == "smpl22":
+            return cls._at([BodyPlace((name,)) for name in names], names, body)
+        return cls.of_names(names, body)
+
+    @classmethod
+    def of_names(cls, names: Sequence[str], body: BodyModel) -> "BodyPoints":
+        """Keypoints by name, in any order; `<joint>_joint` is a joint of the body itself.
+
+        Raises:
+            ValueError: naming the keypoints that are not known.
+        """
+        if unknown := [name for name in names if name not in PLACES]:
+            raise ObservationError(
+                f"no keypoint is called {', '.join(unknown)}; there are {', '.join(PLACES)}"
+            )
+        return cls._at([PLACES[name] for name in names], tuple(names), body)
+
+    @classmethod
+    def _at(
+        cls, places: Sequence[BodyPlace], names: tuple[str, ...], body: BodyModel
+    ) -> "BodyPoints":
         bundled = body.checksum == BodyModel.load().checksum
         known = [bundled or not place.landmarks for place in places]
         found = [place if k else BodyPlace() for place, k in zip(places, known, strict=True)]
@@ -114,6 +156,28 @@ class BodyPoints:
         skin = of_vertices @ body.weights[index].to(of_vertices)
         bones = tuple((of_joints + skin).argmax(-1).tolist())
         return cls(of_joints, of_vertices, index, names, bones, torch.tensor(known))
+
+    def rigid_pairs(self, body: BodyModel) -> tuple[tuple[int, int], ...]:
+        """Pairs of points whose distance no pose changes: they keep their place on one bone.
+
+        A joint does so on the bone that begins and on the one that ends there; a mean of joints
+        on a bone that all of them do so on.
+        """
+        kept = [self._rigid_with(row, body) for row in range(len(self.names))]
+        rest = self.at_rest(body, body.template.new_zeros(body.shape_size))
+        apart = torch.cdist(rest, rest)
+        count = range(len(kept))
+        return tuple(
+            (a, b) for a in count for b in count
+            if a < b and kept[a] & kept[b] and float(apart[a, b]) > _APART
+        )  # fmt: skip
+
+    def _rigid_with(self, row: int, body: BodyModel) -> frozenset[int]:
+        joints = self.of_joints[row].nonzero()[:, 0].tolist()
+        rows = self.vertices[self.of_vertices[row] > 0]
+        on = [frozenset((joint, PARENTS[joint])) for joint in joints]
+        on += [frozenset((bone,)) for bone in body.weights[rows].argmax(-1).tolist()]
+        return frozenset.intersection(*on) - {-1} if on else frozenset()
 
     def of(self, posed: PosedBody) -> Float[Tensor, "*batch time points 3"]:
         """The points on a posed body, world, metres; zero where the body has no such point."""

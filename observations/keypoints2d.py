@@ -11,7 +11,7 @@ from torch import Tensor
 from observations.checks import checked_clock, checked_pixels, checked_places, checked_view
 from observations.correspondences import BodyPoints, joints_shown
 from observations.noise import LIMITS, estimate_noise
-from observations.offsets import displaced
+from observations.records.offsets import displaced
 from observations.records.sensor import SensorRecord
 from observations.start.images import image_start
 from observations.timing import at_observation_times, moment_numbers, moments_between, padded

@@ -87,15 +87,20 @@ def point_energy(
     start_time: float,
     kernel: Callable[[Tensor], Tensor],
     weights: Float[Tensor, "*batch moments points"] | None = None,
+    placed: bool = True,
 ) -> Float[Tensor, "*batch"]:
     """½ Σ kernel(w² |observed - predicted|²) over visible points, taken at 30 Hz; metres².
 
-    Without weights, w is 1.
+    Without weights, w is 1. Points that are not placed in the world are compared after the
+    translation of every moment that brings them nearest.
     """
     moments = positions.shape[-3]
     points, seen = at_observation_times(
         predicted, motion, fps=fps, start_time=start_time, moments=moments
     )
+    if not placed:
+        counted = visible if weights is None else weights
+        points = points + _shared(positions[..., seen, :, :] - points, counted[..., seen, :])
     distance = (points - positions[..., seen, :, :]).square().sum(-1)
     if weights is not None:
         distance = weights[..., seen, :].square() * distance
@@ -112,14 +117,29 @@ def point_residuals(
     fps: float,
     start_time: float,
     weights: Float[Tensor, "*batch moments points"] | None = None,
+    placed: bool = True,
 ) -> Residuals:
-    """Observed minus predicted positions at every moment, metres; without weights these are 1."""
+    """Observed minus predicted positions at every moment, metres; without weights these are 1.
+
+    For `placed`, see `point_energy`.
+    """
     moments = positions.shape[-3]
     points, seen = at_observation_times(
         predicted, motion, fps=fps, start_time=start_time, moments=moments
     )
     counted = visible if weights is None else weights
-    return padded(positions[..., seen, :, :] - points, counted[..., seen, :], seen, moments)
+    away = positions[..., seen, :, :] - points
+    if not placed:
+        away = away - _shared(away, counted[..., seen, :])
+    return padded(away, counted[..., seen, :], seen, moments)
+
+
+def _shared(
+    away: Float[Tensor, "*batch seen points 3"], weights: Tensor
+) -> Float[Tensor, "*batch seen 1 3"]:
+    """The translation of every moment that explains most of what its points are away."""
+    counted = weights.to(away).square()[..., None]
+    return (counted * away).sum(-2, keepdim=True) / counted.sum(-2, keepdim=True).clamp(min=1e-9)
 
 
 def padded(

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from observations.depth import PointCloud as PointCloud
     from observations.joints3d import Joints3D as Joints3D
     from observations.keypoints2d import Keypoints2D as Keypoints2D
+    from observations.keypoints3d import Keypoints3D as Keypoints3D
     from observations.markers3d import Markers3D as Markers3D
     from recon.api.fit import fit as fit
     from recon.api.live.estimate import LiveEstimate as LiveEstimate
@@ -68,6 +69,7 @@ _HOMES = {
     "Joints3D": "observations.joints3d",
     "Markers3D": "observations.markers3d",
     "Keypoints2D": "observations.keypoints2d",
+    "Keypoints3D": "observations.keypoints3d",
     "PointCloud": "observations.depth",
     "Camera": "recon.core.camera",
     "ReconError": "recon.core.errors",

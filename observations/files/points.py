@@ -7,14 +7,16 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from observations.correspondences import PLACES, BodyPoints
 from observations.joints3d import Joints3D
+from observations.keypoints3d import Keypoints3D
 from observations.markers3d import Markers3D
 from recon.body.landmarks import landmark, landmarks, match_markers
 from recon.body.model import BodyModel
 from recon.core.errors import ObservationError, UnitsError
 from recon.core.robust import geman_mcclure, squared
 from recon.core.skeleton import JOINTS
-from recon.core.units import METRES, Axis, check_override, decide_up, head_above_feet, to_z_up
+from recon.core.units import METRES, Up, check_override, decide_up, head_above_feet, to_z_up
 from recon.formats.observations import PositionsFile, load_observation
 
 SIZE = (0.25, 2.5)
@@ -26,9 +28,9 @@ def load(
     body: BodyModel,
     *,
     unit: str | None = None,
-    up: Axis | None = None,
+    up: Up | None = None,
     robust: float | None = None,
-) -> Joints3D | Markers3D:
+) -> Joints3D | Markers3D | Keypoints3D:
     """An observation file as an energy of one clip.
 
     Args:
@@ -46,7 +48,9 @@ def load(
     """
     file = load_observation(path, unit=unit)
     if not isinstance(file, PositionsFile):
-        raise ObservationError(f"{path}: expected 3D joints or markers (joints3d, markers3d)")
+        raise ObservationError(
+            f"{path}: expected 3D joints, markers or keypoints (joints3d, markers3d, keypoints3d)"
+        )
     return positions_of(file, path, body, unit=unit, up=up, robust=robust)
 
 
@@ -56,9 +60,9 @@ def positions_of(
     body: BodyModel,
     *,
     unit: str | None = None,
-    up: Axis | None = None,
+    up: Up | None = None,
     robust: float | None = None,
-) -> Joints3D | Markers3D:
+) -> Joints3D | Markers3D | Keypoints3D:
     """What `load` makes of a file; `path` is for messages.
 
     Raises:
@@ -75,8 +79,13 @@ def positions_of(
     kernel = squared if robust is None else partial(geman_mcclure, sigma=robust)
     visible = torch.from_numpy(file.visible)[None]
     points = torch.from_numpy(positions).float()[None] * visible[..., None]
-    adapter = Joints3D if file.kind == "joints3d" else Markers3D
     std = None if file.std is None else file.std * (METRES[unit] if unit else 1.0)
+    if file.kind == "keypoints3d":
+        return Keypoints3D(
+            points, visible, BodyPoints.of_names(file.names, body), file.fps, file.start_time,
+            kernel, file.ground_known, std=std, level=file.level, placed=file.placed,
+        )  # fmt: skip
+    adapter = Joints3D if file.kind == "joints3d" else Markers3D
     return adapter(
         points, visible, places, file.fps, file.start_time, kernel, file.ground_known, std=std
     )
@@ -94,6 +103,14 @@ def _places(
             )
         joints = tuple(JOINTS.index(name) for name in file.names)
         return joints, body.joint_template[list(joints)]
+    if file.kind == "keypoints3d":
+        if unknown := [name for name in file.names if name not in PLACES]:
+            raise ObservationError(
+                f"{path}: no keypoint is called {', '.join(unknown)}; name the points among "
+                f"{', '.join(PLACES)} and leave the others out"
+            )
+        points = BodyPoints.of_names(file.names, body)
+        return (), points.at_rest(body, body.template.new_zeros(body.shape_size))
     if body.checksum != BodyModel.load().checksum:
         raise ObservationError(
             f"{path}: markers sit on vertices of the bundled body, which {body.name!r} does not "
@@ -110,7 +127,7 @@ def _places(
     return vertices, body.template[list(vertices)]
 
 
-def _upright(file: PositionsFile, path: str | Path, up: Axis | None) -> np.ndarray:
+def _upright(file: PositionsFile, path: str | Path, up: Up | None) -> np.ndarray:
     """Positions with z up.
 
     Raises:
@@ -118,6 +135,8 @@ def _upright(file: PositionsFile, path: str | Path, up: Axis | None) -> np.ndarr
     """
     if up is not None:
         return file.positions @ to_z_up(up).T
+    if not file.level:
+        return file.positions
     rise = head_above_feet(file.names, file.positions, file.visible)
     found, reason = decide_up(rise, "z", str(path)) if rise is not None else ("z", "")
     if found != "z":

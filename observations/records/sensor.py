@@ -28,7 +28,7 @@ class SensorRecord(TensorStruct):
     """
 
     unit: ClassVar[Unit] = "metres"
-    level: ClassVar[bool] = False
+    level: bool = False
     """Whether the z axis of the recording's frame points up even where its ground is not known."""
     timed: ClassVar[tuple[str, ...]] = ()
     """Names of the tensors that have an axis of moments, the first one after that of clips; where

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from observations.correspondences import joints_shown
 from observations.noise import estimate_noise
-from observations.offsets import displaced
+from observations.records.offsets import displaced
 from observations.records.sensor import SensorRecord
 from observations.start.rigid import rigid_start
 from observations.timing import moments_between, point_energy, point_residuals
@@ -29,7 +29,9 @@ P = TypeVar("P", bound="TrackedPoints")
 class TrackedPoints(SensorRecord):
     """Positions of points whose places on the body are known; an energy in metres²."""
 
-    level: ClassVar[bool] = True
+    level: bool = True
+    placed: bool = True
+    """Whether positions are places in the world rather than relative to the body."""
     on_skin: ClassVar[bool]
     """Whether the points lie on the skin rather than being joints of the skeleton."""
     positions: Float[Tensor, "*batch moments points 3"]
@@ -93,6 +95,7 @@ class TrackedPoints(SensorRecord):
             estimate.scene.to_recording(self.predict(estimate)), estimate.motion,
             self.positions, self.visible,
             fps=self.fps, start_time=self.start_time, kernel=self.kernel, weights=self.weights,
+            placed=self.placed,
         )  # fmt: skip
 
     def residuals(self, estimate: Estimate) -> Residuals:
@@ -100,7 +103,7 @@ class TrackedPoints(SensorRecord):
         return point_residuals(
             estimate.scene.to_recording(self.predict(estimate)), estimate.motion,
             self.positions, self.visible, fps=self.fps, start_time=self.start_time,
-            weights=self.weights,
+            weights=self.weights, placed=self.placed,
         )  # fmt: skip
 
     def noise(self, guess: Motion, body: BodyModel, given: float | None = None) -> Noise:

@@ -7,6 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from observations.keypoints2d import OFFSET_UNIT, Keypoints2D
+from observations.keypoints3d import Keypoints3D
 from observations.markers3d import Markers3D
 from observations.together.moments import Tracker
 from recon.body.derivatives import CarriedPoints
@@ -27,8 +28,9 @@ def carried_points(
         shape: of the body.
         offsets: constant offsets as in `Scene.offsets`, of which the sensor may own some rows.
     """
-    if isinstance(sensor, Keypoints2D):
-        points, bones = sensor.points, sensor.points.bones
+    if isinstance(sensor, Keypoints2D | Keypoints3D):
+        points = sensor.points
+        bones = points.bones if isinstance(sensor, Keypoints2D) else sensor.bones(body)
         found = CarriedPoints.create(
             body, shape, points.of_joints, points.of_vertices, points.vertices
         )

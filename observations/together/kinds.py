@@ -5,16 +5,19 @@ from collections.abc import Sequence
 from observations.depth import PointCloud
 from observations.joints3d import Joints3D
 from observations.keypoints2d import Keypoints2D
+from observations.keypoints3d import Keypoints3D
 from observations.markers3d import Markers3D
 from recon.method.protocols import Sensor
 
-InSpace = Joints3D | Markers3D | PointCloud
+Tracked = Joints3D | Markers3D | Keypoints3D
+"""Sensors that give places in space of points with names, metres."""
+InSpace = Tracked | PointCloud
 """Sensors that give places in space, metres."""
 
 
-def tracked(observations: Sequence[Sensor]) -> list[Joints3D | Markers3D]:
-    """Joints and markers: points in space with names."""
-    return [one for one in observations if isinstance(one, Joints3D | Markers3D)]
+def tracked(observations: Sequence[Sensor]) -> list[Tracked]:
+    """Joints, markers and keypoints: points in space with names."""
+    return [one for one in observations if isinstance(one, Tracked)]
 
 
 def markers(observations: Sequence[Sensor]) -> list[Markers3D]:
@@ -23,7 +26,7 @@ def markers(observations: Sequence[Sensor]) -> list[Markers3D]:
 
 
 def in_space(observations: Sequence[Sensor]) -> list[InSpace]:
-    """Joints, markers and clouds, in the order given."""
+    """Joints, markers, keypoints and clouds, in the order given."""
     return [one for one in observations if isinstance(one, InSpace)]
 
 

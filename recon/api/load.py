@@ -19,7 +19,7 @@ def load_observation(
     *,
     body: BodyModel | None = None,
     unit: Literal["m", "cm", "mm", "inch", "cmu"] | None = None,
-    up: Literal["x", "y", "z"] | None = None,
+    up: Literal["x", "y", "z", "x-down", "y-down", "z-down"] | None = None,
     frame_rate: float | None = None,
     layout: str | None = None,
     person: int | None = None,

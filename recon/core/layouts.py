@@ -1,4 +1,4 @@
-"""Layouts of the keypoints of 2D detectors: names in the order in which each detector writes them.
+"""Layouts of keypoints, in images and in space: names in the order in which each producer writes.
 
 Left and right are the person's own. One name means one place in every layout (COCO's annotators'
 hip is that of Halpe), except in `smpl22`, whose points are the joints of the body model.
@@ -24,6 +24,18 @@ _COCO = (
     "nose", *_pairs("eye", "ear", "shoulder", "elbow", "wrist", "hip", "knee", "ankle"),
 )  # fmt: skip
 _FOOT = ("big_toe", "small_toe", "heel")
+JOINT = "_joint"
+"""Ending of keypoints that are joints of the body model where detectors mean another place."""
+
+
+def _arm(side: str) -> tuple[str, ...]:
+    names = ("clavicle", "shoulder", "elbow", "wrist", "hand", "fingertip", "thumb")
+    return _side(side, *names)
+
+
+def _leg(side: str) -> tuple[str, ...]:
+    return _side(side, "hip", "knee", "ankle", f"foot{JOINT}")
+
 
 LAYOUTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
@@ -52,10 +64,19 @@ LAYOUTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
             "head_top", *_side("left", "shoulder", "elbow", "wrist"),
             *_side("right", "shoulder", "elbow", "wrist"),
         ),
+        "azure32": (
+            f"pelvis{JOINT}", "spine_navel", "spine_chest", f"neck{JOINT}",
+            *_arm("left"), *_arm("right"), *_leg("left"), *_leg("right"),
+            f"head{JOINT}", "nose", "left_eye", "left_ear", "right_eye", "right_ear",
+        ),
         "smpl22": JOINTS,
     }
 )  # fmt: skip
-"""Names of the keypoints of every layout. `coco133` is its body part, the first 23 of 133."""
+"""Names of the keypoints of every layout. `coco133` is its body part, the first 23 of 133.
+
+`azure32` is the Azure Kinect's skeleton in the order of `k4abt_joint_id_t` (azure-kinect body
+tracking SDK, body tracking joints), whose neck, head and feet are joints inside the body.
+"""
 
 
 def keypoint_names(layout: str) -> tuple[str, ...]:

@@ -11,6 +11,8 @@ from recon.core.errors import UnitsError
 
 Axis = Literal["x", "y", "z"]
 AXES: tuple[Axis, ...] = get_args(Axis)
+Up = Literal["x", "y", "z", "x-down", "y-down", "z-down"]
+"""The direction that is up: along an axis, or against one, as y points down in cameras."""
 
 METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "cmu": 0.0254 / 0.45}
 """Metres per unit; `cmu` is the unit of the CMU database's ASF files, inches over 0.45."""
@@ -165,16 +167,45 @@ def decide_up(
     )
 
 
-def to_z_up(up: Axis) -> Float[np.ndarray, "3 3"]:
+def decide_any_up(rise: Float[np.ndarray, "3"], name: str) -> tuple[Up, str]:
+    """The axis along which or against which a person stands, and the reason for it.
+
+    Args:
+        rise: mean vector from feet to head, in any unit.
+        name: of the file, for the message.
+
+    Raises:
+        ValueError: when the person stands along none.
+    """
+    order = np.argsort(np.abs(rise))
+    best, second = int(order[-1]), int(order[-2])
+    if not abs(rise[best]) >= 1.5 * abs(rise[second]):
+        raise UnitsError(
+            f"{name}: cannot tell which axis points up (from feet to head: "
+            f"{np.array2string(rise, precision=3)}); give it with --up, one of "
+            f"{', '.join(get_args(Up))}"
+        )
+    axis = AXES[best]
+    if rise[best] > 0:
+        return axis, f"up axis {axis}: the head is above the feet"
+    down: dict[Axis, Up] = {"x": "x-down", "y": "y-down", "z": "z-down"}
+    return down[axis], f"up axis: {axis} points down, as the feet are farther along it"
+
+
+def to_z_up(up: Up) -> Float[np.ndarray, "3 3"]:
     """Proper rotation that takes coordinates with this up axis to z up.
 
     From y up it is a quarter turn about x, (x, y, z) -> (x, -z, y), as in AMASS and Blender; from
-    x up the cyclic (x, y, z) -> (y, z, x).
+    x up the cyclic (x, y, z) -> (y, z, x). From y down it is (x, y, z) -> (x, z, -y), which keeps
+    x to the right and what is far from a camera ahead.
     """
     rows = {
         "x": ((0, 1, 0), (0, 0, 1), (1, 0, 0)),
         "y": ((1, 0, 0), (0, 0, -1), (0, 1, 0)),
         "z": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
+        "x-down": ((0, 1, 0), (0, 0, -1), (-1, 0, 0)),
+        "y-down": ((1, 0, 0), (0, 0, 1), (0, -1, 0)),
+        "z-down": ((1, 0, 0), (0, -1, 0), (0, 0, -1)),
     }
     return np.array(rows[up], dtype=np.float64)
 

@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from observations.files.clouds import cloud_of
 from observations.files.images import camera_above, keypoints_of
+from observations.files.keypoints3d import settled
 from observations.files.points import positions_of
 from observations.people.masks import load_silhouettes, masked
 from observations.people.views import load_views
@@ -19,6 +20,15 @@ from recon.fitting.settings import DEFAULTS, FitSettings
 from recon.formats.calibration.cameras import load_cameras
 from recon.formats.clouds.depth_images import read_depth_images
 from recon.formats.clouds.scans import read_scans
+from recon.formats.keypoints3d.labels import are_keypoints
+from recon.formats.keypoints3d.reader import (
+    RECORDINGS,
+    from_recording,
+    holds_points_3d,
+    marker_recording,
+    read_points_3d,
+)
+from recon.formats.keypoints3d.records import Points3D
 from recon.formats.observations import (
     KeypointsFile,
     ObservationFile,
@@ -50,8 +60,9 @@ def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> 
 
     Whatever the class `settings.reader` or one that is registered as `recon.observations` reads;
     observation files (.npz) of any kind; folders or files of 2D detections, one per view, with
-    `--camera`; a folder of scans (.ply, .pcd); a folder of 16-bit depth images (.png) with
-    `--camera`. Sensors without a pose are taken to be one and the same camera.
+    `--camera`; 3D keypoints of other programs, by file or session folder; a folder of scans (.ply,
+    .pcd); a folder of 16-bit depth images (.png) with `--camera`. Sensors without a pose are taken
+    to be one and the same camera.
 
     Raises:
         FileNotFoundError: when something is not there.
@@ -73,6 +84,14 @@ def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> 
             )
         if (seen := read_by(own, path, body)) is not None:
             files.append((str(path), seen))
+        elif (raw := _points_3d(path, settings)) is not None:
+            file = settled(
+                raw, body, fps=settings.frame_rate, unit=settings.unit, up=settings.up,
+                layout=settings.layout,
+            )  # fmt: skip
+            notes += [f"{path}: {decision}" for decision in file.decisions]
+            found = positions_of(file, path, body, up="z", robust=settings.robust)
+            files.append((str(path), found))
         elif path.suffix.lower() == ".npz":
             files.append((str(path), load_observation(path, unit=settings.unit)))
         elif kinds := _inside(path) & (_CLOUDS | _IMAGES):
@@ -82,8 +101,9 @@ def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> 
         else:
             raise FormatError(
                 f"{path}: expected an observation (.npz), 2D keypoints (.json, .csv or folders of "
-                "them) or a folder of scans or depth images; `recon convert` takes recordings of "
-                "motion capture"
+                "them), 3D keypoints (.npy, .npz, .csv, .json, .trc, .c3d or a session folder) or "
+                "a folder of scans or depth images; `recon convert` takes recordings of motion "
+                "capture"
             )
     if detections:
         views = load_views(
@@ -103,6 +123,22 @@ def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> 
             shown = (masked(shown[0], mask, first_frame=views.first_frame),)
         files += zip(views.names, shown, strict=True)
     return _together(files, notes, settings, body)
+
+
+def _points_3d(path: Path, settings: FitSettings) -> Points3D | None:
+    """The 3D keypoints of a file or folder; None where it holds something else."""
+    if path.suffix.lower() in RECORDINGS and path.is_file():
+        recording = marker_recording(path, settings.unit, settings.up)
+        if not are_keypoints(recording.marker_names):
+            raise FormatError(
+                f"{path}: its points are markers on the skin ("
+                f"{', '.join(recording.marker_names[:6])}, ...), no keypoints; `recon convert` "
+                "takes recordings of motion capture"
+            )
+        return from_recording(recording)
+    if holds_points_3d(path, images=settings.camera is not None):
+        return read_points_3d(path)
+    return None
 
 
 def clip_from(files: Sequence[tuple[str, ObservationFile]], body: BodyModel) -> Clip:

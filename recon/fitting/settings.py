@@ -26,8 +26,8 @@ class FitSettings:
     """Seconds of the recording's clock from which to which to fit; default: all."""
     unit: Literal["m", "cm", "mm", "inch", "cmu"] | None = None
     """Unit of positions and scans, where the file is wrong about it."""
-    up: Literal["x", "y", "z"] | None = None
-    """Axis that points up, where the file is wrong about it."""
+    up: Literal["x", "y", "z", "x-down", "y-down", "z-down"] | None = None
+    """Axis that points up, or down, where the file is wrong about it."""
     noise: float | None = None
     """Standard deviation of every coordinate in space, metres; default: told from the data."""
     noise_pixels: float | None = None
@@ -45,14 +45,15 @@ class FitSettings:
     forward), the normal up, metres; 0 -1 0 -1.2 is 1.2 m below a level camera. Default: found.
     `none`, with --prior pose, where feet stand on no ground: water, ropes, stairs."""
     layout: str | None = None
-    """Layout of the keypoints, where files do not tell: openpose25, coco17, ..."""
+    """Layout of the keypoints, in images or in space, where files do not tell: openpose25,
+    coco17, h36m17, ..."""
     person: int | None = None
     """Whom to follow where detections show several people: number as the message lists them."""
     masks: Path | None = None
     """Silhouettes of the person (folder of images, one per frame, or .npz): keypoints outside
     are taken as occluded."""
     frame_rate: float | None = None
-    """Frames per second of detections and scans, where files do not tell."""
+    """Frames per second of detections, 3D keypoints and scans, where files do not tell."""
     reader: str | None = None
     """Class that reads files of a sensor of your own, package.module:Class; not needed where it is
     registered as `recon.observations`."""

@@ -17,6 +17,7 @@ from recon.formats.files.opening import load_arrays, save_arrays
 _KEYS = {
     "joints3d": ("positions", "visible", "names", "fps", "up_axis"),
     "markers3d": ("positions", "visible", "names", "fps", "up_axis"),
+    "keypoints3d": ("positions", "visible", "names", "fps", "up_axis"),
     "keypoints2d": ("pixels", "confidence", "layout", "fps", "camera_matrix", "image_size"),
     "points": ("points", "frame", "fps"),
 }
@@ -39,9 +40,9 @@ class CameraArrays:
 
 @dataclass(frozen=True)
 class PositionsFile:
-    """Named 3D points: body joints or markers."""
+    """Named 3D points: body joints, markers or keypoints."""
 
-    kind: Literal["joints3d", "markers3d"]
+    kind: Literal["joints3d", "markers3d", "keypoints3d"]
     positions: Float[np.ndarray, "time points 3"]
     """Positions in metres, world frame with z up; zero where not visible."""
     visible: Bool[np.ndarray, "time points"]
@@ -55,6 +56,12 @@ class PositionsFile:
     std: Float[np.ndarray, "time points"] | None = None
     """Standard deviation of the coordinates of every point, metres; zero where not visible. None
     where it is not known."""
+    level: bool = True
+    """Whether z points up; false in the frame of a camera that may be tilted."""
+    placed: bool = True
+    """Whether positions are places in the world; false where they are relative to the body."""
+    decisions: tuple[str, ...] = ()
+    """What was read or guessed of a file of another program; not written."""
 
 
 @dataclass(frozen=True)
@@ -147,6 +154,8 @@ def save_observation(path: str | Path, file: ObservationFile) -> None:
         arrays |= {"kind": file.kind, "positions": file.positions, "visible": file.visible}
         arrays |= {"names": np.array(file.names), "up_axis": "z"}
         arrays |= {"ground_known": file.ground_known}
+        arrays |= {} if file.level else {"level": False}
+        arrays |= {} if file.placed else {"placed": False}
         arrays |= {} if file.std is None else {"std": file.std}
     elif isinstance(file, KeypointsFile):
         arrays |= {"kind": "keypoints2d", "pixels": file.pixels, "confidence": file.confidence}
@@ -184,6 +193,8 @@ def _positions(
         visible=visible,
         names=tuple(names.astype(str).tolist()),
         ground_known=bool(_number(path, arrays, "ground_known", 1.0)),
+        level=bool(_number(path, arrays, "level", 1.0)),
+        placed=bool(_number(path, arrays, "placed", 1.0)),
         std=_deviations(path, arrays, visible, metres),
         **common,
     )

@@ -121,8 +121,11 @@ class Sensor(Observation, Protocol):
 
     unit: ClassVar[Unit]
     """The unit of its residuals."""
-    level: ClassVar[bool]
-    """Whether the z axis of the recording's frame points up even where its ground is not known."""
+
+    @property
+    def level(self) -> bool:
+        """Whether the recording's z axis points up even where its ground is not known."""
+        ...
 
     @property
     def kind(self) -> str:

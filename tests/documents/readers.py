@@ -12,6 +12,7 @@ import numpy as np
 import torch
 
 import recon
+from observations.correspondences import BodyPoints
 from observations.files.images import keypoints_of
 from recon.core.skeleton import JOINTS
 from recon.formats.observations import KeypointsFile, PositionsFile, save_observation
@@ -29,6 +30,7 @@ def names_of_readers(folder: Path) -> dict[str, Any]:
     body, motion = bundled(), walk(FRAMES)
     seen = joints3d(motion, body, Corruption(noise=0.02), seed=0)
     positions = seen.positions.double().numpy()
+    landmarks = BodyPoints.of_layout("mediapipe33", body)
     visible = np.ones(positions.shape[:2], dtype=bool)
     views = [
         keypoints2d(motion, body, camera, Corruption(noise=3.0), k, "openpose25")
@@ -48,6 +50,7 @@ def names_of_readers(folder: Path) -> dict[str, Any]:
         "torch": torch,
         "np": np,
         "my_joints": positions,
+        "my_landmarks": landmarks.of(body.pose(motion)).double().numpy(),
         "my_sensor": lambda: (positions, visible),
         "positions": positions,
         "visible": visible,

@@ -7,8 +7,10 @@ import pytest
 import torch
 
 from observations import Joints3D, Markers3D
+from observations.correspondences import BodyPoints
 from observations.depth import PointCloud
 from observations.files.images import keypoints_of
+from observations.keypoints3d import Keypoints3D
 from observations.surfels import Surfels
 from recon.core import rotations as so3
 from recon.core.motion import Motion
@@ -22,7 +24,7 @@ from tests.filmed import bundled, cameras, walk
 from tests.own import units
 
 FRAMES = 8
-KINDS = ("joints", "weighted", "markers", "camera", "cloud", "own")
+KINDS = ("joints", "weighted", "markers", "keypoints", "relative", "camera", "cloud", "own")
 
 
 def truth() -> Motion:
@@ -43,6 +45,13 @@ def exact(kind: str) -> Sensor:
         places = (0, 700, 1400, 2100)
         seen = posed.points(torch.tensor(places))
         return Markers3D(seen, np.ones((FRAMES, 4), bool), places, *clock)
+    if kind in ("keypoints", "relative"):
+        points = BodyPoints.of_layout("mediapipe33", body)
+        places, seen = points.of(posed), np.ones((FRAMES, 33), bool)
+        if kind == "keypoints":
+            return Keypoints3D(places, seen, points, *clock)
+        places = places - places[:, 23:25].mean(1, keepdim=True)
+        return Keypoints3D(places, seen, points, *clock, placed=False)
     if kind == "camera":
         file = keypoints2d(motion, body, cameras(motion)[0], Corruption(noise=0.0), 0)
         return keypoints_of(file, body)[0]

@@ -22,10 +22,12 @@ def fit(
     """Reconstruct the motion behind what was recorded of one clip.
 
     Several observations add up. Of each kind there may be any number, in any order:
-    observation files (.npz) of 3D joints, markers, 2D keypoints or points; with --camera
-    and --frame-rate, 2D detections of OpenPose, MMPose, AlphaPose, MediaPipe,
-    DeepLabCut, EasyMocap or Pose2Sim (a folder or file per view, or a folder of views);
-    a folder of scans (.ply, .pcd); a folder of 16-bit depth images (.png, with --camera).
+    observation files (.npz) of 3D joints, markers, keypoints or points; 3D keypoints of
+    FreeMoCap (session folder), MediaPipe, MotionBERT, Azure Kinect, Anipose, Pose2Sim or
+    your own (.npy, .npz, .csv, .json, .trc); with --camera and --frame-rate, 2D
+    detections of OpenPose, MMPose, AlphaPose, MediaPipe, DeepLabCut, EasyMocap or
+    Pose2Sim (a folder or file per view, or a folder of views); a folder of scans (.ply,
+    .pcd); a folder of 16-bit depth images (.png, with --camera).
 
     Writes OUT (AMASS .npz with joints, contacts and ground) and OUT.json (what happened).
 

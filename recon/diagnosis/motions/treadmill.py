@@ -7,12 +7,11 @@ that is known of gait and of contacts holds. Results are carried back to the roo
 from jaxtyping import Float
 from torch import Tensor, arange, float64, nn
 
-from observations.joints3d import Joints3D
-from observations.markers3d import Markers3D
+from observations.together.kinds import Tracked
 from recon.core.motion import Motion
 
 
-def with_belt(points: Joints3D | Markers3D, belt: Float[Tensor, " 2"]) -> Joints3D | Markers3D:
+def with_belt(points: Tracked, belt: Float[Tensor, " 2"]) -> Tracked:
     """Points seen in the room, in the frame that moves with the belt (m/s, horizontal)."""
     times = _times(points.positions.shape[-3], points.fps, points.start_time)
     path = _path(times, belt).to(points.positions)

@@ -18,14 +18,7 @@ def size(points: NamedPoints) -> float | None:
 
     None where too few such distances are seen.
     """
-    bones, count = points.bones, range(len(points.bones))
-    pairs = [
-        (a, b)
-        for a in count
-        for b in count
-        if (PARENTS[bones[b]] == bones[a] or (bones[a] == bones[b] and a < b))
-        and rest_length(points, a, b) > _LONG
-    ]
+    pairs = [pair for pair in _along_bones(points) if rest_length(points, *pair) > _LONG]
     ratios = [
         float(np.median(seen)) / rest_length(points, a, b)
         for a, b in pairs
@@ -59,8 +52,23 @@ def out_of_reach(points: NamedPoints, limit: float) -> Bool[np.ndarray, " points
     return np.array([len(bones) > 0 and all(bones) for bones in wrong])
 
 
+def _along_bones(points: NamedPoints) -> list[tuple[int, int]]:
+    """Numbers of points on one bone, and of joints at its two ends."""
+    if points.rigid is not None:
+        return list(points.rigid)
+    bones, count = points.bones, range(len(points.bones))
+    return [
+        (a, b)
+        for a in count
+        for b in count
+        if PARENTS[bones[b]] == bones[a] or (bones[a] == bones[b] and a < b)
+    ]
+
+
 def joint_pairs(points: NamedPoints) -> list[tuple[int, int]]:
-    """Numbers of joints at the two ends of a bone, the parent first."""
+    """Numbers of joints at the two ends of a bone, the parent first, or of rigid pairs."""
+    if points.rigid is not None:
+        return list(points.rigid)
     bones, count = points.bones, range(len(points.bones))
     return [(a, b) for b in count for a in count if PARENTS[bones[b]] == bones[a]]
 

@@ -99,6 +99,8 @@ def _held_points(points: NamedPoints) -> Found:
     for point in range(same.shape[1]):
         if computed and points.bones[point] in FEET:
             continue
+        if (points.positions[points.visible[:, point], point] == 0).all():
+            continue  # the root of what is relative to it: other zeros are out by now
         for first, last in stretches(same[:, point]):
             held = slice(first, last + 1)
             travelled = np.median(step[held].sum(0)[points.visible[held].any(0)])

@@ -6,12 +6,12 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float
 
-from observations.joints3d import Joints3D
-from observations.markers3d import Markers3D
+from observations.keypoints3d import Keypoints3D
+from observations.together.kinds import Tracked
 from recon.body.model import BodyModel
 from recon.core.skeleton import MIRROR
 
-Points = Joints3D | Markers3D
+Points = Tracked
 """Sensors that give the places of named points in space."""
 
 _MIRRORED_WITHIN = 0.04
@@ -33,7 +33,9 @@ class NamedPoints:
     """Positions of the points on the average body in its rest pose, metres."""
     fps: float
     are_joints: bool
-    """Whether the points are the joints themselves rather than points of the skin."""
+    """Whether the points are joints and keypoints rather than markers on the skin."""
+    rigid: tuple[tuple[int, int], ...] | None = None
+    """Pairs of points whose distance no pose changes; None where the bones alone tell them."""
     std: Float[np.ndarray, "moments points"] | None = None
     """Standard deviation of the coordinates, metres; None where none are given."""
 
@@ -48,6 +50,11 @@ class NamedPoints:
             rest=observation.at_rest(body).double().cpu().numpy(),
             fps=observation.fps,
             are_joints=not observation.on_skin,
+            rigid=(
+                observation.points.rigid_pairs(body)
+                if isinstance(observation, Keypoints3D)
+                else None
+            ),
             std=None if observation.std is None else observation.std[0].double().cpu().numpy(),
         )
 

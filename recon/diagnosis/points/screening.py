@@ -216,8 +216,8 @@ def _against_a_body(
     state = state.after(kept.into(state.points), *misplaced).warned(*misplaced)
     if wild is not None:
         state = state.after(_robust(state.points, noise), wild)
-    if not grounded:
-        return state
+    if not grounded or not state.points.placed:
+        return state  # what is relative to the body tells neither heights nor paths
     if state.points.ground_known:
         height = floor_height(kept, fitted.estimate.motion, body, noise)
         if height != 0:

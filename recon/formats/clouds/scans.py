@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from recon.core.errors import FormatError
 from recon.core.limits import CLOUD, FRAME_RATE, POSITION
-from recon.core.units import METRES, Axis, check_override, to_z_up
+from recon.core.units import METRES, Up, check_override, to_z_up
 from recon.formats.clocks.scan_times import timed
 from recon.formats.clouds.pcd import read_pcd
 from recon.formats.clouds.ply import read_ply, write_ply
@@ -29,7 +29,7 @@ def read_scans(
     *,
     fps: float | None = None,
     unit: str | None = None,
-    up: Axis = "z",
+    up: Up = "z",
     points: int = POINTS,
     outliers: float | None = 3.0,
     seed: int = 0,

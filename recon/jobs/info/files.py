@@ -8,6 +8,8 @@ import numpy as np
 from observations.people.masks import load_silhouettes
 from recon.formats.bodies.smpl import load_smpl
 from recon.formats.files.opening import existing, load_arrays
+from recon.formats.keypoints3d.labels import are_keypoints
+from recon.formats.keypoints3d.reader import from_recording, holds_points_3d, read_points_3d
 from recon.formats.mocap.reader import read_recording
 from recon.formats.mocap.recording import MarkerRecording
 from recon.formats.motions import load_motion
@@ -23,6 +25,7 @@ from recon.jobs.info.cameras import (
     describe_folder,
     describe_json,
 )
+from recon.jobs.info.points import describe_points
 
 
 def describe(path: Path) -> dict[str, Any]:
@@ -32,6 +35,10 @@ def describe(path: Path) -> dict[str, Any]:
         FileNotFoundError: when there is no such file.
         ValueError: when it is nothing that recon reads; the message says what was expected.
     """
+    if not path.exists():
+        raise FileNotFoundError(f"{path}: no such file")
+    if holds_points_3d(path):
+        return describe_points(read_points_3d(path))
     if path.is_dir():
         return describe_folder(path)
     ending = path.suffix.lower()
@@ -124,6 +131,8 @@ def _pose(camera: CameraArrays) -> dict[str, Any]:
 
 def _recording(path: Path) -> dict[str, Any]:
     recording = read_recording(path)
+    if isinstance(recording, MarkerRecording) and are_keypoints(recording.marker_names):
+        return describe_points(from_recording(recording))
     names = (
         recording.marker_names if isinstance(recording, MarkerRecording) else recording.joint_names
     )

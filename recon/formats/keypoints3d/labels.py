@@ -1,0 +1,86 @@
+"""Names of 3D keypoints as producers spell them, and the keypoints of our table that they mean."""
+
+import re
+from collections.abc import Sequence
+
+from recon.core.layouts import JOINT, LAYOUTS
+from recon.core.skeleton import JOINTS
+from recon.formats.detections.deeplabcut import normalised
+
+_PREFIX = re.compile(r"^(mediapipe_|rtmpose_|yolo_)?(body|pose|joint|kpt|kp)_(?=[a-z])")
+_ABBREVIATED = re.compile(
+    r"^([lr])_?(hip|knee|ankle|shoulder|elbow|wrist|eye|ear|heel|foot|hand|toe|collar|clavicle"
+    r"|big_?toe|small_?toe)$"
+)
+_SAME = {
+    "hip": "mid_hip", "hips": "mid_hip", "pelvis": "mid_hip", "c_hip": "mid_hip",
+    "chip": "mid_hip", "root": "mid_hip", "hip_center": "mid_hip", "hips_center": "mid_hip",
+    "head": "head_top", "top_head": "head_top", "top_of_head": "head_top", "vertex": "head_top",
+    "belly": "spine", "torso": "spine", "neck_nose": "nose", "spine_naval": "spine_navel",
+    "chest": "thorax", "neck_base": "neck", "mid_shoulder": "neck",
+}  # fmt: skip
+_SAME_SIDED = {
+    "foot_index": "big_toe", "toe": "big_toe", "toes": "big_toe", "bigtoe": "big_toe",
+    "smalltoe": "small_toe", "little_toe": "small_toe", "hand_tip": "fingertip",
+    "handtip": "fingertip", "collar": "clavicle", "mouth_corner": "mouth",
+}  # fmt: skip
+_JOINTS_ONLY = (
+    "spine1", "spine3", "spine_1", "spine_3", "left_clavicle", "right_clavicle", "spine_navel",
+    "spine_chest",
+)  # fmt: skip
+"""Names that skeletons of joints have and detectors do not."""
+_CORE = tuple(f"{side}_{name}" for side in ("left", "right") for name in ("hip", "knee", "ankle"))
+"""Keypoints that every detector of bodies finds, and whose names together no marker set has."""
+_MOST = 0.6
+"""Share of the labels that are names of keypoints where a recording is one of keypoints."""
+_KNOWN = frozenset(name for names in LAYOUTS.values() for name in names) | {
+    f"{joint}{JOINT}" for joint in JOINTS
+}
+
+
+def meant_keypoints(labels: Sequence[str]) -> list[str | None]:
+    """The keypoint that every label means, or None.
+
+    `head`, `neck`, `pelvis` and `foot` are joints in the body where other labels show that the
+    points are a skeleton's joints, and a detector's keypoints elsewhere. Feet without ankles are
+    ankles, as Human3.6M calls them.
+    """
+    words = [_word(label) for label in labels]
+    joints = any(word in _JOINTS_ONLY for word in words)
+    ankles = "left_ankle" in words
+    return [_meant(word, joints=joints, ankles=ankles) for word in words]
+
+
+def are_keypoints(labels: Sequence[str]) -> bool:
+    """Whether most labels mean keypoints, with hips, knees and ankles among them."""
+    found = meant_keypoints(labels)
+    return set(_CORE) <= set(found) and sum(f is not None for f in found) > _MOST * len(labels)
+
+
+def _word(label: str) -> str:
+    """A label in our spelling: LHip, HIP_LEFT, body_left_hip and lhip are left_hip."""
+    label = re.sub(r"^K4ABT_JOINT_", "", label.strip().rsplit(":", 1)[-1], flags=re.IGNORECASE)
+    lowered = re.sub(r"[^a-z0-9]+", "_", label.lower()).strip("_")
+    if short := _ABBREVIATED.match(lowered):
+        side = "left" if short[1] == "l" else "right"
+        return _sided(side, short[2].replace("_", ""))
+    word = normalised(_PREFIX.sub("", label if _PREFIX.match(lowered) is None else lowered))
+    side, _, rest = word.partition("_")
+    return _sided(side, rest) if side in ("left", "right") and rest else word
+
+
+def _sided(side: str, name: str) -> str:
+    return f"{side}_{_SAME_SIDED.get(name, name)}"
+
+
+def _meant(word: str, *, joints: bool, ankles: bool) -> str | None:
+    side, _, rest = word.partition("_")
+    if joints:
+        joint = word.replace("spine_1", "spine1").replace("spine_2", "spine2")
+        joint = joint.replace("spine_3", "spine3")
+        if joint in ("pelvis", "neck", "head", "spine1", "spine2", "spine3") or rest == "foot":
+            return f"{joint}{JOINT}"
+    if rest == "foot":
+        return f"{word}{JOINT}" if ankles else f"{side}_ankle"
+    name = _SAME.get(word, word)
+    return name if name in _KNOWN else None

@@ -1,0 +1,135 @@
+"""3D keypoints of one person, whoever wrote them: the reader is chosen by what the file holds."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from recon.core.errors import FormatError
+from recon.core.units import Up
+from recon.formats.files.json_files import read_json
+from recon.formats.files.opening import load_arrays
+from recon.formats.keypoints3d.arrays import holds_points, read_array, read_arrays
+from recon.formats.keypoints3d.json_files import is_points_3d, read_json_points
+from recon.formats.keypoints3d.labels import are_keypoints
+from recon.formats.keypoints3d.records import Points3D, checked
+from recon.formats.keypoints3d.session import body_file, read_session
+from recon.formats.keypoints3d.tables import head_of, is_table_3d, read_table
+from recon.formats.mocap.reader import read_recording
+from recon.formats.mocap.recording import MarkerRecording
+
+RECORDINGS = (".trc", ".c3d")
+"""Endings of recordings whose points may be keypoints."""
+_HINTS = (b"orldLandmarks", b"world_landmarks", b'"bodies"', b'names"', b'"labels"')
+_HEAD = 1 << 16
+"""Bytes at the start of a JSON file that show of which kind it is."""
+
+
+def holds_points_3d(path: Path, *, images: bool = False) -> bool:
+    """Whether a file or folder holds 3D keypoints.
+
+    Args:
+        path: of the file or folder.
+        images: whether a camera was given, so that landmarks which a file has both in the image
+            and in space are those of the image.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+        ValueError: when it must be read to be told, and is damaged.
+    """
+    if path.is_dir():
+        return body_file(path) is not None
+    ending = path.suffix.lower()
+    if ending == ".npy":
+        return True
+    if ending == ".npz":
+        arrays = load_arrays(path)
+        return "kind" not in arrays and holds_points(arrays) is not None
+    if ending == ".csv":
+        return is_table_3d(head_of(path))
+    if ending == ".json":
+        with path.open("rb") as file:
+            head = file.read(_HEAD)
+        if images and b"pose_landmarks" in head:
+            return False
+        return any(hint in head for hint in _HINTS) and is_points_3d(read_json(path))
+    return False
+
+
+def read_points_3d(path: Path, *, unit: str | None = None, up: Up | None = None) -> Points3D:
+    """Read 3D keypoints: FreeMoCap, MediaPipe, Anipose, Azure Kinect, arrays, tables, TRC, C3D.
+
+    Args:
+        path: of the file or session folder.
+        unit: of a recording (.trc, .c3d), where the file is wrong about it.
+        up: axis of a recording that points up, where it cannot be told.
+
+    Raises:
+        FileNotFoundError: when there is nothing there.
+        ValueError: when it is damaged, of no known kind or holds nobody.
+    """
+    if path.is_dir():
+        return checked(read_session(path))
+    ending = path.suffix.lower()
+    if ending == ".npy":
+        return checked(read_array(path))
+    if ending == ".npz":
+        return checked(read_arrays(path))
+    if ending == ".csv":
+        return checked(read_table(path))
+    if ending == ".json":
+        return checked(read_json_points(path))
+    if ending in RECORDINGS:
+        return from_recording(marker_recording(path, unit, up))
+    raise FormatError(
+        f"{path}: expected 3D keypoints as .npy, .npz, .csv, .json, .trc, .c3d or a session folder"
+    )
+
+
+def marker_recording(path: Path, unit: str | None, up: Up | None) -> MarkerRecording:
+    """A recording of labelled points, in metres and z up.
+
+    Raises:
+        FileNotFoundError, ValueError: as `recon.formats.mocap.reader.read_recording` does.
+    """
+    if up is not None and up not in ("x", "y", "z"):
+        raise FormatError(f"{path}: recordings have an axis that points up, x, y or z; got {up}")
+    found = read_recording(path, unit=unit, up=up)
+    if not isinstance(found, MarkerRecording):
+        raise FormatError(f"{path}: expected labelled points, got a skeleton; `recon convert` it")
+    return found
+
+
+def from_recording(recording: MarkerRecording) -> Points3D:
+    """The points of a recording whose labels are keypoints; `are_keypoints` tells.
+
+    Raises:
+        ValueError: when the labels are those of markers.
+    """
+    if not are_keypoints(recording.marker_names):
+        raise FormatError(
+            f"{recording.name}: expected keypoints such as LHip, RKnee, Nose; got "
+            f"{', '.join(recording.marker_names[:8])}"
+        )
+    shown = np.where(recording.visible[..., None], recording.positions, np.nan)
+    points = Points3D(
+        recording.name, shown, recording.marker_names, fps=recording.fps, unit="m",
+        decisions=recording.decisions,
+    )  # fmt: skip
+    return checked(points)
+
+
+def with_rate(points: Points3D, fps: float | None) -> Points3D:
+    """The points at a rate that the caller gives, where he does.
+
+    Raises:
+        ValueError: when neither he nor the file tells one.
+    """
+    if fps is not None:
+        return replace(points, fps=fps)
+    if points.fps is None:
+        raise FormatError(
+            f"{points.name}: nothing in the file states the frame rate; give frames per second "
+            "with --frame-rate"
+        )
+    return points

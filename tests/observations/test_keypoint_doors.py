@@ -1,0 +1,265 @@
+"""3D keypoints as other programs write them: read by one call, what is guessed is said."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+import recon
+from observations.correspondences import BodyPoints
+from observations.keypoints3d import Keypoints3D
+from recon.core.layouts import LAYOUTS, keypoint_names
+from recon.core.units import to_z_up
+from recon.fitting.clip_files import load_clip
+from recon.fitting.settings import FitSettings
+from recon.formats.keypoints3d.labels import are_keypoints, meant_keypoints
+from recon.formats.mocap.recording import MarkerRecording
+from recon.formats.mocap.trc import write_trc
+from tests.filmed import bundled, joint_error, walk
+
+FRAMES = 12
+
+
+def points(layout: str) -> np.ndarray:
+    """The keypoints of a walk, metres, z up."""
+    body = bundled()
+    return BodyPoints.of_layout(layout, body).of(body.pose(walk(FRAMES))).double().numpy()
+
+
+def wide(path, names, x):
+    with path.open("w", newline="") as file:
+        rows = csv.writer(file)
+        rows.writerow([f"{name}_{axis}" for name in names for axis in "xyz"])
+        rows.writerows(x.reshape(len(x), -1).round(4).tolist())
+
+
+def long(path, names, x):
+    with path.open("w", newline="") as file:
+        rows = csv.writer(file)
+        rows.writerow(["frame", "timestamp", "keypoint", "x", "y", "z"])
+        for t, frame in enumerate(x):
+            rows.writerows([t, t / 30, n, *p.tolist()] for n, p in zip(names, frame, strict=True))
+
+
+def read(path, **settings) -> tuple[Keypoints3D, str]:
+    """The one sensor of a file, and all that was said."""
+    clip = load_clip([path], FitSettings(**settings), bundled())
+    (seen,) = clip.observations
+    assert isinstance(seen, Keypoints3D)
+    return seen, "\n".join(clip.notes)
+
+
+def agrees(seen: Keypoints3D, expected: np.ndarray):
+    np.testing.assert_allclose(seen.positions[0].numpy(), expected, atol=2e-4)  # metres
+    assert seen.fps == 30
+    assert seen.placed
+    assert seen.ground_known
+
+
+def test_wide_and_long_tables_arrays_and_trc_are_one_thing(tmp_path):
+    names, x = keypoint_names("mediapipe33"), points("mediapipe33")
+    wide(tmp_path / "body_3d.csv", [f"body_{name}" for name in names], 1000 * x)
+    long(tmp_path / "long.csv", names, 1000 * x)
+    np.save(tmp_path / "body.npy", 1000 * x)
+    np.savez(tmp_path / "body.npz", keypoints=x, fps=30.0)
+    seen, said = read(tmp_path / "body_3d.csv", frame_rate=30.0)
+    agrees(seen, x)
+    assert "unit mm" in said
+    assert "up axis z" in said
+    agrees(read(tmp_path / "long.csv")[0], x)
+    seen, said = read(tmp_path / "body.npy", frame_rate=30.0)
+    agrees(seen, x)
+    assert "layout mediapipe33" in said
+    agrees(read(tmp_path / "body.npz")[0], x)
+
+
+def test_keypoints_of_a_trc_are_never_skin(tmp_path):
+    """A Pose2Sim TRC was fitted as markers on the skin: joints were 7 cm off."""
+    names = [
+        name.replace("left_", "L").replace("right_", "R").title().replace("_", "")
+        for name in keypoint_names("halpe26")
+    ]
+    names = [name.replace("MidHip", "Hip").replace("HeadTop", "Head") for name in names]
+    x = points("halpe26")
+    seen = np.ones(x.shape[:2], bool)
+    write_trc(tmp_path / "pose.trc", MarkerRecording("pose", tuple(names), x, seen, 30.0, ()))
+    found, _ = read(tmp_path / "pose.trc")
+    agrees(found, x)
+    assert found.points.names == keypoint_names("halpe26")
+
+
+def test_an_azure_kinect_s_body_is_in_a_camera_that_may_be_tilted(tmp_path):
+    x = points("azure32") @ to_z_up("y-down") * 1000 + (0, 0, 3000)
+    frames = [
+        {"timestamp_usec": round(t * 1e6 / 30), "bodies": [
+            {"body_id": 4, "joint_positions": frame.tolist()}
+        ]}
+        for t, frame in enumerate(x)
+    ]  # fmt: skip
+    path = tmp_path / "azure.json"
+    path.write_text(json.dumps({"frames": frames}))
+    seen, said = read(path)
+    assert seen.point_names(bundled()) == keypoint_names("azure32")
+    assert not seen.level
+    assert not seen.ground_known
+    assert "y points down" in said
+    expected = x / 1000 @ to_z_up("y-down").T
+    np.testing.assert_allclose(seen.positions[0].numpy(), expected, atol=2e-4)
+
+
+@pytest.mark.parametrize("layout", ["h36m17", "mediapipe33"])
+def test_what_is_relative_to_the_pelvis_is_said_to_have_no_place(tmp_path, layout):
+    x, names = points(layout), keypoint_names(layout)
+    hips = [names.index("left_hip"), names.index("right_hip")]
+    np.save(tmp_path / "X3D.npy", x - x[:, hips].mean(1, keepdims=True))
+    seen, said = read(tmp_path / "X3D.npy", frame_rate=30.0)
+    assert not seen.placed
+    assert f"layout {layout}" in said
+    assert "no place in the world" in said
+
+
+def test_a_body_about_its_pelvis_is_fitted_wherever_it_is():
+    """Its root, which is always exactly at the origin, was called a held point and left out."""
+    x, names = points("h36m17"), keypoint_names("h36m17")
+    x = x - x[:, names.index("mid_hip"), None]
+    seen = recon.Keypoints3D(x, np.ones(x.shape[:2], bool), "h36m17", fps=30.0, placed=False)
+    result = recon.fit(seen, "pose")
+    joints, truth = result.joints.numpy(), bundled().pose(walk(FRAMES)).joints.numpy()
+    relative = (joints - joints[:, :1]) - (truth - truth[:, :1])
+    assert np.linalg.norm(relative, axis=-1).mean() < 0.016  # metres
+    assert [one.code for one in (*result.repairs, *result.warnings)] == []
+
+
+def test_mediapipe_s_world_landmarks_are_told_from_those_of_the_image(tmp_path):
+    x = points("mediapipe33")
+    x = (x - x[:, 23:25].mean(1, keepdims=True)) @ to_z_up("y-down")
+    entries = [
+        {
+            "frame": t,
+            "pose_landmarks": [{"x": 0.5, "y": 0.5, "z": 0.0, "visibility": 0.9}] * 33,
+            "pose_world_landmarks": [
+                dict(zip("xyz", point.tolist(), strict=True), visibility=0.9 if k else 0.1)
+                for k, point in enumerate(frame)
+            ],
+        }
+        for t, frame in enumerate(x)
+    ]
+    (tmp_path / "mp.json").write_text(json.dumps(entries))
+    seen, _ = read(tmp_path / "mp.json", frame_rate=30.0)
+    assert not seen.placed
+    assert seen.visible[0, :, 1:].all()
+    assert not seen.visible[0, :, 0].any()  # the nose's visibility is low
+    lens = {"camera_matrix": np.diag([900.0, 900.0, 1.0]), "image_size": (640, 480)}
+    lens["camera_matrix"][:2, 2] = (320, 240)
+    np.savez(tmp_path / "lens.npz", **lens)
+    with_camera = load_clip(
+        [tmp_path / "mp.json"],
+        FitSettings(frame_rate=30.0, camera=tmp_path / "lens.npz"),
+        bundled(),
+    )
+    assert with_camera.observations[0].kind == "keypoints2d"
+
+
+def test_a_session_folder_of_freemocap(tmp_path):
+    names, x = keypoint_names("mediapipe33"), 1000 * points("mediapipe33")
+    (tmp_path / "output_data").mkdir()
+    np.save(tmp_path / "output_data" / "mediapipe_body_3d_xyz.npy", x)
+    long(tmp_path / "trial_by_frame.csv", names, x)
+    seen, said = read(tmp_path)
+    agrees(seen, x / 1000)
+    assert "FreeMoCap session" in said
+    assert "by the times in trial_by_frame.csv" in said
+
+
+@pytest.mark.parametrize(
+    ("settings", "named"),
+    [
+        ({"layout": "coco17"}, r"no body.*h36m17 fits.*--layout"),
+        ({"layout": "halpe26"}, r"has 26 keypoints, the file 17"),
+        ({"unit": "mm"}, r"unit is mm \(given\).*give --unit m"),
+        ({"frame_rate": None}, r"--frame-rate"),
+    ],
+)
+def test_a_wrong_layout_unit_and_rate_are_named(tmp_path, settings, named):
+    np.save(tmp_path / "x.npy", points("h36m17"))
+    with pytest.raises(ValueError, match=named):
+        read(tmp_path / "x.npy", **{"frame_rate": 30.0, **settings})
+
+
+def test_a_wrong_axis_is_named(tmp_path):
+    np.save(tmp_path / "x.npy", points("h36m17"))
+    _, said = read(tmp_path / "x.npy", frame_rate=30.0, up="y")
+    assert "up axis y: given, so that the person lies" in said
+    assert "--up z" in said
+
+
+def test_points_that_are_no_body_are_refused(tmp_path):
+    rng = np.random.default_rng(0)
+    np.save(tmp_path / "x.npy", rng.normal(size=(FRAMES, 33, 3)))
+    with pytest.raises(ValueError, match="a body in none of these orders"):
+        read(tmp_path / "x.npy", frame_rate=30.0)
+    np.save(tmp_path / "x.npy", rng.normal(size=(FRAMES, 19, 3)))
+    with pytest.raises(ValueError, match="19 points are no layout"):
+        read(tmp_path / "x.npy", frame_rate=30.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "named"),
+    [
+        ("x.npy", b"\x93NUMPY\x01\x00v\x00{'descr'", "cannot be read"),
+        ("x.npy", b"", "empty"),
+        ("x.csv", b"left_hip_x,left_hip_y,left_hip_z,nose_x,nose_y,nose_z\n1,2,three\n", "number"),
+        ("x.csv", b"frame,keypoint,x,y,z\n0,nose,1,2,3\n0,nose,1,2,3\n", "twice"),
+        ("x.csv", b"frame,keypoint,x,y,z\n0,nose,1,2,3\n0,tail,1,2,3\n", "too few"),
+        ("x.json", b'{"frames": [{"bodies": []}]}', "all 1 frames are empty"),
+        ("x.json", b'{"frames": [{"bodies": [{"joint_positions": [[1,2]]}]}]}', "x, y, z"),
+        ("x.json", b'[{"frame": 0, "pose_world_landmarks": [{"x": 1}]}]', "33 world landmarks"),
+        ("x.json", b'{"joint_names": ["a"], "frames": [[[1, 2, 3]], [[1, 2]]]}', "numbers"),
+    ],
+)  # fmt: skip
+def test_damaged_files_are_refused_with_a_reason(tmp_path, name, content, named):
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(ValueError, match=named):
+        read(tmp_path / name, frame_rate=30.0)
+
+
+@pytest.mark.parametrize(
+    ("labels", "meant"),
+    [
+        (("LHip", "RBigToe", "Head", "Neck", "CHip"),
+         ("left_hip", "right_big_toe", "head_top", "neck", "mid_hip")),
+        (("body_left_eye_inner", "body_mouth_right", "body_left_foot_index"),
+         ("left_eye_inner", "right_mouth", "left_big_toe")),
+        (("SPINE_CHEST", "HEAD", "FOOT_LEFT", "CLAVICLE_RIGHT", "HANDTIP_LEFT"),
+         ("spine_chest", "head_joint", "left_foot_joint", "right_clavicle", "left_fingertip")),
+        (("lhip", "rknee", "tail"), ("left_hip", "right_knee", None)),
+        (("RFoot", "Thorax"), ("right_ankle", "thorax")),
+    ],
+)  # fmt: skip
+def test_labels_mean_keypoints_as_their_producers_do(labels, meant):
+    assert tuple(meant_keypoints(labels)) == meant
+
+
+def test_markers_of_a_laboratory_are_no_keypoints():
+    assert not are_keypoints(("LASI", "RASI", "LKNE", "RKNE", "LANK", "RANK", "LTOE", "C7"))
+    assert are_keypoints(("LHip", "RHip", "LKnee", "RKnee", "LAnkle", "RAnkle", "Nose"))
+
+
+def test_every_layout_is_told_by_the_shape_of_its_body(tmp_path):
+    for layout in LAYOUTS:
+        np.save(tmp_path / "x.npy", points(layout))
+        seen, said = read(tmp_path / "x.npy", frame_rate=30.0)
+        assert f"layout {layout}" in said
+        assert seen.positions.shape[2] == len(keypoint_names(layout))
+
+
+def test_arrays_are_fitted_as_joints_are():
+    rng = np.random.default_rng(1)
+    x = points("halpe26") + rng.normal(scale=0.015, size=(FRAMES, 26, 3))
+    seen = recon.Keypoints3D(x, np.ones(x.shape[:2], bool), "halpe26", fps=30.0)
+    result = recon.fit(seen, "pose")
+    assert joint_error(result.motion, walk(FRAMES)) < 0.02  # metres
+    assert [one.code for one in result.warnings] == []
+    with pytest.raises(ValueError, match="no keypoint is called tail"):
+        recon.Keypoints3D(x[:, :1], np.ones((FRAMES, 1), bool), ["tail"], fps=30.0)
