@@ -51,6 +51,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "uncertainty": ("uncertainty", "CORPUS"),
     "start": ("start", "BASELINE"),
     "pictures": ("pictures", "BASELINE"),
+    "convert": ("convert", "BASELINE", "OBSERVATIONS"),
     "nearest": ("nearest",),
     "cycles": ("cycles", "CORPUS"),
     "complete_open": ("complete", "CORPUS", "--weights", "open", "--each", "3"),
@@ -104,7 +105,7 @@ def main() -> None:
     run("recon", "convert", "--all", str(data / "mocap"), str(corpus))
     if {"ablations", "cameras"} & set(given.only):
         run("benchmarks.ablations", str(corpus), "--out", str(out / "ablations"))
-    if {"start", "pictures"} & set(given.only) and not (out / "baseline").is_dir():
+    if {"start", "pictures", "convert"} & set(given.only) and not (out / "baseline").is_dir():
         commit = ("git", "worktree", "add", "--detach", str(out / "baseline"), _VERSION_0_1_0)
         subprocess.run(commit, check=True)
     places = {

@@ -5,7 +5,6 @@ Parts are read off the skinning weights, so any body of 22 joints has them.
 
 from dataclasses import dataclass
 
-import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
@@ -146,14 +145,20 @@ def _open_edges(faces: Tensor, part: Tensor, count: int) -> tuple[Tensor, Tensor
 
 def _loops(edges: Tensor, owner: Tensor, count: int) -> tuple[Tensor, Tensor]:
     """Loop of every open edge, and part of every loop."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     # one node per part and vertex, so that loops of neighbouring parts stay apart
-    nodes = (owner[:, None] * count + edges).cpu().numpy()
-    names, place = np.unique(nodes, return_inverse=True)
-    place = place.reshape(nodes.shape)
-    graph = coo_array((np.ones(len(place)), place.T), shape=(len(names), len(names)))
-    found, loop_of_node = connected_components(graph, directed=False)
-    loop = torch.from_numpy(loop_of_node[place[:, 0]].astype(np.int64)).to(edges.device)
-    return loop, owner.new_zeros(found).scatter(0, loop, owner)
+    names, place = torch.unique(owner[:, None] * count + edges, return_inverse=True)
+    first = torch.arange(len(names), device=edges.device)
+    while True:
+        # every node takes the least name that it is joined to, and then that one's: pointer
+        # jumping, where a graph library would take longer to import than this to end
+        least = first[place].amin(-1)
+        lower = first.clone()
+        for end in range(2):
+            lower.scatter_reduce_(0, place[:, end], least, "amin")
+        lower = lower[lower]
+        if torch.equal(lower, first):
+            break
+        first = lower
+    roots, loop_of_node = torch.unique(first, return_inverse=True)
+    loop = loop_of_node[place[:, 0]]
+    return loop, owner.new_zeros(len(roots)).scatter(0, loop, owner)

@@ -173,6 +173,24 @@ def test_a_good_recording_raises_nothing(
     assert (found.joints - turned - (found.joints - turned).mean((0, 1))).norm(dim=-1).max() < 0.02
 
 
+def test_markers_are_fitted_on_one_thread(
+    markers: MarkerRecording, single: BodyModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On all processors of a busy machine a conversion took ten times the CPU time."""
+    threads: list[int] = []
+
+    def fitted(*_: object, **__: object) -> None:
+        threads.append(torch.get_num_threads())
+        raise KeyError
+
+    monkeypatch.setattr("recon.ingest.markers.conversion.fit_markers", fitted)
+    torch.set_num_threads(2)
+    with pytest.raises(KeyError):
+        convert(markers, single)
+    assert threads == [1]
+    assert torch.get_num_threads() == 2
+
+
 def test_too_few_markers_place_nothing() -> None:
     visible = torch.zeros(3, 6, dtype=torch.bool)
     visible[0, :3] = True

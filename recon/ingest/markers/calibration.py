@@ -18,7 +18,7 @@ _EVERY = 4
 _ROUGH = 0.1
 """Relative decrease of an energy that ends a fit which only begins another."""
 _NEAR = 1e-2
-_TOLERANCE = 1e-4
+_TOLERANCE = 1e-3
 _DAMPING = 1e-2
 """Damping of first steps, which begin in another pose than that of the markers."""
 

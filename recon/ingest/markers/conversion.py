@@ -23,6 +23,7 @@ from recon.ingest.markers.fit import MarkerFit, fit_markers, nominal_places
 from recon.ingest.markers.gaps import gap_findings
 from recon.ingest.markers.joint_centres import keypoint_finding
 from recon.ingest.markers.jumps import jump_findings
+from recon.solver.threads import one_thread
 
 _BAD = 0.02
 """Metres of mean residual from which on other labels are tried."""
@@ -51,7 +52,11 @@ def convert_markers(
         FileNotFoundError: when there is no such mapping file.
         ValueError: when the markers are not known or do not cover the body.
     """
-    markers = full_body_markers(recording, body, mapping)
+    with one_thread():
+        return _converted(recording, body, full_body_markers(recording, body, mapping))
+
+
+def _converted(recording: MarkerRecording, body: BodyModel, markers: MarkerSet) -> Conversion:
     chosen, repairs = steady_labels(recording.select(markers.labels))
     fit = fit_markers(chosen, markers, body)
     if mean_residual(fit, chosen) > _BAD and (other := _relabelled(chosen, markers, body, fit)):
