@@ -7,10 +7,11 @@ for 0.1.0; OBSERVATIONS holds recordings of markers. CPU seconds are those of on
 from reading the file to writing the motion, `process` of a whole Python process with its imports.
 Versions take turns; the lesser of their times counts where there are several runs.
 
-`residual` is the mean distance of markers from their places. For `left out` each fifth known marker
-is hidden and found again on the motion, rigidly aligned with the markers, at the constant offset
-that it has in each tenth frame. `unmade` are steps of a joint that exceed those of the markers about
-it by more than 25 mm; `beyond` is how far the largest step of any joint exceeds that of any marker. `slip` is the speed of feet that stand.
+`residual` is the mean distance of markers from their places. For `left out` each fifth known
+marker is hidden and found again on the motion, rigidly aligned with the markers, at the constant
+offset that it has in each tenth frame. `unmade` are steps of a joint that exceed those of the
+markers about it by more than 25 mm; `beyond` is how far the largest step of any joint exceeds that
+of any marker. `slip` is the speed of feet that stand.
 """
 
 import argparse
