@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 
-from benchmarks.tables import bodies, cameras, gait, others, points, rollouts, trust
+from benchmarks.tables import bodies, cameras, conversions, gait, others, points, rollouts, trust
 from benchmarks.tables.page import Table
 
 TABLES: Mapping[str, Table] = {
@@ -24,6 +24,7 @@ TABLES: Mapping[str, Table] = {
     "live": others.live,
     "markers": others.markers,
     "corpus": others.corpus,
+    "convert": conversions.convert,
     "solver": others.solver,
     "speed": others.speed,
     "start": others.start,

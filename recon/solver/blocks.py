@@ -50,17 +50,20 @@ def inverse(h: Bordered) -> Inverse:
         torch.linalg.LinAlgError: when H is not positive definite.
     """
     a, u = h.diagonal, h.upper
+    count = u.shape[-1]
     ahead, gathered = [a[0]], [h.border[0]]
+    factors = [torch.linalg.cholesky(ahead[0])]
     for i in range(1, len(a)):
-        factor = torch.linalg.cholesky(ahead[-1])
-        carried = torch.cholesky_solve(torch.cat((u[i - 1], gathered[-1]), -1), factor)
-        count = u.shape[-1]
+        beside = torch.cat((u[i - 1], gathered[-1]), -1)
+        carried = torch.cholesky_solve(beside, factors[-1])
         ahead.append(a[i] - u[i - 1].mT @ carried[:, :count])
         gathered.append(h.border[i] - u[i - 1].mT @ carried[:, count:])
-    behind, onto = [a[-1]], [_solve(ahead[-1], gathered[-1])]
+        factors.append(torch.linalg.cholesky(ahead[-1]))
+    behind, onto = [a[-1]], [torch.cholesky_solve(gathered[-1], factors[-1])]
     for i in range(len(a) - 2, -1, -1):
-        behind.append(a[i] - u[i] @ _solve(behind[-1], u[i].mT))
-        onto.append(_solve(ahead[i], gathered[i] - u[i] @ onto[-1]))
+        factor = torch.linalg.cholesky(behind[-1])
+        behind.append(a[i] - u[i] @ torch.cholesky_solve(u[i].mT, factor))
+        onto.append(torch.cholesky_solve(gathered[i] - u[i] @ onto[-1], factors[i]))
     x = torch.stack(onto[::-1])
     both = torch.stack(ahead) + torch.stack(behind[::-1]) - a
     schur = h.corner - (h.border.mT @ x).sum(0)
@@ -69,7 +72,3 @@ def inverse(h: Bordered) -> Inverse:
         onto=x,
         border=torch.cholesky_inverse(torch.linalg.cholesky(schur)),
     )
-
-
-def _solve(matrix: Tensor, right: Tensor) -> Tensor:
-    return torch.cholesky_solve(right, torch.linalg.cholesky(matrix))
