@@ -12,6 +12,7 @@ import torch
 from recon.body.landmarks import landmark
 from recon.body.model import BodyModel
 from recon.body.soles import Soles
+from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS, joint_index
 from recon.diagnosis.findings import Finding
@@ -27,7 +28,7 @@ from recon.ingest.markers.exchanges import (
     steady_labels,
 )
 from recon.ingest.markers.gaps import bridged, gap_findings, observed_joints, placed_frames
-from recon.ingest.markers.jumps import jump_findings, mended, unmade_steps
+from recon.ingest.markers.jumps import eased, jump_findings, mended, unmade_steps
 from recon.ingest.markers.rest import natural_pose
 from recon.jobs.convert import ConversionSettings, convert_file
 from tests.ingest.test_ingest import MARKERS
@@ -284,6 +285,39 @@ def test_a_solution_that_is_worse_is_not_taken(walk: Motion) -> None:
     )
     assert not changed.any()
     assert found is walk
+
+
+def test_a_step_that_remains_is_spread(walk: Motion, single: BodyModel) -> None:
+    """A foot turned within one frame where its markers changed places; no other pose fitted."""
+    flipped = walk.rotations.clone()
+    ankle = joint_index("left_ankle")
+    flipped[15:, ankle] = flipped[15:, ankle] @ so3.exp(torch.tensor([1.0, 0.0, 0.0]))
+    wrong = walk.replace(rotations=flipped)
+    positions = single.pose(walk).joints
+    visible = torch.ones(positions.shape[:2], dtype=torch.bool)
+
+    def unmade(motion: Motion) -> torch.Tensor:
+        return unmade_steps(single.pose(motion).joints, positions, visible, tuple(range(22)))
+
+    asked: list[tuple[list[int], torch.Tensor]] = []
+
+    def solve(frames: torch.Tensor, start: Motion, turning: torch.Tensor) -> Motion:
+        asked.append((frames.tolist(), turning))
+        return start if len(asked) == 2 else wrong
+
+    assert unmade(wrong).any(-1).nonzero()[:, 0].tolist() == [14]
+    found, changed = eased(wrong, unmade, solve)
+    around = list(range(12, 18))
+    assert changed.nonzero()[:, 0].tolist() == around
+    assert not unmade(found).any()
+    assert [frames for frames, _ in asked] == [around, around]
+    stiff = [turning > 1 for _, turning in asked]
+    assert stiff[0].nonzero()[:, 0].tolist() == [joint_index("left_knee"), ankle]
+    assert asked[1][1][ankle] > asked[0][1][ankle]
+    # with nothing unmade nothing is asked
+    same, none = eased(walk, unmade, solve)
+    assert same is walk
+    assert not none.any()
 
 
 def exchanged(recording: MarkerRecording, pairs: list[tuple[str, str]], frames: slice):
