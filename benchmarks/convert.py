@@ -9,9 +9,9 @@ Versions take turns; the lesser of their times counts where there are several ru
 
 `residual` is the mean distance of markers from their places. For `left out` each fifth known
 marker is hidden and found again on the motion, rigidly aligned with the markers, at the constant
-offset that it has in each tenth frame. `unmade` are steps of a joint that exceed those of the
-markers about it by more than 25 mm; `beyond` is how far the largest step of any joint exceeds that
-of any marker. `slip` is the speed of feet that stand.
+offset that it has in each tenth frame (in recordings of up to ten seconds). `unmade` are steps of
+a joint that exceed those of the markers about it by more than 25 mm; `beyond` is how far the
+largest step of any joint exceeds that of any marker. `slip` is the speed of feet that stand.
 """
 
 import argparse
@@ -41,31 +41,32 @@ from recon.ingest.markers.jumps import unmade_steps
 RUNS = 1
 FOLD = 5
 OFFSET_EVERY = 10
-MARKERS = (
-    "biomechzoo/HC030A22.c3d",
-    "bmc/Gait.c3d",
-    "choreonet/22.c3d",
-    "choreonet/6.c3d",
-    "choreonet/ll_lb_05_1.c3d",
-    "choreonet/ll_lb_08_1.c3d",
-    "choreonet/ll_lb_10_1.c3d",
-    "choreonet/ll_lb_11_1.c3d",
+RECORDINGS = (
     "choreonet/ll_qq_03_1.c3d",
+    "rehazenter/2014001_C1_01.c3d",
+    "bmc/Gait.c3d",
+    "opensim/rajagopal_walk.trc",
+    "biomechzoo/HC030A22.c3d",
+    "vendors/btk_T.trc",
+    "cmu_c3d/06_01.c3d",
+    "mocap/cmu/bvh31/02_01.bvh.xz",
+    "choreonet/ll_lb_11_1.c3d",
+    "nimblephysics/sprinter_run0500cms.trc",
     "choreonet/ll_qq_04_2.c3d",
     "choreonet/mm_hez_02_1.c3d",
-    "cmu_c3d/02_05.c3d",
-    "mocaprecovery/135_02.c3d",
+    "mocap/cmu/asfamc/03_01.amc.xz",
     "nimblephysics/nick_freeform_001.c3d",
-    "nimblephysics/sprinter_run0500cms.trc",
-    "opensim/rajagopal_walk.trc",
-    "rehazenter/2014001_C1_01.c3d",
-    "vendors/btk_T.trc",
+    "choreonet/ll_lb_08_1.c3d",
+    "cmu_c3d/02_05.c3d",
+    "choreonet/ll_lb_05_1.c3d",
+    "mocaprecovery/135_02.c3d",
+    "choreonet/22.c3d",
+    "choreonet/6.c3d",
+    "choreonet/ll_lb_10_1.c3d",
 )
-SKELETONS = (
-    "mocap/cmu/asfamc/01_01.amc.xz",
-    "mocap/cmu/bvh31/02_01.bvh.xz",
-)
-"""Beside OBSERVATIONS, where they are there."""
+"""Recordings of markers below OBSERVATIONS, and of skeletons beside it; short ones first."""
+_SHORT = 10.0
+"""Seconds up to which markers are left out: that takes another conversion by both versions."""
 _DRIVER = """
 import json, sys, time
 from dataclasses import replace
@@ -159,6 +160,8 @@ def judged(row: Row, baseline: Path, path: Path, folder: Path, body: BodyModel) 
     hidden = seen.markers.labels[::FOLD]
     for name, tree in (("baseline", baseline), ("ours", ROOT)):
         row[name] |= steps(folder / f"{name}.npz", seen)
+        if row["seconds"] > _SHORT:
+            continue
         converted(tree, path, folder / "hidden.npz", hidden)
         row[name]["left_out_mm"] = left_out(folder / "hidden.npz", seen)
 
@@ -215,22 +218,20 @@ def main() -> None:
     torch.set_num_threads(1)
     baseline, root = options.baseline.resolve(), options.observations.resolve()
     body = BodyModel.load()
-    markers: dict[str, Row] = {}
-    skeletons: dict[str, Row] = {}
-    wanted = [name for name in (*MARKERS, *SKELETONS) if not options.only or name in options.only]
+    rows: dict[str, dict[str, Row]] = {"rows": {}, "skeletons": {}}
+    wanted = options.only or RECORDINGS
     with tempfile.TemporaryDirectory() as name, torch.no_grad():
         folder = Path(name)
         for recording in wanted:
-            path = (root if recording in MARKERS else root.parent) / recording
-            if not path.is_file():
-                continue
+            skeleton = recording.startswith("mocap/")
+            path = (root.parent if skeleton else root) / recording
             row = measured(baseline, path, folder)
-            if recording in MARKERS:
+            if not skeleton:
                 judged(row, baseline, path, folder, body)
-            (markers if recording in MARKERS else skeletons)[recording] = row
+            rows["skeletons" if skeleton else "rows"][recording] = row
             print(recording, json.dumps(row), flush=True)
-    sources = recordings_source(root, markers)
-    write(options.json, None, sources, runs=RUNS, rows=markers, skeletons=skeletons)
+            # as it goes, since it takes long
+            write(options.json, None, recordings_source(root, rows["rows"]), runs=RUNS, **rows)
 
 
 if __name__ == "__main__":

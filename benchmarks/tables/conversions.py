@@ -12,7 +12,7 @@ def convert() -> str:
     """CPU seconds, residuals, left-out markers and unmade steps of both versions."""
     found = result("convert")
     markers, skeletons = found["rows"], found["skeletons"]
-    rows = [_cells(name, row) for name, row in markers.items()]
+    rows = [_cells(name, row) for name, row in sorted(markers.items())]
     rows.append(_cells(f"**{len(markers)} of markers**", _together(list(markers.values()))))
     rows += [_cells(name, row) for name, row in skeletons.items()]
     headings = [
@@ -43,7 +43,8 @@ def _together(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
         found[version] = {key: sum(run[key] for run in runs) for key in ("work", "process")}
         found[version]["unmade"] = sum(run["unmade"] for run in runs)
         for key in ("residual_mm", "left_out_mm"):
-            found[version][key] = sum(run[key] for run in runs) / len(runs)
+            values = [run[key] for run in runs if key in run]
+            found[version][key] = sum(values) / len(values)
     for key in ("work", "process"):
         found[f"{key}_ratio"] = found["ours"][key] / found["baseline"][key]
     return found
