@@ -49,6 +49,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
               "OBSERVATIONS"),
     "live": ("live", "CORPUS"),
     "uncertainty": ("uncertainty", "CORPUS"),
+    "batch": ("batch", "CORPUS", "BASELINE"),
     "start": ("start", "BASELINE"),
     "pictures": ("pictures", "BASELINE"),
     "convert": ("convert", "BASELINE", "OBSERVATIONS"),
@@ -105,7 +106,8 @@ def main() -> None:
     run("recon", "convert", "--all", str(data / "mocap"), str(corpus))
     if {"ablations", "cameras"} & set(given.only):
         run("benchmarks.ablations", str(corpus), "--out", str(out / "ablations"))
-    if {"start", "pictures", "convert"} & set(given.only) and not (out / "baseline").is_dir():
+    beside_0_1_0 = {"batch", "convert", "pictures", "start"} & set(given.only)
+    if beside_0_1_0 and not (out / "baseline").is_dir():
         commit = ("git", "worktree", "add", "--detach", str(out / "baseline"), _VERSION_0_1_0)
         subprocess.run(commit, check=True)
     places = {

@@ -2,7 +2,17 @@
 
 from collections.abc import Mapping
 
-from benchmarks.tables import bodies, cameras, conversions, gait, others, points, rollouts, trust
+from benchmarks.tables import (
+    bodies,
+    cameras,
+    conversions,
+    gait,
+    many,
+    others,
+    points,
+    rollouts,
+    trust,
+)
 from benchmarks.tables.page import Table
 
 TABLES: Mapping[str, Table] = {
@@ -27,6 +37,8 @@ TABLES: Mapping[str, Table] = {
     "convert": conversions.convert,
     "solver": others.solver,
     "speed": others.speed,
+    "batch": many.batch,
+    "million": many.million,
     "start": others.start,
     "pictures": others.pictures,
     "rollout": others.rollout,
