@@ -41,10 +41,11 @@ def million() -> str:
         frame = cost["cpu_seconds"] / cost["clips"] / found["frames"]
         hours = [_CLIPS * 30 * seconds * frame / 3600 for seconds in _CLIP_SECONDS]
         gigabytes = _CORES * cost["largest_mb"] / 1024
-        rows.append(
-            [f"`{prior}`", number(1000 * frame, 1, 1), *(f"{round(one, -2):,.0f}" for one in hours),
-             number(hours[0] / _CORES / 24, 1, 1), number(gigabytes, 1, 0)]
-        )  # fmt: skip
+        rows.append([
+            f"`{prior}`", number(1000 * frame, 1, 1),
+            *(f"{round(one, -2):,.0f}" for one in hours),
+            number(hours[0] / _CORES / 24, 1, 1), number(gigabytes, 1, 0),
+        ])  # fmt: skip
     headings = ["a million clips at 30 Hz", "CPU ms a frame",
                 *(f"core hours, clips of {seconds} s" for seconds in _CLIP_SECONDS),
                 f"days of {_CORES} cores, {_CLIP_SECONDS[0]} s",
