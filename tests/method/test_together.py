@@ -19,7 +19,7 @@ from recon.method.together import threads
 from recon.method.together.alike import alike
 from recon.method.together.threads import Raised, ended_together
 from tests.api.test_front_door import noisy, seen
-from tests.filmed import bundled
+from tests.filmed import bundled, cameras, view, walk
 
 
 @pytest.fixture
@@ -159,6 +159,41 @@ def test_an_unknown_ground_is_each_clips_own(batches):
         alone = recon.fit(one, "pose", repair=False)
         assert apart(result, alone) < 0.004
         torch.testing.assert_close(result.ground, alone.ground, atol=0.004, rtol=0)
+
+
+def filmed(first: int, views: int, seed: int) -> list[recon.Keypoints2D]:
+    """What calibrated cameras see of a part of the walk, each part with cameras of its own."""
+    motion = walk(10, first).replace(start_time=float(seed))
+    places = cameras(motion, views, first=0.3 * seed)
+    return [view(motion, camera, 2.0 + seed, seed) for camera in places]
+
+
+@pytest.mark.parametrize("views", [1, 2])
+def test_clips_before_cameras_of_their_own_are_joined(views, batches):
+    """Cameras, the sizes of pixels and the offsets of keypoints differ from clip to clip."""
+    clips = [filmed(first, views, seed) for first, seed in ((0, 0), (12, 3))]
+    together = ended([partial(rough, one) for one in clips])
+    assert batches[-1] == (2, 10)
+    for one, result in zip(clips, together, strict=True):
+        alone = rough(one)
+        assert result.noises == alone.noises
+        assert apart(result, alone) < 5e-3  # one view hardly tells how far away a person is
+
+
+def test_clouds_of_as_many_points_are_joined(batches):
+    """Correspondences are those of each clip, and weights in front of them its own."""
+    clips = [
+        recon.simulate(
+            walk(6, first).replace(start_time=0.0), "depth", points=80, noise=noise
+        ).observations[0]
+        for first, noise in ((0, 0.0), (10, 0.03))
+    ]
+    joints = [seen(noisy(6, noise)) for noise in (0.01, 0.04)]
+    both = [list(pair) for pair in zip(joints, clips, strict=True)]
+    together = ended([partial(rough, one) for one in both])
+    assert batches == [(2, 6)]
+    for one, result in zip(both, together, strict=True):
+        assert apart(result, rough(one)) < 1e-3
 
 
 def test_whatever_one_raises_is_its_own():
