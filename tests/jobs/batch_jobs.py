@@ -17,6 +17,7 @@ from recon.formats.files.checksums import file_checksum
 from recon.formats.files.opening import load_arrays, save_arrays
 from recon.jobs.many.batch import fit_all
 from recon.jobs.many.clip_jobs import Job, fit_one, is_done
+from recon.jobs.many.crew import TOGETHER
 from recon.jobs.many.manifest import read_manifest
 from recon.jobs.many.workers import DONE
 from recon.jobs.many.worklog import Record
@@ -112,7 +113,8 @@ def here(function, jobs, processes):
 if __name__ == "__main__":
     manifest, out, kind = Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3]
     settings = FitSettings(prior="pose")
-    work = fit_or_go_wrong if kind == "fit" else sum_one
-    for record in fit_all(read_manifest(manifest), out, settings, 2, out / "log.jsonl", work):
+    work, together = (fit_or_go_wrong, TOGETHER) if kind == "fit" else (sum_one, 1)
+    log = out / "log.jsonl"
+    for record in fit_all(read_manifest(manifest), out, settings, 2, log, work, together=together):
         sys.stdout.write(f"{record['id']} {record['status']}\n")
         sys.stdout.flush()

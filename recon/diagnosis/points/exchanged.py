@@ -1,5 +1,6 @@
 """Two points that carry each other's name, throughout or in a stretch."""
 
+from functools import cache
 from itertools import combinations
 
 import numpy as np
@@ -30,6 +31,11 @@ def exchanged_throughout(points: NamedPoints) -> tuple[int, int] | None:
     if not points.are_joints:
         return None
     spans, ratio = joint_pairs(points), size(points) or 1.0
+
+    @cache  # bones are compared again for every two joints that one of them touches
+    def misfit(got: tuple[int, int], want: tuple[int, int]) -> float:
+        return _misfit(points, got, want, ratio)
+
     best, pair = 0.0, None
     for a, b in combinations(range(len(points.bones)), 2):
         touched = [one for one in spans if a in one or b in one]
@@ -37,12 +43,8 @@ def exchanged_throughout(points: NamedPoints) -> tuple[int, int] | None:
             continue
         swap = {a: b, b: a}
         other = [(swap.get(k, k), swap.get(j, j)) for k, j in touched]
-        own = sum(
-            _misfit(points, got, want, ratio) for got, want in zip(touched, touched, strict=True)
-        )
-        new = sum(
-            _misfit(points, got, want, ratio) for got, want in zip(other, touched, strict=True)
-        )
+        own = sum(misfit(bone, bone) for bone in touched)
+        new = sum(misfit(got, want) for got, want in zip(other, touched, strict=True))
         if own - new > max(best, _SAVED) and new < _BETTER * own:
             best, pair = own - new, (a, b)
     return pair
