@@ -14,12 +14,9 @@ _CORES = 64
 def batch() -> str:
     """Commands that fit the same clips: 0.1.0, this version one by one, and together."""
     found = result("batch")
-    rows = [
-        line
-        for prior, row in found["rows"].items()
-        for line in _beside(prior, row, found["clips"])
-    ]
-    headings = [f"{found['clips']} clips, {found['processes']} processes", "CPU s a clip",
+    count = found["clips"]
+    rows = [line for prior, row in found["rows"].items() for line in _beside(prior, row, count)]
+    headings = [f"{count} clips, {found['processes']} processes", "CPU s a clip",
                 "MB a process", "error cm", "from one by one mm",
                 "throughput, of 0.1.0"]  # fmt: skip
     return markdown(headings, rows) + source("batch")
