@@ -27,6 +27,9 @@ _ROOT = 0.04
 """Metres from the origin within which the middle of the hips of root-relative data stays."""
 _FLOOR = (-0.05, 0.08)
 """Metres at which the lowest points of feet lie on a ground at z = 0: soles, and noise."""
+_ABOVE = 0.1
+"""Height of a neck above the middle of the shoulders, in their width, from which on it is the
+upper end of the neck; that of the average body is 0.19."""
 _ANKLE = 0.07
 """Metres that ankles stand above the sole."""
 _HIGH = ("head_top", f"head{JOINT}", "nose", "left_ear", "right_ear", "left_eye", "right_eye")
@@ -69,7 +72,7 @@ def settled(
     """
     check_override(unit)
     raw = with_rate(raw, fps)
-    known = _named(raw, body, layout)
+    known = _neck(_named(raw, body, layout))
     metres, unit_said = _unit(known, body, raw, unit)
     up, up_said = _up(known, raw.name, up)
     positions = known.positions @ (to_z_up(up).T * metres)
@@ -125,6 +128,28 @@ def _named(raw: Points3D, body: BodyModel, layout: str | None) -> _Known:
     if unknown:
         said.append(f"points that are no keypoints of the body, left out: {_some(unknown)}")
     return _Known(names, raw.positions[:, kept], tuple(said))
+
+
+def _neck(known: _Known) -> _Known:
+    """The points, with a neck that lies above the shoulders as what it is.
+
+    Detectors call the middle of the shoulders a neck (OpenPose, HALPE), or its upper end
+    (BODY_25B).
+    """
+    needed = ("neck", "left_shoulder", "right_shoulder", "left_hip", "right_hip")
+    if not set(needed) <= set(known.names) or "upper_neck" in known.names:
+        return known
+    neck, *shoulders, left, right = (known.positions[:, known.names.index(n)] for n in needed)
+    middle = (shoulders[0] + shoulders[1]) / 2
+    up = middle - (left + right) / 2
+    width = np.linalg.norm(shoulders[0] - shoulders[1], axis=-1)
+    height = ((neck - middle) * up).sum(-1) / np.linalg.norm(up, axis=-1) / width
+    height = height[np.isfinite(height)]
+    if len(height) == 0 or float(np.median(height)) < _ABOVE:
+        return known
+    names = tuple("upper_neck" if name == "neck" else name for name in known.names)
+    said = "the neck is its upper end, as it lies above the shoulders"
+    return _Known(names, known.positions, (*known.decisions, said))
 
 
 def _some(names: tuple[str, ...] | list[str]) -> str:

@@ -26,9 +26,9 @@ from recon.formats.keypoints3d.reader import (
     from_recording,
     holds_points_3d,
     marker_recording,
+    markers_of_study,
     read_points_3d,
 )
-from recon.formats.keypoints3d.records import Points3D
 from recon.formats.observations import (
     KeypointsFile,
     ObservationFile,
@@ -36,6 +36,7 @@ from recon.formats.observations import (
     PositionsFile,
     load_observation,
 )
+from recon.formats.projects import Project, project_at
 from recon.method.protocols import Sensor
 
 _CLOUDS, _IMAGES, _DETECTIONS = {".ply", ".pcd"}, {".png"}, {".json", ".csv"}
@@ -71,12 +72,15 @@ def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> 
     if len(paths) == 0:
         raise ObservationError("nothing to fit: expected at least one observation file, got none")
     own = readers(settings.reader)
-    files: list[tuple[str, ObservationFile | Sensor]] = []
-    notes: list[str] = []
-    detections: list[Path] = []
     for path in paths:
         if not path.exists():
             raise FileNotFoundError(f"no observation at {path}")
+    paths, settings, projects = _of_projects(paths, settings)
+    files: list[tuple[str, ObservationFile | Sensor]] = []
+    notes = [decision for one in projects for decision in one.decisions]
+    detections: list[Path] = []
+    stretch: tuple[float, float] | None = None
+    for path in paths:
         if path.is_dir() and next(path.iterdir(), None) is None:
             raise ObservationError(
                 f"{path}: the folder is empty; expected scans (.ply, .pcd), depth images (.png) "
@@ -84,11 +88,7 @@ def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> 
             )
         if (seen := read_by(own, path, body)) is not None:
             files.append((str(path), seen))
-        elif (raw := _points_3d(path, settings)) is not None:
-            file = settled(
-                raw, body, fps=settings.frame_rate, unit=settings.unit, up=settings.up,
-                layout=settings.layout,
-            )  # fmt: skip
+        elif (file := _points_3d(path, settings, body)) is not None:
             notes += [f"{path}: {decision}" for decision in file.decisions]
             found = positions_of(file, path, body, up="z", robust=settings.robust)
             files.append((str(path), found))
@@ -122,23 +122,63 @@ def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> 
             mask = load_silhouettes(settings.masks)
             shown = (masked(shown[0], mask, first_frame=views.first_frame),)
         files += zip(views.names, shown, strict=True)
-    return _together(files, notes, settings, body)
+        if len(projects) == 1 and projects[0].frames is not None:
+            first, end = (k - views.first_frame for k in projects[0].frames)
+            stretch = (first / shown[0].fps, (end - 1) / shown[0].fps)
+    clip = _together(files, notes, settings, body)
+    return clip if stretch is None else window(clip, *stretch)
 
 
-def _points_3d(path: Path, settings: FitSettings) -> Points3D | None:
-    """The 3D keypoints of a file or folder; None where it holds something else."""
+def _of_projects(
+    paths: Sequence[Path], settings: FitSettings
+) -> tuple[list[Path], FitSettings, list[Project]]:
+    """Files of projects instead of their folders, and what their own settings say.
+
+    What the caller says counts more. A camera that he gives makes a project a folder of
+    detections.
+    """
+    found: list[Path] = []
+    projects: list[Project] = []
+    for path in paths:
+        project = project_at(path) if settings.camera is None else None
+        if project is None:
+            found.append(path)
+            continue
+        projects.append(project)
+        seen = project.detections if project.calibration is not None else None
+        if seen is None and project.points is None:
+            seen = project.detections
+        found.append(seen or project.points or path)
+    if len(projects) == 1:
+        (one,) = projects
+        settings = replace(
+            settings, camera=one.calibration, frame_rate=settings.frame_rate or one.fps
+        )
+    elif projects:
+        raise ObservationError(
+            f"expected one project at a time, got {', '.join(str(p.folder) for p in projects)}"
+        )
+    return found, settings, projects
+
+
+def _points_3d(path: Path, settings: FitSettings, body: BodyModel) -> PositionsFile | None:
+    """The 3D keypoints of a file or folder, z up; None where it holds something else."""
     if path.suffix.lower() in RECORDINGS and path.is_file():
         recording = marker_recording(path, settings.unit, settings.up)
+        if (markers := markers_of_study(recording)) is not None:
+            return markers
         if not are_keypoints(recording.marker_names):
             raise FormatError(
                 f"{path}: its points are markers on the skin ("
                 f"{', '.join(recording.marker_names[:6])}, ...), no keypoints; `recon convert` "
                 "takes recordings of motion capture"
             )
-        return from_recording(recording)
-    if holds_points_3d(path, images=settings.camera is not None):
-        return read_points_3d(path)
-    return None
+        raw, unit, up = from_recording(recording), None, None
+    elif holds_points_3d(path, images=settings.camera is not None):
+        raw, unit, up = read_points_3d(path), settings.unit, settings.up
+    else:
+        return None
+    return settled(raw, body, fps=settings.frame_rate, unit=unit, up=up, layout=settings.layout)
 
 
 def clip_from(files: Sequence[tuple[str, ObservationFile]], body: BodyModel) -> Clip:

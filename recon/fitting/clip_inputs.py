@@ -4,12 +4,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from importlib import resources
 from importlib.util import find_spec
+from os.path import commonpath
 from pathlib import Path
 
 from observations.people.camera_names import expand
 from priors.roles import FIRST
 from recon.fitting.settings import FitSettings
 from recon.formats.files.checksums import MISSING, file_checksum, files_checksum, value_checksum
+from recon.formats.keypoints3d.session import body_file, time_stamps
+from recon.formats.projects import project_at
 from recon.formats.weight_files import weights_path
 
 _CLOUDS, _IMAGES, _KEYPOINTS = (".ply", ".pcd"), (".png",), (".json",)
@@ -24,6 +27,8 @@ class Input:
 
     path: Path
     files: tuple[Path, ...]
+    root: Path | None = None
+    """Folder of all of these files, where some lie above the given one."""
 
     def checksum(self) -> str:
         """SHA-256 of the file, or of the contents and names of the files that are read.
@@ -38,7 +43,7 @@ class Input:
         if self.files == (self.path,):
             return file_checksum(self.path)
         folder = self.path if self.path.is_dir() else self.path.parent
-        return files_checksum(self.files, folder)
+        return files_checksum(self.files, self.root or folder)
 
 
 def observation_input(path: Path) -> Input:
@@ -49,6 +54,11 @@ def observation_input(path: Path) -> Input:
     """
     if not path.is_dir():
         return Input(path, (path,))
+    if session := body_file(path):
+        stamps = time_stamps(path)
+        return Input(path, (session, *([] if stamps is None else [stamps])))
+    if (project := _project(path)) is not None:
+        return project
     if clouds := _inside(path, _CLOUDS):
         return Input(path, (*clouds, path / "times.csv"))
     if images := _inside(path, _IMAGES):
@@ -60,6 +70,21 @@ def observation_input(path: Path) -> Input:
         return Input(path, ())
     files = [file for one in views for file in (_inside(one, _KEYPOINTS) or (one,))]
     return Input(path, tuple(files))
+
+
+def _project(path: Path) -> Input | None:
+    """The settings, calibration, keypoints and detections of a project; None for no project."""
+    try:
+        found = project_at(path)
+        if found is None:
+            return None
+        views = [] if found.detections is None else expand([found.detections])[0]
+    except (ValueError, OSError):
+        return None  # the fit refuses it and says why
+    files = [file for one in views for file in (_inside(one, _KEYPOINTS) or (one,))]
+    points = [] if found.points is None else [found.points]
+    every = tuple(one.resolve() for one in (*found.read, *points, *files))
+    return Input(path, every, Path(commonpath([path.resolve(), *every])))
 
 
 def camera_input(path: Path) -> Input:

@@ -29,6 +29,8 @@ _JOINTS_ONLY = (
     "spine_chest",
 )  # fmt: skip
 """Names that skeletons of joints have and detectors do not."""
+STUDY = "_study"
+"""Ending of the markers that OpenCap's augmenter adds."""
 _CORE = tuple(f"{side}_{name}" for side in ("left", "right") for name in ("hip", "knee", "ankle"))
 """Keypoints that every detector of bodies finds, and whose names together no marker set has."""
 _MOST = 0.6
@@ -52,7 +54,11 @@ def meant_keypoints(labels: Sequence[str]) -> list[str | None]:
 
 
 def are_keypoints(labels: Sequence[str]) -> bool:
-    """Whether most labels mean keypoints, with hips, knees and ankles among them."""
+    """Whether most labels mean keypoints, with hips, knees and ankles among them.
+
+    Markers that OpenCap's augmenter computed from keypoints and wrote beside them do not count.
+    """
+    labels = [label for label in labels if not label.endswith(STUDY)]
     found = meant_keypoints(labels)
     return set(_CORE) <= set(found) and sum(f is not None for f in found) > _MOST * len(labels)
 

@@ -11,12 +11,13 @@ from recon.formats.files.json_files import read_json
 from recon.formats.files.opening import load_arrays
 from recon.formats.keypoints3d.arrays import holds_points, read_array, read_arrays
 from recon.formats.keypoints3d.json_files import is_points_3d, read_json_points
-from recon.formats.keypoints3d.labels import are_keypoints
+from recon.formats.keypoints3d.labels import STUDY, are_keypoints
 from recon.formats.keypoints3d.records import Points3D, checked
 from recon.formats.keypoints3d.session import body_file, read_session
 from recon.formats.keypoints3d.tables import head_of, is_table_3d, read_table
 from recon.formats.mocap.reader import read_recording
 from recon.formats.mocap.recording import MarkerRecording
+from recon.formats.observations import PositionsFile
 
 RECORDINGS = (".trc", ".c3d")
 """Endings of recordings whose points may be keypoints."""
@@ -111,12 +112,36 @@ def from_recording(recording: MarkerRecording) -> Points3D:
             f"{recording.name}: expected keypoints such as LHip, RKnee, Nose; got "
             f"{', '.join(recording.marker_names[:8])}"
         )
+    kept = [name for name in recording.marker_names if not name.endswith(STUDY)]
+    said = recording.decisions
+    if left := len(recording.marker_names) - len(kept):
+        said = (*said, f"{left} markers that OpenCap computed from these keypoints were left out")
+    recording = recording.select(kept)
     shown = np.where(recording.visible[..., None], recording.positions, np.nan)
     points = Points3D(
-        recording.name, shown, recording.marker_names, fps=recording.fps, unit="m",
-        decisions=recording.decisions,
-    )  # fmt: skip
+        recording.name, shown, recording.marker_names, fps=recording.fps, unit="m", decisions=said
+    )
     return checked(points)
+
+
+def markers_of_study(recording: MarkerRecording) -> PositionsFile | None:
+    """The markers that OpenCap's augmenter computes, as markers on the skin; None for others.
+
+    Centres of hip joints among them are no markers and are left out.
+    """
+    study = [name for name in recording.marker_names if name.endswith(STUDY)]
+    if len(study) < len(recording.marker_names):
+        return None
+    skin = [name for name in study if "HJC" not in name]
+    recording = recording.select(skin)
+    return PositionsFile(
+        kind="markers3d",
+        positions=recording.positions,
+        visible=recording.visible,
+        names=tuple(name.removesuffix(STUDY) for name in skin),
+        fps=recording.fps,
+        decisions=(*recording.decisions, f"{len(skin)} markers of OpenCap's augmenter"),
+    )
 
 
 def with_rate(points: Points3D, fps: float | None) -> Points3D:

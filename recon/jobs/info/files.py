@@ -19,6 +19,7 @@ from recon.formats.observations import (
     PositionsFile,
     load_observation,
 )
+from recon.formats.projects import Project, project_at
 from recon.jobs.info.cameras import (
     describe_calibration,
     describe_detections,
@@ -37,6 +38,8 @@ def describe(path: Path) -> dict[str, Any]:
     """
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such file")
+    if (project := project_at(path)) is not None:
+        return _project(project)
     if holds_points_3d(path):
         return describe_points(read_points_3d(path))
     if path.is_dir():
@@ -69,6 +72,15 @@ def describe(path: Path) -> dict[str, Any]:
         f"(`v_template`), a calibration (`camera_matrix`) nor masks (`mask`); it has "
         f"{', '.join(sorted(keys))}"
     )
+
+
+def _project(project: Project) -> dict[str, Any]:
+    """What the files of a project hold, and what they state of it."""
+    seen = project.detections or project.points
+    inside = describe(seen) if seen is not None else {"format": "nothing that can be fitted"}
+    own = {"fps": project.fps or inside.get("fps"), "frame_range": project.frames}
+    said = [*project.decisions, *inside.get("decisions", ())]
+    return {**inside, **own, "decisions": said}
 
 
 def _motion(path: Path) -> dict[str, Any]:
