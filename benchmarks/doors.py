@@ -4,12 +4,11 @@
 
 OBSERVATIONS is a folder with doors/ (one walk as FreeMoCap, MediaPipe, MotionBERT, Azure Kinect
 and Pose2Sim write 3D keypoints, 1.5 cm of noise, and its truth) and pose2sim/ (real detections).
-Every 3D row is fitted with no option but a missing rate. `joints` and `legs` are mean distances in the
-world; where the file is in the frame of a camera or turned, after one rigid motion of the whole
+Every 3D row is fitted with no option but a missing rate. `joints` and `legs` are mean distances in
+the world; where the file is in the frame of a camera or turned, after one rigid motion of the whole
 clip; where it is relative to the pelvis, about the pelvis after one rotation. `warnings` counts
 repairs and warnings. Projects (`benchmarks.projects`) are fitted by their folder alone:
-`reprojection` is the median distance of the body's keypoints from the detections (median of the
-views), `away` the mean
+`reprojection` is the median distance of the body's keypoints from the detections, `away` the mean
 distance of the joints that their table of triangulated keypoints gives from those of the images,
 after one turn about the vertical, as Pose2Sim's tables are turned.
 """
@@ -22,6 +21,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+import torch
 from jaxtyping import Float
 from rich.console import Console
 from rich.table import Table
@@ -133,8 +133,11 @@ def _project(observations: Path, name: str, scratch: Path, arguments: argparse.N
 
 
 def _reprojection(result: recon.Result) -> float:
-    """Median of the views' median residuals, pixels."""
-    return float(np.median([one.median for one in result.residuals if one.median is not None]))
+    """Median over all keypoints of all views, pixels."""
+    found = result.examined.fit
+    with torch.no_grad():
+        away = [one.residuals(found.result.estimate).present() for one in found.observations]
+    return float(torch.cat(away).median())
 
 
 def _show(title: str, rows: dict[str, Row], columns: Columns) -> None:
