@@ -4,10 +4,10 @@
 
 OBSERVATIONS is a folder with doors/ (one walk as FreeMoCap, MediaPipe, MotionBERT, Azure Kinect
 and Pose2Sim write 3D keypoints, 1.5 cm of noise, and its truth) and pose2sim/ (real detections).
-Every 3D row is fitted with no option but a missing rate. `joints` and `legs` are mean distances in
-the world; where the file is in the frame of a camera or turned, after one rigid motion of the whole
-clip; where it is relative to the pelvis, about the pelvis after one rotation. `warnings` counts
-repairs and warnings. Projects (`benchmarks.projects`) are fitted by their folder alone:
+Every 3D row is fitted with no option but a missing rate. `joints` and `legs` are mean distances
+in the world; where the file is in the frame of a camera or turned, after one rigid motion of the
+whole clip; where it is relative to the pelvis, about the pelvis after one rotation. `warnings`
+counts repairs and warnings. Projects (`benchmarks.projects`) are fitted by their folder alone:
 `reprojection` is the median distance of the body's keypoints from the detections, `away` the mean
 distance of the joints that their table of triangulated keypoints gives from those of the images,
 after one turn about the vertical, as Pose2Sim's tables are turned.
