@@ -14,6 +14,7 @@ from observations.checks import (
     checked_std,
 )
 from observations.records.tracked import TrackedPoints
+from recon.body.derivatives import CarriedPoints
 from recon.body.model import BodyModel, PosedBody
 from recon.core.arrays import Numbers
 from recon.core.errors import ObservationError
@@ -91,6 +92,10 @@ class Joints3D(TrackedPoints):
     def on(self, posed: PosedBody) -> Float[Tensor, "*batch time points 3"]:
         """The joints of a posed body, world, metres."""
         return posed.joints[..., list(self.joints), :]
+
+    def on_bones(self, body: BodyModel, shape: Float[Tensor, " shape"]) -> CarriedPoints:
+        """The joints on a body of some shape."""
+        return CarriedPoints.joints(body, shape).some(self.joints)
 
     def at_rest(self, body: BodyModel) -> Float[Tensor, "points 3"]:
         """The joints of the average body in its rest pose, metres."""

@@ -11,16 +11,19 @@ from torch import Tensor
 from observations.checks import checked_clock, checked_pixels, checked_places, checked_view
 from observations.correspondences import BodyPoints, joints_shown
 from observations.noise import LIMITS, estimate_noise
+from observations.records.curvature import of_pixels
 from observations.records.offsets import displaced
 from observations.records.sensor import SensorRecord
 from observations.start.images import image_start
 from observations.timing import at_observation_times, moment_numbers, moments_between, padded
+from recon.body.derivatives import CarriedPoints
 from recon.body.model import BodyModel
 from recon.core.arrays import Numbers, positive
 from recon.core.camera import Camera, Projection
 from recon.core.motion import Motion
 from recon.core.residuals import Noise, Residuals, Unit
 from recon.core.robust import geman_mcclure
+from recon.method.newton.model import PointModel
 from recon.method.protocols import REFERENCE_FPS, Estimate
 
 SIGMA = 100.0
@@ -124,6 +127,25 @@ class Keypoints2D(SensorRecord):
             fps=self.fps, start_time=self.start_time, moments=self.pixels.shape[-3],
         )  # fmt: skip
         return self.camera.at(range(seen.start, seen.stop)).project(points), seen
+
+    def point_model(self, points: Float[Tensor, "*batch moments points 3"]) -> PointModel:
+        """The energy about predicted points, frame of the recording, metres."""
+        return of_pixels(
+            points, self.camera, self.pixels, self.confidence, self.sigma,
+            REFERENCE_FPS / self.fps,
+        )  # fmt: skip
+
+    def carried(
+        self, body: BodyModel, shape: Float[Tensor, " shape"], offsets: Float[Tensor, "rows 3"]
+    ) -> CarriedPoints:
+        """The keypoints on a body of some shape; offsets as in `Scene.offsets`."""
+        points = self.points
+        found = CarriedPoints.create(
+            body, shape, points.of_joints, points.of_vertices, points.vertices
+        )
+        if self.offset_rows is None:
+            return found
+        return found.displaced(points.bones, OFFSET_UNIT * offsets[slice(*self.offset_rows)])
 
     def residuals(self, estimate: Estimate) -> Residuals:
         """Observed minus predicted pixels of every keypoint at every moment."""

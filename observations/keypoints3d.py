@@ -14,6 +14,7 @@ from observations.correspondences import TRUNK, BodyPoints
 from observations.records.tracked import TrackedPoints
 from observations.start.planted import planted_path
 from observations.start.rigid import rigid_start
+from recon.body.derivatives import CarriedPoints
 from recon.body.model import BodyModel, PosedBody
 from recon.core.arrays import Numbers
 from recon.core.motion import Motion
@@ -106,6 +107,13 @@ class Keypoints3D(TrackedPoints):
     def on(self, posed: PosedBody) -> Float[Tensor, "*batch time points 3"]:
         """The keypoints of a posed body, world, metres."""
         return self.points.of(posed)
+
+    def on_bones(self, body: BodyModel, shape: Float[Tensor, " shape"]) -> CarriedPoints:
+        """The keypoints on a body of some shape."""
+        points = self.points
+        return CarriedPoints.create(
+            body, shape, points.of_joints, points.of_vertices, points.vertices
+        )
 
     def at_rest(self, body: BodyModel) -> Float[Tensor, "points 3"]:
         """The keypoints of the average body in its rest pose, metres."""

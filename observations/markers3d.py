@@ -15,10 +15,12 @@ from observations.checks import (
     checked_std,
 )
 from observations.records.tracked import TrackedPoints
+from recon.body.derivatives import CarriedPoints
 from recon.body.landmarks import landmarks
 from recon.body.model import BodyModel, PosedBody
 from recon.core.arrays import Numbers
 from recon.core.robust import squared
+from recon.core.skeleton import JOINTS
 
 
 @dataclass(frozen=True, init=False)
@@ -89,6 +91,13 @@ class Markers3D(TrackedPoints):
     def on(self, posed: PosedBody) -> Float[Tensor, "*batch time points 3"]:
         """The vertices of a posed body, world, metres."""
         return posed.points(torch.tensor(self.vertices, device=self.positions.device))
+
+    def on_bones(self, body: BodyModel, shape: Float[Tensor, " shape"]) -> CarriedPoints:
+        """The vertices on a body of some shape."""
+        vertices = torch.tensor(self.vertices, device=shape.device)
+        identity = torch.eye(len(vertices), dtype=shape.dtype, device=shape.device)
+        none = shape.new_zeros(len(vertices), len(JOINTS))
+        return CarriedPoints.create(body, shape, none, identity, vertices)
 
     def at_rest(self, body: BodyModel) -> Float[Tensor, "points 3"]:
         """The vertices of the average body in its rest pose, metres."""

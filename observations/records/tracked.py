@@ -12,16 +12,19 @@ from torch import Tensor
 
 from observations.correspondences import joints_shown
 from observations.noise import estimate_noise
+from observations.records.curvature import of_places
 from observations.records.offsets import displaced
 from observations.records.sensor import SensorRecord
 from observations.start.rigid import rigid_start
 from observations.timing import moments_between, point_energy, point_residuals
+from recon.body.derivatives import CarriedPoints
 from recon.body.model import BodyModel, PosedBody
 from recon.core.camera import transform
 from recon.core.motion import Motion
 from recon.core.residuals import Noise, Residuals
 from recon.core.robust import geman_mcclure
-from recon.method.protocols import Estimate
+from recon.method.newton.model import PointModel
+from recon.method.protocols import REFERENCE_FPS, Estimate
 
 P = TypeVar("P", bound="TrackedPoints")
 
@@ -106,6 +109,26 @@ class TrackedPoints(SensorRecord):
             weights=self.weights, placed=self.placed,
         )  # fmt: skip
 
+    def point_model(self, points: Float[Tensor, "*batch moments points 3"]) -> PointModel:
+        """The energy about predicted points, frame of the recording, metres."""
+        return of_places(
+            points, self.positions, self.visible, self.kernel, self.weights,
+            REFERENCE_FPS / self.fps,
+        )  # fmt: skip
+
+    @abstractmethod
+    def on_bones(self, body: BodyModel, shape: Float[Tensor, " shape"]) -> CarriedPoints:
+        """The points on a body of some shape, without offsets."""
+
+    def carried(
+        self, body: BodyModel, shape: Float[Tensor, " shape"], offsets: Float[Tensor, "rows 3"]
+    ) -> CarriedPoints:
+        """The points on a body of some shape; offsets as in `Scene.offsets`."""
+        found = self.on_bones(body, shape)
+        if self.offset_rows is None:
+            return found
+        return found.displaced(self.bones(body), offsets[slice(*self.offset_rows)])
+
     def noise(self, guess: Motion, body: BodyModel, given: float | None = None) -> Noise:
         """The standard deviation of a coordinate.
 
@@ -158,6 +181,12 @@ class TrackedPoints(SensorRecord):
             body, self.at_rest(body).to(self.positions), self.bones(body), self.positions,
             self.visible, fps=self.fps, start_time=self.start_time,
         )  # fmt: skip
+
+    def told_joints(self, body: BodyModel) -> Float[Tensor, "*batch 22"]:
+        """Share of the moments in which the place of each joint is told by a visible point."""
+        rest = self.at_rest(body).double().cpu().numpy()
+        tells = torch.from_numpy(joints_shown(self.bones(body), rest, body)).to(self.positions)
+        return ((self.visible.to(tells) @ tells) > 0).to(tells).mean(-2)
 
     def shown_joints(self, estimate: Estimate) -> Bool[np.ndarray, "moments 22"]:
         """Joints of the first clip that a visible point tells the place of, at every moment."""

@@ -38,10 +38,7 @@ def explain(
         states: of motions at 30 Hz, axes (clips, time).
         pelvis: of the bodies at rest, horizontally.
     """
-    offset = pelvis[:, None]
-    past, future = states.map(lambda t: t[:, :-1]), states.map(lambda t: t[:, 1:])
-    frame = Frame.of(past)
-    start, target = frame.enter(past, offset), frame.enter(future, offset)
+    frame, start, target = _pairs(states, pelvis)
     x = start.pack()
     mean, log_variance = networks.posterior(x, target.pack())
     prior_mean, prior_log_variance = networks.prior(x)
@@ -50,8 +47,25 @@ def explain(
         error=step_between(after, target),
         surprise=divergence(mean, log_variance, prior_mean, prior_log_variance),
         contacts=contacts,
-        landed=frame.leave(after, offset),
+        landed=frame.leave(after, pelvis[:, None]),
     )
+
+
+def latents_of(
+    networks: HumorNetworks, states: State, pelvis: Float[Tensor, "clips 3"]
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Mean and log-variance of the posterior of every step's latent, then those of the prior."""
+    _, start, target = _pairs(states, pelvis)
+    x = start.pack()
+    return *networks.posterior(x, target.pack()), *networks.prior(x)
+
+
+def _pairs(states: State, pelvis: Float[Tensor, "clips 3"]) -> tuple[Frame, State, State]:
+    """Frames of all states but the last, and both ends of every step as seen from there."""
+    offset = pelvis[:, None]
+    past, future = states.map(lambda t: t[:, :-1]), states.map(lambda t: t[:, 1:])
+    frame = Frame.of(past)
+    return frame, frame.enter(past, offset), frame.enter(future, offset)
 
 
 def divergence(

@@ -11,16 +11,26 @@ from torch import Tensor
 
 from priors.checkpoints import named_checkpoint
 from priors.pose.density import COORDINATES, ROTATIONS, PoseDensity
+from recon.body.derivatives import turned_by
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion, carried_translation
 from recon.core.skeleton import JOINTS
 from recon.core.struct import TensorStruct
 from recon.method.free import FreeMotion
+from recon.method.newton.marquardt import Marquardt
+from recon.method.newton.model import ClipModel
 from recon.method.priors import Traits
 from recon.method.protocols import REFERENCE_FPS, Decoded
 from recon.method.stages import Stage
-from recon.method.terms import Term, joint_acceleration, joint_velocity, prior_energy, shape
+from recon.method.terms import (
+    PriorEnergy,
+    Term,
+    joint_acceleration,
+    joint_velocity,
+    prior_energy,
+    shape,
+)
 from recon.method.together.alike import alike
 from recon.solver.lbfgs import LBFGS
 
@@ -169,6 +179,7 @@ class PosePrior(TensorStruct):
     """
 
     traits: ClassVar[Traits] = Traits(knows_gravity=False)
+    reach: ClassVar[int] = 2
     density: PoseDensity
     weights: PoseWeights
 
@@ -254,6 +265,37 @@ class PosePrior(TensorStruct):
         )
         return Decoded(motion, {"pose": distance * (REFERENCE_FPS / x.fps)})
 
+    def from_steps(
+        self, variables: PoseVariables, steps: Float[Tensor, "*batch time 69"]
+    ) -> PoseVariables:
+        """Variables after steps of frames: translation, root R Exp(w), and z of the pose."""
+        x, scales = variables, self._scales.to(dtype=steps.dtype, device=steps.device)
+        place, turn, pose = steps.split((3, 3, COORDINATES), -1)
+        # columns of the synthesis are orthogonal
+        inverse = (x.synthesis / x.synthesis.square().sum(-2, keepdim=True)).mT
+        return x.derived(
+            translation=x.translation + inverse @ place / scales.translation,
+            root=x.root + inverse @ turn @ torch.linalg.inv(scales.root),
+            pose=x.pose + inverse @ pose @ torch.linalg.inv(scales.pose),
+        )
+
+    def turns(self, variables: PoseVariables, clip: int) -> Float[Tensor, "time 63 63"]:
+        """Derivatives of the joints' rotations R Exp(w) by z, where steps are zero."""
+        start = variables.start_pose[clip]
+        basis = self.density.basis.to(start)
+        steps = (start @ basis.mT).unflatten(-1, (ROTATIONS, 3))
+        return (turned_by(steps) @ basis.unflatten(0, (ROTATIONS, 3))).flatten(1, 2)
+
+    def add_curvature(self, term: Term, clip: ClipModel) -> bool:
+        """That of the energy "pose", which is quadratic in z."""
+        if term.energy != PriorEnergy("pose"):
+            return False
+        motion = clip.motion
+        exists = motion.valid.to(motion.translation) * (REFERENCE_FPS / motion.fps)
+        diagonal = clip.part.inner[:, 0].diagonal(dim1=-2, dim2=-1)
+        diagonal[:, 6:] += 2 * term.weight * exists[:, None]
+        return True
+
     def stages(self, data: tuple[Term, ...]) -> tuple[Stage, ...]:
         """Root first, from the data alone; then all, under the pose density and smoothness."""
         w = self.weights
@@ -276,6 +318,7 @@ class PosePrior(TensorStruct):
                 terms=(*data, *prior, *(term for term in smooth if term.weight > 0)),
                 free=frozenset({"translation", "root", "pose", "shape"}),
                 minimiser=LBFGS(max_iterations=120, tolerance_decrease=1e-5),
+                second_order=Marquardt(),
             ),
         )
 

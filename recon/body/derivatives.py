@@ -1,16 +1,15 @@
 """Points of the body and their derivatives by joint rotations and shape, in closed form."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from recon.body.kinematics import forward_kinematics
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
-from recon.core.skeleton import JOINTS, descendants
+from recon.core.skeleton import JOINTS, PARENTS, descendants
 
 
 @dataclass(frozen=True)
@@ -62,6 +61,14 @@ class CarriedPoints:
         order = list(rows)
         return CarriedPoints(self.share[order], self.place[order], self.place_by_shape[:, order])
 
+    def displaced(
+        self, bones: Sequence[int], offsets: Float[Tensor, "points 3"]
+    ) -> "CarriedPoints":
+        """Points moved by constant offsets in the frames of their bones, metres."""
+        place = self.place.clone()
+        place[torch.arange(len(place), device=place.device), list(bones)] += offsets
+        return replace(self, place=place)
+
     def of(
         self,
         orientations: Float[Tensor, "*batch 22 3 3"],
@@ -91,11 +98,33 @@ class CarriedPoints:
         body: BodyModel,
     ) -> Float[Tensor, "time points 3 shape"]:
         """Derivatives by the coefficients of the shape, metres."""
+        del rotations
         count = len(self.place_by_shape)
-        rest = body.joint_directions[..., :count].movedim(-1, 0)
-        moved = forward_kinematics(rotations.expand(count, -1, -1, -1, -1), rest)[1]
-        parts = torch.einsum("tjab,kvjb->ktva", orientations, self.place_by_shape)
-        return (parts + self.share @ moved).movedim(0, -1)
+        return self.by_shape_of(orientations, joints_by_shape(orientations, body, count))
+
+    def by_shape_of(
+        self,
+        orientations: Float[Tensor, "time 22 3 3"],
+        joints: Float[Tensor, "time 22 3 shape"],
+    ) -> Float[Tensor, "time points 3 shape"]:
+        """Derivatives by the coefficients of the shape from those of the joints, metres."""
+        # (time, 3, 22·3) @ (points, 22·3, shape)
+        turned = orientations.transpose(1, 2).flatten(2)[:, None]
+        parts = turned @ self.place_by_shape.permute(1, 2, 3, 0).flatten(1, 2)
+        return parts + (self.share @ joints.flatten(2)).unflatten(2, joints.shape[2:])
+
+
+def joints_by_shape(
+    orientations: Float[Tensor, "time 22 3 3"], body: BodyModel, count: int
+) -> Float[Tensor, "time 22 3 shape"]:
+    """Derivatives of the joints by so many coefficients of the shape, metres."""
+    directions = body.joint_directions[..., :count].to(orientations)
+    bones = directions.clone()
+    bones[1:] -= directions[list(PARENTS[1:])]
+    parents = [0, *PARENTS[1:]]
+    turned = orientations[:, parents] @ bones
+    turned[:, 0] = bones[0]
+    return (_BELOW.to(turned).mT @ turned.flatten(2)).unflatten(2, turned.shape[2:])
 
 
 def turned_by(

@@ -11,10 +11,14 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from observations.records.curvature import of_places
 from observations.timing import at_observation_times
+from recon.body.derivatives import CarriedPoints
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
+from recon.core.robust import squared
 from recon.core.struct import TensorStruct
+from recon.method.newton.model import PointModel
 from recon.method.protocols import REFERENCE_FPS, Estimate, Observation
 from recon.method.windows import Piece, Windows, fade
 
@@ -67,6 +71,29 @@ class Overlap(TensorStruct):
         )  # fmt: skip
         away = (joints - self.joints[..., seen, :, :]).square().sum((-1, -2))
         return 0.5 * (self.weight[..., seen] * away).sum(-1) * (REFERENCE_FPS / self.fps)
+
+    @property
+    def start_time(self) -> float:
+        """The window's clock begins at zero."""
+        return 0.0
+
+    @property
+    def moments(self) -> int:
+        """Number of moments."""
+        return self.joints.shape[-3]
+
+    def point_model(self, points: Float[Tensor, "*batch time 22 3"]) -> PointModel:
+        """The energy about predicted joints, metres."""
+        weights = self.weight[..., None].expand(self.joints.shape[:-1]).sqrt()
+        rate = REFERENCE_FPS / self.fps
+        return of_places(points, self.joints, weights > 0, squared, weights, rate)
+
+    def carried(
+        self, body: BodyModel, shape: Float[Tensor, " shape"], offsets: Float[Tensor, "rows 3"]
+    ) -> CarriedPoints:
+        """The joints on a body of some shape."""
+        del offsets
+        return CarriedPoints.joints(body, shape)
 
 
 @dataclass(frozen=True)

@@ -88,6 +88,15 @@ class Observation(Protocol):
 
 
 @runtime_checkable
+class TrackedJoints(Protocol):
+    """An observation of points in space that tell where joints are."""
+
+    def told_joints(self, body: BodyModel) -> Float[Tensor, "*batch 22"]:
+        """Share of the moments in which the place of each joint is told."""
+        ...
+
+
+@runtime_checkable
 class Density(Protocol):
     """What a method believes of a motion without data, as residuals of unit variance.
 

@@ -177,6 +177,11 @@ def _minimised(
     stage: Stage[S], body: BodyModel, unknowns: Unknowns[S], watch: Watch | None
 ) -> tuple[Unknowns[S], Solution]:
     start = unknowns.detach()
+    told = None if watch is None else partial(watch, stage.name)
+    if stage.second_order is not None:
+        found = stage.second_order(stage, body, start, told)
+        if found is not None:
+            return found
     try:
         layout = Layout.of(start, stage.free)
     except ValueError as error:
@@ -194,7 +199,6 @@ def _minimised(
             terms, layout.unflatten(fixed, x).estimate(stage.prior, body, stage.portion)
         )
 
-    told = None if watch is None else partial(watch, stage.name)
     solution = stage.minimiser(objective, layout.flatten(start), told)
     return layout.unflatten(start, solution.x), solution
 

@@ -7,6 +7,7 @@ from typing import Any, Generic, Protocol, runtime_checkable
 from jaxtyping import Int
 from torch import Tensor
 
+from recon.body.model import BodyModel
 from recon.core.struct import S
 from recon.method.protocols import Energy, Estimate, Prior
 from recon.method.terms import Term
@@ -32,6 +33,14 @@ Reweighting = Callable[["Stage[Any]", Callable[[Any], Estimate], Any], tuple[Ter
 the stage, a function that decodes variables, and the variables."""
 
 
+SecondOrder = Callable[
+    ["Stage[Any]", BodyModel, Any, Callable[[Progress], bool | None] | None],
+    tuple[Any, Solution] | None,
+]
+"""Minimises a stage from its unknowns by a Hessian: called with the stage, the body, the unknowns
+and what is told of progress; None where no Hessian of the stage is known."""
+
+
 @dataclass(frozen=True)
 class Stage(Generic[S]):
     """One minimisation: a prior's variables, the terms of the objective, and the minimiser."""
@@ -54,6 +63,9 @@ class Stage(Generic[S]):
     """Number of hypotheses of every clip that remain after the stage; None keeps them all."""
     ranking: tuple[Term, ...] = ()
     """The objective by which hypotheses are compared; none takes the stage's own."""
+    second_order: SecondOrder | None = None
+    """How the stage is minimised where the Hessian of its objective is known; `minimiser` has the
+    limits and tolerances, and is taken where it is not known."""
 
     def __post_init__(self) -> None:
         """Refuse objectives without terms, and terms of one name.

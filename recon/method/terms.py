@@ -31,9 +31,20 @@ class Term:
         return self
 
 
-def prior_energy(name: str) -> Energy:
+@dataclass(frozen=True)
+class PriorEnergy:
     """The energy that is one named part of -log p of the stage's prior."""
-    return lambda estimate: estimate.decoded.energies[name]
+
+    name: str
+
+    def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
+        """The part, as the prior decoded it."""
+        return estimate.decoded.energies[self.name]
+
+
+def prior_energy(name: str) -> PriorEnergy:
+    """The energy that is one named part of -log p of the stage's prior."""
+    return PriorEnergy(name)
 
 
 def shape(estimate: Estimate) -> Float[Tensor, "*batch"]:

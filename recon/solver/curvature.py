@@ -31,9 +31,14 @@ class Curvature:
     """Pairs ever added; the next goes into slot `count % slots`."""
     used: int
     """No element has filled a slot from this one on."""
+    scaled: bool = False
+    """Whether the Hessian is about the identity, so that the gradient itself is a good first step;
+    a short one is taken otherwise."""
 
     @classmethod
-    def empty(cls, active: int, n: int, slots: int, device: torch.device) -> "Curvature":
+    def empty(
+        cls, active: int, n: int, slots: int, device: torch.device, scaled: bool = False
+    ) -> "Curvature":
         """No knowledge yet."""
 
         def zeros(*shape: int) -> Float64[Tensor, "..."]:
@@ -48,6 +53,7 @@ class Curvature:
             scale=zeros(active),
             count=torch.zeros(active, dtype=torch.int64, device=device),
             used=0,
+            scaled=scaled,
         )
 
     def keep(self, rows: Int64[Tensor, " kept"]) -> None:
@@ -79,9 +85,11 @@ class Curvature:
         """The quasi-Newton direction -H g, or steepest descent where that does not descend.
 
         `added` are the elements whose newest pair has not taken part yet. An element without
-        pairs goes by min(1, 1 / |g|_1) times its gradient.
+        pairs goes by min(1, 1 / |g|_1) times its gradient, or by all of it where it is `scaled`.
         """
         cautious = gradient.abs().sum(-1).reciprocal().clamp(max=1.0)
+        if self.scaled:
+            cautious = torch.ones_like(cautious)
         if self.used == 0:
             return -cautious[:, None] * gradient
         pairs = self.pairs[:, : self.used].flatten(1, 2)

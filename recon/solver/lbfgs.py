@@ -45,6 +45,9 @@ class LBFGS:
     scale: float = 0.0
     """Objective, in its own unit, below which decreases are taken relative to this instead. An
     objective of log-densities may be zero or less, where a relative decrease means nothing."""
+    scaled: bool = False
+    """Whether variables are such that the Hessian is about the identity: the first step is then
+    the negative gradient rather than a short part of it."""
     patience: int = 3
     """Consecutive iterations of too little decrease that count as convergence."""
     tolerance_gradient: float = 1e-7
@@ -105,7 +108,9 @@ def _minimise(
     resolution = max(torch.finfo(kind).eps for kind in (start.dtype, values.dtype))
     wolfe = Wolfe(settings.c1, settings.c2, settings.max_line_search, resolution)
     ledger = Ledger.open(start, terms)
-    active = Active.begin(start, terms, gradient, value, largest, settings.history)
+    active = Active.begin(
+        start, terms, gradient, value, largest, settings.history, settings.scaled
+    )
     reason = _why_not_begin(settings, value, largest)
     ledger.close(active, reason)
     active.keep(reason == GOES_ON)

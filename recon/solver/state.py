@@ -49,6 +49,7 @@ class Active:
         value: Float64[np.ndarray, " active"],
         largest: Float64[np.ndarray, " active"],
         history: int,
+        scaled: bool,
     ) -> "Active":
         """All elements, evaluated at their starts, with no direction chosen yet."""
         count = len(start)
@@ -60,7 +61,7 @@ class Active:
             best_x=start,
             best_gradient=gradient,
             best_terms=terms,
-            curvature=Curvature.empty(count, start.shape[1], history, start.device),
+            curvature=Curvature.empty(count, start.shape[1], history, start.device, scaled),
             searches=LineSearches.create(value),
             number=np.arange(count),
             largest=largest,

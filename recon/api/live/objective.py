@@ -13,7 +13,7 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from observations.together.moments import Tracker
-from observations.together.quadratic import energy_of, model_of
+from observations.together.quadratic import energy_of
 from priors.pose.density import PoseDensity
 from priors.pose.prior import PoseWeights
 from recon.api.live.window import VARIABLES, Window
@@ -141,7 +141,7 @@ class Objective:
         corner = pose.new_zeros(active, count, count)
         gradient_shape = pose.new_zeros(active, count)
         for scale, points, sensor in zip(self.scales, self.points, seen, strict=True):
-            model = model_of(sensor, points.of(*own))
+            model = sensor.point_model(points.of(*own))
             jacobian = _by_variables(points.by_rotations(*own), turns)
             pulled = (scale * model.curvature @ jacobian).flatten(1, 2)
             columns = jacobian.flatten(1, 2)

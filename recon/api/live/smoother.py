@@ -7,7 +7,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from observations.together.carried import carried_points
 from observations.together.moments import Tracker, joined, moments
 from priors.pose.density import PoseDensity
 from priors.pose.prior import PoseWeights
@@ -169,7 +168,7 @@ def reshaped(
     body = objective.body
     return replace(
         objective,
-        points=tuple(carried_points(one, body, shape, objective.offsets) for one in seen),
+        points=tuple(one.carried(body, shape, objective.offsets) for one in seen),
         joints=CarriedPoints.joints(body, shape),
         shape=shape,
         rest=body.rest_joints(shape),

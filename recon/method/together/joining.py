@@ -15,6 +15,7 @@ from torch import Tensor
 
 from recon.core.motion import Motion
 from recon.core.struct import TensorStruct, concatenate
+from recon.method.newton.model import ClipModel
 from recon.method.protocols import Decoded, Energy, Estimate
 from recon.method.reconstruction import Reconstruction
 from recon.method.running import run_stages
@@ -145,6 +146,10 @@ class _Weighted(TensorStruct):
         found = self.energy(estimate)
         return self.weights.to(found) * found
 
+    def of_clip(self, clip: int) -> tuple[float, Energy]:
+        """The weight of a clip, and the energy that is weighed."""
+        return float(self.weights[clip]), self.energy
+
 
 @dataclass(frozen=True)
 class _WeightedMatches(_Weighted):
@@ -176,3 +181,20 @@ class _Joint:
     def decode(self, variables: Any) -> Decoded:
         """What any of them decodes."""
         return self.priors[0].decode(variables)
+
+    @property
+    def reach(self) -> int:
+        """Frames up to so far apart couple; see `recon.method.newton.model.Framewise`."""
+        return self.priors[0].reach
+
+    def from_steps(self, variables: Any, steps: Float[Tensor, "clips time 69"]) -> Any:
+        """Variables after steps of frames; what they mean is how they are decoded."""
+        return self.priors[0].from_steps(variables, steps)
+
+    def turns(self, variables: Any, clip: int) -> Float[Tensor, "time 63 63"]:
+        """Derivatives of the joints' rotations by steps of the pose."""
+        return self.priors[0].turns(variables, clip)
+
+    def add_curvature(self, term: Term, clip: ClipModel) -> bool:
+        """Add the Hessian of a term of the prior."""
+        return self.priors[0].add_curvature(term, clip)

@@ -1,0 +1,72 @@
+"""Quadratic models of energies of points about their predicted places."""
+
+from collections.abc import Callable
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from recon.core.camera import NEAREST, Camera
+from recon.core.robust import geman_mcclure, squared
+from recon.method.newton.model import PointModel
+
+
+def of_places(
+    points: Float[Tensor, "*batch moments points 3"],
+    positions: Float[Tensor, "*batch moments points 3"],
+    visible: Bool[Tensor, "*batch moments points"],
+    kernel: Callable[[Tensor], Tensor],
+    weights: Float[Tensor, "*batch moments points"] | None,
+    rate: float,
+) -> PointModel:
+    """Of rate ½ Σ kernel(w² |p - observed|²) over visible points; without weights, w is 1."""
+    away = points - positions
+    counts = visible.to(points)
+    scale = counts if weights is None else weights.square()
+    size = away.square().sum(-1)
+    if weights is not None:
+        size = scale * size
+    value, slope = size, scale
+    if kernel is not squared:
+        with torch.enable_grad():
+            variable = size.detach().requires_grad_()
+            value = kernel(variable)
+            (slope,) = torch.autograd.grad(value.sum(), variable)
+        value, slope = value.detach(), slope * scale
+    slope = rate * slope * counts
+    identity = torch.eye(3, dtype=points.dtype, device=points.device)
+    return PointModel(
+        0.5 * rate * (value * counts).sum((-2, -1)),
+        slope[..., None] * away,
+        slope[..., None, None] * identity,
+    )
+
+
+def of_pixels(
+    points: Float[Tensor, "*batch moments points 3"],
+    camera: Camera,
+    pixels: Float[Tensor, "*batch moments points 2"],
+    confidence: Float[Tensor, "*batch moments points"],
+    sigma: float,
+    rate: float,
+) -> PointModel:
+    """Of rate ½ Σ c² (ρ(Δu) + ρ(Δv)), with the kernel ρ of Geman and McClure."""
+    seen = camera.to_camera(points)
+    in_front = seen[..., 2] > NEAREST
+    depth = torch.where(in_front, seen[..., 2], 1.0)[..., None]
+    rays = seen[..., :2] / depth
+    matrix = camera.camera_matrix
+    predicted = rays @ matrix[..., :2, :2].mT + matrix[..., None, :2, 2]
+    bent = torch.cat((torch.eye(2).to(rays).expand(*rays.shape, 2), -rays[..., None]), -1)
+    jacobian = matrix[..., None, :2, :2] @ (bent / depth[..., None])
+    jacobian = jacobian @ camera.T_camera_world[..., None, :3, :3]
+    away, scale = predicted - pixels, sigma**2
+    error = torch.where(in_front[..., None], geman_mcclure(away.square(), sigma), scale)
+    counts = rate * confidence.square()
+    slope = (scale / (scale + away.square())).square() * (counts * in_front)[..., None]
+    weighted = slope[..., None] * jacobian
+    return PointModel(
+        0.5 * (counts * error.sum(-1)).sum((-2, -1)),
+        (away[..., None, :] @ weighted)[..., 0, :],
+        jacobian.mT @ weighted,
+    )

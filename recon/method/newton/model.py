@@ -1,0 +1,164 @@
+"""What a second-order method asks of priors and of observations: models of their energies.
+
+Every frame has 69 steps: of the translation in metres, of the root's rotation R Exp(w) in
+radians, and 63 numbers for the other joints, which the prior chooses.
+"""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, ClassVar, Protocol, runtime_checkable
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from recon.body.derivatives import CarriedPoints, joints_by_shape
+from recon.body.kinematics import forward_kinematics
+from recon.body.model import BodyModel
+from recon.core.motion import Motion
+from recon.method.protocols import Energy, Estimate
+from recon.method.terms import Term
+from recon.solver.banded import Banded
+
+FRAME = 69
+"""Steps of one frame."""
+
+
+@dataclass(frozen=True)
+class PointModel:
+    """An energy about given places p of points: E + gᵀ dp + ½ dpᵀ A dp, point by point."""
+
+    value: Float[Tensor, "*batch"]
+    """E, unit of the sensor squared."""
+    gradient: Float[Tensor, "*batch moments points 3"]
+    """g; that unit squared per metre."""
+    curvature: Float[Tensor, "*batch moments points 3 3"]
+    """A, positive semidefinite: second derivatives of the kernel and the camera are left out."""
+
+
+@runtime_checkable
+class PointSensor(Protocol):
+    """An observation of points that bones carry."""
+
+    @property
+    def fps(self) -> float:
+        """Moments per second."""
+        ...
+
+    @property
+    def start_time(self) -> float:
+        """Time of the first moment, seconds."""
+        ...
+
+    @property
+    def moments(self) -> int:
+        """Number of moments."""
+        ...
+
+    def point_model(self, points: Float[Tensor, "*batch moments points 3"]) -> PointModel:
+        """The energy at 30 Hz about predicted points, frame of the recording, metres."""
+        ...
+
+    def carried(
+        self, body: BodyModel, shape: Float[Tensor, " shape"], offsets: Float[Tensor, "rows 3"]
+    ) -> CarriedPoints:
+        """The points on a body of some shape; offsets as in `Scene.offsets`."""
+        ...
+
+
+@runtime_checkable
+class WeighedByClip(Protocol):
+    """An energy that every clip of a batch weighs in its own way."""
+
+    def of_clip(self, clip: int) -> tuple[float, Energy]:
+        """The weight of a clip, and the energy that is weighed."""
+        ...
+
+
+@runtime_checkable
+class Framewise(Protocol):
+    """A prior whose variables are linear in steps of frames, near the motion they begin at."""
+
+    reach: ClassVar[int]
+    """Frames up to so far apart couple in its terms; at least two, for accelerations."""
+
+    def from_steps(self, variables: Any, steps: Float[Tensor, "clips time 69"]) -> Any:
+        """Variables that differ from the given ones, which are steps of zero, by these steps."""
+        ...
+
+    def turns(self, variables: Any, clip: int) -> Float[Tensor, "time 63 63"]:
+        """Derivatives of the 21 joints' rotations, R Exp(w), by a clip's last 63 steps."""
+        ...
+
+    def add_curvature(self, term: Term, clip: "ClipModel") -> bool:
+        """Add the Gauss-Newton Hessian of a term of the prior; False where it knows of none."""
+        ...
+
+
+@dataclass(frozen=True)
+class ClipModel:
+    """One clip of an estimate, its derivatives by steps of frames, and the Hessian so far."""
+
+    estimate: Estimate
+    """Of all clips."""
+    clip: int
+    turn: Float[Tensor, "time 63 63"]
+    """See `Framewise.turns`."""
+    reach: int
+    with_shape: bool
+    """Whether the shape is moved as well."""
+    part: Banded = field(init=False)
+    """The Hessian without that of joints."""
+    joints: Float[Tensor, "time 3 66"] = field(init=False)
+    """Coefficients of products of joints' coordinates; see `Banded.add_products`."""
+
+    def __post_init__(self) -> None:
+        """Begin with a Hessian of zeros."""
+        motion, like = self.motion, self.motion.translation
+        size = motion.shape.shape[-1] if self.with_shape else 0
+        part = Banded.zero(motion.frames, self.reach, FRAME, size, like)
+        object.__setattr__(self, "part", part)
+        object.__setattr__(self, "joints", like.new_zeros(motion.frames, 3, 66))
+
+    @cached_property
+    def motion(self) -> Motion:
+        """The clip's motion."""
+        return self.estimate.motion[self.clip].detach()
+
+    @property
+    def body(self) -> BodyModel:
+        """Whose motion it is."""
+        return self.estimate.body.model
+
+    def hessian(self) -> Banded:
+        """The sum of all parts; to be called once."""
+        moved, shaped = self.by_steps(CarriedPoints.joints(self.body, self.motion.shape))
+        self.part.add_products(self.joints, moved.flatten(1, 2), shaped.flatten(1, 2))
+        return self.part
+
+    def by_steps(
+        self, points: CarriedPoints
+    ) -> tuple[Float[Tensor, "time points 3 69"], Float[Tensor, "time points 3 shape"]]:
+        """Derivatives of points by steps of frames, and by the shape."""
+        orientations, joints = self.posed
+        turned = points.by_rotations(orientations, joints)
+        identity = torch.eye(3, dtype=turned.dtype, device=turned.device)
+        moved = identity.expand(*turned.shape[:2], 3, 3)
+        posed = (turned[..., 3:].flatten(1, 2) @ self.turn).unflatten(1, (-1, 3))
+        by_steps = torch.cat((moved, turned[..., :3], posed), -1)
+        if not self.with_shape:
+            return by_steps, by_steps[..., :0]
+        return by_steps, points.by_shape_of(orientations, self._shaped)
+
+    @cached_property
+    def posed(self) -> tuple[Float[Tensor, "time 22 3 3"], Float[Tensor, "time 22 3"]]:
+        """Orientations of the bones, and joints, world, metres."""
+        motion = self.motion
+        orientations, joints = forward_kinematics(
+            motion.rotations, self.body.rest_joints(motion.shape)
+        )
+        return orientations, joints + motion.translation[:, None]
+
+    @cached_property
+    def _shaped(self) -> Float[Tensor, "time 22 3 shape"]:
+        return joints_by_shape(self.posed[0], self.body, self.motion.shape.shape[-1])
