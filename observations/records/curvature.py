@@ -19,7 +19,7 @@ def of_places(
     weights: Float[Tensor, "*batch moments points"] | None,
     rate: float,
 ) -> PointModel:
-    """Of rate ½ Σ kernel(w² |p - observed|²) over visible points; without weights, w is 1."""
+    """The model of rate ½ Σ kernel(w² |p - observed|²) over visible points; w is 1 by default."""
     away = points - positions
     counts = visible.to(points)
     scale = counts if weights is None else weights.square()
@@ -50,7 +50,7 @@ def of_pixels(
     sigma: float,
     rate: float,
 ) -> PointModel:
-    """Of rate ½ Σ c² (ρ(Δu) + ρ(Δv)), with the kernel ρ of Geman and McClure."""
+    """The model of rate ½ Σ c² (ρ(Δu) + ρ(Δv)), with the kernel ρ of Geman and McClure."""
     seen = camera.to_camera(points)
     in_front = seen[..., 2] > NEAREST
     depth = torch.where(in_front, seen[..., 2], 1.0)[..., None]

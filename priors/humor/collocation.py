@@ -119,7 +119,7 @@ class CollocatedHumor:
         return self.poses.turns(variables, clip)
 
     def add_curvature(self, term: Term, clip: ClipModel) -> bool:
-        """That of poses, the mean one of steps, and that of feet with contacts as they are."""
+        """Add the Hessian of poses, the mean one of steps, or that of feet held by contacts."""
         if term.energy is contact_velocity:
             contacts = clip.estimate.decoded.contacts
             assert contacts is not None

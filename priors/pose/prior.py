@@ -287,7 +287,7 @@ class PosePrior(TensorStruct):
         return (turned_by(steps) @ basis.unflatten(0, (ROTATIONS, 3))).flatten(1, 2)
 
     def add_curvature(self, term: Term, clip: ClipModel) -> bool:
-        """That of the energy "pose", which is quadratic in z."""
+        """Add the Hessian of the energy "pose", which is quadratic in z."""
         if term.energy != PriorEnergy("pose"):
             return False
         motion = clip.motion

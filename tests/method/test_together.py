@@ -82,7 +82,8 @@ def test_a_clip_with_others_is_the_same_to_rounding_before_minimisers_part(prior
     """Batch-mates may not change what is minimised: a few steps in, rounding is all that shows."""
     clips, few = several(), Few(prior.load())
     together = ended([partial(rough, one, few) for one in clips])
-    assert batches == [(4, 14)]
+    # where a joint is hidden, HuMoR's method has a stage more, so that clip goes alone
+    assert batches == [(4 if prior is PosePrior else 3, 14)]
     for one, result in zip(clips, together, strict=True):
         alone = rough(one, few)
         assert result.noises == alone.noises

@@ -114,7 +114,7 @@ def _perturbed(prior: CollocatedHumor, base: PoseVariables) -> list[PoseVariable
 
 
 def _residuals(prior: CollocatedHumor, variables: PoseVariables) -> tuple[Tensor, Tensor]:
-    """Those of the decoder's error and of the latents' surprise for the middle step."""
+    """Residuals of the middle step: the decoder's whitened error, and the latents' surprise."""
     motion = prior.poses.decode(variables).motion
     states = states_of(motion, prior.humor.body)
     middle = states.map(lambda t: t[:, 1:3])

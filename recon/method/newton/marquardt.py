@@ -101,7 +101,7 @@ class Marquardt:
 
 @dataclass(frozen=True)
 class _Point:
-    """Where an iteration begins."""
+    """The objective and its gradient where an iteration begins."""
 
     terms: Float[Tensor, "active terms"]
     value: Float[Tensor, " active"]
@@ -119,7 +119,7 @@ class _Point:
     def ends(
         self, terms: Tensor, steps: Tensor, tolerance: float, scale: float
     ) -> list[Termination | None]:
-        """Why clips end after a step: one of too little decrease, or none at all."""
+        """The reason for which each clip ends after a step: too little decrease, or no step."""
         fell = self.value - terms.double().sum(-1)
         size = self.value.abs().clamp(min=scale)
         small = (fell <= tolerance * size).tolist()

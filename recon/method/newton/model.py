@@ -100,8 +100,9 @@ class ClipModel:
     """One clip of an estimate, its derivatives by steps of frames, and the Hessian so far."""
 
     estimate: Estimate
-    """Of all clips."""
+    """The estimate of all clips."""
     clip: int
+    """Number of the clip."""
     turn: Float[Tensor, "time 63 63"]
     """See `Framewise.turns`."""
     reach: int
@@ -127,7 +128,7 @@ class ClipModel:
 
     @property
     def body(self) -> BodyModel:
-        """Whose motion it is."""
+        """The body whose motion it is."""
         return self.estimate.body.model
 
     def hessian(self) -> Banded:
