@@ -27,6 +27,9 @@ _ROOT = 0.04
 """Metres from the origin within which the middle of the hips of root-relative data stays."""
 _FLOOR = (-0.05, 0.08)
 """Metres at which the lowest points of feet lie on a ground at z = 0: soles, and noise."""
+_STRAIGHT = 0.06
+"""Tangent of the angle up to which shoulders are straight above ankles. A camera that is tilted by
+so little does less harm than a search for its tilt in data that tell no path."""
 _ABOVE = 0.1
 """Height of a neck above the middle of the shoulders, in their width, from which on it is the
 upper end of the neck; that of the average body is 0.19."""
@@ -78,16 +81,19 @@ def settled(
     positions = known.positions @ (to_z_up(up).T * metres)
     visible = np.all(np.isfinite(positions), axis=-1)
     positions = np.where(visible[..., None], positions, 0.0)
-    camera = up.endswith("down")
-    said = [*raw.decisions, *known.decisions, unit_said, up_said]
-    if camera:
-        said.append("the frame is a camera's, which may be tilted: gravity is estimated")
     placed = not _about_the_pelvis(known.names, positions, visible)
+    level = not up.endswith("down")
+    said = [*raw.decisions, *known.decisions, unit_said, up_said]
+    if not level and not placed and _upright(known.names, positions, visible):
+        level = True
+        said.append("shoulders are straight above the ankles: the camera is taken to be level")
+    elif not level:
+        said.append("the frame is a camera's, which may be tilted: gravity is estimated")
     if placed:
-        ground_known, ground_said = _ground(known.names, positions, visible, level=not camera)
+        ground_known, ground_said = _ground(known.names, positions, visible, level=level)
         said.append(ground_said)
     else:
-        ground_known = not camera
+        ground_known = level
         said.append(
             "relative to the pelvis: the data have no place in the world; path and height are "
             "inferred from the feet, which stand"
@@ -100,7 +106,7 @@ def settled(
         fps=float(raw.fps or 0.0),
         start_time=raw.start_time,
         ground_known=ground_known,
-        level=not camera,
+        level=level,
         placed=placed,
         decisions=tuple(said),
     )
@@ -252,6 +258,21 @@ def _about_the_pelvis(
         if float(np.quantile(away, 0.95)) < _ROOT:
             return True
     return False
+
+
+def _upright(
+    names: tuple[str, ...],
+    positions: Float[np.ndarray, "time points 3"],
+    visible: Bool[np.ndarray, "time points"],
+) -> bool:
+    """Whether the shoulders are, on the average, straight above the ankles."""
+    known = _Known(names, np.where(visible[..., None], positions, np.nan), ())
+    rise = _mean(known, _SHOULDERS) - _mean(known, ("left_ankle", "right_ankle"))
+    rise = rise[np.isfinite(rise).all(-1)]
+    if len(rise) == 0:
+        return False
+    mean = rise.mean(0)
+    return bool(np.linalg.norm(mean[:2]) < _STRAIGHT * mean[2])
 
 
 def _ground(

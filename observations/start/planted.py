@@ -5,13 +5,12 @@ from jaxtyping import Bool, Float
 
 from recon.core.layouts import JOINT
 
-_PARTS = ("heel", "big_toe", f"foot{JOINT}", "ankle")
+_PARTS = {"heel": 0.015, "big_toe": 0.015, f"foot{JOINT}": 0.02, "ankle": 0.08}
+"""Points of a foot, and metres above the ground of each where the foot stands."""
 _SMOOTH = 0.15
-"""Seconds over which heights of feet and the path are averaged."""
+"""Seconds over which points of feet and the path are averaged."""
 _LOWER = 0.02
 """Metres by which the other foot must be lower to take the weight over."""
-_ANKLE, _SOLE = 0.08, 0.015
-"""Metres above the ground of a standing ankle, and of the lowest points of a standing foot."""
 
 
 def planted_path(
@@ -30,42 +29,46 @@ def planted_path(
         visible: where they were seen.
         fps: frames per second.
     """
-    feet, lifts = _feet(names, positions, visible)
-    if feet is None:
-        return np.zeros((len(positions), 3))
     width = max(round(_SMOOTH * fps) // 2 * 2 + 1, 1)
-    feet = np.stack([_averaged(_filled(one), width) for one in feet])
-    lowest = feet[..., 2] - lifts[:, None]
+    feet = [
+        foot
+        for side in ("left", "right")
+        if (foot := _foot(side, names, positions, visible, width)) is not None
+    ]
     path = np.zeros((len(positions), 3))
-    stance = int(lowest[:, 0].argmin())
-    anchor = feet[stance, 0, :2].copy()
+    if not feet:
+        return path
+    middle = np.stack([foot.mean(1) for foot in feet])
+    path[:, 2] = -np.stack([foot[..., 2].min(1) for foot in feet]).min(0)
+    stance = int(middle[:, 0, 2].argmin())
+    anchor = middle[stance, 0, :2].copy()
     for t in range(len(path)):
         other = 1 - stance
-        if len(feet) > 1 and lowest[other, t] < lowest[stance, t] - _LOWER:
-            here = anchor - feet[stance, t, :2]
-            stance, anchor = other, here + feet[other, t, :2]
-        path[t, :2] = anchor - feet[stance, t, :2]
-        path[t, 2] = -lowest[:, t].min()
+        # heights of whole feet: toes of a swinging foot pass close above the ground
+        if len(feet) > 1 and middle[other, t, 2] < middle[stance, t, 2] - _LOWER:
+            here = anchor - middle[stance, t, :2]
+            stance, anchor = other, here + middle[other, t, :2]
+        path[t, :2] = anchor - middle[stance, t, :2]
     return _averaged(path, width)
 
 
-def _feet(
-    names: tuple[str, ...], positions: np.ndarray, visible: np.ndarray
-) -> tuple[Float[np.ndarray, "feet time 3"] | None, Float[np.ndarray, " feet"]]:
-    """Mean of the lowest points of both feet, NaN where not seen, and how high they stand."""
-    for parts in (("heel", "big_toe"), ("ankle", f"foot{JOINT}"), ("ankle",)):
-        found = []
-        for side in ("left", "right"):
-            rows = [names.index(f"{side}_{part}") for part in parts if f"{side}_{part}" in names]
-            if len(rows) == len(parts):
-                seen = np.all(visible[:, rows], axis=1)
-                place = positions[:, rows].mean(1)
-                place[:, 2] = positions[:, rows, 2].min(1)
-                found.append(np.where(seen[:, None], place, np.nan))
-        if found and np.isfinite(np.stack(found)).any(1).all():
-            lift = _SOLE if "ankle" not in parts else _ANKLE if parts == ("ankle",) else _SOLE
-            return np.stack(found), np.full(len(found), lift)
-    return None, np.zeros(0)
+def _foot(
+    side: str,
+    names: tuple[str, ...],
+    positions: Float[np.ndarray, "time points 3"],
+    visible: Bool[np.ndarray, "time points"],
+    width: int,
+) -> Float[np.ndarray, "time parts 3"] | None:
+    """Points of a foot as if each lay on its sole, without gaps; None where none is ever seen."""
+    found: list[np.ndarray] = []
+    for part, lift in _PARTS.items():
+        if f"{side}_{part}" not in names:
+            continue
+        row = names.index(f"{side}_{part}")
+        if visible[:, row].any():
+            seen = np.where(visible[:, row, None], positions[:, row], np.nan)
+            found.append(_averaged(_filled(seen), width) - (0.0, 0.0, lift))
+    return np.stack(found, 1) if found else None
 
 
 def _filled(path: Float[np.ndarray, "time 3"]) -> Float[np.ndarray, "time 3"]:

@@ -3,12 +3,14 @@
 import csv
 import json
 
+import cv2
 import numpy as np
 import pytest
 
 import recon
 from observations.correspondences import BodyPoints
 from observations.keypoints3d import Keypoints3D
+from observations.start.planted import planted_path
 from recon.core.layouts import LAYOUTS, keypoint_names
 from recon.core.units import to_z_up
 from recon.fitting.clip_files import load_clip
@@ -263,3 +265,27 @@ def test_arrays_are_fitted_as_joints_are():
     assert [one.code for one in result.warnings] == []
     with pytest.raises(ValueError, match="no keypoint is called tail"):
         recon.Keypoints3D(x[:, :1], np.ones((FRAMES, 1), bool), ["tail"], fps=30.0)
+
+
+def test_the_path_of_a_body_about_its_pelvis_is_that_of_its_planted_feet():
+    """Toes that swing low above the ground were taken for standing: the path went to and fro."""
+    body, motion = bundled(), walk(60)
+    points = BodyPoints.of_layout("mediapipe33", body)
+    x = points.of(body.pose(motion)).double().numpy()
+    root = x[:, 23:25].mean(1)
+    rng = np.random.default_rng(3)
+    about = x - root[:, None] + rng.normal(scale=0.015, size=x.shape)
+    path = planted_path(points.names, about, np.ones(x.shape[:2], bool), motion.fps)
+    walked = root[-1, :2] - root[0, :2]
+    assert np.linalg.norm(walked) > 0.5  # metres
+    assert np.linalg.norm((path[-1, :2] - path[0, :2]) - walked) < 0.25 * np.linalg.norm(walked)
+    assert np.abs(path[:, 2] - root[:, 2]).max() < 0.05  # metres above the ground
+
+
+def test_a_tilted_camera_is_not_taken_for_a_level_one(tmp_path):
+    x = points("mediapipe33")
+    tilt = cv2.Rodrigues(np.array([0.25, 0.0, 0.0]))[0]  # radians
+    for level, turn in ((True, np.eye(3)), (False, tilt)):
+        y = (x - x[:, 23:25].mean(1, keepdims=True)) @ to_z_up("y-down") @ turn.T
+        np.save(tmp_path / "x.npy", y)
+        assert read(tmp_path / "x.npy", frame_rate=30.0)[0].level == level
