@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from recon.api.verbs.generate import predict as predict
     from recon.api.verbs.generate import sample as sample
     from recon.api.verbs.interpolate import interpolate as interpolate
+    from recon.api.verbs.refine import refine as refine
     from recon.api.verbs.retarget import retarget as retarget
     from recon.api.verbs.simulate import simulate as simulate
     from recon.body.model import BodyModel as BodyModel
@@ -58,6 +59,7 @@ _HOMES = {
     "Result": "recon.api.result",
     "Shape": "recon.api.shapes",
     "complete": "recon.api.verbs.complete",
+    "refine": "recon.api.verbs.refine",
     "retarget": "recon.api.verbs.retarget",
     "sample": "recon.api.verbs.generate",
     "predict": "recon.api.verbs.generate",

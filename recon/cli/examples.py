@@ -37,6 +37,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "recon interpolate walk.npz run.npz --out between.npz",
         "recon interpolate walk.npz run.npz --out near.npz --at 0.25",
     ),
+    "refine": (
+        "recon refine hmr4d_results.pt --frame-rate 30 --out motion.npz",
+        "recon refine wham_output.pkl --frame-rate 30 --shape height=1.80 --out motion.npz",
+    ),
     "retarget": (
         "recon retarget motion.npz --shape height=1.80,weight=75 --out taller.npz",
         "recon retarget motion.npz --shape=-1,2 --out other.npz",

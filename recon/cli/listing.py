@@ -10,10 +10,11 @@ from recon.cli.verbs.demo import demo
 from recon.cli.verbs.evaluate import evaluate
 from recon.cli.verbs.export import export
 from recon.cli.verbs.fit import fit
+from recon.cli.verbs.generation.interpolate import interpolate
 from recon.cli.verbs.generation.predict import predict
 from recon.cli.verbs.generation.sample import sample
 from recon.cli.verbs.info import info
-from recon.cli.verbs.interpolate import interpolate
+from recon.cli.verbs.refine import refine
 from recon.cli.verbs.retarget import retarget
 from recon.cli.verbs.simulate import simulate
 from recon.cli.verbs.stream import stream
@@ -24,6 +25,7 @@ ALL = (
     demo,
     fit,
     complete,
+    refine,
     batch,
     stream,
     convert,

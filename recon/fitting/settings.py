@@ -78,3 +78,32 @@ class FitSettings:
 
 
 DEFAULTS = FitSettings()
+
+
+@dataclass(frozen=True)
+class RefineSettings:
+    """How to refine files of estimated motions."""
+
+    prior: str = "humor"
+    """What is likely: `humor`, `pose`, or one that another package registered."""
+    weights: str = "open"
+    """Weights of the prior: `open`, `nc` (not for commercial use; in a source checkout) or a
+    file."""
+    body: Path | None = None
+    """The SMPL-family file that the estimate is of; its shape coefficients are then taken.
+    Default: the bundled body."""
+    shape: str | None = None
+    """Shape of the person on the bundled body: height=1.80,weight=75, words, coefficients, or a
+    motion file of theirs. Default: the average."""
+    frame_rate: float | None = None
+    """Frames per second of the estimate, where the file does not tell: that of the video."""
+    fps: float | None = None
+    """Rate of the result; default: the estimate's."""
+    up: Literal["x", "y", "z"] | None = None
+    """Axis that points up; default: told from how the body stands."""
+    person: int | None = None
+    """Which of several people, from 1 on; default: the one of most frames."""
+    ground: Literal["known", "unknown"] = "unknown"
+    """Whether height zero of the estimate's world is the ground."""
+    physics: float = 0.0
+    """How much physics of a body on flat ground counts; 0 leaves it out."""

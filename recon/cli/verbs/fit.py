@@ -1,7 +1,7 @@
 """`recon fit`: observation files in, a motion out."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
@@ -65,6 +65,17 @@ def fit_and_say(
 
     with console.fitting({}) as watch:
         report = fit_files(observations, out, settings, watch, overwrite=overwrite)
+    tell(report, out, json=json)
+
+
+def tell(report: dict[str, Any], out: Path, *, json: bool) -> None:
+    """Tell what a person at the terminal should know about a fit that was written.
+
+    Raises:
+        Failed: when the fit met nan or inf.
+    """
+    from recon.cli import console
+
     for line in report["read"]:
         console.note(line)
     for stage in report["stages"]:

@@ -23,6 +23,16 @@ def read_pickle(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
     Raises:
         ValueError: when the file is damaged, or names anything that is not on the list.
     """
+    content = read_tree(path)
+    return {name: _array(content[name], name, path) for name in names if name in content}
+
+
+def read_tree(path: Path) -> dict[Any, Any]:
+    """A pickled dictionary of arrays, plain containers and inert records; nothing is run.
+
+    Raises:
+        ValueError: when the file is damaged, or names anything that is not on the list.
+    """
     try:
         # Python 2 wrote most of these files: its strings are bytes, kept one to one by latin-1
         BINARY.check(path.stat().st_size, path)
@@ -30,8 +40,8 @@ def read_pickle(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
             content = _Unpickler(file, encoding="latin1").load()
     except _RefusedError as error:
         raise FormatError(
-            f"{path}: refusing to load {error.name}, which no body model contains; "
-            "nothing in the file was run"
+            f"{path}: refusing to load {error.name}, which no body model and no list of poses "
+            "contains; nothing in the file was run"
         ) from None
     except (
         pickle.UnpicklingError, EOFError, AttributeError, IndexError, KeyError, TypeError,
@@ -39,10 +49,12 @@ def read_pickle(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
         SystemError,
     ) as error:  # fmt: skip
         # the pickle documentation names these for damaged files
-        raise FormatError(f"{path}: expected a pickled body model, but {error!r:.200}") from error
+        raise FormatError(
+            f"{path}: expected a pickled dictionary of arrays, but {error!r:.200}"
+        ) from error
     if not isinstance(content, dict):
         raise FormatError(f"{path}: expected a dictionary of arrays, got {type(content).__name__}")
-    return {name: _array(content[name], name, path) for name in names if name in content}
+    return content
 
 
 def _array(value: object, name: str, path: Path) -> np.ndarray:

@@ -1,0 +1,1 @@
+"""Motions that other programs estimated: what in them is to be believed."""

@@ -1,0 +1,1 @@
+"""Motions that other programs estimated: SMPL-like parameters, frame by frame."""

@@ -1,0 +1,110 @@
+"""`recon.refine`: estimates of a network become motions; feet stand, jitter goes, peaks stay."""
+
+import json
+
+import numpy as np
+import pytest
+import torch
+
+import recon
+from recon import cli
+from recon.core import rotations as so3
+from recon.core.skeleton import FEET, JOINTS, MIRROR
+from recon.diagnosis.estimates.exchanges import exchanged_frames, mirrored_limbs
+from recon.simulation.regressor import RegressorErrors, estimated
+from tests.filmed import bundled, walk
+
+LEGS = tuple(JOINTS.index(f"{s}_{p}") for p in ("hip", "knee", "ankle") for s in ("left", "right"))
+
+
+def errors(found: recon.Motion, truth: recon.Motion) -> dict[str, float]:
+    body = bundled()
+    own, true = body.pose(found).joints, body.pose(truth).joints
+    about = (own - own[:, :1]) - (true - true[:, :1])
+    bends = (own - true).diff(n=2, dim=0) * truth.fps**2
+    steps = (true[:, list(FEET)].diff(dim=0).norm(dim=-1) * truth.fps < 0.15).double()
+    slid = own[:, list(FEET), :2].diff(dim=0).norm(dim=-1) * truth.fps
+    return {
+        "about": float(about.norm(dim=-1).mean()),
+        "bends": float(bends.norm(dim=-1).mean()),
+        "slip": float((slid * steps).sum() / steps.sum()),
+    }
+
+
+@pytest.fixture(scope="module")
+def cases() -> tuple[recon.Motion, recon.Motion]:
+    truth = walk(45)
+    return truth, estimated(truth, RegressorErrors(swaps=0.0), seed=1)
+
+
+@pytest.mark.numerics
+def test_a_refined_estimate_is_nearer_steadier_and_stands(cases):
+    truth, seen = cases
+    before, after = errors(seen, truth), errors(recon.refine(seen).motion, truth)
+    assert after["about"] < 0.95 * before["about"]
+    assert after["bends"] < 0.4 * before["bends"]
+    assert after["slip"] < 0.6 * before["slip"]
+
+
+def test_a_foreign_file_is_refined_by_one_command(tmp_path, cases):
+    _, seen = cases
+    rows = slice(0, 20)
+    turn = torch.tensor([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # z to y
+    np.savez(
+        tmp_path / "a.npz",
+        global_orient=so3.log(turn @ seen.rotations[rows, 0]),
+        body_pose=so3.log(seen.rotations[rows, 1:]).flatten(1),
+        transl=seen.translation[rows] @ turn.T,
+        betas=np.ones(10),
+    )
+    ask = ["refine", str(tmp_path / "a.npz"), "--prior", "pose", "--out", str(tmp_path / "b.npz")]
+    assert cli.run(ask) == cli.BAD_INPUT  # nothing says the rate
+    assert cli.run([*ask, "--frame-rate", "30"]) == cli.OK
+    report = json.loads((tmp_path / "b.npz.json").read_text())
+    assert any("y is up" in line for line in report["read"])
+    assert any("another body model" in line for line in report["read"])
+    found = recon.load_motion(tmp_path / "b.npz").motion
+    up = bundled().pose(found).joints[:, JOINTS.index("head"), 2]
+    assert float(up.mean()) > 1.2
+
+
+def test_legs_that_are_exchanged_for_moments_are_put_right(cases):
+    truth, _ = cases
+    swapped = truth.rotations.clone()
+    mirrored = mirrored_limbs(truth, LEGS)
+    apart = (mirrored - truth.rotations[:, list(LEGS)]).square().sum((-1, -2, -3))
+    middle = int(apart[4:-4].argmax()) + 4  # one leg before the other: exchanges show
+    rows = slice(middle - 1, middle + 2)
+    swapped[rows, list(LEGS)] = mirrored[rows]
+    motion = truth.replace(rotations=swapped)
+    wrong = exchanged_frames(swapped[:, list(LEGS)], mirrored_limbs(motion, LEGS))
+    assert wrong.nonzero()[:, 0].tolist() == list(range(middle - 1, middle + 2))
+    assert not exchanged_frames(truth.rotations[:, list(LEGS)], mirrored).any()
+    result = recon.refine(motion, "pose", ground="known")
+    assert [finding.code for finding in result.repairs] == ["sides exchanged"]
+    assert sorted(MIRROR[joint] for joint in LEGS) == sorted(LEGS)
+
+
+def test_missing_frames_are_filled(tmp_path, cases):
+    truth, _ = cases
+    place = truth.translation[:20].double().numpy().copy()
+    place[8:12] = np.nan
+    poses = so3.log(truth.rotations[:20]).flatten(1).numpy()
+    np.savez(tmp_path / "a.npz", poses=poses, trans=place, mocap_framerate=30.0)
+    result = recon.refine(tmp_path / "a.npz", "pose", ground="known", shape=truth.shape)
+    away = bundled().pose(result.motion).joints - bundled().pose(truth.window(0, 20)).joints
+    assert float(away[8:12].norm(dim=-1).mean()) < 0.08
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [({"ground": "sea"}, "known or unknown"), ({"shape": "height=9"}, "height")],
+)
+def test_bad_arguments_are_refused(cases, arguments, words):
+    with pytest.raises(recon.ReconError, match=words):
+        recon.refine(cases[1], "pose", **arguments)
+
+
+def test_too_short_an_estimate_is_refused(cases):
+    with pytest.raises(recon.ReconError, match="at least 4 frames, got 3"):
+        recon.refine(cases[1].window(0, 3), "pose")

@@ -1,0 +1,141 @@
+"""Files of estimated SMPL parameters: every producer's layout is read, others are refused."""
+
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from recon.core.errors import FormatError
+from recon.formats.estimates.reader import read_estimate
+
+FRAMES = 6
+RANDOM = np.random.default_rng(0)
+BODY = RANDOM.normal(scale=0.3, size=(FRAMES, 63))
+PLACE = RANDOM.normal(size=(FRAMES, 3))
+UPRIGHT = np.tile(Rotation.from_euler("x", 90, degrees=True).as_rotvec(), (FRAMES, 1))
+"""A body whose y axis points along z."""
+
+
+def written(path: Path, kind: str) -> Path:
+    whole = np.concatenate((UPRIGHT, BODY), 1)
+    if kind == "gvhmr":
+        tensors = {
+            "global_orient": torch.from_numpy(UPRIGHT), "body_pose": torch.from_numpy(BODY),
+            "transl": torch.from_numpy(PLACE), "betas": torch.zeros(FRAMES, 10),
+        }  # fmt: skip
+        away = {**tensors, "transl": tensors["transl"] + 9}
+        torch.save({"smpl_params_incam": away, "smpl_params_global": tensors}, path)
+    elif kind == "wham":
+        long = np.concatenate((whole, np.zeros((FRAMES, 6))), 1)
+        one = {"pose": long * 0, "trans": PLACE * 0, "pose_world": long, "trans_world": PLACE,
+               "betas": np.zeros((FRAMES, 10)), "frame_ids": np.arange(FRAMES)}  # fmt: skip
+        short = {key: value[:2] for key, value in one.items()}
+        path.write_bytes(pickle.dumps({0: short, 3: one}))
+    elif kind == "slahmr":
+        np.savez(path, root_orient=UPRIGHT[None], pose_body=BODY[None], trans=PLACE[None])
+    elif kind == "matrices":
+        turns = Rotation.from_rotvec(whole.reshape(-1, 3)).as_matrix().reshape(FRAMES, 22, 3, 3)
+        np.savez(path, global_orient=turns[:, :1], body_pose=turns[:, 1:], transl=PLACE)
+    else:
+        np.savez(path, poses=whole, trans=PLACE, betas=np.zeros(16), mocap_framerate=25.0)
+    return path
+
+
+LAYOUTS = {
+    "gvhmr": "a.pt",
+    "wham": "a.pkl",
+    "slahmr": "a.npz",
+    "matrices": "a.npz",
+    "amass": "a.npz",
+}
+
+
+@pytest.mark.parametrize("kind", LAYOUTS)
+def test_every_layout_gives_the_same_body(tmp_path, kind):
+    found = read_estimate(written(tmp_path / LAYOUTS[kind], kind))
+    np.testing.assert_allclose(found.translation, PLACE, atol=1e-6)
+    np.testing.assert_allclose(found.rotations[:, 0] @ [0, 1, 0], np.tile([0, 0, 1], (FRAMES, 1)),
+                               atol=1e-6)  # fmt: skip
+    np.testing.assert_allclose(
+        Rotation.from_matrix(found.rotations[:, 1:].reshape(-1, 3, 3)).as_rotvec(),
+        BODY.reshape(-1, 3), atol=1e-5,
+    )  # fmt: skip
+    assert found.up == (1, "z")
+    assert found.fps == (25.0 if kind == "amass" else None)
+    assert found.known.all()
+
+
+def test_of_several_people_the_one_of_most_frames_is_taken_and_said(tmp_path):
+    path = written(tmp_path / "a.pkl", "wham")
+    assert "person 2 of 2" in read_estimate(path).notes[0]
+    with pytest.raises(FormatError, match="expected a person from 1 to 2, got 3"):
+        read_estimate(path, person=3)
+
+
+def test_frames_that_were_not_found_hold_the_one_before(tmp_path):
+    path = tmp_path / "a.pkl"
+    ids = np.array([4, 5, 9])
+    one = {"pose_world": np.tile(np.eye(3)[0] * np.pi / 2, (3, 24)), "trans_world": PLACE[:3],
+           "frame_ids": ids}  # fmt: skip
+    path.write_bytes(pickle.dumps({0: one}))
+    found = read_estimate(path)
+    assert found.known.tolist() == [True, True, False, False, False, True]
+    np.testing.assert_array_equal(found.translation[2:5], np.tile(PLACE[1], (3, 1)))
+
+
+def test_nan_is_a_frame_that_was_not_found(tmp_path):
+    place = PLACE.copy()
+    place[2, 1] = np.nan
+    np.savez(tmp_path / "a.npz", root_orient=UPRIGHT, pose_body=BODY, trans=place)
+    assert read_estimate(tmp_path / "a.npz").known.tolist() == [
+        True,
+        True,
+        False,
+        True,
+        True,
+        True,
+    ]
+
+
+@pytest.mark.parametrize(
+    ("arrays", "words"),
+    [
+        ({"positions": PLACE}, "expected rotations and a translation .* got positions"),
+        ({"poses": BODY[:, :9], "trans": PLACE}, "SMPL's first 22 joints, got 3"),
+        ({"poses": np.zeros((5, 66)), "trans": PLACE}, "as many frames"),
+        ({"poses": np.full((FRAMES, 66), np.nan), "trans": PLACE}, "no frame .* finite"),
+        ({"poses": RANDOM.normal(scale=9, size=(FRAMES, 66)), "trans": 1e9 * PLACE}, "a.npz"),
+        ({"poses": np.full((FRAMES, 66), "a"), "trans": PLACE}, "expected numbers"),
+    ],
+)
+def test_what_is_no_estimate_is_refused(tmp_path, arrays, words):
+    np.savez(tmp_path / "a.npz", **arrays)
+    with pytest.raises(FormatError.__mro__[1], match=words):
+        read_estimate(tmp_path / "a.npz")
+
+
+def test_a_pickle_that_would_run_something_is_refused_and_nothing_is_run(tmp_path):
+    class Evil:
+        def __reduce__(self):
+            return (Path.touch, (tmp_path / "ran",))
+
+    for name in ("a.pkl", "a.pt"):
+        path = tmp_path / name
+        if name == "a.pkl":
+            path.write_bytes(pickle.dumps({0: Evil()}))
+        else:
+            torch.save({"trans": Evil()}, path)
+        with pytest.raises(FormatError, match=name):
+            read_estimate(path)
+    assert not (tmp_path / "ran").exists()
+
+
+def test_an_axis_that_nothing_tells_is_asked_for(tmp_path):
+    lying = np.concatenate((UPRIGHT[:3], -UPRIGHT[:3]))
+    np.savez(tmp_path / "a.npz", root_orient=lying, pose_body=BODY, trans=PLACE)
+    with pytest.raises(FormatError, match="--up"):
+        read_estimate(tmp_path / "a.npz")
+    assert read_estimate(tmp_path / "a.npz", up="y").up[1] == "y"
