@@ -49,6 +49,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
               "OBSERVATIONS"),
     "live": ("live", "CORPUS"),
     "uncertainty": ("uncertainty", "CORPUS"),
+    "refine": ("refine", "CORPUS", "--clips", "12"),
     "batch": ("batch", "CORPUS", "BASELINE"),
     "start": ("start", "BASELINE"),
     "pictures": ("pictures", "BASELINE"),

@@ -69,4 +69,5 @@ TABLES: Mapping[str, Table] = {
     "damaged-files": trust.damaged_files,
     "mutants": trust.mutants,
     "uncertainty": trust.uncertainty,
+    "refine": trust.refine,
 }

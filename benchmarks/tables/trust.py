@@ -72,6 +72,19 @@ def uncertainty() -> str:
     return markdown(headings, rows) + source("uncertainty")
 
 
+def refine() -> str:
+    """Estimates of a network, refined, beside plain fits to them."""
+    rows = [
+        [name, number(row["joints"], 100, 1), number(row["about_pelvis"], 100, 2),
+         number(row["acceleration"], 1, 1), number(row["slip"], 100, 1), number(row["peak"], 1, 2),
+         number(row["peak_error"], 100, 0), number(row["seconds"], 1, 1)]
+        for name, row in result("refine")["table"].items()
+    ]  # fmt: skip
+    headings = ["", "joints, cm", "about the pelvis, cm", "acceleration, m/s²", "slip, cm/s",
+                "peak speed / true", "off by, %", "CPU s"]  # fmt: skip
+    return markdown(headings, rows) + source("refine")
+
+
 def mutants() -> str:
     """Small faults in the code that its tests notice."""
     found = result("mutants")

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from recon.core.errors import FormatError
 from recon.formats.estimates.reader import read_estimate
+from recon.jobs.info.files import describe
 
 FRAMES = 6
 RANDOM = np.random.default_rng(0)
@@ -66,6 +67,14 @@ def test_every_layout_gives_the_same_body(tmp_path, kind):
     assert found.up == (1, "z")
     assert found.fps == (25.0 if kind == "amass" else None)
     assert found.known.all()
+
+
+@pytest.mark.parametrize("kind", ["gvhmr", "wham", "slahmr"])
+def test_info_says_what_an_estimate_holds(tmp_path, kind):
+    said = describe(written(tmp_path / LAYOUTS[kind], kind))
+    assert said["frames"] == FRAMES
+    assert said["up"] == "z"
+    assert "recon refine" in said["format"]
 
 
 def test_of_several_people_the_one_of_most_frames_is_taken_and_said(tmp_path):

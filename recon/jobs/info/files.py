@@ -7,6 +7,7 @@ import numpy as np
 
 from observations.people.masks import load_silhouettes
 from recon.formats.bodies.smpl import load_smpl
+from recon.formats.bodies.smpl_pickle import read_tree
 from recon.formats.files.opening import existing, load_arrays
 from recon.formats.keypoints3d.labels import are_keypoints
 from recon.formats.keypoints3d.reader import from_recording, holds_points_3d, read_points_3d
@@ -26,7 +27,11 @@ from recon.jobs.info.cameras import (
     describe_folder,
     describe_json,
 )
+from recon.jobs.info.estimates import describe_estimate
 from recon.jobs.info.points import describe_points
+
+_RATES = frozenset({"mocap_framerate", "mocap_frame_rate", "fps"})
+"""Names of the frame rate in motion files; estimates of networks have none."""
 
 
 def describe(path: Path) -> dict[str, Any]:
@@ -45,8 +50,10 @@ def describe(path: Path) -> dict[str, Any]:
     if path.is_dir():
         return describe_folder(path)
     ending = path.suffix.lower()
+    if ending in (".pt", ".pth"):
+        return describe_estimate(path)
     if ending == ".pkl":
-        return _body(path)
+        return _body(path) if "v_template" in read_tree(path) else describe_estimate(path)
     if ending == ".json":
         return describe_json(path)
     if ending == ".csv":
@@ -58,8 +65,10 @@ def describe(path: Path) -> dict[str, Any]:
     keys = set(load_arrays(existing(path)))
     if "kind" in keys:
         return _observation(path)
-    if "trans" in keys:
+    if "trans" in keys and keys & _RATES:
         return _motion(path)
+    if keys & {"trans", "transl"}:
+        return describe_estimate(path)
     if "v_template" in keys:
         return _body(path)
     if "camera_matrix" in keys:
