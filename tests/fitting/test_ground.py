@@ -8,7 +8,10 @@ import torch
 from recon.core import rotations as so3
 from recon.core.camera import transform
 from recon.core.motion import Motion
+from recon.fitting.clip import fit_clip
 from recon.fitting.ground import ground_below, mean_up, pelvis_path, sole_heights, upright_ground
+from recon.fitting.options import FitOptions
+from recon.simulation.points import Corruption, joints3d
 from tests.filmed import bundled, turned, walk
 
 pytestmark = pytest.mark.numerics
@@ -94,3 +97,11 @@ def test_clips_of_a_batch_have_grounds_of_their_own():
     )
     alone = upright_ground(second, bundled())
     torch.testing.assert_close(both.T_world_recording[1], alone.T_world_recording[0])
+
+
+def test_a_height_that_is_not_known_is_found_under_humor():
+    """Stages by second order ended in an error, as the height of the ground has no axis."""
+    seen = joints3d(walk(20), bundled(), Corruption(noise=0.01), 0).replace(ground_known=False)
+    raised = seen.replace(positions=seen.positions + torch.tensor([0.0, 0.0, 0.3]))
+    found = fit_clip([raised[None]], FitOptions(), bundled())
+    assert float(found.T_world_recording[0, 2, 3]) == pytest.approx(-0.3, abs=0.06)  # metres

@@ -85,7 +85,8 @@ class Local:
         moved: dict[str, Tensor] = {}
         for path, shape in zip(self.layout.paths, self.layout.shapes, strict=True):
             if path.startswith("scene."):
-                part = steps[:, start : start + shape.numel()].unflatten(1, shape)
+                flat = steps[:, start : start + shape.numel()]
+                part = flat.reshape(len(steps), *shape)  # the ground's height has no axis
                 moved[path.removeprefix("scene.")] = part
                 start += shape.numel()
         if moved:
