@@ -59,8 +59,12 @@ def fit_and_say(
     """
     from recon.cli import console
     from recon.cli.own import check_plugs
+    from recon.formats.foreign import refuse_foreign
+    from recon.method.plugins import SENSORS, registered
 
     check_plugs(settings.prior, settings.reader)
+    if settings.reader is None and not registered(SENSORS):
+        refuse_foreign(observations)
     from recon.jobs.fit import fit_files
 
     with console.fitting({}) as watch:

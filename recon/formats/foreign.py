@@ -1,0 +1,125 @@
+"""Files that no sensor's reader takes, refused at a look, before anything heavy is loaded."""
+
+import zipfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from recon.core.errors import FormatError
+
+EXPECTED = (
+    "an observation (.npz), 3D keypoints (.npy, .npz, .csv, .json, .trc, .c3d or a session "
+    "folder), 2D keypoints (.json, .csv or folders of them, with --camera), a folder of scans "
+    "(.ply, .pcd) or depth images (.png)"
+)
+_HEAD = 1 << 16
+"""Bytes at the start of a file that are looked at."""
+_KEYS = (
+    b"people", b"annots", b"keypoints", b"andmarks", b"image_id", b"bodies", b"instance",
+    b"predictions", b"names", b"labels", b"frames",
+)  # fmt: skip
+"""Some of these stand in every JSON file of keypoints."""
+_ELSEWHERE = {
+    ".bvh": "a skeleton's motion: `recon convert` takes it",
+    ".amc": "a skeleton's motion: `recon convert` takes it",
+    ".asf": "a skeleton without motion",
+    ".mat": "a recording of motion capture: `recon convert` takes it",
+    ".mp4": "a video: run a 2D detector on it, and give its keypoints",
+    ".mov": "a video: run a 2D detector on it, and give its keypoints",
+    ".avi": "a video: run a 2D detector on it, and give its keypoints",
+    ".pickle": "a Python pickle, which may run code and is not opened",
+    ".pkl": "a Python pickle, which may run code and is not opened",
+    ".pt": "a file of PyTorch, which may run code and is not opened",
+}
+"""What files with other endings are, where that is known."""
+
+
+def refuse_foreign(paths: Sequence[Path]) -> None:
+    """Refuse observations that cannot be any, by their endings and first bytes.
+
+    Raises:
+        ValueError: says what was seen and what would fit.
+    """
+    for path in paths:
+        if not path.is_file():
+            continue
+        ending = path.suffix.lower()
+        if ending in _ELSEWHERE:
+            raise FormatError(f"{path}: {_ELSEWHERE[ending]}; expected {EXPECTED}")
+        if ending not in _LOOKS:
+            raise FormatError(
+                f"{path}: files ending in {ending or 'nothing'} are not known; expected {EXPECTED}"
+            )
+        with path.open("rb") as file:
+            head = file.read(_HEAD)
+        if len(head) == 0:
+            raise FormatError(f"{path}: the file is empty")
+        if (seen := _LOOKS[ending](path, head)) is not None:
+            raise FormatError(f"{path}: {seen}")
+
+
+def _npz(path: Path, head: bytes) -> str | None:
+    del head
+    try:
+        with zipfile.ZipFile(path) as archive:
+            names = [name.removesuffix(".npy") for name in archive.namelist()]
+    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError) as error:
+        return f"expected an .npz file of plain arrays, but it cannot be read ({error})"
+    if "kind" not in names and {"trans", "poses"} <= set(names):
+        return "a motion, not an observation; `recon simulate` makes observations of it"
+    if "kind" not in names and "v_template" in names:
+        return "a body, not an observation; give it with --body"
+    return None
+
+
+def _npy(path: Path, head: bytes) -> str | None:
+    del path
+    return None if head.startswith(b"\x93NUMPY") else "expected an .npy file, got other bytes"
+
+
+def _trc(path: Path, head: bytes) -> str | None:
+    del path
+    lines = head.decode("latin-1").lstrip("\ufeff\u00ef\u00bb\u00bf").splitlines()
+    if not lines or not lines[0].lower().startswith("pathfiletype"):
+        return f"expected a TRC file, whose first line is PathFileType; got {_quoted(lines)}"
+    return None
+
+
+def _c3d(path: Path, head: bytes) -> str | None:
+    del path
+    return None if head[1:2] == b"\x50" else "expected a C3D file, whose second byte is 0x50"
+
+
+def _csv(path: Path, head: bytes) -> str | None:
+    del path
+    lines = [line for line in head.decode("latin-1").lower().splitlines() if line.strip()]
+    cells = [cell.strip() for cell in lines[0].split(",")] if lines else []
+    axes = {cell[-1:] for cell in cells}
+    if {"x", "y"} <= axes or any(line.startswith(("scorer", "bodyparts")) for line in lines[:4]):
+        return None
+    return (
+        "expected a table of keypoints: columns such as left_hip_x, left_hip_y, left_hip_z, or "
+        "frame, keypoint, x, y, z, or DeepLabCut's header rows scorer, bodyparts, coords; got "
+        f"{_quoted(lines)}"
+    )
+
+
+def _json(path: Path, head: bytes) -> str | None:
+    del path
+    start = head.lstrip(b"\xef\xbb\xbf \t\r\n")[:1]
+    if start not in (b"{", b"["):
+        return "expected JSON, which begins with { or ["
+    if len(head) < _HEAD and not any(key in head for key in _KEYS):
+        return (
+            "expected keypoints in JSON (people, annots, keypoints, landmarks, bodies, names); "
+            f"got {head[:60].decode('latin-1')!r}"
+        )
+    return None
+
+
+def _quoted(lines: list[str]) -> str:
+    return repr(lines[0][:60]) if lines else "nothing"
+
+
+_LOOKS: dict[str, Callable[[Path, bytes], str | None]] = {
+    ".npz": _npz, ".npy": _npy, ".trc": _trc, ".c3d": _c3d, ".csv": _csv, ".json": _json,
+}  # fmt: skip
