@@ -182,6 +182,9 @@ def main() -> None:
     )
     windows = windows.take(evenly(windows, arguments.only))
     rows: list[Row] = []
+    found: dict[str, dict[str, float]] = {}
+    evaluation = evaluations(windows, humor, body)
+    show("one evaluation of the last stage", evaluation)
     with (
         tempfile.TemporaryDirectory() as folder,
         Baseline(arguments.baseline.resolve(), Path(folder)) as baseline,
@@ -194,15 +197,15 @@ def main() -> None:
             for k in range(len(windows.names)):
                 rows.append(compared(name, protocol, windows, k, method, body, baseline))
                 print(rows[-1], flush=True)
-            show(name, summary([row for row in rows if row.protocol == name], windows))
-    evaluation = evaluations(windows, humor, body)
-    show("one evaluation of the last stage", evaluation)
-    if arguments.json is not None:
-        write(
-            arguments.json, SEED, corpus_source(arguments.corpus, windows.files),
-            part=arguments.part, windows=windows.about, rows=[asdict(row) for row in rows],
-            evaluation=evaluation,
-        )  # fmt: skip
+            own = [row for row in rows if row.protocol == name]
+            found[name] = summary(own, windows.counted)
+            show(name, found[name])
+            if arguments.json is not None:
+                write(
+                    arguments.json, SEED, corpus_source(arguments.corpus, windows.files),
+                    part=arguments.part, windows=windows.about, evaluation=evaluation,
+                    summary=found, rows=[asdict(row) for row in rows],
+                )  # fmt: skip
 
 
 def _warmed(protocol: Protocol, method: Method, body: BodyModel, baseline: Baseline) -> None:
@@ -278,12 +281,12 @@ def _ends(result: Reconstruction) -> list[str]:
     return [report.solution.termination[0].name for report in result.reports]
 
 
-def summary(rows: Sequence[Row], windows: Windows) -> dict[str, float]:
+def summary(rows: Sequence[Row], subjects: Sequence[str]) -> dict[str, float]:
     """Means over windows of a subject, then over the subjects who count."""
 
     def mean(value: Callable[[Row], float | None]) -> float | None:
         found = []
-        for subject in windows.counted:
+        for subject in subjects:
             own = [v for row in rows if row.subject == subject and (v := value(row)) is not None]
             found += [float(np.mean(own))] if own else []
         return float(np.mean(found)) if found else None
