@@ -287,6 +287,24 @@ def test_a_solution_that_is_worse_is_not_taken(walk: Motion) -> None:
     assert found is walk
 
 
+def test_what_did_not_become_better_is_not_solved_twice(walk: Motion) -> None:
+    """A good part of a conversion with exchanged markers went into the same solution again."""
+    jumps = torch.zeros(walk.frames - 1, 22, dtype=torch.bool)
+    jumps[22, 3] = True
+    first = jumps.clone()
+    first[5, 3] = True
+    far = torch.zeros(walk.frames, 4)
+    asked: list[list[int]] = []
+
+    def solve(frames: torch.Tensor, start: Motion) -> Motion:
+        asked.append(frames.tolist())
+        return start.replace(translation=start.translation + 0.01)
+
+    _, changed = mended(walk, lambda m: first if m is walk else jumps, lambda _: far, solve)
+    assert asked == [[*range(3, 9), *range(20, 26)]]
+    assert changed.nonzero()[:, 0].tolist() == list(range(3, 9))
+
+
 def test_a_step_that_remains_is_spread(walk: Motion, single: BodyModel) -> None:
     """A foot turned within one frame where its markers changed places; no other pose fitted."""
     flipped = walk.rotations.clone()

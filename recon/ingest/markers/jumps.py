@@ -85,9 +85,10 @@ def mended(
         solve: solves frames.
     """
     changed = torch.zeros(motion.frames, dtype=torch.bool)
+    failed = changed
     for _ in range(_ROUNDS):
         jumps, far = unmade(motion), residuals(motion)
-        suspects = _suspects(jumps, far, motion.fps)
+        suspects = _untried(_suspects(jumps, far, motion.fps), failed)
         if not suspects.any() or suspects.float().mean() > _LIMIT:
             break
         asked = suspects.nonzero()[:, 0]
@@ -96,6 +97,7 @@ def mended(
         better = _better(suspects, (jumps, unmade(tried)), (far, residuals(tried)))
         if not better.any():
             break
+        failed = failed | (suspects & ~better)
         changed |= better
         motion = _taken(motion, tried, better)
     return motion, changed
@@ -212,6 +214,16 @@ def _suspects(
         beside[None, None].float(), 2 * around + 1, stride=1, padding=around
     )
     return spread[0, 0] > 0
+
+
+def _untried(
+    suspects: Bool[Tensor, " time"], failed: Bool[Tensor, " time"]
+) -> Bool[Tensor, " time"]:
+    """Suspects without the stretches that were solved before and did not become better."""
+    kept = suspects.clone()
+    for first, last in stretches(suspects.numpy()):
+        kept[first : last + 1] = not bool(failed[first : last + 1].all())
+    return kept
 
 
 def _better(
