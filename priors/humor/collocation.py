@@ -200,8 +200,21 @@ class Collocation:
         whole clip first, in cosines of time: where limbs are hidden it comes to better minima than
         Newton's direction does. Where every joint is seen, it is left out.
         """
+        *first, steps = self.without_feet(data)
+        held = Term("contact velocity", contact_velocity, self.weights.contact_velocity)
+        last = LBFGS(max_iterations=400, tolerance_decrease=1e-5, scale=_FITTED, history=40)
+        feet = replace(
+            steps, name="contacts", terms=(*steps.terms, held), minimiser=last,
+            second_order=Preconditioned(),
+        )  # fmt: skip
+        if seen_whole(data, self.humor.body):
+            return *first, feet
+        return *first, steps, feet
+
+    def without_feet(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
+        """The stages before the last: root, smooth poses, likely steps."""
         w = self.weights
-        steps = (
+        terms = (
             *data,
             Term("pose", prior_energy("pose"), w.pose.pose),
             Term("shape", shape, w.pose.shape),
@@ -209,17 +222,12 @@ class Collocation:
             Term("step", prior_energy("step"), w.step),
             Term("latents", prior_energy("latents"), w.latents),
         )
-        held = Term("contact velocity", contact_velocity, w.contact_velocity)
         prior = CollocatedHumor(self.humor, self._poses)
         free = frozenset({"translation", "root", "pose", "shape"})
         root, poses = self._poses.stages(data)
         poses = replace(poses, minimiser=replace(poses.minimiser, tolerance_decrease=1e-3))
         slow = LBFGS(max_iterations=200, tolerance_decrease=2e-3)
-        last = LBFGS(max_iterations=400, tolerance_decrease=1e-5, scale=_FITTED, history=40)
-        feet = Stage("contacts", prior, (*steps, held), free, last, second_order=Preconditioned())
-        if seen_whole(data, self.humor.body):
-            return root, poses, feet
-        return root, poses, Stage("steps", prior, steps, free, slow), feet
+        return root, poses, Stage("steps", prior, terms, free, slow)
 
 
 def seen_whole(data: tuple[Term, ...], body: BodyModel) -> bool:

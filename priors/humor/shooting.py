@@ -18,6 +18,7 @@ from priors.humor.terms import (
     joint_consistency,
 )
 from priors.pose.prior import PosePrior, PoseWeights
+from recon.method.newton.preconditioned import Preconditioned
 from recon.method.protocols import Energy, Estimate
 from recon.method.reconstruction import Method
 from recon.method.stages import Stage
@@ -217,8 +218,10 @@ class Steps:
     method: Collocation
 
     def stages(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
-        """All but the last."""
-        return self.method.stages(data)[:-1]
+        """All but the last, the one before minimised by second order."""
+        *first, steps = self.method.without_feet(data)
+        ending = replace(steps.minimiser, tolerance_decrease=1e-5)
+        return *first, replace(steps, minimiser=ending, second_order=Preconditioned())
 
 
 def _first_frames(variables: HumorVariables) -> HumorVariables:

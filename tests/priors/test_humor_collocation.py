@@ -6,6 +6,7 @@ import torch
 from observations.joints3d import Joints3D
 from priors.humor.collocation import CollocatedHumor, Collocation
 from priors.humor.prior import Humor
+from priors.humor.shooting import Steps
 from priors.humor.state import states_of
 from priors.humor.steps import error_whitening, explain
 from priors.pose.prior import PosePrior
@@ -126,3 +127,21 @@ def test_feet_are_held_last(body: BodyModel) -> None:
     *_, steps, contacts = Collocation(humor(body)).stages((data,))
     assert steps.prior is contacts.prior  # the second goes on from the first's variables
     assert {t.name for t in contacts.terms} - {t.name for t in steps.terms} == {"contact velocity"}
+
+
+def test_rough_steps_are_left_out_where_every_joint_is_seen_but_not_before_the_rollout(
+    body: BodyModel,
+) -> None:
+    """The roll-out began at the pose prior's motion where every joint was seen."""
+    positions = torch.zeros(2, 10, 22, 3)
+    shown = torch.ones(2, 10, 22, dtype=torch.bool)
+    whole = Term("data", Joints3D(positions, shown, tuple(range(22)), 30.0), 1.0)
+    shown = shown.clone()
+    shown[1, :5, [4, 7, 10]] = False
+    hidden = Term("data", Joints3D(positions, shown, tuple(range(22)), 30.0), 1.0)
+    method = Collocation(humor(body))
+    assert [s.name for s in method.stages((whole,))] == ["root", "pose", "contacts"]
+    assert [s.name for s in method.stages((hidden,))] == ["root", "pose", "steps", "contacts"]
+    begun = Steps(method).stages((whole,))
+    assert [stage.name for stage in begun] == ["root", "pose", "steps"]
+    assert begun[-1].second_order is not None
