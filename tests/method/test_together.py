@@ -29,9 +29,9 @@ def batches(monkeypatch) -> list[tuple[int, int]]:
     joined = threads.solve_joined
 
     def noted(members):
-        found.append((len(members), max(one.lengths[0] for one in members)))
         results = joined(members)
-        assert all(result is not None for result in results)
+        # after it: a batch that fails is solved one by one, which only takes longer
+        found.append((sum(r is not None for r in results), max(m.lengths[0] for m in members)))
         return results
 
     monkeypatch.setattr(threads, "solve_joined", noted)

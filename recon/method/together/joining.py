@@ -173,7 +173,13 @@ class _Joint:
         return getattr(self.priors[0], "level", False)
 
     def encode(self, motion: Motion) -> Any:
-        """Variables of every problem's motions by its own prior."""
+        """Variables of every problem's motions by its own prior.
+
+        Of some of the clips, as a solver begins anew with those that are not done, they are the
+        first prior's: units of variables differ, and what they decode to does not.
+        """
+        if len(motion.translation) != sum(self.counts):
+            return self.priors[0].encode(motion)
         rows = torch.arange(sum(self.counts), device=motion.translation.device)
         parts = zip(self.priors, rows.split(self.counts), strict=True)
         return concatenate([prior.encode(motion[own]) for prior, own in parts])
