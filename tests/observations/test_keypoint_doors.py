@@ -210,7 +210,9 @@ def test_points_that_are_no_body_are_refused(tmp_path):
     ("name", "content", "named"),
     [
         ("x.npy", b"\x93NUMPY\x01\x00v\x00{'descr'", "cannot be read"),
+        ("x.npy", b"\x93NUMPY\x01\x00\x06\x00{'a':\n", "cannot be read"),
         ("x.npy", b"", "empty"),
+        ("x.csv", b"hip_x,hip_y,hip_z,nose_x,nose_y,nose_z\n1,2,1e308,1,2,3\n", "in any unit"),
         ("x.csv", b"left_hip_x,left_hip_y,left_hip_z,nose_x,nose_y,nose_z\n1,2,three\n", "number"),
         ("x.csv", b"frame,keypoint,x,y,z\n0,nose,1,2,3\n0,nose,1,2,3\n", "twice"),
         ("x.csv", b"frame,keypoint,x,y,z\n0,nose,1,2,3\n0,tail,1,2,3\n", "too few"),

@@ -6,6 +6,7 @@ import numpy as np
 
 from recon.core.errors import FormatError
 from recon.core.limits import BINARY, KEYPOINTS
+from recon.formats.files.npz_headers import DAMAGE
 from recon.formats.files.opening import existing, load_arrays
 from recon.formats.keypoints3d.records import Points3D
 
@@ -28,7 +29,7 @@ def read_array(path: Path) -> Points3D:
     BINARY.check(path.stat().st_size, path)
     try:
         array = np.load(path, allow_pickle=False)
-    except (ValueError, EOFError, OSError, MemoryError) as error:
+    except DAMAGE as error:
         raise FormatError(
             f"{path}: expected an .npy file with a plain array, but it cannot be read "
             f"({error!s:.200})"

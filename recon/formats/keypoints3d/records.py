@@ -10,6 +10,9 @@ from recon.core.errors import FormatError
 from recon.core.limits import FRAME_RATE, FRAMES, JOINTS
 from recon.core.units import snapped_rate
 
+_LARGEST = 1e7
+"""Coordinate of a point ten kilometres away, in millimetres."""
+
 
 @dataclass(frozen=True)
 class Points3D:
@@ -51,6 +54,12 @@ def checked(points: Points3D) -> Points3D:
     seen &= ~zero | zero.all(0)
     if not seen.any() or zero.all():
         raise FormatError(f"{points.name}: expected keypoints, but none is seen in any frame")
+    largest = float(np.abs(points.positions[seen]).max())
+    if largest > _LARGEST:
+        raise FormatError(
+            f"{points.name}: expected coordinates of a person, of at most {_LARGEST:g} in any "
+            f"unit, got {largest:.3g}"
+        )
     positions = np.where(seen[..., None], points.positions, np.nan)
     return Points3D(**{**vars(points), "positions": positions})
 
