@@ -44,6 +44,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "depth": ("cameras", "CORPUS", "--only", "8", "--cases", "depth", "2D of the sensor",
               "2D + depth"),
     "pose2sim": ("pose2sim", "OBSERVATIONS"),
+    "doors": ("doors", "OBSERVATIONS"),
     "slip_sizes": ("slips.sizes", "CORPUS"),
     "slips": ("slips", "CORPUS", "--prior", "pose", "--good", "300", "--observations",
               "OBSERVATIONS"),
