@@ -27,7 +27,7 @@ from recon.core.layouts import keypoint_names
 from recon.formats.observations import KeypointsFile
 
 FPS = 60
-SETS = ("single_balancing", "single_static", "multi_static_p1")
+SETS = ("single_balancing", "single_static", "multi_static_p2")
 CONFIDENT = 0.3
 """Pose2Sim's likelihood_threshold_triangulation."""
 _NAMES = {
