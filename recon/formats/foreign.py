@@ -28,7 +28,7 @@ _ELSEWHERE = {
     ".avi": "a video: run a 2D detector on it, and give its keypoints",
     ".pickle": "a Python pickle, which may run code and is not opened",
     ".pkl": "a Python pickle, which may run code and is not opened",
-    ".pt": "a file of PyTorch, which may run code and is not opened",
+    ".pt": "no observation; `recon refine` takes what a network told from video",
 }
 """What files with other endings are, where that is known."""
 
@@ -65,7 +65,10 @@ def _npz(path: Path, head: bytes) -> str | None:
     except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError) as error:
         return f"expected an .npz file of plain arrays, but it cannot be read ({error})"
     if "kind" not in names and {"trans", "poses"} <= set(names):
-        return "a motion, not an observation; `recon simulate` makes observations of it"
+        return (
+            "a motion, not an observation; `recon refine` takes what a network told from video, "
+            "`recon simulate` makes observations of a motion"
+        )
     if "kind" not in names and "v_template" in names:
         return "a body, not an observation; give it with --body"
     return None
