@@ -59,7 +59,7 @@ def fit_and_say(
     """
     from recon.cli import console
     from recon.cli.own import check_plugs
-    from recon.formats.foreign import refuse_foreign
+    from recon.formats.files.foreign import refuse_foreign
     from recon.method.plugins import SENSORS, registered
 
     check_plugs(settings.prior, settings.reader)
