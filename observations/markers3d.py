@@ -2,9 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import ClassVar
 
-import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
@@ -14,24 +12,19 @@ from observations.checks import (
     checked_positions,
     checked_std,
 )
-from observations.records.tracked import TrackedPoints
-from recon.body.derivatives import CarriedPoints
-from recon.body.landmarks import landmarks
-from recon.body.model import BodyModel, PosedBody
+from observations.records.vertices import VertexPoints
 from recon.core.arrays import Numbers
 from recon.core.robust import squared
-from recon.core.skeleton import JOINTS
 
 
 @dataclass(frozen=True, init=False)
-class Markers3D(TrackedPoints):
+class Markers3D(VertexPoints):
     """Measured 3D positions of markers on the skin.
 
     The energy is half the squared distance of every visible marker from its vertex of the body,
     in metres².
     """
 
-    on_skin: ClassVar[bool] = True
     positions: Float[Tensor, "*batch moments points 3"]
     """Positions in metres, in the frame of the recording (z up); zero where not visible."""
     visible: Bool[Tensor, "*batch moments points"]
@@ -87,28 +80,3 @@ class Markers3D(TrackedPoints):
             kernel=kernel, ground_known=ground_known, offset_rows=offset_rows,
             std=std, rms_std=rms_std,
         )  # fmt: skip
-
-    def on(self, posed: PosedBody) -> Float[Tensor, "*batch time points 3"]:
-        """The vertices of a posed body, world, metres."""
-        return posed.points(torch.tensor(self.vertices, device=self.positions.device))
-
-    def on_bones(self, body: BodyModel, shape: Float[Tensor, " shape"]) -> CarriedPoints:
-        """The vertices on a body of some shape."""
-        vertices = torch.tensor(self.vertices, device=shape.device)
-        identity = torch.eye(len(vertices), dtype=shape.dtype, device=shape.device)
-        none = shape.new_zeros(len(vertices), len(JOINTS))
-        return CarriedPoints.create(body, shape, none, identity, vertices)
-
-    def at_rest(self, body: BodyModel) -> Float[Tensor, "points 3"]:
-        """The vertices of the average body in its rest pose, metres."""
-        return body.template[list(self.vertices)]
-
-    def bones(self, body: BodyModel) -> tuple[int, ...]:
-        """The bone that moves each marker most."""
-        return tuple(body.weights[list(self.vertices)].argmax(-1).tolist())
-
-    def point_names(self, body: BodyModel) -> tuple[str, ...]:
-        """Names of the landmarks that the markers sit on; numbers of vertices elsewhere."""
-        del body
-        named = {vertex: name for name, vertex in landmarks().items()}
-        return tuple(named.get(vertex, f"vertex {vertex}") for vertex in self.vertices)

@@ -16,9 +16,9 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from observations.records.tracked import TrackedPoints
+from observations.records.vertices import VertexPoints
 from observations.timing import at_observation_times, moments_between
-from recon.body.model import BodyModel, PosedBody
+from recon.body.model import BodyModel
 from recon.core.errors import ObservationError
 from recon.core.residuals import Noise
 from recon.core.robust import squared
@@ -66,7 +66,7 @@ class Drifting:
 
 
 @dataclass(frozen=True)
-class EstimatedPoints(TrackedPoints):
+class EstimatedPoints(VertexPoints):
     """Points of the skin of a motion that was estimated before.
 
     The energy is ½ s² r' C⁻¹ r for the residuals r of every coordinate in time, with the
@@ -74,7 +74,8 @@ class EstimatedPoints(TrackedPoints):
     deviation from it; s is the jitter of a point, so that it is in metres².
     """
 
-    on_skin: ClassVar[bool] = True
+    momentwise: ClassVar[bool] = False
+    """Whether the energy is a sum over moments, which a banded Hessian can hold."""
     positions: Float[Tensor, "*batch moments points 3"]
     """Positions in metres, in the frame of the recording."""
     visible: Bool[Tensor, "*batch moments points"]
@@ -94,23 +95,6 @@ class EstimatedPoints(TrackedPoints):
     offset_rows: tuple[int, int] | None = None
     std: Float[Tensor, "*batch moments points"] | None = None
     rms_std: float | None = None
-
-    def on(self, posed: PosedBody) -> Float[Tensor, "*batch time points 3"]:
-        """The vertices of a posed body, world, metres."""
-        return posed.points(torch.tensor(self.vertices, device=self.positions.device))
-
-    def at_rest(self, body: BodyModel) -> Float[Tensor, "points 3"]:
-        """The vertices of the average body in its rest pose, metres."""
-        return body.template[list(self.vertices)]
-
-    def bones(self, body: BodyModel) -> tuple[int, ...]:
-        """The bone that moves each point most."""
-        return tuple(body.weights[list(self.vertices)].argmax(-1).tolist())
-
-    def point_names(self, body: BodyModel) -> tuple[str, ...]:
-        """Numbers of vertices."""
-        del body
-        return tuple(f"vertex {vertex}" for vertex in self.vertices)
 
     def noise(self, guess: Any, body: BodyModel, given: float | None = None) -> Noise:
         """The jitter of a point, which energies are in terms of."""

@@ -20,7 +20,7 @@ from recon.core.motion import Motion
 from recon.core.units import Axis
 from recon.diagnosis.estimates.believed import believed
 from recon.fitting.priors import PriorObject
-from recon.formats.estimates.reader import BodyEstimate, read_estimate
+from recon.formats.bodies.estimates import BodyEstimate, read_estimate
 from recon.method.stages import Watch
 
 _LEAST_FRAMES = 4

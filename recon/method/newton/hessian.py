@@ -51,8 +51,9 @@ def _of_clip(term: Term, clip: int) -> Term:
 
 
 def _is_known(energy: Any) -> TypeGuard[PointSensor]:
-    """Whether an energy is of points with a place in the world."""
-    return isinstance(energy, PointSensor) and getattr(energy, "placed", True)
+    """Whether an energy is a sum over moments of points with a place in the world."""
+    alone = getattr(energy, "placed", True) and getattr(energy, "momentwise", True)
+    return isinstance(energy, PointSensor) and alone
 
 
 def _add(term: Term, model: ClipModel) -> None:

@@ -1,1 +1,0 @@
-"""Motions that other programs estimated: SMPL-like parameters, frame by frame."""
