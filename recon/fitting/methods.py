@@ -7,7 +7,7 @@ from recon.body.model import BodyModel
 from recon.core.errors import ReconError
 from recon.fitting.options import FitOptions
 from recon.fitting.priors import checked_method, loaded
-from recon.method.priors import ManyMethods, NoisyPrior
+from recon.method.priors import ManyMethods, NoisyPrior, traits_of
 from recon.method.reconstruction import Method
 from recon.method.stages import Stage
 from recon.method.terms import Term
@@ -55,7 +55,9 @@ class WithoutRoot:
     """A method without its leading stages that only place the rest body.
 
     One image tells the distance of a body by the size of its bones. Placing a rest body there
-    would trade its stretched limbs against distance.
+    would trade its stretched limbs against distance. And a prior that knows of no ground has its
+    minimum at another distance than the ground tells (8 cm too low a body, in a test): its stages
+    are minimised by first order, which keeps the distance that they begin with.
     """
 
     method: Method
@@ -64,7 +66,10 @@ class WithoutRoot:
         """The stages from the first on that moves more than place and heading."""
         stages = self.method.stages(data)
         first = next((k for k, stage in enumerate(stages) if not stage.free <= _PLACE), 0)
-        return stages[first:]
+        return tuple(
+            stage if traits_of(stage.prior).knows_gravity else replace(stage, second_order=None)
+            for stage in stages[first:]
+        )
 
 
 @dataclass(frozen=True)
@@ -138,7 +143,9 @@ class WithPhysics:
         """Its stages and one more."""
         stages = self.method.stages(data)
         last = stages[-1]
-        minimiser = replace(last.minimiser, max_iterations=self.iterations)
+        # the Hessian of these terms is not known: scaled by that of the others, it ends too early
+        minimiser = replace(last.minimiser, max_iterations=self.iterations, scale=0.0)
+        last = replace(last, second_order=None)
         own = {term.name for term in self.terms}
         terms = (*(term for term in last.terms if term.name not in own), *self.terms)
         return (*stages, replace(last, name="physics", terms=terms, minimiser=minimiser))
