@@ -11,6 +11,7 @@ from benchmarks.tables import (
     others,
     points,
     rollouts,
+    second_order,
     trust,
 )
 from benchmarks.tables.page import Table
@@ -40,6 +41,7 @@ TABLES: Mapping[str, Table] = {
     "start": others.start,
     "pictures": others.pictures,
     "rollout": others.rollout,
+    "converged": second_order.converged,
     "rollout-fits": rollouts.rollout_fits,
     "fuzz": others.fuzz,
     "cameras-summary": cameras.summary,
