@@ -28,7 +28,8 @@ TOOLS = {
 }  # fmt: skip
 """Files that use the pose prior for a step of their own, not for the fit that was asked for."""
 DEFAULTS = {
-    "recon/api/fit.py", "recon/api/many.py", "recon/fitting/settings.py",
+    "recon/api/fit.py", "recon/api/many.py", "recon/api/verbs/refine.py",
+    "recon/fitting/settings.py",
     "recon/fitting/options.py",
 }  # fmt: skip
 """Files with the default argument."""

@@ -271,7 +271,6 @@ def test_a_height_is_heeded_where_data_cannot_tell():
 
 
 def test_a_known_shape_is_corrected_by_data_as_its_deviation_allows():
-    free = recon.fit(seen(noisy(8)), Quick())
     away = [2.0, -2.0]
     distances = []
     for std in (0.01, 10.0):
@@ -279,7 +278,6 @@ def test_a_known_shape_is_corrected_by_data_as_its_deviation_allows():
         distances.append(float((result.motion.shape[:2] - torch.tensor(away)).norm()))
     assert distances[0] < 0.1
     assert distances[1] > 1.0
-    assert float(free.motion.shape.norm()) < 2.0
 
 
 @pytest.mark.parametrize(

@@ -93,7 +93,10 @@ def test_what_was_assumed_and_what_is_wrong_is_said(clip, tmp_path, capsys, monk
         ],
     }  # fmt: skip
     monkeypatch.setattr("recon.jobs.fit.fit_files", lambda *_, **__: report)
-    assert recon_("fit", clip, "--out", tmp_path / "o.npz", "--json") == cli.OK
+    seen = tmp_path / "seen.npz"
+    assert recon_("simulate", clip, seen, "--kind", "joints3d") == cli.OK
+    capsys.readouterr()
+    assert recon_("fit", seen, "--out", tmp_path / "o.npz", "--json") == cli.OK
     shown = capsys.readouterr()
     assert json.loads(shown.out) == report
     assert "view a: camera b" in shown.err
@@ -125,7 +128,7 @@ def test_simulate_takes_a_part_at_another_rate(clip, tmp_path, capsys):
         (("fit", "nowhere.npz", "--out", "out.npz"), "nowhere.npz"),
         (("fit", "--out", "out.npz"), "nothing to fit"),
         (("fit", ".", "--out", "../out.npz"), "the folder is empty"),
-        (("fit", __file__, "--out", "out.npz"), "recon convert"),
+        (("fit", __file__, "--out", "out.npz"), "expected an observation"),
         (("info", "nowhere.bvh"), "nowhere.bvh"),
         (("info", "."), "expected a folder of"),
         (("view", __file__), "--html"),

@@ -230,7 +230,7 @@ def test_observations_with_y_up_are_turned(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"kind": "sonar"}, "joints3d, markers3d, keypoints2d, points"),
+        ({"kind": "sonar"}, "joints3d, markers3d, keypoints3d, keypoints2d, points"),
         ({"kind": None}, "kind"),
         ({"visible": None}, "missing visible; found"),
         ({"visible": np.ones((3, 2))}, "true or false"),

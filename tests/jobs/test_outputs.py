@@ -48,6 +48,7 @@ CASES = (
     Case("predict", "out", ("IN.npz", "--out", "OUT.npz")),
     Case("predict", "out", ("IN.npz", "--out", "OUT", "--samples", "2"), Kind.FOLDER),
     Case("interpolate", "out", ("other.npz", "IN.npz", "--out", "OUT")),
+    Case("refine", "out", ("IN.npz", "--out", "OUT", "--prior", "pose")),
     Case("retarget", "out", ("IN.npz", "--out", "OUT", "--shape", "0")),
     Case("simulate", "out", ("IN.npz", "OUT.npz", "--kind", "joints3d")),
     Case("simulate", "out", ("IN.npz", "OUT", "--kind", "scans"), Kind.FOLDER),

@@ -12,11 +12,21 @@ from recon.core.motion import Motion
 from recon.method.newton.model import ClipModel, Framewise, PointSensor, WeighedByClip
 from recon.method.protocols import REFERENCE_FPS, Estimate
 from recon.method.stages import Stage
-from recon.method.terms import Term, joint_acceleration, joint_velocity, shape
+from recon.method.terms import (
+    Term,
+    ground_moved,
+    joint_acceleration,
+    joint_velocity,
+    offsets,
+    shape,
+)
 from recon.solver.banded import Banded, add_differences
 
 _SAME_MOMENT = 1e-4
 """Frames; moments closer than this to a frame are that frame's."""
+
+_OF_SCENE = (offsets, ground_moved)
+"""Terms of the scene's own variables, which are minimised as they are."""
 
 
 def hessians(
@@ -24,7 +34,8 @@ def hessians(
 ) -> list[Banded] | None:
     """The Hessian of every clip at an estimate, of all terms whose curvature is known.
 
-    None where the prior's variables are no steps of frames, or nothing is known of the data.
+    None where the prior's variables are no steps of frames, nothing is known of the data, or
+    there is a term whose curvature is not known: steps that leave it out overshoot.
     """
     prior = stage.prior
     known = any(_is_known(_of_clip(term, 0).energy) for term in stage.terms)
@@ -36,8 +47,8 @@ def hessians(
         model = ClipModel(estimate, clip, turn, prior.reach, with_shape)
         for joined in stage.terms:
             term = _of_clip(joined, clip)
-            if not prior.add_curvature(term, model):
-                _add(term, model)
+            if not prior.add_curvature(term, model) and not _add(term, model):
+                return None
         found.append(model.hessian())
     return found
 
@@ -56,8 +67,8 @@ def _is_known(energy: Any) -> TypeGuard[PointSensor]:
     return isinstance(energy, PointSensor) and alone
 
 
-def _add(term: Term, model: ClipModel) -> None:
-    """Add what is known of a term that is not the prior's own."""
+def _add(term: Term, model: ClipModel) -> bool:
+    """Add what is known of a term that is not the prior's own; whether anything is."""
     energy, motion = term.energy, model.motion
     rate = motion.fps / REFERENCE_FPS
     if _is_known(energy):
@@ -71,6 +82,9 @@ def _add(term: Term, model: ClipModel) -> None:
     elif energy is joint_velocity:
         exists = (motion.valid[1:] & motion.valid[:-1]).to(motion.translation)[:, None]
         add_differences(model.joints, (-1.0, 1.0), term.weight * rate * exists)
+    else:
+        return energy in _OF_SCENE
+    return True
 
 
 def _add_points(weight: float, sensor: PointSensor, model: ClipModel) -> None:
