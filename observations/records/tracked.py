@@ -183,10 +183,17 @@ class TrackedPoints(SensorRecord):
         )  # fmt: skip
 
     def told_joints(self, body: BodyModel) -> Float[Tensor, "*batch 22"]:
-        """Share of the moments in which the place of each joint is told by a visible point."""
+        """Share of the moments in which the place of each joint is told by a visible point.
+
+        Moments before the first and after the last that shows anything do not count: a clip that
+        is fitted beside longer ones is filled up with them.
+        """
         rest = self.at_rest(body).double().cpu().numpy()
         tells = torch.from_numpy(joints_shown(self.bones(body), rest, body)).to(self.positions)
-        return ((self.visible.to(tells) @ tells) > 0).to(tells).mean(-2)
+        anything = self.visible.any(-1).to(tells)
+        within = (anything.cumsum(-1) > 0) & (anything.flip(-1).cumsum(-1).flip(-1) > 0)
+        told = ((self.visible.to(tells) @ tells) > 0) & within[..., None]
+        return told.to(tells).sum(-2) / within.sum(-1, keepdim=True).clamp(min=1)
 
     def shown_joints(self, estimate: Estimate) -> Bool[np.ndarray, "moments 22"]:
         """Joints of the first clip that a visible point tells the place of, at every moment."""

@@ -87,7 +87,7 @@ def test_a_clip_with_others_is_the_same_to_rounding_before_minimisers_part(prior
     for one, result in zip(clips, together, strict=True):
         alone = rough(one, few)
         assert result.noises == alone.noises
-        assert apart(result, alone) < 5e-3  # where a line search took another turn
+        assert apart(result, alone) < 8e-3  # where a line search took another turn
         reports = zip(result.reconstruction.reports, alone.reconstruction.reports, strict=True)
         for mine, its in list(reports)[:3]:
             assert mine.stage.name == its.stage.name
