@@ -132,13 +132,10 @@ def rank(
     stage: Stage[Any], hypotheses: Hypotheses[Any], body: BodyModel
 ) -> Float[Tensor, " rows"]:
     """The objective by which a stage compares hypotheses, its `ranking` or its own terms."""
-    terms = [
-        term if hypotheses.clip is None else term.rows(hypotheses.clip)
-        for term in stage.ranking or stage.terms
-    ]
+    ranked = hypotheses.of(replace(stage, terms=stage.ranking or stage.terms))
     with torch.no_grad():
         estimate = hypotheses.unknowns.estimate(hypotheses.prior, body, stage.portion)
-        return _values(terms, estimate).sum(-1)
+        return _values(ranked.terms, estimate).sum(-1)
 
 
 def _encoded_anew(held: Hypotheses[Any], prior: Prior[Any], body: BodyModel) -> Hypotheses[Any]:

@@ -21,6 +21,7 @@ from recon.core.units import Axis
 from recon.diagnosis.estimates.believed import believed
 from recon.fitting.priors import PriorObject
 from recon.formats.bodies.estimates import BodyEstimate, read_estimate
+from recon.formats.files.opening import load_arrays
 from recon.method.stages import Watch
 
 _LEAST_FRAMES = 4
@@ -137,8 +138,6 @@ def _of_this_body(path: Path, body: BodyModel) -> bool:
     """Whether a file says that its shape coefficients are of this body."""
     if path.suffix.lower() != ".npz" or not path.is_file():
         return False
-    from recon.formats.files.opening import load_arrays
-
     arrays = load_arrays(path)
     return "body_checksum" in arrays and str(arrays["body_checksum"]) == body.checksum
 
