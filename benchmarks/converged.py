@@ -53,7 +53,7 @@ Observed = Joints3D | Markers3D
 
 @dataclass(frozen=True)
 class Protocol:
-    """What is seen of the windows."""
+    """Observations of the windows."""
 
     observed: Observed
     noise: float
@@ -81,7 +81,7 @@ class Row:
 
 
 def protocols(windows: Windows, body: BodyModel) -> dict[str, Protocol]:
-    """Those of `benchmarks.humor`."""
+    """Protocols of `benchmarks.humor`."""
     joints = body.pose(windows.truth).joints
     occluded, points = occluded_points(windows.truth, body)
     start = (windows.truth.frames - GAP) // 2

@@ -1,4 +1,4 @@
-"""What `recon refine` makes of a network's estimates of test windows, beside plain fits to them.
+"""Errors of a network's estimates of test windows, refined, and of plain fits to them.
 
     python -m benchmarks.refine CORPUS --json refine.json
     python -m benchmarks.refine CORPUS --part validation --clips 8
@@ -32,7 +32,7 @@ from recon.core.skeleton import FEET, JOINTS, TOES
 from recon.simulation.regressor import RegressorErrors, estimated
 
 FAST = 3.0
-"""Metres per second."""
+"""Speed above which a hand or toe counts as fast, metres per second."""
 _ENDS = (JOINTS.index("left_wrist"), JOINTS.index("right_wrist"), *TOES)
 
 Method = Callable[[Motion, BodyModel], Motion]

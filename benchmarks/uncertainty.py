@@ -106,7 +106,7 @@ def judged(
 
 
 def summary(found: Sequence[Judged]) -> dict[str, dict[str, float]]:
-    """Of joints that were seen and of those that were not, over all windows."""
+    """Numbers of joints that were seen, and of those that were not, over all windows."""
     error, std = torch.cat([one.error for one in found]), torch.cat([one.std for one in found])
     observed = torch.cat([one.observed for one in found])
     cost = sum(one.seconds for one in found) / sum(one.fit_seconds for one in found)

@@ -71,7 +71,7 @@ class EstimatedPoints(VertexPoints):
 
     The energy is ½ s² r' C⁻¹ r for the residuals r of every coordinate in time, with the
     covariance C of `path` for the mean of all points and that of `own` for every point's
-    deviation from it; s is the jitter of a point, so that it is in metres².
+    deviation from it; s is the noise of a usual sensor, 1.4 cm, so that it is in metres².
     """
 
     momentwise: ClassVar[bool] = False
@@ -97,7 +97,7 @@ class EstimatedPoints(VertexPoints):
     rms_std: float | None = None
 
     def noise(self, guess: Any, body: BodyModel, given: float | None = None) -> Noise:
-        """The jitter of a point, which energies are in terms of."""
+        """The noise of a usual sensor: the covariances in the energy replace an estimated one."""
         del guess, body, given
         return Noise(_SCALE, _SCALE)
 
