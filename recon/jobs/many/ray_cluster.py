@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -71,9 +72,10 @@ def absolute(settings: FitSettings) -> FitSettings:
 
 
 def _imported() -> Any:
+    # by name: type checkers need not find an extra that few installations have
     try:
-        import ray
-        import ray.exceptions
+        ray = import_module("ray")
+        import_module("ray.exceptions")
     except ImportError as error:
         raise ReconError(
             "--ray needs the package Ray, which is not installed here: "
