@@ -75,7 +75,8 @@ def project_at(folder: Path) -> Project | None:
 def _pose2sim(folder: Path) -> Project | None:
     levels = [folder, *folder.resolve().parents][:_LEVELS]
     configs = [level / _CONFIG for level in levels if (level / _CONFIG).is_file()]
-    calibration = _calibration(levels)
+    # what lies beside a folder is of its project only where a configuration says that it is one
+    calibration = _calibration(levels if configs else levels[:1])
     detections = next((folder / name for name in _POSES if (folder / name).is_dir()), None)
     points = _points(folder)
     if not configs and calibration is None and points is None:

@@ -169,5 +169,9 @@ def test_all_markers_of_the_augmenter_are_known(tmp_path):
 
 
 def test_a_folder_of_detections_alone_is_no_project(tmp_path):
-    (tmp_path / "pose" / "cam1").mkdir(parents=True)
-    assert project_at(tmp_path) is None
+    """Calibrations of whatever lies beside it were taken for its own."""
+    (tmp_path / "some" / "pose" / "cam1").mkdir(parents=True)
+    for other in ("calibration_of_others", "more_calibrations"):
+        (tmp_path / other).mkdir()
+        (tmp_path / other / "Calib.toml").write_text("")
+    assert project_at(tmp_path / "some") is None
