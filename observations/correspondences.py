@@ -137,6 +137,11 @@ class BodyPoints:
         return cls._at([PLACES[name] for name in names], tuple(names), body)
 
     @classmethod
+    def of_places(cls, places: Mapping[str, BodyPlace], body: BodyModel) -> "BodyPoints":
+        """Points by any name, in the order given, where these places say."""
+        return cls._at(list(places.values()), tuple(places), body)
+
+    @classmethod
     def _at(
         cls, places: Sequence[BodyPlace], names: tuple[str, ...], body: BodyModel
     ) -> "BodyPoints":

@@ -139,6 +139,7 @@ def trunk_and_head(mesh: Mesh) -> tuple[dict[str, int], dict[str, int]]:
         "back_head": left(skull, BACK + 0.55 * OUT),
         "clavicle": left(collar * [0.4, 1.0, 1.0], FRONT + 0.35 * UP),
         "chest": left(joints["spine3"] + offset(0.09, 0.0, 0.0), FRONT),
+        "upper_chest": left(trunk("spine3", "neck", 0.46) + offset(0.059, 0.0, 0.0), FRONT),
         "acromion": left(shoulder + offset(-0.01, 0.0, 0.0), UP),
         "shoulder_front": left(shoulder, FRONT),
         "shoulder_back": left(shoulder, BACK),
@@ -151,6 +152,7 @@ def trunk_and_head(mesh: Mesh) -> tuple[dict[str, int], dict[str, int]]:
         "iliac_crest": left(above_hips(0.15), OUT),
         "trochanter": left(hip + offset(0.0, 0.005, 0.0), OUT),
         "pelvis_side": left(above_hips(0.09), OUT),
+        "rib": left(trunk("spine1", "spine2", 0.4) + blade, FRONT + 0.9 * OUT),
     }
     return singles, sided
 
@@ -176,6 +178,7 @@ def arm(mesh: Mesh) -> dict[str, int]:
         "upper_arm": at(middle_upper, UP),
         "upper_arm_front": at(middle_upper, FRONT),
         "upper_arm_back": at(middle_upper, BACK),
+        "upper_arm_medial": at(along(shoulder, elbow, 0.42), DOWN),
         "elbow_lateral": at(elbow, UP),
         "elbow_medial": at(elbow, DOWN),
         "olecranon": at(elbow, BACK),
@@ -189,6 +192,7 @@ def arm(mesh: Mesh) -> dict[str, int]:
         "index_knuckle": at(palm + offset(0.0, 0.0, 0.022), UP),
         "pinky_knuckle": at(palm + offset(-0.012, 0.0, -0.03), UP),
         "fingertip": mesh.nearest(tip),
+        "thumb": mesh.furthest(FRONT, hand),
     }
 
 
@@ -245,6 +249,7 @@ def leg(mesh: Mesh) -> dict[str, int]:
         "ankle_medial": at(ankle, -outer),
         "heel": heel,
         "heel_lateral": at(inside_foot(0.12), outer),
+        "heel_below": at(inside_foot(0.12), DOWN),
         "instep": at(inside_foot(0.83) - 0.008 * outer, UP),
         "midfoot_lateral": at(inside_foot(0.75), outer),
         "midfoot_medial": at(inside_foot(0.75), -outer),

@@ -59,7 +59,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     ),
     "export": (
         "recon export motion.npz --glb motion.glb",
-        "recon export motion.npz --bvh motion.bvh --trc joints.trc",
+        "recon export motion.npz --trc motion.trc --markers opencap --mot motion.mot",
     ),
     "info": (
         "recon info motion.npz",

@@ -1,20 +1,30 @@
 """`recon export`: a motion in other programs' formats."""
 
 from pathlib import Path
+from typing import Literal
 
 from tyro.conf import Positional
 
 from recon.cli.places import Overwrite, Place, folder, writes
 
 
-@writes(Place("glb"), Place("bvh"), Place("trc"), Place("ply", folder), Place("html"))
+@writes(
+    Place("glb"), Place("bvh"), Place("trc"), Place("mot"), Place("angles"), Place("ply", folder),
+    Place("html"),
+)  # fmt: skip
 def export(
     motion: Positional[Path],
     glb: Path | None = None,
     bvh: Path | None = None,
     trc: Path | None = None,
+    mot: Path | None = None,
+    angles: Path | None = None,
     ply: Path | None = None,
     html: Path | None = None,
+    markers: Literal["joints", "halpe26", "opencap", "pig", "bsm"] = "joints",
+    model: Literal["rajagopal2016", "gait2392"] = "rajagopal2016",
+    unit: Literal["m", "cm", "mm"] = "mm",
+    up: Literal["x", "y", "z"] = "y",
     body: Path | None = None,
     overwrite: Overwrite = False,
 ) -> None:
@@ -24,16 +34,41 @@ def export(
         motion: motion file.
         glb: glTF 2.0 with skinned mesh and animation.
         bvh: skeleton animation.
-        trc: the 22 joints as markers, millimetres.
+        trc: markers for OpenSim and others; which of them says --markers.
+        mot: coordinates of an OpenSim model, degrees and metres.
+        angles: joint angles after the ISB as CSV, degrees.
         ply: folder for one mesh per frame.
         html: self-contained page, as `recon view` writes.
+        markers: labels of --trc: the 22 joints, keypoints as Pose2Sim names them, OpenCap's 43
+            markers, Plug-in Gait or the 105 markers of BSM (SKEL).
+        model: whose coordinates --mot has.
+        unit: of --trc.
+        up: axis that points up in --trc; y is OpenSim's.
         body: the SMPL-family file of the motion's body; default: the bundled body.
         overwrite: replace files that are there and recon did not write.
     """
     from recon.jobs.export.motion import export_file
 
-    if all(target is None for target in (glb, bvh, trc, ply, html)):
-        raise ValueError("nothing to write: give --glb, --bvh, --trc, --html FILE or --ply FOLDER")
+    asked = {
+        "glb": glb, "bvh": bvh, "trc": trc, "mot": mot, "angles": angles, "ply": ply, "html": html
+    }  # fmt: skip
+    if all(target is None for target in asked.values()):
+        raise ValueError(
+            "nothing to write: give --glb, --bvh, --trc, --mot, --angles, --html FILE or --ply "
+            "FOLDER"
+        )
+    _refuse_alone({"markers": markers != "joints", "unit": unit != "mm", "up": up != "y"}, trc)
     export_file(
-        motion, glb=glb, bvh=bvh, trc=trc, ply=ply, html=html, body=body, overwrite=overwrite
-    )
+        motion, **asked, markers=markers, model=model, unit=unit, up=up, body=body,
+        overwrite=overwrite,
+    )  # fmt: skip
+
+
+def _refuse_alone(given: dict[str, bool], trc: Path | None) -> None:
+    """Refuse options of the TRC file where none is written: they would do nothing.
+
+    Raises:
+        ValueError: naming the option.
+    """
+    if trc is None and (said := [name for name, by_user in given.items() if by_user]):
+        raise ValueError(f"--{said[0]} is an option of --trc FILE, which is not asked for")

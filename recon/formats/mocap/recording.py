@@ -98,6 +98,9 @@ class MarkerRecording:
     fps: float
     decisions: tuple[str, ...]
     """What was read or guessed about unit, axis and rate, one sentence each."""
+    start_time: float = 0.0
+    """Time of the first frame, seconds of the recording's own clock: that of a C3D file begins
+    with frame 1, that of a TRC file is its column Time."""
 
     @property
     def frames(self) -> int:
@@ -105,9 +108,12 @@ class MarkerRecording:
         return len(self.positions)
 
     def window(self, start: int, stop: int) -> "MarkerRecording":
-        """Frames start, ..., stop - 1."""
+        """Frames start, ..., stop - 1; the clock goes on."""
         return dataclasses.replace(
-            self, positions=self.positions[start:stop], visible=self.visible[start:stop]
+            self,
+            positions=self.positions[start:stop],
+            visible=self.visible[start:stop],
+            start_time=self.start_time + start / self.fps,
         )
 
     def select(self, names: Sequence[str]) -> "MarkerRecording":

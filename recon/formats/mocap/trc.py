@@ -40,6 +40,7 @@ def read_trc(path: Path, *, unit: str | None = None, up: Axis | None = None) -> 
         visible=visible,
         fps=fps,
         decisions=(note,),
+        start_time=float(times[0]),
     )
     declared = parse_unit(header.get("Units", ""))
     return settle_markers(raw, unit=unit, up=up, declared=declared, usual_up="y")
@@ -94,9 +95,16 @@ def _rate(stated: str, times: np.ndarray, name: str) -> tuple[float, str]:
     )
 
 
-def write_trc(path: Path, recording: MarkerRecording, *, unit: str = "mm") -> None:
-    """Write markers with y up (the turn of `to_z_up` undone); blank cells where not visible."""
-    values = recording.positions @ to_z_up("y") / METRES[unit]
+def write_trc(path: Path, recording: MarkerRecording, *, unit: str = "mm", up: Axis = "y") -> None:
+    """Write markers, blank cells where they are not visible; time is that of the recording.
+
+    Args:
+        path: file to write.
+        recording: metres, z up.
+        unit: of the numbers, one of `METRES` that the format knows.
+        up: axis that points up in the file, as y does in OpenSim: the turn of `to_z_up`, undone.
+    """
+    values = recording.positions @ to_z_up(up) / METRES[unit]
     names, count, rate = recording.marker_names, recording.frames, f"{recording.fps:g}"
     values_line = [rate, rate, str(count), str(len(names)), unit, rate, "1", str(count)]
     lines = [
@@ -109,7 +117,7 @@ def write_trc(path: Path, recording: MarkerRecording, *, unit: str = "mm") -> No
         "",
     ]
     for frame, (row, seen) in enumerate(zip(values, recording.visible, strict=True)):
-        cells = [str(frame + 1), f"{frame / recording.fps:.6f}"]
+        cells = [str(frame + 1), f"{recording.start_time + frame / recording.fps:.6f}"]
         for point, shown in zip(row.tolist(), seen.tolist(), strict=True):
             cells += [f"{x:.6f}" for x in point] if shown else ["", "", ""]
         lines.append("\t".join(cells))

@@ -17,20 +17,41 @@ Order = Literal["XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX"]
 
 
 def skeleton_of(motion: Motion, body: BodyModel, name: str) -> SkeletonRecording:
-    """The 22 joints of our body in one clip, as a recording that skeleton formats can hold."""
+    """The 22 joints of our body in one clip, and the tips of its five last bones.
+
+    The tip of a bone, `<joint>_end`, is the vertex of its skin that is farthest from the joint:
+    the crown, the toes, the fingertips.
+    """
     posed = body.pose(motion)
     rest = body.rest_joints(motion.shape).detach().double().cpu().numpy()
+    last = [joint for joint in range(len(JOINTS)) if joint not in PARENTS]
+    tips = np.stack([_tip(joint, rest[joint], motion, body) for joint in last])
     above = np.where(np.array(PARENTS)[:, None] < 0, 0.0, rest[list(PARENTS)])
+    positions = posed.joints.detach().double().cpu().numpy()
+    orientations = posed.orientations.detach().double().cpu().numpy()
+    ends = positions[:, last] + (orientations[:, last] @ tips[..., None])[..., 0]
     return SkeletonRecording(
         name=name,
-        joint_names=JOINTS,
-        parents=PARENTS,
-        rest_offsets=rest - above,
-        positions=posed.joints.detach().double().cpu().numpy(),
-        orientations=posed.orientations.detach().double().cpu().numpy(),
+        joint_names=(*JOINTS, *(f"{JOINTS[joint]}_end" for joint in last)),
+        parents=(*PARENTS, *last),
+        rest_offsets=np.concatenate((rest - above, tips)),
+        positions=np.concatenate((positions, ends), axis=1),
+        orientations=np.concatenate((orientations, orientations[:, last]), axis=1),
         fps=motion.fps,
         decisions=(),
     )
+
+
+def _tip(joint: int, place: np.ndarray, motion: Motion, body: BodyModel) -> np.ndarray:
+    """Vector from a joint of the unposed body to the farthest vertex of its bone, metres.
+
+    It is zero where the bone carries no skin.
+    """
+    own = (body.weights.argmax(-1) == joint).nonzero()[:, 0]
+    if len(own) == 0:
+        return np.zeros(3)
+    vertices = body.rest_vertices(motion.shape, own).detach().double().cpu().numpy() - place
+    return vertices[np.linalg.norm(vertices, axis=-1).argmax()]
 
 
 def write_bvh(
@@ -43,7 +64,8 @@ def write_bvh(
     """Write a recording with y up, all joints in one Euler order; reading it gives it back.
 
     Joints that move within their parent get position channels; joints called `<parent>_end`
-    become end sites.
+    become end sites. The root's OFFSET is zero: some programs add it to its position channels,
+    others take these instead of it.
     """
     # imported here: it costs half of `import recon`
     from scipy.spatial.transform import Rotation
@@ -60,7 +82,8 @@ def write_bvh(
 
     def describe(joint: int, indent: str) -> None:
         parent = recording.parents[joint]
-        offset = " ".join(f"{x:.6f}" for x in offsets[joint])
+        rest = offsets[joint] if parent >= 0 else np.zeros(3)
+        offset = " ".join(f"{x:.6f}" for x in rest)
         if joint in ends:
             lines.extend((f"{indent}End Site", f"{indent}{{", f"{indent}\tOFFSET {offset}"))
             lines.append(f"{indent}}}")

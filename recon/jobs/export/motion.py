@@ -2,19 +2,21 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Literal
 
-import numpy as np
-
+from recon.body.angles.opensim import OpenSimModel
 from recon.body.model import BodyModel
 from recon.body.motion_files import load_motion_of
+from recon.core.units import Axis
 from recon.formats.clouds.ply import write_ply_sequence
-from recon.formats.mocap.recording import MarkerRecording, SkeletonRecording
 from recon.formats.mocap.trc import write_trc
 from recon.formats.results.outputs import Kind, Output
 from recon.formats.results.reports import checksums, versions
 from recon.formats.results.writing import writing
 from recon.jobs.export.bvh import skeleton_of, write_bvh
 from recon.jobs.export.gltf import write_glb
+from recon.jobs.export.markers import MarkerSetName, markers_of
+from recon.jobs.export.tables import write_angles, write_mot
 from recon.jobs.view import draw_html, shown
 
 
@@ -24,14 +26,21 @@ def export_file(
     glb: Path | None = None,
     bvh: Path | None = None,
     trc: Path | None = None,
+    mot: Path | None = None,
+    angles: Path | None = None,
     ply: Path | None = None,
     html: Path | None = None,
+    markers: MarkerSetName = "joints",
+    model: OpenSimModel = "rajagopal2016",
+    unit: Literal["m", "cm", "mm"] = "mm",
+    up: Axis = "y",
     body: Path | None = None,
     overwrite: bool = False,
 ) -> None:
     """Write a motion in any of these formats, all or none; `ply` is a folder.
 
-    Beside every file is a report, in the folder `report.json`. `body` is the motion's own.
+    Beside every file is a report, in the folder `report.json`. `markers`, `unit` and `up` are of
+    the TRC file, `model` is the OpenSim model of the MOT file; `body` is the motion's own.
 
     Raises:
         FileNotFoundError: when there is no such motion.
@@ -39,17 +48,22 @@ def export_file(
         FileExistsError: when a file to write is there and recon did not write it, unless
             `overwrite`.
     """
-    model = BodyModel.load(body)
-    motion = load_motion_of(source, model).motion
-    skeleton = skeleton_of(motion, model, source.stem)
+    own = BodyModel.load(body)
+    motion = load_motion_of(source, own).motion
+    name = source.stem
+
+    def tracks(path: Path) -> None:
+        write_trc(path, markers_of(motion, own, markers, name), unit=unit, up=up)
 
     def meshes(folder: Path) -> None:
-        write_ply_sequence(folder, model.pose(motion).vertices.numpy(), model.faces.numpy())
+        write_ply_sequence(folder, own.pose(motion).vertices.numpy(), own.faces.numpy())
 
     every: list[tuple[Path | None, Kind, Callable[[Path], object]]] = [
-        (glb, Kind.FILE, lambda path: write_glb(path, motion, model)),
-        (bvh, Kind.FILE, lambda path: write_bvh(path, skeleton)),
-        (trc, Kind.FILE, lambda path: write_trc(path, markers_of(skeleton))),
+        (glb, Kind.FILE, lambda path: write_glb(path, motion, own)),
+        (bvh, Kind.FILE, lambda path: write_bvh(path, skeleton_of(motion, own, name))),
+        (trc, Kind.FILE, tracks),
+        (mot, Kind.FILE, lambda path: write_mot(path, motion, own, model)),
+        (angles, Kind.FILE, lambda path: write_angles(path, motion, own)),
         (ply, Kind.FOLDER, meshes),
         (html, Kind.FILE, lambda path: draw_html(path, shown(source, body=body))),
     ]
@@ -62,15 +76,3 @@ def export_file(
     with writing(*outputs, report=report, overwrite=overwrite) as staged:
         for path, (_, write) in zip(staged, asked, strict=True):
             write(path)
-
-
-def markers_of(skeleton: SkeletonRecording) -> MarkerRecording:
-    """The joints of a skeleton as markers that are always seen."""
-    return MarkerRecording(
-        name=skeleton.name,
-        marker_names=skeleton.joint_names,
-        positions=skeleton.positions,
-        visible=np.ones(skeleton.positions.shape[:2], dtype=bool),
-        fps=skeleton.fps,
-        decisions=(),
-    )

@@ -1,0 +1,1 @@
+"""Joint angles as biomechanics names them: ISB recommendations, coordinates of OpenSim models."""

@@ -1,0 +1,207 @@
+"""Axes of the body's segments: x forwards, y up, z to the right of the person who stands.
+
+The axes are built once on the unposed body, from its joints and bony landmarks, and then carried
+by the bones. `isb_axes` follows the International Society of Biomechanics (Wu et al. 2002,
+doi 10.1016/S0021-9290(01)00222-6, and 2005, doi 10.1016/j.jbiomech.2004.05.042); `opensim_axes`
+are the frames of the bodies of OpenSim's gait models, all of which are parallel in their zero
+pose: upright, arms hanging, palms forwards, soles level.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from recon.body.landmarks import landmark
+from recon.body.model import BodyModel
+from recon.core.errors import ReconError
+from recon.core.motion import Motion
+from recon.core.skeleton import joint_index
+
+SIDES: Mapping[str, str] = MappingProxyType({"r": "right", "l": "left"})
+"""The ending of a segment's name for each side of the body."""
+BONES: Mapping[str, str] = MappingProxyType(
+    {
+        "pelvis": "pelvis",
+        "thorax": "spine3",
+        **{
+            f"{segment}_{end}": f"{side}_{joint}"
+            for end, side in SIDES.items()
+            for segment, joint in {
+                "femur": "hip", "tibia": "knee", "foot": "ankle", "toes": "foot",
+                "humerus": "shoulder", "forearm": "elbow", "hand": "wrist",
+            }.items()
+        },
+    }
+)  # fmt: skip
+"""The joint whose bone carries each segment."""
+_FORWARD, _UP = np.array([0.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0])
+_UPRIGHT = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
+"""Axes of a person who stands in the rest pose, as columns: the pose has y up and faces z."""
+
+Axes = Mapping[str, Float[np.ndarray, "3 3"]]
+"""Axes of every segment on the unposed body, as columns of a rotation."""
+
+
+@dataclass(frozen=True)
+class _RestPoints:
+    """Joints and landmarks of the unposed body, metres, by name."""
+
+    body: BodyModel
+    shape: Tensor
+
+    def joint(self, name: str) -> Float[np.ndarray, "3"]:
+        """The centre of a joint."""
+        return self.body.rest_joints(self.shape)[joint_index(name)].detach().double().numpy()
+
+    def mean(self, *names: str) -> Float[np.ndarray, "3"]:
+        """The middle of some landmarks of the skin."""
+        index = torch.tensor([landmark(name) for name in names])
+        points = self.body.rest_vertices(self.shape, index)
+        return points.detach().double().numpy().mean(0)
+
+    def rightwards(self, end: str, medial: str, lateral: str) -> Float[np.ndarray, "3"]:
+        """The vector between two landmarks of one side, to the right where palms face forwards."""
+        side = SIDES[end]
+        across = self.mean(f"{side}_{lateral}") - self.mean(f"{side}_{medial}")
+        return across if end == "r" else -across
+
+
+def isb_axes(body: BodyModel, shape: Float[Tensor, " shape"]) -> Axes:
+    """Axes of segments by the recommendations of the ISB; the toes have none.
+
+    The bundled body has no landmarks of the tibial condyles: the middle of the epicondyles of the
+    femur stands for theirs. The foot's neutral position is the rest pose, in which it stands flat.
+
+    Raises:
+        ValueError: when the body is not the bundled one, whose landmarks alone are known.
+    """
+    points = _points(body, shape)
+    across = points.mean("right_asis") - points.mean("left_asis")
+    behind = points.mean("left_psis", "right_psis")
+    front = points.mean("left_asis", "right_asis") - behind
+    low, high = points.mean("xiphoid", "t7"), points.mean("sternal_notch", "c7")
+    # the plane of the thorax holds the two landmarks of its upper end
+    depth = points.mean("sternal_notch") - points.mean("c7")
+    axes = {
+        "pelvis": _about_z(across, np.cross(across, front)),
+        "thorax": _along_y(high - low, np.cross(depth, high - low)),
+    }
+    for end, side in SIDES.items():
+        knee = points.mean(f"{side}_knee_lateral", f"{side}_knee_medial")
+        elbow = points.mean(f"{side}_elbow_lateral", f"{side}_elbow_medial")
+        wrist = points.mean(f"{side}_wrist_radial", f"{side}_wrist_ulnar")
+        hip, shoulder = points.joint(f"{side}_hip"), points.joint(f"{side}_shoulder")
+        ankle = points.mean(f"{side}_ankle_lateral", f"{side}_ankle_medial")
+        malleoli = points.rightwards(end, "ankle_medial", "ankle_lateral")
+        tibia = _about_z(malleoli, knee - ankle)
+        knuckles = points.mean(f"{side}_index_knuckle", f"{side}_pinky_knuckle")
+        axes |= {
+            f"femur_{end}": _along_y(
+                hip - knee, points.rightwards(end, "knee_medial", "knee_lateral")
+            ),
+            f"tibia_{end}": tibia,
+            f"foot_{end}": _along_y(_UP, tibia[:, 2]),
+            f"humerus_{end}": _along_y(
+                shoulder - elbow, points.rightwards(end, "elbow_medial", "elbow_lateral")
+            ),
+            f"forearm_{end}": _along_y(
+                elbow - points.mean(f"{side}_wrist_ulnar"),
+                points.rightwards(end, "wrist_ulnar", "wrist_radial"),
+            ),
+            f"hand_{end}": _along_y(
+                wrist - knuckles, points.rightwards(end, "pinky_knuckle", "index_knuckle")
+            ),
+        }
+    return axes
+
+
+def opensim_axes(body: BodyModel, shape: Float[Tensor, " shape"]) -> Axes:
+    """Axes of segments as the bodies of OpenSim's gait models have them in their zero pose.
+
+    Pelvis, thorax and soles are upright in our rest pose; long bones point from joint to joint,
+    thigh and shank share the axis of the knee. The foot points from the heel to the second toe.
+
+    Raises:
+        ValueError: when the body is not the bundled one, whose landmarks alone are known.
+    """
+    points = _points(body, shape)
+    axes = {"pelvis": _UPRIGHT, "thorax": _UPRIGHT}
+    for end, side in SIDES.items():
+        names = ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")
+        hip, knee, ankle, shoulder, elbow, wrist = (points.joint(f"{side}_{n}") for n in names)
+        flexion = points.rightwards(end, "knee_medial", "knee_lateral")
+        ahead = points.mean(f"{side}_toe2_base") - points.mean(f"{side}_heel")
+        foot = _along_y(_UP, np.cross(ahead, _UP))
+        knuckles = points.mean(f"{side}_index_knuckle", f"{side}_pinky_knuckle")
+        axes |= {
+            f"femur_{end}": _along_y(hip - knee, flexion),
+            f"tibia_{end}": _along_y(knee - ankle, flexion),
+            f"foot_{end}": foot,
+            f"toes_{end}": foot,
+            f"humerus_{end}": _along_y(
+                shoulder - elbow, points.rightwards(end, "elbow_medial", "elbow_lateral")
+            ),
+            f"forearm_{end}": _along_y(
+                elbow - wrist, points.rightwards(end, "wrist_ulnar", "wrist_radial")
+            ),
+            f"hand_{end}": _along_y(
+                wrist - knuckles, points.rightwards(end, "pinky_knuckle", "index_knuckle")
+            ),
+        }
+    return axes
+
+
+def pelvis_origin(body: BodyModel, motion: Motion) -> Float[np.ndarray, "time 3"]:
+    """The middle of the frontal iliac spines in every frame, world, metres.
+
+    It is the origin of the pelvis in OpenSim's gait models, and moves with the bone.
+    """
+    posed = body.pose(motion)
+    points = _points(body, motion.shape)
+    offset = points.mean("left_asis", "right_asis") - points.joint("pelvis")
+    orientations = posed.orientations[:, 0].detach().double().cpu().numpy()
+    return posed.joints[:, 0].detach().double().cpu().numpy() + orientations @ offset
+
+
+def carried(
+    axes: Axes, body: BodyModel, motion: Motion
+) -> dict[str, Float[np.ndarray, "time 3 3"]]:
+    """Axes of every segment in every frame of one clip, in the world.
+
+    Args:
+        axes: on the unposed body.
+        body: whose motion it is.
+        motion: one clip without a batch axis.
+    """
+    orientations = body.pose(motion).orientations.detach().double().cpu().numpy()
+    return {name: orientations[:, joint_index(BONES[name])] @ at for name, at in axes.items()}
+
+
+def _points(body: BodyModel, shape: Tensor) -> _RestPoints:
+    if body.checksum != BodyModel.load().checksum:
+        raise ReconError(
+            f"joint angles need bony landmarks, which are known of the bundled body only, not of "
+            f"{body.name!r}: export a motion of the bundled body"
+        )
+    return _RestPoints(body, shape)
+
+
+def _along_y(up: np.ndarray, right: np.ndarray) -> Float[np.ndarray, "3 3"]:
+    """Axes whose y is given and whose z lies in the plane of it and a vector to the right."""
+    y = up / np.linalg.norm(up)
+    x = np.cross(y, right)
+    x /= np.linalg.norm(x)
+    return np.stack((x, y, np.cross(x, y)), -1)
+
+
+def _about_z(right: np.ndarray, up: np.ndarray) -> Float[np.ndarray, "3 3"]:
+    """Axes whose z is given and whose y lies in the plane of it and a vector upwards."""
+    z = right / np.linalg.norm(right)
+    x = np.cross(up, z)
+    x /= np.linalg.norm(x)
+    return np.stack((x, np.cross(z, x), z), -1)
