@@ -15,6 +15,7 @@ from observations.noise import estimate_noise
 from observations.records.curvature import of_places
 from observations.records.offsets import displaced
 from observations.records.sensor import SensorRecord
+from observations.start.limbs import limbs_towards
 from observations.start.rigid import rigid_start
 from observations.timing import moments_between, point_energy, point_residuals
 from recon.body.derivatives import CarriedPoints
@@ -176,11 +177,13 @@ class TrackedPoints(SensorRecord):
         return self.derived(fps=self.fps / step, **few)
 
     def start(self, body: BodyModel) -> Motion:
-        """A first guess: the rest pose, aligned with the points of the torso in every frame."""
-        return rigid_start(
-            body, self.at_rest(body).to(self.positions), self.bones(body), self.positions,
-            self.visible, fps=self.fps, start_time=self.start_time,
+        """A first guess: the rest pose on the points of the torso, limbs towards their points."""
+        rest, bones = self.at_rest(body).to(self.positions), self.bones(body)
+        start = rigid_start(
+            body, rest, bones, self.positions, self.visible, fps=self.fps,
+            start_time=self.start_time,
         )  # fmt: skip
+        return limbs_towards(start, body, rest, bones, self.positions, self.visible)
 
     def told_joints(self, body: BodyModel) -> Float[Tensor, "*batch 22"]:
         """Share of the moments in which the place of each joint is told by a visible point.

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from priors.humor.curvature import SPAN, bundled_curvature
 from priors.humor.prior import Humor
-from priors.humor.state import contact_probabilities, states_of
+from priors.humor.state import contact_probabilities, posed_states
 from priors.humor.steps import explain
 from priors.humor.terms import contact_velocity
 from priors.pose.prior import PoseBelief, PosePrior, PoseVariables, PoseWeights
@@ -151,11 +151,11 @@ class CollocatedHumor:
         """
         decoded = self.poses.decode(variables)
         motion, humor = decoded.motion, self.humor.like(variables.translation)
-        states = states_of(motion, humor.body)
+        posed = humor.body.pose(motion)
+        states = posed_states(motion, posed)
         pelvis = humor.pelvis(motion.shape)
         found = explain(humor.networks, states, pelvis)
         exists = motion.valid[:, 1:]
-        first = states.map(lambda tensor: tensor[:, 0])
         error = 0.5 * (found.error @ humor.error_whitening).square().sum(-1)
         energies = {
             "step": _heavy_tailed(error, _ERROR).where(exists, 0.0).sum(-1),
@@ -165,7 +165,7 @@ class CollocatedHumor:
             motion=motion,
             energies={**decoded.energies, **energies},
             contacts=contact_probabilities(found.contacts),
-            joints=torch.cat((first.joints[:, None], found.landed.joints), 1),
+            posed=posed,
         )
 
 
@@ -198,18 +198,24 @@ class Collocation:
         Feet come last, because wrongly standing feet of a first guess would be held there; and
         only the last stage is minimised to the end. The one before moves slow changes of the
         whole clip first, in cosines of time: where limbs are hidden it comes to better minima than
-        Newton's direction does. Where every joint is seen, it is left out.
+        Newton's direction does. Where every joint is seen, it is left out, and what is left to
+        decide is less: tolerances may be looser.
         """
-        *first, steps = self.without_feet(data)
+        root, poses, steps = self.without_feet(data)
+        whole = seen_whole(data, self.humor.body)
         held = Term("contact velocity", contact_velocity, self.weights.contact_velocity)
-        last = LBFGS(max_iterations=400, tolerance_decrease=1e-5, scale=_FITTED, history=40)
+        last = LBFGS(
+            max_iterations=400, tolerance_decrease=3e-5 if whole else 1e-5, scale=_FITTED,
+            history=40,
+        )  # fmt: skip
         feet = replace(
             steps, name="contacts", terms=(*steps.terms, held), minimiser=last,
             second_order=Preconditioned(),
         )  # fmt: skip
-        if seen_whole(data, self.humor.body):
-            return *first, feet
-        return *first, steps, feet
+        if whole:
+            rough = replace(poses.minimiser, tolerance_decrease=1e-2)
+            return root, replace(poses, minimiser=rough), feet
+        return root, poses, steps, feet
 
     def without_feet(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
         """The stages before the last: root, smooth poses, likely steps."""

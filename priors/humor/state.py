@@ -7,7 +7,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from priors.humor.networks import STATE
-from recon.body.model import BodyModel
+from recon.body.model import BodyModel, PosedBody
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.skeleton import CONTACT_JOINTS, JOINTS
@@ -170,6 +170,11 @@ def _turned(turn: Float[Tensor, "*batch 3 3"], vector: Float[Tensor, "*batch 3"]
 
 
 def states_of(motion: Motion, body: BodyModel) -> State:
+    """States along a motion of a body; see `posed_states`."""
+    return posed_states(motion, body.pose(motion))
+
+
+def posed_states(motion: Motion, posed: PosedBody) -> State:
     """States along a motion, axes (clips, time), with velocities by finite differences.
 
     Central differences inside, one-sided at both ends of what exists (HuMoR, section 1.5, at
@@ -180,7 +185,7 @@ def states_of(motion: Motion, body: BodyModel) -> State:
     """
     if bool((motion.valid.sum(-1) < 2).any()):
         raise ValueError("velocities need at least two frames of every clip; got one")
-    joints = body.pose(motion).joints
+    joints = posed.joints
     roots = motion.rotations[..., 0, :, :]
     spin = so3.log(roots[..., 1:, :, :] @ roots[..., :-1, :, :].mT)
     return State(

@@ -7,7 +7,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from priors.humor.networks import HumorNetworks
-from priors.humor.state import Frame, State, compose, step_between
+from priors.humor.state import Frame, State
+from recon.core import rotations as so3
 from recon.core.struct import TensorStruct
 
 _SHRINKAGE = 0.05
@@ -24,8 +25,6 @@ class StepOutputs(TensorStruct):
     """KL(q(z | x_(t-1), x_t) ‖ p(z | x_(t-1))), nats."""
     contacts: Float[Tensor, "clips steps 9"]
     """Logits."""
-    landed: State
-    """States that the decoder predicts, in the frame of the given motion."""
 
 
 def explain(
@@ -38,16 +37,14 @@ def explain(
         states: of motions at 30 Hz, axes (clips, time).
         pelvis: of the bodies at rest, horizontally.
     """
-    frame, start, target = _pairs(states, pelvis)
-    x = start.pack()
-    mean, log_variance = networks.posterior(x, target.pack())
-    prior_mean, prior_log_variance = networks.prior(x)
-    after, contacts = compose(start, networks.decode(x, mean))
+    steps = _Steps.of(states, pelvis)
+    mean, log_variance = networks.posterior(steps.start, steps.end)
+    prior_mean, prior_log_variance = networks.prior(steps.start)
+    raw = networks.decode(steps.start, mean)
     return StepOutputs(
-        error=step_between(after, target),
+        error=steps.error(raw),
         surprise=divergence(mean, log_variance, prior_mean, prior_log_variance),
-        contacts=contacts,
-        landed=frame.leave(after, pelvis[:, None]),
+        contacts=raw[..., _MOVED:],
     )
 
 
@@ -55,17 +52,86 @@ def latents_of(
     networks: HumorNetworks, states: State, pelvis: Float[Tensor, "clips 3"]
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Mean and log-variance of the posterior of every step's latent, then those of the prior."""
-    _, start, target = _pairs(states, pelvis)
-    x = start.pack()
-    return *networks.posterior(x, target.pack()), *networks.prior(x)
+    steps = _Steps.of(states, pelvis)
+    return *networks.posterior(steps.start, steps.end), *networks.prior(steps.start)
 
 
-def _pairs(states: State, pelvis: Float[Tensor, "clips 3"]) -> tuple[Frame, State, State]:
-    """Frames of all states but the last, and both ends of every step as seen from there."""
-    offset = pelvis[:, None]
-    past, future = states.map(lambda t: t[:, :-1]), states.map(lambda t: t[:, 1:])
-    frame = Frame.of(past)
-    return frame, frame.enter(past, offset), frame.enter(future, offset)
+@dataclass(frozen=True)
+class _Steps(TensorStruct):
+    """Both ends of all steps, packed (`State.pack`), in the frame of the start.
+
+    The same as `Frame.enter` and `step_between` make, with all vectors turned at once.
+    """
+
+    start: Float[Tensor, "clips steps 339"]
+    end: Float[Tensor, "clips steps 339"]
+    rotations: Float[Tensor, "2 clips steps 22 3 3"]
+    """Rotations of root and joints, at the start and at the end."""
+
+    @classmethod
+    def of(cls, states: State, pelvis: Float[Tensor, "clips 3"]) -> "_Steps":
+        frame = Frame.of(states[:, :-1])
+        level = torch.cat((frame.origin[..., None, :], pelvis[:, None, None].expand_as(
+            frame.origin[..., None, :])), -2)  # fmt: skip
+        vectors = torch.cat(
+            (
+                states.translation[..., None, :],
+                states.velocity[..., None, :],
+                states.angular_velocity[..., None, :],
+                states.root.mT,
+                states.joints,
+                states.joint_velocities,
+            ),
+            -2,
+        )
+        # translation and joints are places, and joints turn about the pelvis
+        about, back = _placed(vectors)
+        ends = torch.stack((vectors[:, :-1], vectors[:, 1:])) - about @ level
+        turned = ends @ frame.turn.mT + back * pelvis[:, None, None]
+        root = turned[..., 3:6, :].mT
+        pose = torch.stack((states.pose[:, :-1], states.pose[:, 1:]))
+        packed = torch.cat(
+            (
+                turned[..., :2, :].flatten(-2),
+                root.flatten(-2),
+                turned[..., 2, :],
+                pose.flatten(-3),
+                turned[..., 6:, :].flatten(-2),
+            ),
+            -1,
+        )
+        rotations = torch.cat((root[..., None, :, :], pose), -3)
+        return cls(packed[0], packed[1], rotations)
+
+    def error(self, raw: Float[Tensor, "clips steps 216"]) -> Float[Tensor, "clips steps 207"]:
+        """The raw step from where a step of the decoder leads to the end."""
+        straight = self.end - self.start
+        turns = torch.cat((raw[..., 6:9], raw[..., 12:75]), -1).unflatten(-1, (-1, 3))
+        before, after = self.rotations.unbind(0)
+        left = so3.axis_sine(after @ (so3.exp(turns) @ before).mT).flatten(-2)
+        return torch.cat(
+            (
+                straight[..., :6] - raw[..., :6],
+                left[..., :3],
+                straight[..., 15:18] - raw[..., 9:12],
+                left[..., 3:],
+                straight[..., 207:] - raw[..., 75:_MOVED],
+            ),
+            -1,
+        )
+
+
+_MOVED = 207
+"""Numbers of a raw step before its contact logits."""
+
+
+def _placed(vectors: Float[Tensor, "*batch 50 3"]) -> tuple[Tensor, Tensor]:
+    """What of a frame's origin and of the pelvis is taken from each vector, and what put back."""
+    about, back = vectors.new_zeros(50, 2), vectors.new_zeros(50, 1)
+    about[0, 0] = 1.0
+    about[6:28] = 1.0
+    back[6:28] = 1.0
+    return about, back
 
 
 def divergence(

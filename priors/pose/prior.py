@@ -275,8 +275,8 @@ class PosePrior(TensorStruct):
         inverse = (x.synthesis / x.synthesis.square().sum(-2, keepdim=True)).mT
         return x.derived(
             translation=x.translation + inverse @ place / scales.translation,
-            root=x.root + inverse @ turn @ torch.linalg.inv(scales.root),
-            pose=x.pose + inverse @ pose @ torch.linalg.inv(scales.pose),
+            root=x.root + inverse @ turn @ scales.root_inverse,
+            pose=x.pose + inverse @ pose @ scales.pose_inverse,
         )
 
     def turns(self, variables: PoseVariables, clip: int) -> Float[Tensor, "time 63 63"]:
@@ -338,10 +338,13 @@ class PosePrior(TensorStruct):
         pose = stiffness[3:, 3:] + max(2 * self.weights.pose, _SOFTEST) * torch.eye(
             COORDINATES, dtype=torch.float64, device=stiffness.device
         )
+        turn, bend = _inverse_root(stiffness[:3, :3]), _inverse_root(pose)
         return _Scales(
             translation=stiffness.new_tensor(len(JOINTS) ** -0.5),
-            root=_inverse_root(stiffness[:3, :3]),
-            pose=_inverse_root(pose),
+            root=turn,
+            pose=bend,
+            root_inverse=torch.linalg.inv(turn),
+            pose_inverse=torch.linalg.inv(bend),
         )
 
     def _synthesis(
@@ -374,6 +377,8 @@ class _Scales(TensorStruct):
     translation: Float[Tensor, ""]
     root: Float[Tensor, "3 3"]
     pose: Float[Tensor, "63 63"]
+    root_inverse: Float[Tensor, "3 3"]
+    pose_inverse: Float[Tensor, "63 63"]
 
 
 def _inverse_root(matrix: Float[Tensor, "n n"]) -> Float[Tensor, "n n"]:

@@ -29,6 +29,14 @@ class Decoded:
     """Probability, from 0 to 1, that a joint is in contact with the ground."""
     joints: Float[Tensor, "*batch time 22 3"] | None = None
     """Joints that the prior's network predicts beside the pose, metres; None if it does not."""
+    posed: PosedBody | None = None
+    """The body in that motion, where the prior posed one itself."""
+
+    def body(self, model: BodyModel) -> PosedBody:
+        """The model in the motion; posed only where the prior has not posed this model already."""
+        if self.posed is not None and self.posed.model is model:
+            return self.posed
+        return model.pose(self.motion)
 
 
 @dataclass(frozen=True)

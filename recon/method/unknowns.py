@@ -76,7 +76,7 @@ class Unknowns(TensorStruct, Generic[S]):
         if portion is not None:
             variables = portion(variables)
         decoded = prior.decode(variables)
-        return Estimate(decoded, body.pose(decoded.motion), self.scene)
+        return Estimate(decoded, decoded.body(body), self.scene)
 
 
 def _is_level(prior: Prior[Any]) -> bool:

@@ -106,3 +106,28 @@ def test_noise_in_pixels_is_found_and_weighed_against_metres():
     sizes = [weights[0] * told.own**2, weights[1] * metres.own**2]
     assert abs(sizes[0] - sizes[1]) < 1e-9
     assert max(weights) <= 1.0 + 1e-6 or told.metres < metres.metres
+
+
+def test_limbs_begin_where_their_points_are():
+    """Arms began stretched out to the sides; a fit spent half its steps on bringing them in."""
+    truth = walk()
+    begun = joints(truth).start(bundled())
+    away = (bundled().pose(begun).joints[0] - bundled().pose(truth).joints).norm(dim=-1)
+    limbs = [joint_index(f"{side}_{name}") for side in ("left", "right")
+             for name in ("knee", "ankle", "elbow", "wrist")]  # fmt: skip
+    assert away[:, limbs].mean() < 0.06  # metres; the rest pose has 0.4
+
+
+def test_a_limb_that_nobody_saw_begins_at_rest():
+    """Others are turned all the same, and what was seen for a while holds before and after."""
+    seen = joints(walk())
+    left, right = joint_index("left_wrist"), joint_index("right_wrist")
+    visible = seen.visible.clone()
+    visible[..., left] = False
+    visible[..., 5:, right] = False
+    begun = seen.replace(visible=visible).start(bundled())
+    elbow = begun.rotations[0, :, joint_index("left_elbow")]
+    torch.testing.assert_close(elbow, torch.eye(3).expand_as(elbow))
+    held = begun.rotations[0, 4:, joint_index("right_elbow")]
+    torch.testing.assert_close(held, held[:1].expand_as(held))
+    assert (held[0] - torch.eye(3)).norm() > 0.1
