@@ -58,7 +58,7 @@ def latents_of(
 
 @dataclass(frozen=True)
 class _Steps(TensorStruct):
-    """Both ends of all steps, packed (`State.pack`), in the frame of the start.
+    """States at both ends of all steps, packed (`State.pack`), in the frame of the start.
 
     The same as `Frame.enter` and `step_between` make, with all vectors turned at once.
     """

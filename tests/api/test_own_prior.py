@@ -20,7 +20,6 @@ from tests import laws
 from tests.filmed import bundled, cameras, joint_error, view, walk
 from tests.own import PRIOR, NearPoses
 
-pytestmark = pytest.mark.numerics
 OURS = ("humor", "pose", "anchor", "humos")
 
 

@@ -16,7 +16,6 @@ from recon.simulation.points import Corruption, joints3d
 from tests.filmed import bundled, cameras, joint_error, view, walk
 from tests.own import SENSOR, WORN, turns, units
 
-pytestmark = pytest.mark.numerics
 FRAMES = 16
 
 

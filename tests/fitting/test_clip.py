@@ -57,7 +57,6 @@ def camera_height(found: ClipFit, seen: Keypoints2D) -> float:
     return float(eye[2, 3])
 
 
-@pytest.mark.numerics
 @pytest.mark.parametrize("settings", [POSE, HUMOR], ids=["pose", "humor"])
 def test_one_camera_of_unknown_pose(settings):
     truth = walk(16)

@@ -16,8 +16,6 @@ from recon.simulation.points import Corruption, joints3d
 from recon.solver.lbfgs import LBFGS
 from tests.filmed import bundled, cameras, joint_error, view, walk
 
-pytestmark = pytest.mark.numerics
-
 
 def test_it_is_one_of_the_methods_of_humor():
     method = method_of(FitOptions(method="rollout"), 0.02, bundled())

@@ -26,7 +26,6 @@ from tests.walking import a_walk
 RECORDED = CycleVariation(mirror=0.0, shift=0, shape=0.0, speed=0.0, exchange=0.0, mix=0.0)
 """No variation."""
 
-pytestmark = pytest.mark.numerics
 
 BODY = BodyModel.load()
 
