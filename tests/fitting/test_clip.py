@@ -57,6 +57,7 @@ def camera_height(found: ClipFit, seen: Keypoints2D) -> float:
     return float(eye[2, 3])
 
 
+@pytest.mark.numerics
 @pytest.mark.parametrize("settings", [POSE, HUMOR], ids=["pose", "humor"])
 def test_one_camera_of_unknown_pose(settings):
     truth = walk(16)
@@ -111,7 +112,6 @@ def test_joints_and_images_add_up():
     assert {"data 1", "data 2"} <= terms
 
 
-@pytest.mark.numerics
 def test_clips_of_a_batch_are_fitted_as_alone():
     first, second = walk(16), turned(walk(16), 1.0)
     a, b = one_view(first), one_view(second, 0.5, seed=3)
