@@ -9,12 +9,13 @@ from recon.cli.places import Overwrite, Place, folder, writes
 
 
 @writes(
-    Place("glb"), Place("bvh"), Place("trc"), Place("mot"), Place("angles"), Place("ply", folder),
-    Place("html"),
+    Place("glb"), Place("usd"), Place("bvh"), Place("trc"), Place("mot"), Place("angles"),
+    Place("ply", folder), Place("html"),
 )  # fmt: skip
 def export(
     motion: Positional[Path],
     glb: Path | None = None,
+    usd: Path | None = None,
     bvh: Path | None = None,
     trc: Path | None = None,
     mot: Path | None = None,
@@ -33,6 +34,7 @@ def export(
     Args:
         motion: motion file.
         glb: glTF 2.0 with skinned mesh and animation.
+        usd: USD with skinned mesh and animation (.usd, .usda, .usdc); needs usd-core.
         bvh: skeleton animation.
         trc: markers for OpenSim and others; which of them says --markers.
         mot: coordinates of an OpenSim model, degrees and metres.
@@ -50,16 +52,14 @@ def export(
     from recon.jobs.export.motion import export_file
 
     asked = {
-        "glb": glb, "bvh": bvh, "trc": trc, "mot": mot, "angles": angles, "ply": ply, "html": html
+        "glb": glb, "usd": usd, "bvh": bvh, "trc": trc, "mot": mot, "angles": angles, "html": html
     }  # fmt: skip
-    if all(target is None for target in asked.values()):
-        raise ValueError(
-            "nothing to write: give --glb, --bvh, --trc, --mot, --angles, --html FILE or --ply "
-            "FOLDER"
-        )
+    if ply is None and all(target is None for target in asked.values()):
+        options = ", ".join(f"--{name}" for name in asked)
+        raise ValueError(f"nothing to write: give {options} FILE or --ply FOLDER")
     _refuse_alone({"markers": markers != "joints", "unit": unit != "mm", "up": up != "y"}, trc)
     export_file(
-        motion, **asked, markers=markers, model=model, unit=unit, up=up, body=body,
+        motion, **asked, ply=ply, markers=markers, model=model, unit=unit, up=up, body=body,
         overwrite=overwrite,
     )  # fmt: skip
 

@@ -17,6 +17,7 @@ from recon.jobs.export.bvh import skeleton_of, write_bvh
 from recon.jobs.export.gltf import write_glb
 from recon.jobs.export.markers import MarkerSetName, markers_of
 from recon.jobs.export.tables import write_angles, write_mot
+from recon.jobs.export.usd import write_usd
 from recon.jobs.view import draw_html, shown
 
 
@@ -24,6 +25,7 @@ def export_file(
     source: Path,
     *,
     glb: Path | None = None,
+    usd: Path | None = None,
     bvh: Path | None = None,
     trc: Path | None = None,
     mot: Path | None = None,
@@ -60,6 +62,7 @@ def export_file(
 
     every: list[tuple[Path | None, Kind, Callable[[Path], object]]] = [
         (glb, Kind.FILE, lambda path: write_glb(path, motion, own)),
+        (usd, Kind.FILE, lambda path: write_usd(path, motion, own)),
         (bvh, Kind.FILE, lambda path: write_bvh(path, skeleton_of(motion, own, name))),
         (trc, Kind.FILE, tracks),
         (mot, Kind.FILE, lambda path: write_mot(path, motion, own, model)),
