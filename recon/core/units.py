@@ -40,6 +40,13 @@ _HIGH = re.compile(
     r"|stern|strn|^man$|^s[jx][ns]$|^[lr]_?s(aa|ae|ia)$"
 )
 _PELVIS = re.compile(r"asi|psi|sac|ias$|ips$|pelvi|waist|wt$|hip")
+_NECK = re.compile(r"^c7$|^cv7$|^ij$|clav|acr|sho$|should")
+_CHEST = re.compile(r"^px$|strn|stern|xiph|^sxs$|^tv?(7|8|10|12)$")
+_STEADY = 0.25
+"""Share of its movement along another axis, at most, by which the lowest point of a body that
+moves over a floor goes up and down."""
+_STILL = 0.02
+"""Share of the body's size by which a point moves that stands in the room."""
 
 
 def parse_unit(text: str) -> str | None:
@@ -116,7 +123,8 @@ def head_above_feet(
 ) -> Float[np.ndarray, "3"] | None:
     """Mean vector from the feet to the head (or shoulders, or pelvis), found by names.
 
-    None when the names tell neither or no frame shows both.
+    Without feet it goes from the chest, or from the pelvis, to the neck. None when the names tell
+    neither or no frame shows both.
     """
     words = [re.sub(r"[^a-z0-9]+", "_", name.lower().split(":")[-1]).strip("_") for name in names]
     low = np.array([bool(_LOW.search(word)) for word in words])
@@ -124,6 +132,11 @@ def head_above_feet(
     if not (visible & high).any():
         high = np.array([bool(_PELVIS.search(word)) for word in words]) & ~low
     both = (visible & low).any(1) & (visible & high).any(1)
+    for lower in (_CHEST, _PELVIS) if not (visible & low).any() else ():
+        if not both.any():
+            high = np.array([bool(_NECK.search(word)) for word in words])
+            low = np.array([bool(lower.search(word)) for word in words]) & ~high
+            both = (visible & low).any(1) & (visible & high).any(1)
     if not both.any():
         return None
     return _centre(positions[both], visible[both] & high) - _centre(
@@ -165,6 +178,37 @@ def decide_up(
         f"{name}: cannot tell which axis points up (from feet to head: {described}); "
         "give it with --up x, y or z"
     )
+
+
+def axis_of_floor(
+    rise: Float[np.ndarray, "3"],
+    positions: Float[np.ndarray, "time points 3"],
+    visible: Bool[np.ndarray, "time points"],
+) -> tuple[Axis, str] | None:
+    """The up axis of somebody who crouches or bends but moves over a floor, and the reason.
+
+    Along it, the lowest point that moves stays where the floor is. None where that is not clear.
+
+    Args:
+        rise: mean vector from feet to head.
+        positions: of the points, in any unit.
+        visible: whether each is seen.
+    """
+    size = float(np.abs(rise).max())
+    ends = [np.where(visible[..., None], positions, far) for far in (np.inf, -np.inf)]
+    moves = (ends[1].max(0) - ends[0].min(0)).max(-1) > _STILL * size
+    shown = visible & moves
+    frames = shown.any(1)
+    if frames.sum() < 2:
+        return None
+    lowest = np.where(shown[frames][..., None], positions[frames], np.inf).min(1)
+    moved = np.quantile(lowest, 0.95, axis=0) - np.quantile(lowest, 0.05, axis=0)
+    above = rise >= 0.5 * size
+    best = int(np.where(above, moved, np.inf).argmin())
+    others = np.delete(moved, best)[np.delete(above, best)]
+    if moved[best] > _STEADY * others.min(initial=np.inf):
+        return None
+    return AXES[best], f"up axis {AXES[best]}: the lowest point stays at the floor along it"
 
 
 def decide_any_up(rise: Float[np.ndarray, "3"], name: str) -> tuple[Up, str]:

@@ -137,6 +137,41 @@ def test_a_user_map_takes_names_and_numbers(tmp_path):
     assert load_marker_map(path) == {"Bob:LASI": landmark("left_asis"), "mole": 17}
 
 
+def test_a_user_map_may_be_json_and_leave_markers_out(tmp_path):
+    path = tmp_path / "names.json"
+    path.write_text('{"Channel101": "left_asis", "LHAND": "", "mole": null}')
+    found = load_marker_map(path)
+    assert found == {"Channel101": landmark("left_asis"), "LHAND": None, "mole": None}
+    path.write_text("[1]")
+    with pytest.raises(ValueError, match="expected an object"):
+        load_marker_map(path)
+    path.write_text("{")
+    with pytest.raises(ValueError, match="not TOML or JSON"):
+        load_marker_map(path)
+
+
+BTS = ("c7", "r should", "sacrum", "r asis", "r thigh", "r bar 1", "r knee 1", "r knee 2",
+       "r bar 2", "r mall", "r met", "r heel", "l mall", "l met")  # fmt: skip
+
+
+def test_labels_of_bts_are_known_and_computed_centres_are_no_markers():
+    """Knee and ankle of Davis' model, computed in the joint, were taken for the lateral markers
+    whose labels they share in other protocols."""
+    matched, unknown = match_markers((*BTS, "r knee", "l ankle", "r hip"))
+    assert set(matched) == set(BTS)
+    assert unknown == ("r knee", "l ankle", "r hip")
+    assert matched["r knee 1"] == "right_knee_lateral"
+    assert match_markers(["RKnee"])[0] == {"RKnee": "right_knee_lateral"}
+
+
+def test_a_beginning_that_all_labels_share_is_ignored():
+    matched, unknown = match_markers(["Walk01_LASI", "Walk01_RASI", "Walk01_C7", "*12"])
+    assert list(matched.values()) == ["left_asis", "right_asis", "c7"]
+    assert unknown == ("*12",)
+    # what labels of a known set share is a part of their names
+    assert match_markers(["L_IAS", "L_IPS"])[0] == {"L_IAS": "left_asis", "L_IPS": "left_psis"}
+
+
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [

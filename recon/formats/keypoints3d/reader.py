@@ -119,8 +119,9 @@ def from_recording(recording: MarkerRecording) -> Points3D:
     recording = recording.select(kept)
     shown = np.where(recording.visible[..., None], recording.positions, np.nan)
     points = Points3D(
-        recording.name, shown, recording.marker_names, fps=recording.fps, unit="m", decisions=said
-    )
+        recording.name, shown, recording.marker_names, fps=recording.fps,
+        start_time=recording.start_time, unit="m", decisions=said,
+    )  # fmt: skip
     return checked(points)
 
 
@@ -140,6 +141,7 @@ def markers_of_study(recording: MarkerRecording) -> PositionsFile | None:
         visible=recording.visible,
         names=tuple(name.removesuffix(STUDY) for name in skin),
         fps=recording.fps,
+        start_time=recording.start_time,
         decisions=(*recording.decisions, f"{len(skin)} markers of OpenCap's augmenter"),
     )
 

@@ -6,7 +6,8 @@ compared in the tests.
 
 import math
 import struct
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from recon.core.errors import FormatError
 from recon.core.limits import FRAME_RATE, JOINTS, SAMPLES
 from recon.core.units import Axis, parse_unit, snapped_rate
 from recon.formats.files.opening import read_binary
+from recon.formats.mocap.c3d_rotations import joint_centres
 from recon.formats.mocap.recording import MarkerRecording, settle_markers
 
 _BLOCK = 512
@@ -46,6 +48,7 @@ def read_c3d(path: Path, *, unit: str | None = None, up: Axis | None = None) -> 
 
     A marker is not visible where its residual is negative, or it is NaN or exactly the origin.
     The unit is POINT:UNITS; POINT:Y_SCREEN hints at the up axis but does not overrule the body.
+    Files that hold poses of segments instead of points (group ROTATION) give joint centres.
 
     Raises:
         FileNotFoundError: when there is no such file.
@@ -54,7 +57,16 @@ def read_c3d(path: Path, *, unit: str | None = None, up: Axis | None = None) -> 
     data = read_binary(path)
     try:
         processor, header = _read_header(data, path)
-        point, trial = _read_parameters(data, processor, path)
+        groups = _read_parameters(data, processor)
+        point, trial = groups.get("POINT", {}), groups.get("TRIAL", {})
+        if header.points == 0 and "ROTATION" in groups:
+            return _read_rotations(data, processor, header, groups, path, unit, up)
+        if header.points == 0:
+            raise FormatError(f"{path}: expected a C3D file with points, but its header has none")
+        if not point:
+            raise FormatError(
+                f"{path}: damaged C3D file, it has no parameters for POINT (labels, rate, unit)"
+            )
         values, residuals = _read_points(data, processor, header, trial, path)
     except (struct.error, IndexError) as error:
         # an offset in the file leads out of it
@@ -73,8 +85,17 @@ def read_c3d(path: Path, *, unit: str | None = None, up: Axis | None = None) -> 
     visible = np.isfinite(values).all(-1) & (residuals >= 0) & (values != 0).any(-1)
     fps = snapped_rate(rate)
     notes = [f"{fps:g} frames per second: stated by the file"]
-    if len(chosen) < len(names):
-        notes.append(f"{len(names) - len(chosen)} angles, forces and other outputs left out")
+    left = [name for name in names if name in outputs]
+    if left:
+        notes.append(f"{len(left)} angles, forces and other outputs left out: {_shortened(left)}")
+    if header.analog > 0:
+        channels = [name for name in _texts(groups.get("ANALOG", {}), "LABELS") if name]
+        notes.append(
+            f"analog channels left out: {_shortened(channels) if channels else 'without names'}"
+        )
+    first = _first_frame(header, trial)
+    if first > 1:
+        notes.append(f"frame {first} is the first, at {(first - 1) / fps:.3f} s")
     short, note = _without_subject([names[k] for k in chosen])
     raw = MarkerRecording(
         name=path.name,
@@ -83,6 +104,7 @@ def read_c3d(path: Path, *, unit: str | None = None, up: Axis | None = None) -> 
         visible=visible,
         fps=fps,
         decisions=(*notes, *note),
+        start_time=(first - 1) / fps,
     )
     declared = parse_unit(" ".join(_texts(point, "UNITS")))
     hint = " ".join(_texts(point, "Y_SCREEN")).lower().lstrip("+")
@@ -99,8 +121,9 @@ def _read_header(data: bytes, path: Path) -> tuple[int, _Header]:
     words = np.frombuffer(data, ">u2" if processor == _MIPS else "<u2", 10, 2).tolist()
     scale, rate = _floats(data[12:16] + data[20:24], processor).tolist()
     header = _Header(words[0], words[1], words[2], words[3], scale, words[7], rate)
-    if header.data_start == 0 or header.points == 0 or not np.isfinite(scale) or scale == 0:
-        raise FormatError(f"{path}: expected a C3D file with points, but its header has none")
+    empty = header.points == 0  # then the scale says nothing
+    if header.data_start == 0 or not (empty or (np.isfinite(scale) and scale != 0)):
+        raise FormatError(f"{path}: damaged C3D file, its header states no data and no scale")
     return processor, header
 
 
@@ -119,10 +142,8 @@ def _floats(data: bytes, processor: int) -> np.ndarray:
         return np.where(bits & 0x7F800000, values, 0.0)
 
 
-def _read_parameters(
-    data: bytes, processor: int, path: Path
-) -> tuple[dict[str, _Parameter], dict[str, _Parameter]]:
-    """Parameters of the groups POINT and TRIAL."""
+def _read_parameters(data: bytes, processor: int) -> dict[str, dict[str, _Parameter]]:
+    """Parameters of all groups that have any, by the names of the groups."""
     place = (data[0] - 1) * _BLOCK + 4
     order = ">" if processor == _MIPS else "<"
     groups: dict[int, str] = {}
@@ -140,10 +161,7 @@ def _read_parameters(
         if step <= 0:
             break
         place = after + step
-    by_name = {groups.get(number, ""): values for number, values in found.items()}
-    if "POINT" not in by_name:
-        raise FormatError(f"{path}: damaged C3D file, it has no parameters for POINT")
-    return by_name["POINT"], by_name.get("TRIAL", {})
+    return {groups.get(number, ""): values for number, values in found.items()}
 
 
 def _parameter(data: bytes, place: int, processor: int) -> _Parameter:
@@ -172,9 +190,11 @@ def _read_points(
     frames = _frame_count(header, trial)
     size = frames * width * (4 if real else 2)
     if frames < 1 or start + size > len(data):
+        whole = max(0, len(data) - start) // max(1, width * (4 if real else 2))
         raise FormatError(
             f"{path}: the C3D header promises {frames} frames of {header.points} points, "
-            f"{start + size} bytes in all; the file has {len(data)} and is cut short or damaged"
+            f"{start + size} bytes in all; the file has {len(data)}, which hold {whole} frames, "
+            "and is cut short or damaged"
         )
     JOINTS.check(header.points, path, "header")
     SAMPLES.check(frames * header.points, path, "header")
@@ -188,17 +208,55 @@ def _read_points(
     return values[..., :3] * (1.0 if real else header.scale), values[..., 3]
 
 
+def _read_rotations(
+    data: bytes,
+    processor: int,
+    header: _Header,
+    groups: dict[str, dict[str, _Parameter]],
+    path: Path,
+    unit: str | None,
+    up: Axis | None,
+) -> MarkerRecording:
+    """Joint centres of a file of segments' poses."""
+    rotation, trial = groups["ROTATION"], groups.get("TRIAL", {})
+    place = rotation.get("DATA_START")
+    if not isinstance(place, np.ndarray) or place.size != 1:
+        raise FormatError(f"{path}: damaged C3D file, ROTATION:DATA_START is missing")
+    raw = data[(int(place.flat[0]) - 1) * _BLOCK :]
+    stated = rotation.get("RATE", groups.get("POINT", {}).get("RATE"))
+    rate = float(stated.flat[0]) if isinstance(stated, np.ndarray) and stated.size else header.rate
+    FRAME_RATE.check(rate, path, "ROTATION:RATE")
+    fps, first = snapped_rate(rate), _first_frame(header, trial)
+    found = joint_centres(
+        _floats(raw[: len(raw) // 4 * 4], processor), _texts(rotation, "LABELS"),
+        _frame_count(header, trial), path, fps,
+    )  # fmt: skip
+    found = replace(found, start_time=(first - 1) / fps)
+    declared = parse_unit(" ".join(_texts(groups.get("POINT", {}), "UNITS")[:1]))
+    return settle_markers(found, unit=unit, up=up, declared=declared, usual_up="z")
+
+
 def _frame_count(header: _Header, trial: dict[str, _Parameter]) -> int:
     """Frames by the header's 16-bit numbers, or by TRIAL's longer ones where it has them."""
-    bounds = [trial.get(key) for key in ("ACTUAL_START_FIELD", "ACTUAL_END_FIELD")]
-    if header.last == 0xFFFF and all(isinstance(b, np.ndarray) and b.size == 2 for b in bounds):
-        first, last = (
-            int(np.uint16(b[0])) + (int(np.uint16(b[1])) << 16)
-            for b in bounds
-            if isinstance(b, np.ndarray)
-        )
-        return last - first + 1
+    if header.last == 0xFFFF and (bounds := _long_bounds(trial)) is not None:
+        return bounds[1] - bounds[0] + 1
     return header.last - header.first + 1
+
+
+def _first_frame(header: _Header, trial: dict[str, _Parameter]) -> int:
+    """Number of the first frame, counted from 1; some writers count from 0."""
+    bounds = _long_bounds(trial) if header.last == 0xFFFF else None
+    return max(1, header.first if bounds is None else bounds[0])
+
+
+def _long_bounds(trial: dict[str, _Parameter]) -> tuple[int, int] | None:
+    """First and last frame by TRIAL's 32-bit numbers, which are stored as pairs."""
+    bounds = [trial.get(key) for key in ("ACTUAL_START_FIELD", "ACTUAL_END_FIELD")]
+    pairs = [b for b in bounds if isinstance(b, np.ndarray) and b.size == 2]
+    if len(pairs) < 2:
+        return None
+    first, last = (int(np.uint16(b[0])) + (int(np.uint16(b[1])) << 16) for b in pairs)
+    return first, last
 
 
 def _texts(point: dict[str, _Parameter], key: str) -> tuple[str, ...]:
@@ -214,6 +272,11 @@ def _labels(point: dict[str, _Parameter], count: int) -> list[str]:
         number += 1
     labels = labels[:count] + [""] * (count - len(labels))
     return [label or f"*{k + 1}" for k, label in enumerate(labels)]
+
+
+def _shortened(names: Sequence[str]) -> str:
+    more = f" and {len(names) - 6} more" if len(names) > 6 else ""
+    return ", ".join(names[:6]) + more
 
 
 def _without_subject(names: list[str]) -> tuple[list[str], tuple[str, ...]]:

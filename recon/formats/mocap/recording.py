@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from recon.core import limits, units
-from recon.core.errors import FormatError
+from recon.core.errors import FormatError, UnitsError
 from recon.core.units import Axis
 
 LEAD_IN_SPEED = 10.0
@@ -215,9 +215,7 @@ def settle_markers(
         unit, reason = units.unit_from_markers(float(extent.max()), raw.name)
     if rise is None and usual_up is None:
         rise = extent
-    up, up_reason = (
-        (up, f"up axis {up}: given") if up else units.decide_up(rise, usual_up, raw.name)
-    )
+    up, up_reason = (up, f"up axis {up}: given") if up else _up_of_markers(raw, rise, usual_up)
     turned = positions @ (units.to_z_up(up).T * units.METRES[unit])
     limits.POSITION.check(turned, raw.name, "[frame, marker, axis]")
     return dataclasses.replace(
@@ -226,6 +224,19 @@ def settle_markers(
         positions=turned,
         decisions=(*raw.decisions, reason, up_reason),
     )
+
+
+def _up_of_markers(
+    raw: MarkerRecording, rise: Float[np.ndarray, "3"] | None, usual_up: Axis | None
+) -> tuple[Axis, str]:
+    """The up axis by the body, by the file's custom, or by the floor it moves over."""
+    try:
+        return units.decide_up(rise, usual_up, raw.name)
+    except UnitsError:
+        found = None if rise is None else units.axis_of_floor(rise, raw.positions, raw.visible)
+        if found is None:
+            raise
+        return found
 
 
 def drop_lead_in(recording: SkeletonRecording) -> SkeletonRecording:

@@ -26,12 +26,15 @@ def read_trc(path: Path, *, unit: str | None = None, up: Axis | None = None) -> 
     if len(lines) <= _HEADER or not lines[0].lower().startswith("pathfiletype"):
         raise FormatError(f"{name}: expected a TRC file, five header lines from PathFileType on")
     header = dict(zip(lines[1].split(), lines[2].split(), strict=False))
-    labels = [cell.strip() for cell in lines[3].rstrip().split("\t")[2:] if cell.strip()]
-    if len(labels) == 0 or lines[3].split()[0].lower() != "frame#":
+    labels = _labels(lines[3])
+    if not any(labels) or lines[3].split()[0].lower() != "frame#":
         raise FormatError(f"{name}: expected 'Frame# Time' and marker names in line 4")
-    times, values = _parse_table(lines[_HEADER:], len(labels), name)
+    times, values, beyond = _parse_table(lines[_HEADER:], len(labels), name)
     _check_count(header.get("NumFrames"), len(values), name)
+    named = [k for k, label in enumerate(labels) if label]
+    labels, values = [labels[k] for k in named], values[:, named]
     visible = np.isfinite(values).all(-1) & (values != 0).any(-1)
+    notes = [f"{beyond} columns of points without a label left out"] if beyond else []
     fps, note = _rate(header.get("DataRate", ""), times, name)
     raw = MarkerRecording(
         name=name,
@@ -39,19 +42,32 @@ def read_trc(path: Path, *, unit: str | None = None, up: Axis | None = None) -> 
         positions=np.where(visible[..., None], values, 0.0),
         visible=visible,
         fps=fps,
-        decisions=(note,),
+        decisions=(note, *notes),
         start_time=float(times[0]),
     )
     declared = parse_unit(header.get("Units", ""))
     return settle_markers(raw, unit=unit, up=up, declared=declared, usual_up="y")
 
 
-def _parse_table(lines: list[str], markers: int, name: str) -> tuple[np.ndarray, np.ndarray]:
+def _labels(line: str) -> list[str]:
+    """Labels of the points; "" for columns of a point that has none.
+
+    Each label stands above the first of its three columns; files with other gaps have no points
+    without a label.
+    """
+    cells = [cell.strip() for cell in line.rstrip().split("\t")[2:]]
+    if len(cells) > 1 and all(k % 3 == 0 for k, cell in enumerate(cells) if cell):
+        return cells[::3]
+    return [cell for cell in cells if cell]
+
+
+def _parse_table(lines: list[str], markers: int, name: str) -> tuple[np.ndarray, np.ndarray, int]:
+    """Times, coordinates, and how many columns beyond those of the markers hold numbers."""
     width = 2 + 3 * markers
     JOINTS.check(markers, name, "line 4")
     SAMPLES.check(max(len(lines), 1) * markers, name)
     table = np.full((len(lines), width), np.nan)
-    rows = 0
+    rows = beyond = 0
     for line in lines:
         if not line.strip():
             continue
@@ -60,17 +76,20 @@ def _parse_table(lines: list[str], markers: int, name: str) -> tuple[np.ndarray,
             row = [float(cell) if cell.strip() else np.nan for cell in cells]
         except ValueError as error:
             raise FormatError(f"{name}: expected numbers, got {line[:60]!r}") from error
-        if len(row) > width and not all(np.isnan(row[width:])):
-            raise FormatError(
-                f"{name}: a row has {len(row)} cells, {markers} markers fill {width}"
-            )
+        more = [k for k in range(width, len(row)) if not np.isnan(row[k])]
+        beyond = max(beyond, more[-1] + 1 - width if more else 0)
         table[rows, : len(row)] = row[:width]
         rows += 1
+    if beyond % 3:
+        raise FormatError(
+            f"{name}: a row has {width + beyond} cells; {markers} markers fill {width}, and each "
+            "point without a label three more"
+        )
     table = table[:rows]
     if len(table) == 0 or np.isinf(table).any() or np.isnan(table[:, :2]).any():
         raise FormatError(f"{name}: expected rows of frame number, time and finite coordinates")
     TIME.check(table[:, 1], name, "column Time, row ")
-    return table[:, 1], table[:, 2:].reshape(len(table), markers, 3)
+    return table[:, 1], table[:, 2:].reshape(len(table), markers, 3), beyond
 
 
 def _check_count(stated: str | None, frames: int, name: str) -> None:
