@@ -3,23 +3,19 @@
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
-from importlib.resources import files
 from pathlib import Path
 from typing import cast
 
 from recon.core.errors import ReconError
 from recon.core.skeleton import FEET, JOINTS, joint_index
 from recon.formats.mocap.recording import SkeletonRecording
-
-_NEEDED = tuple(
-    f"{side}_{name}"
-    for side in ("left", "right")
-    for name in ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")
+from recon.formats.mocap.skeletons import (
+    NEEDED,
+    SkeletonTable,
+    known_skeletons,
+    plain,
+    skeleton_among,
 )
-"""Joints without whose positions no full body can be fitted."""
-
-_Table = Mapping[str, Mapping[str, str]]
 
 
 @dataclass(frozen=True)
@@ -60,23 +56,11 @@ def recognise(recording: SkeletonRecording, mapping: str | Path | None = None) -
         FileNotFoundError: when there is no such mapping file.
         ValueError: when the skeleton is not known, or the file names joints that do not exist.
     """
-    theirs = {_plain(name): name for name in recording.joint_names}
+    theirs = {plain(name): name for name in recording.joint_names}
     if mapping is not None:
         return _user_map(Path(mapping), theirs, recording)
-    fitting = [
-        (len(set(found)), name)
-        for name, table in _known().items()
-        if set(found := [_plain(j) for part in table.values() for j in part.values()])
-        <= set(theirs)
-    ]
-    if not fitting:
-        raise ReconError(
-            f"{recording.name}: its skeleton is none of {', '.join(_known())}; its joints are "
-            f"{', '.join(recording.joint_names)}. Say which are ours in a TOML file, with lines "
-            'like left_knee = "LeftLeg" under [joints], and give it with --mapping'
-        )
-    name = max(fitting)[1]
-    return _build(name, _known()[name], theirs)
+    name = skeleton_among(recording.joint_names, recording.name)
+    return _build(name, known_skeletons()[name], theirs)
 
 
 def _user_map(path: Path, theirs: Mapping[str, str], recording: SkeletonRecording) -> SkeletonMap:
@@ -94,34 +78,24 @@ def _user_map(path: Path, theirs: Mapping[str, str], recording: SkeletonRecordin
     for part in table.values():
         for ours, joint in part.items():
             joint_index(ours)
-            if not isinstance(joint, str) or _plain(joint) not in theirs:
+            if not isinstance(joint, str) or plain(joint) not in theirs:
                 raise ReconError(
                     f"{path}: {ours} = {joint!r}, but {recording.name} has "
                     f"{', '.join(recording.joint_names)}"
                 )
-    found = _build(path.stem, cast(_Table, table), theirs)
-    if missing := [n for n in _NEEDED if joint_index(n) not in found.joints]:
+    found = _build(path.stem, cast(SkeletonTable, table), theirs)
+    if missing := [n for n in NEEDED if joint_index(n) not in found.joints]:
         raise ReconError(f"{path}: positions of {', '.join(missing)} are needed for a full body")
     return found
 
 
-def _build(name: str, table: _Table, theirs: Mapping[str, str]) -> SkeletonMap:
+def _build(name: str, table: SkeletonTable, theirs: Mapping[str, str]) -> SkeletonMap:
     both = dict(table.get("joints", {}))
     positions = both | dict(table.get("positions", {}))
     orientations = both | dict(table.get("orientations", {}))
 
     def ordered(part: Mapping[str, str]) -> tuple[tuple[int, str], ...]:
         numbers = sorted(map(joint_index, part), key=lambda j: (j in FEET, j))
-        return tuple((j, theirs[_plain(part[JOINTS[j]])]) for j in numbers)
+        return tuple((j, theirs[plain(part[JOINTS[j]])]) for j in numbers)
 
     return SkeletonMap(name, ordered(positions), ordered(orientations))
-
-
-def _plain(name: str) -> str:
-    return name.split(":")[-1].lower()
-
-
-@cache
-def _known() -> Mapping[str, _Table]:
-    text = files("recon").joinpath("assets", "skeletons.toml").read_text(encoding="utf-8")
-    return cast("dict[str, _Table]", tomllib.loads(text))
