@@ -27,6 +27,8 @@ from recon.core.limits import CONFIDENCE, FRAME_RATE, PIXEL, POINT_DEVIATION, PO
 FARTHEST = 5.0
 """Metres that the points of one moment lie from their middle, the median over points and moments.
 A person's lie half a metre from it; in centimetres they would lie 50 from it."""
+FARTHEST_OFFSET = 0.5
+"""Metres from its landmark that no marker sits; wands are 10 cm long."""
 _MOMENTS, _POINTS = 64, 256
 """How many of them are enough to tell a unit."""
 
@@ -134,6 +136,31 @@ def checked_places(kind: str, name: str, places: Any, points: int) -> tuple[int,
             f"{kind}.{name}: expected one for each of the {points} points, got {len(places)}"
         )
     return places
+
+
+def checked_offsets(
+    kind: str, offsets: Any, points: int
+) -> tuple[tuple[float, float, float], ...] | None:
+    """The offset of each point from its place on the body, metres; None where none are given.
+
+    Raises:
+        ValueError: when these are no finite vectors, not one for each point, or no offsets of
+            markers.
+    """
+    if offsets is None:
+        return None
+    values = float_tensor(offsets, f"{kind}.offsets").detach().double().cpu()
+    if values.shape != (points, 3) or not bool(values.isfinite().all()):
+        raise ObservationError(
+            f"{kind}.offsets: expected a finite vector for each of the {points} points, shape "
+            f"({points}, 3); got the shape {tuple(values.shape)}"
+        )
+    if bool((values.norm(dim=-1) > FARTHEST_OFFSET).any()):
+        raise ObservationError(
+            f"{kind}.offsets: expected metres from a point of the skin, got a vector of "
+            f"{float(values.norm(dim=-1).max()):.3g}; divide millimetres by 1000"
+        )
+    return tuple((x, y, z) for x, y, z in values.tolist())
 
 
 def checked_view(kind: str, camera: Camera, values: Tensor) -> Camera:

@@ -1,6 +1,6 @@
 """3D markers: positions of points on the body's surface, noisy and partly missing."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from jaxtyping import Bool, Float
@@ -8,11 +8,12 @@ from torch import Tensor
 
 from observations.checks import (
     checked_clock,
+    checked_offsets,
     checked_places,
     checked_positions,
     checked_std,
 )
-from observations.records.vertices import VertexPoints
+from observations.records.vertices import Offset, VertexPoints
 from recon.core.arrays import Numbers
 from recon.core.robust import squared
 
@@ -46,6 +47,11 @@ class Markers3D(VertexPoints):
     """Standard deviation of the coordinates of every marker at every moment, metres; zero where it
     was not visible. Weights go with the inverse square, and their root mean square is the noise
     where a fit is given none. None counts all markers alike and estimates the noise."""
+    offsets: tuple[Offset, ...] | None = None
+    """Constant offset of every marker from its vertex, in the frame of the bone that moves it
+    most, metres: how far off the landmark it was taped. None puts it on the vertex."""
+    labels: tuple[str, ...] | None = None
+    """What the recording calls every marker; None where landmarks name them."""
     rms_std: float | None = field(init=False, default=None)
     """Root mean square of `std` over the visible markers of the whole recording, metres. Its
     parts keep it, so that a marker weighs the same in every window."""
@@ -61,10 +67,13 @@ class Markers3D(VertexPoints):
         ground_known: bool = True,
         offset_rows: tuple[int, int] | None = None,
         std: Numbers | float | None = None,
+        offsets: Numbers | None = None,
+        labels: Sequence[str] | None = None,
     ) -> None:
         """Arrays of numpy become tensors in single precision; what is not visible becomes zero.
 
-        `std` may have any shape that broadcasts to (moments, points).
+        `std` may have any shape that broadcasts to (moments, points); `offsets` have the shape
+        (points, 3).
 
         Raises:
             ValueError: naming the array, what was expected and what came.
@@ -78,5 +87,6 @@ class Markers3D(VertexPoints):
         self._settle(
             positions=positions, visible=visible, vertices=places, fps=fps, start_time=start_time,
             kernel=kernel, ground_known=ground_known, offset_rows=offset_rows,
-            std=std, rms_std=rms_std,
+            std=std, rms_std=rms_std, offsets=checked_offsets("Markers3D", offsets, len(places)),
+            labels=None if labels is None else tuple(labels),
         )  # fmt: skip

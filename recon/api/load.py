@@ -9,6 +9,7 @@ from recon.body.model import BodyModel
 from recon.core.errors import FormatError, ReconError
 from recon.fitting.clip_files import Clip, load_clip
 from recon.fitting.settings import FitSettings
+from recon.ingest.markers.observation import seen_markers
 from recon.method.protocols import Sensor
 
 _LOG = logging.getLogger("recon")
@@ -32,13 +33,14 @@ def load_observation(
     depth_scale: float = 0.001,
     reader: str | None = None,
     seed: int = 0,
+    mapping: Path | str | None = None,
 ) -> Sensor | list[Sensor]:
     """What `recon fit` takes: one observation, or a list where there are several views or paths.
 
     Observation files (.npz); folders or files of 2D detections, one per view, with `camera`;
-    folders of scans (.ply, .pcd); folders of 16-bit depth images (.png) with `camera`; files of
-    sensors that other packages registered. All have a leading axis of length one. What was
-    assumed in reading is logged (logger `recon`).
+    folders of scans (.ply, .pcd); folders of 16-bit depth images (.png) with `camera`; markers of
+    laboratories (.c3d, .trc); files of sensors that other packages registered. All have a leading
+    axis of length one. What was assumed in reading is logged (logger `recon`).
 
     Args:
         path: file or folder, or several of one clip.
@@ -58,6 +60,8 @@ def load_observation(
         reader: class that reads files of a sensor of your own, "package.module:Class"; not needed
             where it is registered as the entry point `recon.observations`.
         seed: of the draw of points from clouds.
+        mapping: JSON or TOML file that says where markers (.c3d, .trc) sit, label = landmark, for
+            labels that are not known or mean another place.
 
     Raises:
         FileNotFoundError: when there is no such file.
@@ -69,7 +73,7 @@ def load_observation(
         masks=None if masks is None else Path(masks),
         camera=None if camera is None else Path(camera), camera_unit=camera_unit,
         camera_up=camera_up, image_size=image_size, ground=ground, depth_scale=depth_scale,
-        reader=reader, seed=seed,
+        reader=reader, seed=seed, mapping=None if mapping is None else Path(mapping),
     )  # fmt: skip
     clip = read_clip(paths, settings, BodyModel.load() if body is None else body)
     for note in clip.notes:
@@ -85,7 +89,7 @@ def read_clip(paths: Sequence[Path | str], settings: FitSettings, body: BodyMode
         FormatError: when something cannot be read, or settings are missing; says what to do.
     """
     try:
-        return load_clip([Path(one) for one in paths], settings, body)
+        return load_clip([Path(one) for one in paths], settings, body, seen_markers)
     except ReconError:
         raise
     except ValueError as error:

@@ -15,7 +15,7 @@ from observations.people.masks import load_silhouettes, masked
 from observations.people.views import load_views
 from recon.body.model import BodyModel
 from recon.core.errors import FormatError, ObservationError
-from recon.fitting.readers import read_by, readers
+from recon.fitting.readers import PlaceMarkers, read_by, readers
 from recon.fitting.settings import DEFAULTS, FitSettings
 from recon.formats.calibration.cameras import load_cameras
 from recon.formats.clouds.depth_images import read_depth_images
@@ -29,6 +29,7 @@ from recon.formats.keypoints3d.reader import (
     markers_of_study,
     read_points_3d,
 )
+from recon.formats.mocap.recording import MarkerRecording
 from recon.formats.observations import (
     KeypointsFile,
     ObservationFile,
@@ -56,14 +57,19 @@ class Clip:
     """Whether the caller gave the plane that lies at z = 0 of the recording."""
 
 
-def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> Clip:
+def load_clip(
+    paths: Sequence[Path],
+    settings: FitSettings,
+    body: BodyModel,
+    place_markers: PlaceMarkers | None = None,
+) -> Clip:
     """Read files and folders of one clip.
 
     Whatever the class `settings.reader` or one that is registered as `recon.observations` reads;
     observation files (.npz) of any kind; folders or files of 2D detections, one per view, with
-    `--camera`; 3D keypoints of other programs, by file or session folder; a folder of scans (.ply,
-    .pcd); a folder of 16-bit depth images (.png) with `--camera`. Sensors without a pose are taken
-    to be one and the same camera.
+    `--camera`; 3D keypoints of other programs, by file or session folder; markers (.c3d, .trc)
+    where `place_markers` says how; a folder of scans (.ply, .pcd); a folder of 16-bit depth images
+    (.png) with `--camera`. Sensors without a pose are taken to be one and the same camera.
 
     Raises:
         FileNotFoundError: when something is not there.
@@ -88,7 +94,16 @@ def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> 
             )
         if (seen := read_by(own, path, body)) is not None:
             files.append((str(path), seen))
-        elif (file := _points_3d(path, settings, body)) is not None:
+        elif (recording := _recording(path, settings)) and _on_skin(recording, settings):
+            if place_markers is None:
+                raise FormatError(
+                    f"{path}: its points are markers on the skin ("
+                    f"{', '.join(recording.marker_names[:6])}, ...), no keypoints"
+                )
+            placed = place_markers(recording, body, settings.mapping, settings.robust)
+            notes += [f"{path}: {decision}" for decision in placed.decisions]
+            files.append((str(path), placed.markers))
+        elif (file := _points_3d(path, settings, body, recording)) is not None:
             notes += [f"{path}: {decision}" for decision in file.decisions]
             found = positions_of(file, path, body, up="z", robust=settings.robust)
             files.append((str(path), found))
@@ -101,9 +116,9 @@ def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> 
         else:
             raise FormatError(
                 f"{path}: expected an observation (.npz), 2D keypoints (.json, .csv or folders of "
-                "them), 3D keypoints (.npy, .npz, .csv, .json, .trc, .c3d or a session folder) or "
-                "a folder of scans or depth images; `recon convert` takes recordings of motion "
-                "capture"
+                "them), 3D keypoints (.npy, .npz, .csv, .json, .trc, .c3d or a session folder), "
+                "markers (.c3d, .trc) or a folder of scans or depth images; `recon convert` takes "
+                "skeletons of motion capture"
             )
     if detections:
         views = load_views(
@@ -161,24 +176,33 @@ def _of_projects(
     return found, settings, projects
 
 
-def _points_3d(path: Path, settings: FitSettings, body: BodyModel) -> PositionsFile | None:
+def _points_3d(
+    path: Path, settings: FitSettings, body: BodyModel, recording: MarkerRecording | None
+) -> PositionsFile | None:
     """The 3D keypoints of a file or folder, z up; None where it holds something else."""
-    if path.suffix.lower() in RECORDINGS and path.is_file():
-        recording = marker_recording(path, settings.unit, settings.up)
+    if recording is not None:
         if (markers := markers_of_study(recording)) is not None:
             return markers
-        if not are_keypoints(recording.marker_names):
-            raise FormatError(
-                f"{path}: its points are markers on the skin ("
-                f"{', '.join(recording.marker_names[:6])}, ...), no keypoints; `recon convert` "
-                "takes recordings of motion capture"
-            )
         raw, unit, up = from_recording(recording), None, None
     elif holds_points_3d(path, images=settings.camera is not None):
         raw, unit, up = read_points_3d(path), settings.unit, settings.up
     else:
         return None
     return settled(raw, body, fps=settings.frame_rate, unit=unit, up=up, layout=settings.layout)
+
+
+def _recording(path: Path, settings: FitSettings) -> MarkerRecording | None:
+    """The labelled points of a .c3d or .trc file; None for other files."""
+    if path.suffix.lower() not in RECORDINGS or not path.is_file():
+        return None
+    return marker_recording(path, settings.unit, settings.up)
+
+
+def _on_skin(recording: MarkerRecording, settings: FitSettings) -> bool:
+    """Whether the points are markers on the skin, as those are that the caller maps."""
+    if settings.mapping is not None:
+        return True
+    return not are_keypoints(recording.marker_names) and markers_of_study(recording) is None
 
 
 def clip_from(files: Sequence[tuple[str, ObservationFile]], body: BodyModel) -> Clip:

@@ -17,7 +17,7 @@ from recon.formats.weight_files import weights_path
 
 _CLOUDS, _IMAGES, _KEYPOINTS = (".ply", ".pcd"), (".png",), (".json",)
 _CALIBRATIONS = (".toml", ".yml", ".yaml", ".npz")
-_PATHS = ("body", "camera", "masks", "weights")
+_PATHS = ("body", "camera", "masks", "mapping", "weights")
 """Settings that name files: their contents count, not where they lie."""
 
 
@@ -115,6 +115,7 @@ def input_checksums(paths: Sequence[Path], settings: FitSettings) -> dict[str, s
         (settings.camera, camera_input),
         (settings.masks, masks_input),
         (settings.body, lambda path: Input(path, (path,))),
+        (settings.mapping, lambda path: Input(path, (path,))),
     ]
     given += [input_of(path) for path, input_of in named if path is not None]
     return {str(one.path): one.checksum() for one in given}
@@ -144,6 +145,8 @@ def settings_checksum(settings: FitSettings, version: int) -> str:
     contents |= {
         f"code of {what}": _code(place) for what, place in places.items() if place and ":" in place
     }
+    if (mapping := settings.mapping) is not None:
+        contents["mapping"] = Input(mapping, (mapping,)).checksum()
     return value_checksum({"version": version, "settings": plain, **contents})
 
 

@@ -54,6 +54,9 @@ class FitSettings:
     are taken as occluded."""
     frame_rate: float | None = None
     """Frames per second of detections, 3D keypoints and scans, where files do not tell."""
+    mapping: Path | None = None
+    """File (.json, .toml; label = landmark) that says where markers of a .c3d or .trc file sit,
+    for labels that are not known or mean another place."""
     reader: str | None = None
     """Class that reads files of a sensor of your own, package.module:Class; not needed where it is
     registered as `recon.observations`."""

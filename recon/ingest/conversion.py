@@ -56,6 +56,8 @@ class Conversion:
     """What was wrong with the recording and was put right."""
     warnings: tuple[Finding, ...] = ()
     """What may be wrong with the result."""
+    ground: tuple[float, float, float, float] = (0.0, 0.0, 1.0, 0.0)
+    """Plane n·x = d that the feet stand on, (nx, ny, nz, d), metres."""
     on_belt: bool = False
     """Whether feet stand on a treadmill: contacts with it are no contacts with the room."""
 
@@ -73,7 +75,7 @@ class Conversion:
             joints=self.joints,
             contacts=self.contacts.to(self.joints) if contacts and not self.on_belt else None,
             observed=self.observed,
-            ground=torch.tensor([0.0, 0.0, 1.0, 0.0]),
+            ground=torch.tensor(self.ground),
         )
 
     def save(self, path: str | Path, body: BodyModel, *, contacts: bool = True) -> None:
@@ -82,14 +84,21 @@ class Conversion:
 
 
 def convert_skeletons(
-    recordings: Sequence[SkeletonRecording], subject: SubjectModel, body: BodyModel
+    recordings: Sequence[SkeletonRecording],
+    subject: SubjectModel,
+    body: BodyModel,
+    *,
+    keep_frame: bool = False,
 ) -> list[Conversion]:
-    """Recordings of one calibrated skeleton and one rate, as a batch of independent clips."""
+    """Recordings of one calibrated skeleton and one rate, as a batch of independent clips.
+
+    With `keep_frame` they stay where the recording has them instead of standing on z = 0.
+    """
     soles = Soles.of(body)
     solved = solve(recordings, subject, body)
     names = residual_names(subject)
     return [
-        _finish(recording, found, names, body, soles)
+        _finish(recording, found, names, body, soles, keep_frame)
         for recording, found in zip(recordings, solved, strict=True)
     ]
 
@@ -100,6 +109,7 @@ def _finish(
     names: tuple[str, ...],
     body: BodyModel,
     soles: Soles,
+    keep_frame: bool,
 ) -> Conversion:
     jumps = glitches(recording)
     found = floored(
@@ -109,6 +119,7 @@ def _finish(
         body,
         soles,
         n_glitch=len(jumps),
+        keep_frame=keep_frame,
     )
     source = found.joints.clone()
     known = [joint for joint in FEET if JOINTS[joint] in names]
@@ -126,12 +137,15 @@ def floored(
     *,
     n_glitch: int,
     observed: Bool[Tensor, "time 22"] | None = None,
+    keep_frame: bool = False,
 ) -> Conversion:
     """A converted motion stood on the ground z = 0, with contact labels and a report.
 
     The ground is the plane of the soles that stand (`recon.body.soles.Stance`): a tilted one is
-    levelled, and the motion is lowered to it.
+    levelled, and the motion is lowered to it. With `keep_frame`, and where no foot is ever
+    observed, the motion stays where it is; the plane of the soles is then told in `ground`.
     """
+    given, unseen = motion, observed is not None and not bool(observed[:, list(FEET)].any())
     belt = belt_velocity(motion, body, observed)
     placed = None if observed is None else observed.any(-1)
     stance = Stance.of(motion, body, soles, belt, placed)
@@ -143,27 +157,36 @@ def floored(
         tilt = math.degrees(math.acos(min(1.0, float(rotation[2, 2]))))
         notes.append(f"levelled by {tilt:.1f} degrees: the soles stand on a tilted plane")
     shift = stance.height()
+    if unseen:
+        shift = 0.0
     down = motion.translation.new_tensor([0.0, 0.0, shift])
     motion = motion.replace(translation=motion.translation - down)
     joints = body.pose(motion).joints
     contacts = contact_labels(joints, rest_heights(body, motion.shape), motion.fps)
     contacts = contacts if observed is None else contacts & observed
     seen = f"in {stance.frames} frames of stance" if stance.frames > 0 else "in all frames"
-    notes.append(f"lowered by {shift:.3f} m: 5th percentile of the soles {seen}")
+    if unseen:
+        notes.append("no foot is ever observed: the height of the recording was kept")
+    elif not keep_frame:
+        notes.append(f"lowered by {shift:.3f} m: 5th percentile of the soles {seen}")
     if n_glitch > 0:
         notes.append(f"{n_glitch} jumps: a joint is faster than {GLITCH_SPEED:g} m/s")
     values = list(residuals.values())
+    plane = (0.0, 0.0, 1.0, 0.0)
+    if keep_frame:
+        plane = _plane_before(given, motion, body)
+        notes = [f"the recording's frame was kept, z up; the soles stand at {plane[3]:.3f} m"]
     judged = (
         rate_finding(motion, body, observed),
         None if belt is None else treadmill_finding(belt),
         *support_findings(motion, body, observed),
     )
     return Conversion(
-        motion=motion,
-        joints=joints,
+        motion=given if keep_frame else motion,
+        joints=body.pose(given).joints if keep_frame else joints,
         contacts=contacts,
         residuals=residuals,
-        ground_shift=shift,
+        ground_shift=0.0 if keep_frame else shift,
         decisions=(*decisions, *notes),
         report={
             "frames": motion.frames,
@@ -171,8 +194,8 @@ def floored(
             "seconds": round(motion.frames / motion.fps, 3),
             "residual_mm": float(np.mean(values)),
             "residual_max_mm": float(np.max(values)),
-            "ground_shift_m": shift,
-            "tilt_degrees": round(tilt, 2),
+            "ground_shift_m": 0.0 if keep_frame else shift,
+            "tilt_degrees": 0.0 if keep_frame else round(tilt, 2),
             "stance_frames": stance.frames,
             "n_glitch": n_glitch,
             "slip_mps": slip_speed(joints, contacts, motion.fps),
@@ -183,8 +206,21 @@ def floored(
             for name, value in residuals.items()
         ),
         warnings=tuple(finding for finding in judged if finding is not None),
+        ground=plane,
         on_belt=belt is not None,
     )
+
+
+def _plane_before(
+    given: Motion, moved: Motion, body: BodyModel
+) -> tuple[float, float, float, float]:
+    """The plane z = 0 of a motion that was moved rigidly, in the frame in which it was given."""
+    here, there = (body.pose(one.window(0, 1)) for one in (given, moved))
+    turn = there.orientations[0, 0] @ here.orientations[0, 0].mT
+    normal = turn[2]  # what the turn takes to z
+    height = normal @ here.joints[0, 0] - there.joints[0, 0, 2]
+    nx, ny, nz = normal.tolist()
+    return nx, ny, nz, float(height)
 
 
 def resampled(found: Conversion, body: BodyModel, fps: float) -> Conversion:

@@ -22,6 +22,7 @@ def convert(
     subject: SubjectModel | None = None,
     mapping: str | Path | None = None,
     fps: float | None = None,
+    keep_frame: bool = False,
 ) -> Conversion:
     """Any full-body recording, of joints or of markers, as a motion of our body.
 
@@ -32,8 +33,9 @@ def convert(
         up: axis of the file that points up; None finds it out.
         subject: shape, offsets and alignments from other recordings of the same skeleton; None
             finds them from this one.
-        mapping: TOML file that says which of its joints or markers are ours.
+        mapping: TOML or JSON file that says which of its joints or markers are ours.
         fps: resample to this rate; None keeps the recording's.
+        keep_frame: leave the motion where the recording has it, z up, instead of on z = 0.
 
     Raises:
         FileNotFoundError: when there is no such file.
@@ -46,10 +48,10 @@ def convert(
         recording = read_recording(recording, unit=unit, up=up)
     body = BodyModel.load() if body is None else body
     if isinstance(recording, MarkerRecording):
-        found = convert_markers(recording, body, mapping=mapping)
+        found = convert_markers(recording, body, mapping=mapping, keep_frame=keep_frame)
     else:
         recording = drop_lead_in(recording)
         if subject is None:
             subject = calibrate([recording], recognise(recording, mapping), body)
-        (found,) = convert_skeletons([recording], subject, body)
+        (found,) = convert_skeletons([recording], subject, body, keep_frame=keep_frame)
     return found if fps is None or fps == found.motion.fps else resampled(found, body, fps)

@@ -19,11 +19,13 @@ class ConversionSettings:
     up: Axis | None = None
     """Axis of the recording that points up."""
     mapping: Path | None = None
-    """TOML file that says which joints or markers are which."""
+    """JSON or TOML file that says which joints or markers are which."""
     fps: float | None = None
     """Rate of the result; None is the recording's."""
     body: Path | None = None
     """A SMPL-family file; None is the bundled body."""
+    keep_frame: bool = False
+    """Leave the motion where the recording has it instead of standing it on z = 0."""
 
 
 def convert_file(
@@ -42,7 +44,7 @@ def convert_file(
     read = recording_files(recording)
     found = convert(
         recording, unit=settings.unit, up=settings.up, mapping=settings.mapping, fps=settings.fps,
-        body=settings.body,
+        body=settings.body, keep_frame=settings.keep_frame,
     )  # fmt: skip
     read += [path for path in (settings.mapping, settings.body) if path is not None]
     report = {

@@ -20,6 +20,7 @@ from recon.formats.motions import save_motion
 from recon.formats.results.inputs import paths_in
 from recon.formats.results.outputs import Output, check_outputs
 from recon.formats.results.writing import writing_file
+from recon.ingest.markers.observation import seen_markers
 from recon.method.stages import Watch
 
 
@@ -72,7 +73,7 @@ def fitted(
         FileNotFoundError, ValueError: for bad input.
     """
     body = BodyModel.load(settings.body)
-    clip = load_clip(paths, settings, body)
+    clip = load_clip(paths, settings, body, seen_markers)
     return fit(
         clip,
         settings.prior,

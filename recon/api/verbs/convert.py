@@ -19,10 +19,12 @@ def convert(
     mapping: str | Path | None = None,
     fps: float | None = None,
     body: BodyLike = None,
+    keep_frame: bool = False,
 ) -> Made:
-    """Any full-body recording, of joints or of markers, as a motion of the body.
+    """Any recording of joints or markers of a body as a motion of the body.
 
-    The result stands on z = 0. Nothing is random, and everything is computed on the processor.
+    The result stands on z = 0 and keeps the recording's times. Nothing is random, and everything
+    is computed on the processor.
 
     `about` of the result has `conversion` (flat numbers: frames, fps, residual_mm, slip_mps, ...),
     `decisions` (what was read, guessed or cut, a sentence each), `residuals_mm` (mean distance of
@@ -33,9 +35,11 @@ def convert(
             or what `recon.formats.mocap.reader.read_recording` made of it.
         unit: of the file; None finds it out.
         up: axis of the file that points up; None finds it out.
-        mapping: TOML file that says which of its joints or markers are which.
+        mapping: JSON or TOML file that says which of its joints or markers are which.
         fps: rate of the result, frames per second; None is the recording's.
         body: whose motion it becomes; a SMPL-family file, or None for the bundled body.
+        keep_frame: leave the motion where the laboratory has it, turned to z up at most, instead
+            of standing it on z = 0; the plane that feet stand on is then in the file.
 
     Raises:
         ReconError: when it cannot be read, its unit or axis cannot be told, its skeleton or
@@ -45,7 +49,10 @@ def convert(
     model = body_given(body)
     rate = None if fps is None else positive(fps, "fps")
     source = str(recording) if isinstance(recording, Path) else recording
-    found = single.convert(source, model, unit=unit, up=up, mapping=mapping, fps=rate)
+    found = single.convert(
+        source, model, unit=unit, up=up, mapping=mapping, fps=rate,
+        keep_frame=keep_frame,
+    )  # fmt: skip
     about = {
         "conversion": dict(found.report),
         "decisions": list(found.decisions),

@@ -38,6 +38,9 @@ def convert(
     mapping: Path | None = None,
     fps: float | None = None,
     body: Path | None = None,
+    keep_frame: Annotated[
+        bool, arg(help="Leave the motion where the laboratory has it, not on z = 0.")
+    ] = False,
     processes: int = 2,
     json: Annotated[bool, arg(help="Print the report as JSON on stdout.")] = False,
     overwrite: Overwrite = False,
@@ -58,9 +61,10 @@ def convert(
         everything: convert a whole folder.
         unit: of the file; default: found out.
         up: axis that points up; default: found out.
-        mapping: TOML file that says which joints or markers are which.
+        mapping: JSON or TOML file that says which joints or markers are which.
         fps: rate of the result; default: the recording's.
         body: a SMPL-family file of your own; default: the bundled body.
+        keep_frame: leave the motion where the laboratory has it, not on z = 0.
         processes: clips at a time with --all.
         json: print the report as JSON on stdout.
         overwrite: replace files that are there and recon did not write.
@@ -70,14 +74,22 @@ def convert(
     from recon.cli import console
 
     if everything:
-        if any(option is not None for option in (unit, up, mapping, fps)):
+        if keep_frame or any(option is not None for option in (unit, up, mapping, fps)):
             raise ValueError("--all takes unit, axis and rate from each file; leave them out")
         _convert_folder(recording, out, body, processes, json, overwrite)
         return
 
+    if mapping is None:
+        from recon.formats.mocap.skeletons import refuse_unknown_skeleton
+
+        refuse_unknown_skeleton(recording)
+        if up is None:
+            from recon.cli.looks import refuse_unknown_markers
+
+            refuse_unknown_markers([recording], mapping, unit)
     from recon.jobs.convert import ConversionSettings, convert_file
 
-    settings = ConversionSettings(unit, up, mapping, fps, body)
+    settings = ConversionSettings(unit, up, mapping, fps, body, keep_frame)
     report = convert_file(recording, out, settings, overwrite=overwrite)
     for decision in report["decisions"]:
         console.say(f"  {decision}")

@@ -24,10 +24,10 @@ def fit(
     Several observations add up. Of each kind there may be any number, in any order:
     observation files (.npz) of 3D joints, markers, keypoints or points; 3D keypoints of
     FreeMoCap (session folder), MediaPipe, MotionBERT, Azure Kinect, Anipose, Pose2Sim or
-    your own (.npy, .npz, .csv, .json, .trc); with --camera and --frame-rate, 2D
-    detections of OpenPose, MMPose, AlphaPose, MediaPipe, DeepLabCut, EasyMocap or
-    Pose2Sim (a folder or file per view, or a folder of views); a folder of scans (.ply,
-    .pcd); a folder of 16-bit depth images (.png, with --camera).
+    your own (.npy, .npz, .csv, .json, .trc); markers of a laboratory (.c3d, .trc); with
+    --camera and --frame-rate, 2D detections of OpenPose, MMPose, AlphaPose, MediaPipe,
+    DeepLabCut, EasyMocap or Pose2Sim (a folder or file per view, or a folder of views); a
+    folder of scans (.ply, .pcd); a folder of 16-bit depth images (.png, with --camera).
 
     Writes OUT (AMASS .npz with joints, contacts and ground) and OUT.json (what happened).
 
@@ -65,6 +65,10 @@ def fit_and_say(
     check_plugs(settings.prior, settings.reader)
     if settings.reader is None and not registered(SENSORS):
         refuse_foreign(observations)
+        if settings.up is None:
+            from recon.cli.looks import refuse_unknown_markers
+
+            refuse_unknown_markers(observations, settings.mapping, settings.unit)
     from recon.jobs.fit import fit_files
 
     with console.fitting({}) as watch:

@@ -1,6 +1,7 @@
 """A recording of markers as a motion of our body: checked, fitted, and checked again."""
 
 import dataclasses
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,7 @@ from recon.ingest.markers.exchanges import (
 )
 from recon.ingest.markers.findings import marker_findings, marker_residuals
 from recon.ingest.markers.fit import MarkerFit, fit_markers, nominal_places
-from recon.ingest.markers.gaps import gap_findings
+from recon.ingest.markers.gaps import gap_findings, trimmed
 from recon.ingest.markers.joint_centres import keypoint_finding
 from recon.ingest.markers.jumps import jump_findings
 from recon.solver.threads import one_thread
@@ -37,53 +38,91 @@ def convert_markers(
     body: BodyModel,
     *,
     mapping: str | Path | None = None,
+    keep_frame: bool = False,
 ) -> Conversion:
-    """A recording of any full-body marker set as a motion of our body.
+    """A recording of markers on a body, its legs or its trunk as a motion of our body.
 
     Labels that change over between markers are put right first, and labels that do not fit any
-    body after a first fit. Frames and limbs without markers are joined from their neighbours.
+    body after a first fit. Frames before the first and after the last with enough markers are
+    left out; frames and limbs without markers in between are joined from their neighbours.
 
     Args:
         recording: in metres, z up.
         body: whose motion it becomes; marker names are points of the bundled body's mesh.
-        mapping: TOML file, marker label = landmark or vertex; None uses the known labels.
+        mapping: JSON or TOML file, marker label = landmark or vertex; None uses the known labels.
+        keep_frame: whether the motion stays where the laboratory has it instead of standing on
+            z = 0.
 
     Raises:
         FileNotFoundError: when there is no such mapping file.
-        ValueError: when the markers are not known or do not cover the body.
+        ValueError: when the markers are not known, or cover neither legs nor trunk.
     """
     with one_thread():
-        return _converted(recording, body, full_body_markers(recording, body, mapping))
+        markers = full_body_markers(recording, body, mapping)
+        return _converted(fitted_markers(recording, body, markers), markers, body, keep_frame)
 
 
-def _converted(recording: MarkerRecording, body: BodyModel, markers: MarkerSet) -> Conversion:
+@dataclass(frozen=True)
+class FittedMarkers:
+    """Markers whose labels fit a body, and the body that was moved to meet them."""
+
+    recording: MarkerRecording
+    """The known markers under labels that fit, from the first to the last frame that places a
+    body."""
+    fit: MarkerFit
+    repairs: tuple[Finding, ...]
+    """Labels that were exchanged."""
+    decisions: tuple[str, ...]
+    """What was read, chosen and left out, one sentence each."""
+
+
+def fitted_markers(
+    recording: MarkerRecording, body: BodyModel, markers: MarkerSet
+) -> FittedMarkers:
+    """The markers of a recording with labels put right, and the body that meets them.
+
+    Raises:
+        ValueError: when no frame shows enough markers to place a body.
+    """
     chosen, repairs = steady_labels(recording.select(markers.labels))
+    bones = tuple(body.weights[list(markers.vertices)].argmax(-1).tolist())
+    chosen, cut = trimmed(chosen, bones)
     fit = fit_markers(chosen, markers, body)
     if mean_residual(fit, chosen) > _BAD and (other := _relabelled(chosen, markers, body, fit)):
         chosen, finding = other
         repairs.append(finding)
         fit = fit_markers(chosen, markers, body)
+    left = f"; not known: {', '.join(markers.unknown)}" if markers.unknown else ""
+    kind = "keypoints" if markers.inside else "markers"
+    used = f"{len(markers.labels)} {kind} used{left}"
+    said = (*recording.decisions, *markers.decisions, used, *cut)
+    return FittedMarkers(chosen, fit, tuple(repairs), said)
+
+
+def _converted(
+    found: FittedMarkers, markers: MarkerSet, body: BodyModel, keep_frame: bool
+) -> Conversion:
+    fit, chosen = found.fit, found.recording
     mended, jumps = jump_findings(fit.unmade, fit.mended)
-    warnings = [*gap_findings(fit.observed, recording.fps), *jumps]
+    warnings = [*gap_findings(fit.observed, chosen.fps), *jumps]
     if markers.inside:
         warnings.append(keypoint_finding(markers.labels))
     warnings += marker_findings(fit, chosen, markers)
-    left = f"; not known: {', '.join(markers.unknown)}" if markers.unknown else ""
-    kind = "keypoints" if markers.inside else "markers"
-    found = floored(
+    converted = floored(
         fit.motion,
         marker_residuals(fit, chosen),
-        (*recording.decisions, f"{len(markers.labels)} {kind} used{left}"),
+        found.decisions,
         body,
         Soles.of(body),
         n_glitch=int(fit.unmade.any(-1).sum()),
         observed=fit.observed,
+        keep_frame=keep_frame,
     )
     return dataclasses.replace(
-        found,
-        diagnosis=(*found.diagnosis, *_by_time(fit, chosen)),
-        repairs=(*found.repairs, *repairs, *mended),
-        warnings=(*found.warnings, *warnings),
+        converted,
+        diagnosis=(*converted.diagnosis, *_by_time(fit, chosen)),
+        repairs=(*converted.repairs, *found.repairs, *mended),
+        warnings=(*converted.warnings, *warnings),
     )
 
 

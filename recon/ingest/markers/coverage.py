@@ -10,7 +10,14 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from recon.body.landmarks import landmark, load_marker_map, match_markers
+from observations.start.rigid import TORSO
+from recon.body.landmarks import (
+    FEWEST_MARKERS,
+    landmark,
+    load_marker_map,
+    mapping_to_write,
+    match_markers,
+)
 from recon.body.model import BodyModel
 from recon.core.errors import ReconError
 from recon.core.skeleton import descendants, joint_index
@@ -23,7 +30,8 @@ _LOOSE = re.compile(r"thigh|shank|upper_arm|deltoid|forearm$|forearm_|scapula$|c
 """Landmarks that are a region: markers are put anywhere on it."""
 STANDOFF = 0.0095
 """Metres from the skin to a marker's centre, along the normal (MoSh)."""
-_LEAST = 10
+_BONES_ABOVE, _ON_TORSO = 3, 3
+"""Bones from the chest up with a marker, and markers of the torso, that place an upper body."""
 _STUDY = "_study"
 """Suffix of OpenCap's augmented markers."""
 
@@ -42,24 +50,30 @@ class MarkerSet:
     """Labels nobody knows: virtual markers, joint centres, unlabelled points."""
     inside: bool = False
     """Whether they are joint centres that a detector found, rather than markers on the skin."""
+    bare: tuple[str, ...] = ()
+    """Parts of the body on which there is none: trunk, pelvis, left shank or foot, ..."""
+    decisions: tuple[str, ...] = ()
+    """What was chosen among the points, one sentence each."""
 
 
 def full_body_markers(
     recording: MarkerRecording, body: BodyModel, mapping: str | Path | None = None
 ) -> MarkerSet:
-    """The known markers of a recording that are ever visible.
+    """The known markers of a recording that are ever visible: of a body, its legs or its trunk.
 
     Args:
-        recording: with labels of any protocol.
+        recording: with labels of any protocol; of several subjects the one seen most is taken.
         body: on whose mesh they sit.
-        mapping: TOML file, marker label = landmark or vertex; None uses the known labels.
+        mapping: JSON or TOML file, marker label = landmark or vertex, for labels that are not
+            known or that mean another place here; None uses the known labels.
 
     Raises:
         FileNotFoundError: when there is no such mapping file.
         ValueError: when the body is not the bundled one and no mapping gives its vertices, or
-            when too few markers are known or parts of the body have none.
+            when too few markers are known to place legs or trunk.
     """
-    if mapping is None and body.checksum != BodyModel.load().checksum:
+    bundled = body.checksum == BodyModel.load().checksum
+    if mapping is None and not bundled:
         raise ReconError(
             f"marker names are points of the bundled body, not of {body.name!r}; give vertex "
             "numbers of that body with --mapping"
@@ -71,22 +85,27 @@ def full_body_markers(
     ]
     if mapping is None and are_keypoints(seen):
         return _keypoints(seen, body)
-    if mapping is None:
+    seen, decisions = _of_one_subject(recording, seen)
+    vertices: dict[str, int] = {}
+    loose: dict[str, bool] = {}
+    if bundled:
         # OpenCap adds markers that a network placed beside the keypoints they were made from
         study = {label.removesuffix(_STUDY): label for label in seen if label.endswith(_STUDY)}
-        known, unknown = match_markers(study if len(study) >= _LEAST else seen)
+        known, _ = match_markers(study if len(study) >= FEWEST_MARKERS else seen)
         names = {study.get(label, label): name for label, name in known.items()}
-        unknown = tuple(label for label in seen if label not in names)
         vertices = {label: landmark(name) for label, name in names.items()}
         loose = {label: _LOOSE.search(name) is not None for label, name in names.items()}
-    else:
+    if mapping is not None:
         given = load_marker_map(mapping)
-        vertices = {label: given[label] for label in seen if label in given}
-        unknown = tuple(label for label in seen if label not in given)
-        loose = dict.fromkeys(vertices, False)
+        for label in (label for label in seen if label in given):
+            vertices.pop(label, None)
+            if (vertex := given[label]) is not None:
+                vertices[label], loose[label] = vertex, False
+    vertices = {label: vertices[label] for label in seen if label in vertices}
+    unknown = tuple(label for label in seen if label not in vertices)
     if unknown:
         logger.info("%s: markers not known: %s", recording.name, ", ".join(unknown))
-    _check_cover(recording.name, vertices, unknown, body)
+    bare = _bare_parts(recording.name, vertices, unknown, body)
     labels = tuple(vertices)
     return MarkerSet(
         labels=labels,
@@ -94,6 +113,29 @@ def full_body_markers(
         loose=tuple(loose[label] for label in labels),
         nominal=nominal_offsets(body, tuple(vertices.values())),
         unknown=unknown,
+        bare=bare,
+        decisions=decisions,
+    )
+
+
+def _of_one_subject(
+    recording: MarkerRecording, seen: Sequence[str]
+) -> tuple[list[str], tuple[str, ...]]:
+    """The labels of one subject and of none, where labels name several (Ann:LASI, Bob:LASI)."""
+    shown = dict(zip(recording.marker_names, recording.visible.sum(0).tolist(), strict=True))
+    counts: dict[str, int] = {}
+    for label in seen:
+        if ":" in label:
+            subject = label.split(":")[0]
+            counts[subject] = counts.get(subject, 0) + shown[label]
+    if len(counts) < 2:
+        return list(seen), ()
+    chosen = max(counts, key=lambda subject: counts[subject])
+    others = [subject for subject in counts if subject != chosen]
+    kept = [label for label in seen if ":" not in label or label.split(":")[0] == chosen]
+    return kept, (
+        f"markers of {len(counts)} subjects: those of {chosen} were taken, which are seen most; "
+        f"left out: {', '.join(others)}",
     )
 
 
@@ -111,27 +153,35 @@ def _keypoints(labels: Sequence[str], body: BodyModel) -> MarkerSet:
     )
 
 
-def _check_cover(
+def _bare_parts(
     name: str, vertices: dict[str, int], unknown: tuple[str, ...], body: BodyModel
-) -> None:
+) -> tuple[str, ...]:
+    """Parts of the body without a marker.
+
+    Raises:
+        ValueError: when the others are neither two legs with their pelvis nor a trunk.
+    """
     bones = body.weights[list(vertices.values())].argmax(-1).tolist() if vertices else []
     parts: dict[str, tuple[int, ...]] = {"pelvis": (0, 1, 2, 3)}
     for side in ("left", "right"):
         knee = joint_index(f"{side}_knee")
         parts[f"{side} thigh or knee"] = (joint_index(f"{side}_hip"), knee)
         parts[f"{side} shank or foot"] = descendants(knee)
-    parts["trunk"] = descendants(joint_index("spine2"))
-    bare = [part for part, joints in parts.items() if not any(b in joints for b in bones)]
-    left = f"; labels not known: {', '.join(unknown)}" if unknown else ""
-    how = "; say where markers sit in a TOML file, label = landmark, with --mapping"
-    if bare == ["trunk"]:
-        raise ReconError(f"{name}: lower-body only: no marker on the trunk{left}{how}")
-    if bare or len(bones) < _LEAST:
-        raise ReconError(
-            f"{name}: expected a full-body marker set of at least {_LEAST} known markers, got "
-            f"{len(bones)} ({', '.join(vertices)}); without a marker: {', '.join(bare) or 'none'}"
-            f"{left}{how}"
-        )
+    trunk = descendants(joint_index("spine2"))
+    parts["trunk"] = trunk
+    bare = tuple(part for part, some in parts.items() if not any(b in some for b in bones))
+    legs = set(bare) <= {"trunk"}
+    upper = len({b for b in bones if b in trunk}) >= _BONES_ABOVE and (
+        sum(b in TORSO for b in bones) >= _ON_TORSO
+    )
+    if (legs or upper) and len(bones) >= FEWEST_MARKERS:
+        return bare
+    raise ReconError(
+        f"{name}: expected at least {FEWEST_MARKERS} markers of known places, on pelvis and both "
+        f"legs or on the trunk, got {len(bones)} ({', '.join(vertices) or 'none'}); without a "
+        f"marker: {', '.join(bare) or 'none'}; labels not known: {', '.join(unknown) or 'none'}; "
+        f"{mapping_to_write(unknown or tuple(vertices))}"
+    )
 
 
 def nominal_offsets(body: BodyModel, vertices: Sequence[int]) -> Float[Tensor, "markers 3"]:

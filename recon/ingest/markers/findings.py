@@ -10,7 +10,7 @@ from recon.formats.mocap.recording import MarkerRecording
 from recon.ingest.markers.coverage import MarkerSet
 from recon.ingest.markers.fit import MarkerFit
 
-_FAR = 0.15
+FAR = 0.15
 """Metres from its place on the body beyond which a marker is misplaced for that frame."""
 _OFTEN = 0.02
 """Share of a marker's frames in which it is, that is worth a word."""
@@ -38,7 +38,7 @@ def marker_findings(
     """Markers that stand still, leave their places, or sit elsewhere than their names say."""
     away, seen = _away(fit, recording), recording.visible
     constant = _constant(fit, recording)
-    far = (away > _FAR) & seen
+    far = (away > FAR) & seen
     often = far.sum(0) > _OFTEN * seen.sum(0).clip(min=1)
     offset = (fit.subject.offsets - markers.nominal).norm(dim=-1).numpy()
     limit = np.where(markers.loose, _LOOSE, _PLACED)
@@ -63,7 +63,7 @@ def marker_findings(
         found.append(
             Finding(
                 "outliers",
-                f"{listed(names(wild))} are more than {100 * _FAR:.0f} cm from their places on "
+                f"{listed(names(wild))} are more than {100 * FAR:.0f} cm from their places on "
                 f"the body in up to {100 * _share(far, seen, wild):.0f} % of their frames: look "
                 "for exchanged labels, ghosts and loose markers",
                 names(wild),

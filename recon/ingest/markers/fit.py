@@ -123,6 +123,7 @@ def fit_markers(
             energies, data.bones, lambda motion: body.pose(motion).joints, motion
         )
         motion = bridged(motion, placed, turned_joints(data.visible, data.bones))
+        motion = motion.replace(start_time=recording.start_time)
         predicted = _predicted(motion, subject, data.vertices, body)
     return MarkerFit(
         motion,
@@ -158,7 +159,7 @@ class _Data:
     ) -> "_Data":
         visible = torch.from_numpy(recording.visible)
         positions = torch.from_numpy(recording.positions).float().where(visible[..., None], 0.0)
-        on_ground = _stands_on_zero(positions, visible)
+        on_ground = stands_on_zero(recording)
         under = Soles.of(body).points.flatten() if on_ground else None
         return cls(positions, visible, recording.fps, markers, body, under, weights)
 
@@ -254,10 +255,8 @@ def _well_seen(visible: Bool[Tensor, "time markers"]) -> Int[Tensor, " chosen"]:
     return good[torch.from_numpy(np.unique(pick.astype(int)))]
 
 
-def _stands_on_zero(
-    positions: Float[Tensor, "time markers 3"], visible: Bool[Tensor, "time markers"]
-) -> bool:
+def stands_on_zero(recording: MarkerRecording) -> bool:
     """Whether z = 0 is the ground: the lowest markers are as high as markers on feet are."""
-    low = positions[..., 2].where(visible, torch.inf).amin(-1)
-    low = low[low.isfinite()]
-    return len(low) > 0 and _FOOT_MARKER[0] < float(low.quantile(0.1)) < _FOOT_MARKER[1]
+    low = np.where(recording.visible, recording.positions[..., 2], np.inf).min(-1)
+    low = low[np.isfinite(low)]
+    return len(low) > 0 and _FOOT_MARKER[0] < float(np.quantile(low, 0.1)) < _FOOT_MARKER[1]

@@ -1,8 +1,9 @@
 """What no marker showed: frames and limbs that are inferred from their neighbours in time.
 
-A limb without markers keeps the pose in which it was last seen and goes over into the one in
-which it is seen next; a whole body without markers keeps its place likewise. A limb that never
-has a marker keeps the natural pose that the fit gave it.
+Frames before the first and after the last that place a body are left out, not invented. A limb
+without markers keeps the pose in which it was last seen and goes over into the one in which it is
+seen next; a whole body without markers keeps its place likewise. A limb that never has a marker
+keeps the natural pose that the fit gave it.
 """
 
 import numpy as np
@@ -14,8 +15,9 @@ from observations.start.rigid import TORSO
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion
-from recon.core.skeleton import JOINTS, descendants
+from recon.core.skeleton import JOINTS, descendants, joint_index
 from recon.diagnosis.findings import Finding, listed, spans, stretches
+from recon.formats.mocap.recording import MarkerRecording
 
 _TORSO_MARKERS = 3
 """Markers of the torso that place a body."""
@@ -23,11 +25,12 @@ _SHARE = 1 / 3
 """Share of all markers that places a body as well, wherever the markers are."""
 _REACH = 0.14
 """Metres at rest from a marker to the joints whose place it shows."""
+_ABOUT_PELVIS = (0, *(joint_index(name) for name in ("left_hip", "right_hip", "spine1")))
 _LIMBS = {
     f"{side} {part}": tuple(f"{side}_{joint}" for joint in joints)
     for side in ("left", "right")
     for part, joints in (("arm", ("elbow", "wrist")), ("leg", ("knee", "ankle")))
-}
+} | {"trunk": ("spine3",), "pelvis": ("pelvis",)}
 _SHORT = 0.25
 """Seconds of a gap in one limb that its neighbours in time fill well; it is not worth a word."""
 
@@ -41,16 +44,44 @@ def placed_frames(
     return enough | (visible.sum(-1) > _SHARE * visible.shape[-1])
 
 
+def trimmed(
+    recording: MarkerRecording, bones: tuple[int, ...]
+) -> tuple[MarkerRecording, tuple[str, ...]]:
+    """The recording from the first to the last frame that places a body, and what was left out.
+
+    Args:
+        recording: whose clock goes on.
+        bones: the bone that moves each of its markers most.
+    """
+    placed = placed_frames(torch.from_numpy(recording.visible), bones).nonzero()[:, 0].tolist()
+    if not placed:
+        return recording, ()
+    kept = recording.window(placed[0], placed[-1] + 1)
+    before, after = placed[0], recording.frames - 1 - placed[-1]
+    if before == after == 0:
+        return recording, ()
+    parts = [f"the {where} {n}" for where, n in (("first", before), ("last", after)) if n]
+    return kept, (
+        f"{' and '.join(parts)} of {recording.frames} frames show too few markers to place a body "
+        f"and are left out: the motion begins at {kept.start_time:.3f} s of the recording",
+    )
+
+
 def observed_joints(
     visible: Bool[Tensor, "time markers"],
     vertices: tuple[int, ...],
     body: BodyModel,
 ) -> Bool[Tensor, "time 22"]:
-    """Joints whose place a visible marker shows: one near the joint, or on a bone beyond it."""
+    """Joints whose place a visible marker shows: one near the joint, or on a bone beyond it.
+
+    All bones lie beyond the pelvis, of which a marker on the head tells little: its place is
+    shown by those near it, on it, on thighs and on the lowest spine.
+    """
     bones = body.weights[list(vertices)].argmax(-1)
     away = torch.cdist(body.joint_template, body.template[list(vertices)])
     shows = away < _REACH
-    for joint in range(len(JOINTS)):
+    shows[0] |= torch.isin(bones, torch.tensor(_ABOUT_PELVIS))
+    for joint in range(1, len(JOINTS)):
         shows[joint] |= torch.isin(bones, torch.tensor(descendants(joint)))
     seen = (visible[:, None] & shows).any(-1)
     return seen & placed_frames(visible, tuple(bones.tolist()))[:, None]

@@ -69,9 +69,9 @@ def keypoint_finding(labels: Sequence[str]) -> Finding:
     """What is said of such recordings."""
     return Finding(
         "joint centres",
-        f"the points are keypoints of a detector ({listed(labels)}), which lie inside the body, "
-        "not markers on the skin: they were taken as joint centres. With the images' keypoints "
-        "and calibrated cameras, `recon fit` is more accurate",
+        f"the points are joint centres by their names ({listed(labels)}), as detectors of "
+        "keypoints give them: they lie inside the body and are no markers on the skin. With the "
+        "images' keypoints and calibrated cameras, `recon fit` is more accurate",
         value=float(len(labels)),
     )
 

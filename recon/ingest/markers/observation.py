@@ -1,0 +1,108 @@
+"""A recording of markers as an observation, so that a fit under a prior fills what it lacks.
+
+The body that meets the markers, as a conversion finds it, tells where each marker sits on the
+skin and how far it is from there, frame by frame: soft tissue moves, and bodies are no model.
+"""
+
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+
+from observations.markers3d import Markers3D
+from observations.noise import LIMITS
+from recon.body.model import BodyModel
+from recon.core.robust import geman_mcclure, squared
+from recon.core.skeleton import FEET
+from recon.diagnosis.findings import listed
+from recon.fitting.readers import SeenMarkers
+from recon.formats.mocap.recording import MarkerRecording
+from recon.ingest.markers.conversion import FittedMarkers, fitted_markers
+from recon.ingest.markers.coverage import full_body_markers
+from recon.ingest.markers.findings import FAR
+from recon.ingest.markers.fit import stands_on_zero
+from recon.solver.threads import one_thread
+
+_MOSTLY = 0.5
+"""Share of a marker's frames."""
+
+
+def seen_markers(
+    recording: MarkerRecording,
+    body: BodyModel,
+    mapping: Path | None = None,
+    robust: float | None = None,
+) -> SeenMarkers:
+    """The known markers of a recording on our body's surface, and what was decided.
+
+    Their offsets from the skin are those of the body that meets them best, and their standard
+    deviations its residuals, at least a centimetre: below that, the body errs more than markers.
+
+    Args:
+        recording: in metres, z up.
+        body: on whose surface they sit.
+        mapping: JSON or TOML file, marker label = landmark or vertex; None uses known labels.
+        robust: distance in metres beyond which a marker counts ever less; None is least squares.
+
+    Raises:
+        FileNotFoundError: when there is no such mapping file.
+        ValueError: when the markers are not known, or cover neither legs nor trunk.
+    """
+    with one_thread():
+        markers = full_body_markers(recording, body, mapping)
+        found = fitted_markers(recording, body, markers)
+    shown, fit, lost = found.recording, found.fit, _lost(found)
+    shown = replace(shown, visible=shown.visible & ~lost)
+    found = replace(found, recording=shown)
+    offsets = fit.subject.offsets
+    grounded = bool(fit.observed[:, list(FEET)].any()) and stands_on_zero(shown)
+    seen = Markers3D(
+        torch.from_numpy(shown.positions).float()[None],
+        torch.from_numpy(shown.visible)[None],
+        markers.vertices,
+        shown.fps,
+        shown.start_time,
+        squared if robust is None else partial(geman_mcclure, sigma=robust),
+        ground_known=grounded,
+        std=_deviations(found),
+        offsets=offsets,
+        labels=shown.marker_names,
+    )
+    ground = (
+        "ground: z = 0, as the lowest markers are those of feet"
+        if grounded
+        else "ground: its height is estimated, as no marker of a foot is near z = 0"
+    )
+    bare = (
+        (f"no marker on {listed(markers.bare)}: the prior infers what nobody saw",)
+        if markers.bare
+        else ()
+    )
+    if lost.any():
+        names = [name for name, one in zip(shown.marker_names, lost, strict=True) if one]
+        said = "are more than 15 cm from their places on the body mostly: left out"
+        bare = (*bare, f"{listed(names)} {said}")
+    repaired = tuple(finding.message for finding in found.repairs)
+    return SeenMarkers(seen, (*found.decisions, ground, *bare, *repaired))
+
+
+def _lost(found: FittedMarkers) -> Bool[np.ndarray, " markers"]:
+    """Markers that are far from their places in most of their frames: wrong labels."""
+    seen = found.recording.visible
+    far = (_distances(found) > FAR) & seen
+    return far.sum(0) > _MOSTLY * seen.sum(0).clip(min=1)
+
+
+def _distances(found: FittedMarkers) -> Float[np.ndarray, "time markers"]:
+    away = found.fit.predicted.double().numpy() - found.recording.positions
+    return np.linalg.norm(away, axis=-1)
+
+
+def _deviations(found: FittedMarkers) -> Float[np.ndarray, " markers"]:
+    """Standard deviation of the coordinates of every marker about its place, metres."""
+    seen = found.recording.visible
+    square = np.where(seen, np.square(_distances(found)), 0.0).sum(0) / seen.sum(0).clip(min=1)
+    return np.sqrt(square / 3).clip(*LIMITS)
