@@ -198,21 +198,17 @@ class Collocation:
         Feet come last, because wrongly standing feet of a first guess would be held there; and
         only the last stage is minimised to the end. The one before moves slow changes of the
         whole clip first, in cosines of time: where limbs are hidden it comes to better minima than
-        Newton's direction does. Where every joint is seen, it is left out, and what is left to
-        decide is less: tolerances may be looser.
+        Newton's direction does. Where every joint is seen, it is left out, and the poses before are
+        found roughly.
         """
         root, poses, steps = self.without_feet(data)
-        whole = seen_whole(data, self.humor.body)
         held = Term("contact velocity", contact_velocity, self.weights.contact_velocity)
-        last = LBFGS(
-            max_iterations=400, tolerance_decrease=3e-5 if whole else 1e-5, scale=_FITTED,
-            history=40,
-        )  # fmt: skip
+        last = LBFGS(max_iterations=400, tolerance_decrease=1e-5, scale=_FITTED, history=40)
         feet = replace(
             steps, name="contacts", terms=(*steps.terms, held), minimiser=last,
             second_order=Preconditioned(),
         )  # fmt: skip
-        if whole:
+        if seen_whole(data, self.humor.body):
             rough = replace(poses.minimiser, tolerance_decrease=1e-2)
             return root, replace(poses, minimiser=rough), feet
         return root, poses, steps, feet
