@@ -108,7 +108,9 @@ class Result(MotionResult):
             "residuals": [summary.report() for summary in self.residuals],
         }
         if self.examined.deviations is not None:
-            report["standard_deviations"] = certainty_report(self.examined.deviations)
+            report["standard_deviations"] = certainty_report(
+                self.examined.deviations, self.certainty
+            )
         if self.cycle is not None:
             report["cycle"] = self.cycle
         return report | {
@@ -122,7 +124,10 @@ class Result(MotionResult):
         first = self._headline() + (", FAILED: NaN or infinity" if self.failed else "")
         found = [f"repaired: {finding.message}" for finding in self.repairs]
         found += [f"warning: {finding.message}" for finding in self.warnings]
-        return in_ten_lines(first, described_residuals(self.residuals), found)
+        sure = self.certainty
+        known = [] if sure is None else [f"standard deviation of a joint: {sure}"]
+        known += described_residuals(self.residuals)
+        return in_ten_lines(first, known, found)
 
 
 def result_of(

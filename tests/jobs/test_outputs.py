@@ -54,7 +54,10 @@ CASES = (
     Case("simulate", "out", ("IN.npz", "OUT", "--kind", "scans"), Kind.FOLDER),
     Case("evaluate", "json", ("IN.npz", "other.npz", "--json", "OUT"), Kind.REPORT),
     *(Case("view", to, ("IN.npz", f"--{to}", "OUT")) for to in ("html", "png", "mp4")),
-    *(Case("export", to, ("IN.npz", f"--{to}", "OUT")) for to in ("glb", "bvh", "trc", "html")),
+    *(
+        Case("export", to, ("IN.npz", f"--{to}", "OUT"))
+        for to in ("glb", "bvh", "trc", "mot", "angles", "joints", "html")
+    ),
     Case("export", "ply", ("IN.npz", "--ply", "OUT"), Kind.FOLDER),
     *(Case("train", "out", (p, "IN.folder", "--out", "OUT.st")) for p in ("pose", "humor")),
 )

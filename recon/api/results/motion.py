@@ -16,6 +16,8 @@ from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.diagnosis.findings import Finding
 from recon.formats.motions import MotionFile, save_motion
+from recon.formats.results.certainty import JointCertainty
+from recon.formats.results.joint_table import write_joint_table
 from recon.formats.results.reports import versions
 from recon.formats.results.writing import writing_file
 
@@ -81,6 +83,11 @@ class MotionResult(ABC):
         """
         return self.file.joint_std
 
+    @property
+    def certainty(self) -> JointCertainty | None:
+        """Median standard deviations of joints that were seen and of joints that were not."""
+        return JointCertainty.of(self.file)
+
     @abstractmethod
     def report(self) -> dict[str, Any]:
         """What is written beside the motion, in plain values."""
@@ -105,6 +112,30 @@ class MotionResult(ABC):
         said = self.report() if report is None else report
         with writing_file(Path(path), said, overwrite=overwrite) as staged:
             save_motion(staged, self.file)
+
+    def save_table(
+        self,
+        path: Path | str,
+        *,
+        overwrite: bool = False,
+        report: Mapping[str, Any] | None = None,
+    ) -> None:
+        """Write a table of the joints (CSV), a row per frame, and the report, PATH.json.
+
+        Every joint has its position and standard deviation in metres, whether it was seen, and
+        its contact with the ground.
+
+        Args:
+            path: file to write.
+            overwrite: replace files that are there and recon did not write.
+            report: what to write beside it instead of `report()`.
+
+        Raises:
+            FileExistsError: when either is there and recon did not write it, unless `overwrite`.
+        """
+        said = self.report() if report is None else report
+        with writing_file(Path(path), said, overwrite=overwrite) as staged:
+            write_joint_table(staged, self.file, self.joints)
 
     def _headline(self) -> str:
         tall = float(height(self.body, self.motion.shape))

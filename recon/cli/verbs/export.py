@@ -10,7 +10,7 @@ from recon.cli.places import Overwrite, Place, folder, writes
 
 @writes(
     Place("glb"), Place("usd"), Place("bvh"), Place("trc"), Place("mot"), Place("angles"),
-    Place("ply", folder), Place("html"),
+    Place("joints"), Place("ply", folder), Place("html"),
 )  # fmt: skip
 def export(
     motion: Positional[Path],
@@ -20,6 +20,7 @@ def export(
     trc: Path | None = None,
     mot: Path | None = None,
     angles: Path | None = None,
+    joints: Path | None = None,
     ply: Path | None = None,
     html: Path | None = None,
     markers: Literal["joints", "halpe26", "opencap", "pig", "bsm"] = "joints",
@@ -39,6 +40,7 @@ def export(
         trc: markers for OpenSim and others; which of them says --markers.
         mot: coordinates of an OpenSim model, degrees and metres.
         angles: joint angles after the ISB as CSV, degrees.
+        joints: positions of the 22 joints as CSV, metres, with their standard deviations.
         ply: folder for one mesh per frame.
         html: self-contained page, as `recon view` writes.
         markers: labels of --trc: the 22 joints, keypoints as Pose2Sim names them, OpenCap's 43
@@ -52,7 +54,8 @@ def export(
     from recon.jobs.export.motion import export_file
 
     asked = {
-        "glb": glb, "usd": usd, "bvh": bvh, "trc": trc, "mot": mot, "angles": angles, "html": html
+        "glb": glb, "usd": usd, "bvh": bvh, "trc": trc, "mot": mot, "angles": angles,
+        "joints": joints, "html": html,
     }  # fmt: skip
     if ply is None and all(target is None for target in asked.values()):
         options = ", ".join(f"--{name}" for name in asked)

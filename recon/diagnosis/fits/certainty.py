@@ -1,6 +1,6 @@
 """How sure a fit is of every joint, from the curvature of its objective."""
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import torch
@@ -8,6 +8,7 @@ import torch
 from recon.core.residuals import Noise, Unit
 from recon.core.skeleton import JOINTS
 from recon.fitting.clip import ClipFit
+from recon.formats.results.certainty import JointCertainty
 from recon.method.laplace import Believing, Deviations, deviations
 from recon.method.protocols import Estimate, Sensor
 
@@ -47,11 +48,12 @@ def _thinned(one: Sensor, noise: Noise, estimate: Estimate) -> tuple[Sensor, Noi
     return thin, thin.noise(estimate.motion, body, noise.metres)
 
 
-def certainty_report(deviations: Deviations) -> dict[str, Any]:
+def certainty_report(deviations: Deviations, joints: JointCertainty | None) -> dict[str, Any]:
     """Standard deviations as a report has them: medians of joints and root, and of the shape."""
-    joints = deviations.joints.median(0).values.tolist()
+    every = deviations.joints.median(0).values.tolist()
     return {
-        "joints": dict(zip(JOINTS, joints, strict=True)),
+        **({} if joints is None else asdict(joints)),
+        "joints": dict(zip(JOINTS, every, strict=True)),
         "root": float(deviations.root.median()),
         "shape": deviations.shape.tolist(),
     }

@@ -10,6 +10,7 @@ from recon.body.motion_files import load_motion_of
 from recon.core.units import Axis
 from recon.formats.clouds.ply import write_ply_sequence
 from recon.formats.mocap.trc import write_trc
+from recon.formats.results.joint_table import write_joint_table
 from recon.formats.results.outputs import Kind, Output
 from recon.formats.results.reports import checksums, versions
 from recon.formats.results.writing import writing
@@ -30,6 +31,7 @@ def export_file(
     trc: Path | None = None,
     mot: Path | None = None,
     angles: Path | None = None,
+    joints: Path | None = None,
     ply: Path | None = None,
     html: Path | None = None,
     markers: MarkerSetName = "joints",
@@ -51,11 +53,15 @@ def export_file(
             `overwrite`.
     """
     own = BodyModel.load(body)
-    motion = load_motion_of(source, own).motion
+    file = load_motion_of(source, own)
+    motion = file.motion
     name = source.stem
 
     def tracks(path: Path) -> None:
         write_trc(path, markers_of(motion, own, markers, name), unit=unit, up=up)
+
+    def positions(path: Path) -> None:
+        write_joint_table(path, file, own.pose(motion).joints)
 
     def meshes(folder: Path) -> None:
         write_ply_sequence(folder, own.pose(motion).vertices.numpy(), own.faces.numpy())
@@ -67,6 +73,7 @@ def export_file(
         (trc, Kind.FILE, tracks),
         (mot, Kind.FILE, lambda path: write_mot(path, motion, own, model)),
         (angles, Kind.FILE, lambda path: write_angles(path, motion, own)),
+        (joints, Kind.FILE, positions),
         (ply, Kind.FOLDER, meshes),
         (html, Kind.FILE, lambda path: draw_html(path, shown(source, body=body))),
     ]

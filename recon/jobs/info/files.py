@@ -13,7 +13,7 @@ from recon.formats.keypoints3d.labels import are_keypoints
 from recon.formats.keypoints3d.reader import from_recording, holds_points_3d, read_points_3d
 from recon.formats.mocap.reader import read_recording
 from recon.formats.mocap.recording import MarkerRecording
-from recon.formats.motions import load_motion
+from recon.formats.motions import MotionFile, load_motion
 from recon.formats.observations import (
     CameraArrays,
     KeypointsFile,
@@ -21,6 +21,7 @@ from recon.formats.observations import (
     load_observation,
 )
 from recon.formats.projects import Project, project_at
+from recon.formats.results.certainty import JointCertainty
 from recon.jobs.info.cameras import (
     describe_calibration,
     describe_detections,
@@ -106,7 +107,21 @@ def _motion(path: Path) -> dict[str, Any]:
         "gender": file.gender,
         "has_contacts": file.contacts is not None,
         "has_camera": file.T_world_camera is not None,
+        **_certainty(file),
         "units": "metres, z up",
+    }
+
+
+def _certainty(file: MotionFile) -> dict[str, Any]:
+    """Median standard deviations of joints, where the motion is the result of a fit."""
+    found = JointCertainty.of(file)
+    if found is None:
+        return {"has_joint_std": False}
+    return {
+        "has_joint_std": True,
+        "median_joint_std_seen": found.seen,
+        "median_joint_std_hidden": found.hidden,
+        "share_of_hidden_joints": found.hidden_share,
     }
 
 
