@@ -29,6 +29,7 @@ def view_files(
     png: Path | None = None,
     mp4: Path | None = None,
     body: Path | None = None,
+    certainty: bool = False,
     overwrite: bool = False,
 ) -> None:
     """Draw a motion, with what it was fitted to and another motion if given.
@@ -36,15 +37,17 @@ def view_files(
     With observations from cameras, the picture and the film also show what each camera sees.
     `compare` is drawn in the same place at the same times; `side` beside the motion, both from
     their first frames on for as long as both last, with heights and weights in the legend.
+    `certainty` draws a sphere of one standard deviation around every joint; a page has these
+    spheres in any case, as a layer that can be switched.
 
     Raises:
         FileNotFoundError: when a file does not exist.
-        ValueError: when one is damaged or of another body, or the motions do not overlap in
-            time.
+        ValueError: when one is damaged or of another body, the motions do not overlap in time, or
+            the standard deviations that are asked for are not known.
         FileExistsError: when a file to write is there and recon did not write it, unless
             `overwrite`.
     """
-    show = shown(motion, obs=obs, compare=compare, side=side, body=body)
+    show = shown(motion, obs=obs, compare=compare, side=side, body=body, certainty=certainty)
     every = ((html, draw_html), (png, _draw_png), (mp4, _draw_mp4))
     asked = [(Output(path), draw) for path, draw in every if path is not None]
     read = [path for path in (motion, *obs, compare, side, body) if path is not None]
@@ -62,6 +65,7 @@ def shown(
     compare: Path | None = None,
     side: Path | None = None,
     body: Path | None = None,
+    certainty: bool = False,
 ) -> Show:
     """What `view_files` draws.
 
@@ -70,13 +74,21 @@ def shown(
     """
     model = BodyModel.load(body)
     file = load_motion_of(motion, model)
+    if certainty and file.joint_std is None:
+        raise ValueError(
+            f"{motion}: no standard deviations to draw (joint_std): fits under the pose prior and "
+            "HuMoR write them, other motions have none"
+        )
     figures: list[Figure] = []
     if side is None:
-        figures.append(Figure(model, file.motion, motion.stem, contacts=file.contacts))
+        std, touching = file.joint_std, file.contacts
+        figures.append(Figure(model, file.motion, motion.stem, contacts=touching, joint_std=std))
     else:
         other = load_motion_of(side, model)
         file, second = common(file, other)
-        figures.append(_measured(Figure(model, file.motion, motion.stem)))
+        figures.append(
+            _measured(Figure(model, file.motion, motion.stem, joint_std=file.joint_std))
+        )
         aside = Figure(model, second, _another(side, motion), CORAL)
         figures.append(beside(figures[0], _measured(aside)))
     if compare is not None:
@@ -85,7 +97,9 @@ def shown(
         figures.append(Figure(model, other, name, colour=GREY, opacity=0.45))
     seen = observed(obs, file, model)
     ground = None if file.ground is None else Ground.create(file.ground[:3], file.ground[3])
-    return Show(motion.stem, tuple(figures), seen.points, seen.cloud, seen.cameras, ground)
+    return Show(
+        motion.stem, tuple(figures), seen.points, seen.cloud, seen.cameras, ground, certainty
+    )
 
 
 def _another(path: Path, first: Path) -> str:

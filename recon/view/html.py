@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import torch
 import trimesh
-from jaxtyping import Float
+from jaxtyping import Float, Shaped
 from torch import Tensor
 from viser import SceneApi, ViserServer
 
@@ -18,7 +18,7 @@ from recon.core import rotations as so3
 from recon.core.skeleton import CONTACT_JOINTS
 from recon.formats.files.opening import replacing
 from recon.view.drawing.stage import Plane
-from recon.view.show.colours import CAMERA, CLOUD, CONTACT, MISSING, VISIBLE, Colour
+from recon.view.show.colours import CAMERA, CERTAINTY, CLOUD, CONTACT, MISSING, VISIBLE, Colour
 from recon.view.show.scene import Figure, Points, Show
 from recon.view.show.viewpoint import Viewpoint, viewpoints
 from recon.view.show.views import View
@@ -35,6 +35,8 @@ CLOUD_LIMIT = 1500
 """Points of a scan kept per frame: 90 frames stay below 2 MB."""
 SEE_THROUGH = 0.62
 """Opacity of solid bodies while points or contacts, which lie inside, are shown."""
+HALO_OPACITY = 0.35
+"""Opacity of the spheres of standard deviations."""
 
 DEEPEN = 0.82
 """Factor on colours: the player's lights brighten them by about its inverse."""
@@ -87,6 +89,8 @@ def _record(server: ViserServer, show: Show) -> str:
         layers.append(_body(scene, figure, figure.opacity * inside))
         if bool(figure.touching.any()):
             layers.append(_contacts(scene, figure))
+        if figure.joint_std is not None:
+            layers.append(_certainty(scene, figure, figure.joint_std, shown=show.certainty))
     if show.points is not None:
         layers += _points(scene, show.points)
     if show.cloud is not None:
@@ -171,6 +175,17 @@ def _contacts(scene: SceneApi, figure: Figure) -> Layer:
     )
 
 
+def _certainty(
+    scene: SceneApi, figure: Figure, joint_std: Float[Tensor, "time 22"], *, shown: bool
+) -> Layer:
+    """Spheres of one standard deviation around the joints."""
+    name = f"/world/{_node(figure)}/standard deviation"
+    joints = figure.posed.joints
+    return _spheres(
+        scene, name, joints, joint_std, 1.0, CERTAINTY, opacity=HALO_OPACITY, shown=shown
+    )
+
+
 def _points(scene: SceneApi, points: Points) -> list[Layer]:
     seen, radius = points.visible, points.radius
     layers = [_spheres(scene, "/world/points/observed", points.positions, seen, radius, VISIBLE)]
@@ -185,14 +200,17 @@ def _spheres(
     scene: SceneApi,
     name: str,
     centres: Float[Tensor, "time points 3"],
-    shown: Tensor,
+    scales: Shaped[Tensor, "time points"],
     radius: float,
     colour: Colour,
+    *,
+    opacity: float | None = None,
+    shown: bool = True,
 ) -> Layer:
-    """Spheres of one colour; those not shown have size zero."""
+    """Spheres of one colour, `scales` times as large as the radius; zero leaves one out."""
     ball = trimesh.creation.icosphere(subdivisions=2, radius=radius)
     places = centres.detach().cpu().float().numpy()
-    sizes = shown.cpu().float().numpy()
+    sizes = scales.detach().cpu().float().numpy()
     handle = scene.add_batched_meshes_simple(
         name,
         np.asarray(ball.vertices),
@@ -201,6 +219,8 @@ def _spheres(
         batched_positions=places[0],
         batched_scales=sizes[0],
         batched_colors=_deep(colour),
+        opacity=opacity,
+        visible=shown,
         lod="off",
         cast_shadow=False,
         receive_shadow=False,

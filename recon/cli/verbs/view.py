@@ -17,6 +17,7 @@ def view(
     compare: Path | None = None,
     beside: Path | None = None,
     body: Path | None = None,
+    std: bool = False,
     overwrite: Overwrite = False,
 ) -> None:
     """Draw a motion as a page to play, a picture or a film.
@@ -34,6 +35,8 @@ def view(
         compare: a second motion, for example the truth, in the same place at the same times.
         beside: a motion to play side by side with this one, for example the same motion on
             another body; both play from their first frames on.
+        std: draw a sphere of one standard deviation around every joint. A page has these spheres
+            in any case, as a layer to switch on.
         body: the SMPL-family file of the motions' body; default: the bundled body.
         overwrite: replace files that are there and recon did not write.
     """
@@ -43,5 +46,5 @@ def view(
         raise ValueError("nothing to draw: give --html FILE, --png FILE or --mp4 FILE")
     view_files(
         motion, obs=obs, compare=compare, side=beside, html=html, png=png, mp4=mp4, body=body,
-        overwrite=overwrite,
+        certainty=std, overwrite=overwrite,
     )  # fmt: skip

@@ -9,12 +9,14 @@ from jaxtyping import Float, UInt8
 from recon.view.drawing.frusta import draw_lines, frustum
 from recon.view.drawing.shading import Mesh, display, linear, paint_figure
 from recon.view.drawing.stage import SUPERSAMPLING, Plane, cast, floor, nearness
-from recon.view.show.colours import CAMERA, CLOUD, MISSING, VISIBLE, Colour
+from recon.view.show.colours import CAMERA, CERTAINTY, CLOUD, MISSING, VISIBLE, Colour
 from recon.view.show.scene import Show
 from recon.view.show.viewpoint import Viewpoint
 
 CLOUD_LIMIT = 3000
 """Points of a scan drawn per frame."""
+_HALO = 0.4
+"""Opacity of the spheres that show standard deviations: the body is seen through them."""
 CLOSEST = 0.05
 """Metres before the viewer from which on things are drawn."""
 
@@ -81,11 +83,13 @@ class _Ball:
     colour: Colour
     through: float
     """Opacity where a surface lies before it."""
+    front: float = 1.0
+    """Opacity where nothing lies before it."""
 
 
 def _balls(show: Show, frame: int) -> list[_Ball]:
     """Scan and points of a frame; points often lie inside the body, and shine through it."""
-    balls: list[_Ball] = []
+    balls = _halos(show, frame) if show.certainty else []
     if show.cloud is not None:
         cloud = show.cloud[frame].detach().cpu().double().numpy()
         step = max(1, -(-len(cloud) // CLOUD_LIMIT))
@@ -98,6 +102,18 @@ def _balls(show: Show, frame: int) -> list[_Ball]:
             estimated = show.points.estimated[frame].detach().cpu().double().numpy()
             balls += [_Ball(centre, radius, MISSING, 0.62) for centre in estimated[~seen]]
     return balls
+
+
+def _halos(show: Show, frame: int) -> list[_Ball]:
+    """Spheres of one standard deviation around the joints of figures."""
+    return [
+        _Ball(centre.numpy(), float(radius), CERTAINTY, _HALO, _HALO)
+        for figure in show.figures
+        if figure.joint_std is not None
+        for centre, radius in zip(
+            figure.posed.joints[frame].double(), figure.joint_std[frame].cpu(), strict=True
+        )
+    ]
 
 
 def _draw(balls: list[_Ball], image: np.ndarray, nearness: np.ndarray, view: Viewpoint) -> None:
@@ -131,6 +147,6 @@ def _draw_ball(
     hidden = nearness[top:bottom, left:right] > 1 / (depth - ball.radius * bulge)
     lamp = np.clip(0.75 * bulge - 0.35 * x[None] - 0.45 * y[:, None], 0, 1)
     shaded = display(linear(ball.colour) * (0.45 + 0.7 * lamp)[..., None])
-    cover = np.where(square < 1, np.where(hidden, ball.through, 1.0), 0.0)[..., None]
+    cover = np.where(square < 1, np.where(hidden, ball.through, ball.front), 0.0)[..., None]
     patch = image[top:bottom, left:right]
     patch += cover * (shaded - patch)

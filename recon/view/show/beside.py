@@ -22,7 +22,10 @@ def common(file: MotionFile, other: MotionFile) -> tuple[MotionFile, Motion]:
     lasts = min((m.frames - 1) / m.fps for m in (motion, second))
     count = int(lasts * motion.fps + 1e-6) + 1
     motion = motion.window(0, count)
-    per_frame = ("joints", "contacts", "joint_std", "truth_visible", "in_camera")
+    per_frame = (
+        "joints", "contacts", "contact_probability", "joint_std", "observed", "truth_visible",
+        "in_camera",
+    )  # fmt: skip
     kept = {key: getattr(file, key) for key in per_frame}
     cut = {key: value if value is None else value[:count] for key, value in kept.items()}
     return dataclasses.replace(file, motion=motion, **cut), second.at(motion.times, motion.fps)

@@ -13,6 +13,8 @@ MISSING: Colour = (214, 40, 96)
 REPROJECTED: Colour = (38, 42, 50)
 """Observed points where the estimate has them in an image."""
 CONTACT: Colour = (248, 160, 24)
+CERTAINTY: Colour = (160, 60, 205)
+"""Spheres of one standard deviation around joints."""
 CLOUD: Colour = (92, 98, 110)
 CAMERA: Colour = (108, 88, 178)
 INK: Colour = (38, 42, 50)

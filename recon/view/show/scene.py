@@ -14,6 +14,7 @@ from recon.core.motion import Motion
 from recon.view.show.colours import (
     BLUE,
     CAMERA,
+    CERTAINTY,
     CLOUD,
     CONTACT,
     MISSING,
@@ -38,6 +39,8 @@ class Figure:
     """1 is solid; a reference to compare with reads well at 0.4."""
     contacts: Float[Tensor, "time 22"] | None = None
     """Probability that a joint carries weight; shown from one half on."""
+    joint_std: Float[Tensor, "time 22"] | None = None
+    """Standard deviation of a coordinate of every joint, metres; None where it is not known."""
 
     def __post_init__(self) -> None:
         motion = self.motion
@@ -57,6 +60,11 @@ class Figure:
             raise ValueError(
                 f"figure {self.name!r} has {motion.frames} frames, "
                 f"its contacts {len(self.contacts)}"
+            )
+        if self.joint_std is not None and len(self.joint_std) != motion.frames:
+            raise ValueError(
+                f"figure {self.name!r} has {motion.frames} frames, "
+                f"its standard deviations {len(self.joint_std)}"
             )
 
     @cached_property
@@ -122,6 +130,9 @@ class Show:
     """Cameras that filmed the scene."""
     ground: Ground | None = None
     """Ground in the world; None is z = 0."""
+    certainty: bool = False
+    """Whether spheres of one standard deviation are drawn around joints, where it is known. A page
+    has them in any case, as a layer that can be switched on and off."""
 
     def __post_init__(self) -> None:
         if len(self.figures) == 0:
@@ -160,6 +171,8 @@ class Show:
         entries = [(figure.name, figure.colour) for figure in self.figures]
         if any(bool(figure.touching.any()) for figure in self.figures):
             entries.append(("contact", CONTACT))
+        if self.certainty and any(figure.joint_std is not None for figure in self.figures):
+            entries.append(("one standard deviation", CERTAINTY))
         if self.points is not None:
             entries.append(("observed point", VISIBLE))
             if self.points.estimated is not None and not bool(self.points.visible.all()):
