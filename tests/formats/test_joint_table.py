@@ -79,6 +79,7 @@ def test_a_line_tells_seen_joints_from_inferred_ones(tmp_path):
     assert JointCertainty.of(replace(fitted(), joint_std=None)) is None
     save_motion(tmp_path / "m.npz", fitted())
     facts = describe(tmp_path / "m.npz")
+    assert facts["format"] == "motion (AMASS .npz)"  # its joints were taken for 3D keypoints
     assert facts["median_joint_std_seen"] == pytest.approx(0.03)
     assert facts["share_of_hidden_joints"] == pytest.approx(2 / 22)
     save_motion(tmp_path / "bare.npz", walk(FRAMES))

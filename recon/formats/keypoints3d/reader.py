@@ -45,7 +45,9 @@ def holds_points_3d(path: Path, *, images: bool = False) -> bool:
         return True
     if ending == ".npz":
         arrays = load_arrays(path)
-        return "kind" not in arrays and holds_points(arrays) is not None
+        # motions have `joints` besides, which are a result and nothing that was seen
+        others = "kind" in arrays or {"trans", "poses"} <= arrays.keys()
+        return not others and holds_points(arrays) is not None
     if ending == ".csv":
         return is_table_3d(head_of(path))
     if ending == ".json":
