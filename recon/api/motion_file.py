@@ -19,6 +19,8 @@ def described(
     observed: Bool[Tensor, "time 22"] | None = None,
     belt: Float[Tensor, "time 3"] | None = None,
     joint_std: Float[Tensor, "time 22"] | None = None,
+    ground_std: Float[Tensor, "2"] | None = None,
+    contact_probability: Float[Tensor, "time 22"] | None = None,
 ) -> MotionFile:
     """A motion with its joints, contacts and ground; without a ground no contacts are told.
 
@@ -33,6 +35,8 @@ def described(
         observed: false where a joint was inferred rather than seen.
         belt: how far the treadmill's belt has come at every frame, metres.
         joint_std: standard deviation of a coordinate of every joint, metres.
+        ground_std: standard deviations of a ground that was found; see `MotionFile`.
+        contact_probability: what a motion prior says of contacts.
     """
     joints = body.pose(motion).joints
     contacts = None
@@ -49,6 +53,8 @@ def described(
         joints=joints,
         contacts=contacts,
         ground=None if ground is None else torch.tensor([0.0, 0.0, 1.0, ground]),
+        ground_std=None if ground is None else ground_std,
+        contact_probability=None if ground is None else contact_probability,
         joint_std=joint_std,
         observed=observed,
         T_world_camera=None if T_world_camera is None else T_world_camera[None],

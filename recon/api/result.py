@@ -16,11 +16,13 @@ from recon.body.model import BodyModel
 from recon.core.residuals import Noise
 from recon.diagnosis.examination import Examined
 from recon.diagnosis.findings import Finding
+from recon.diagnosis.fits.alternatives import Alternative
 from recon.diagnosis.fits.certainty import certainty_report
 from recon.diagnosis.fits.domain import cycle_report
 from recon.diagnosis.fits.summaries import ResidualSummary
 from recon.diagnosis.motions.treadmill import in_room, path_of_belt
 from recon.fitting.clip_files import Clip
+from recon.method.laplace.grounds import GroundDeviation
 from recon.method.reconstruction import Reconstruction
 
 _UP = (0.0, 0.0, 1.0)
@@ -78,6 +80,29 @@ class Result(MotionResult):
         return None if found is None else found.root.float()
 
     @property
+    def ground_std(self) -> GroundDeviation | None:
+        """Standard deviations of the ground where it was found; None where it was known."""
+        found = self.examined.deviations
+        return None if found is None else found.ground
+
+    @property
+    def contact_probability(self) -> Float[Tensor, "time 22"] | None:
+        """Probability of contact as the prior predicts it; None for priors that do not.
+
+        `contacts` are labels, 0 or 1, by height and speed of the joints that were found.
+        """
+        return self.file.contact_probability
+
+    @property
+    def alternatives(self) -> tuple[Alternative, ...]:
+        """Other motions that explain the data, the likeliest first, with their energies.
+
+        They are first guesses (headings, postures, beginnings of a gait cycle) that the fit
+        compared and gave up. Most sensors leave no doubt, and there are none.
+        """
+        return self.examined.alternatives
+
+    @property
     def failed(self) -> bool:
         """Whether the fit met NaN or infinity; the motion is then its last finite estimate."""
         return self.examined.fit.result.failed[0]
@@ -111,6 +136,8 @@ class Result(MotionResult):
             report["standard_deviations"] = certainty_report(
                 self.examined.deviations, self.certainty
             )
+        if self.alternatives:
+            report["alternatives"] = [one.report() for one in self.alternatives]
         if self.cycle is not None:
             report["cycle"] = self.cycle
         return report | {
@@ -172,9 +199,19 @@ def result_of(
         belt = path_of_belt(motion, examined.belt)
         motion = in_room(motion, examined.belt)
     observed = torch.from_numpy(examined.observed_at(motion))
+    # on a belt, what the prior took for the ground is not that of the room
+    probability = None if belt is not None else examined.contact_probability_at(motion)
     return Result(
         file=described(
-            motion, body, ground, T_world_camera, observed, belt, examined.joint_std_at(motion)
+            motion,
+            body,
+            ground,
+            T_world_camera,
+            observed,
+            belt,
+            examined.joint_std_at(motion),
+            examined.ground_std,
+            probability,
         ),
         body=body,
         examined=examined,

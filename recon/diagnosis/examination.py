@@ -13,6 +13,7 @@ from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.diagnosis.findings import Finding
 from recon.diagnosis.fits.agreement import agreement_warnings
+from recon.diagnosis.fits.alternatives import Alternative, alternatives
 from recon.diagnosis.fits.certainty import certainty
 from recon.diagnosis.fits.plausibility import body_warnings, child_findings, mirror_warnings
 from recon.diagnosis.fits.seen_joints import observed_joints, unseen_findings
@@ -27,7 +28,7 @@ from recon.diagnosis.views.screening import screen_views
 from recon.fitting.clip import ClipFit, fit_clip
 from recon.fitting.cycles.completion import complete
 from recon.fitting.options import FitOptions
-from recon.method.laplace import Deviations
+from recon.method.laplace.deviations import Deviations
 from recon.method.protocols import Estimate, Sensor
 from recon.method.stages import Watch
 
@@ -53,6 +54,8 @@ class Examined:
     """False where a joint of the fitted motion was inferred rather than seen."""
     deviations: Deviations | None = None
     """Standard deviations of joints, root and shape; None where the prior has no density."""
+    alternatives: tuple[Alternative, ...] = ()
+    """Other motions that the fit compared with the one it gives, the likeliest first."""
     belt: Float[Tensor, " 2"] | None = None
     """Velocity of the treadmill in the recording, m/s; the fit is in the frame that moves with
     it. None where feet stand in the room."""
@@ -67,6 +70,20 @@ class Examined:
             return None
         joints = self.deviations.joints
         return joints[torch.from_numpy(self._frames(motion, len(joints)))].float().cpu()
+
+    def contact_probability_at(self, motion: Motion) -> Float[Tensor, "time 22"] | None:
+        """What the prior says of contacts at the frames of that motion; None where it does not."""
+        contacts = self.fit.result.contacts
+        if contacts is None:
+            return None
+        frames = torch.from_numpy(self._frames(motion, contacts.shape[1]))
+        return contacts[0].detach().cpu()[frames].float()
+
+    @property
+    def ground_std(self) -> Float[Tensor, "2"] | None:
+        """Standard deviations of a ground that was found: normal, radians, and height, metres."""
+        ground = None if self.deviations is None else self.deviations.ground
+        return None if ground is None else torch.tensor([ground.normal, ground.height])
 
     def _frames(self, motion: Motion, count: int) -> Int[np.ndarray, " time"]:
         """The fitted frame that is nearest to each of a motion's."""
@@ -190,6 +207,7 @@ def examine(found: ClipFit, names: Sequence[str], screened: ScreenedClip) -> Exa
         warnings=(*screened.warnings, *after),
         observed=observed,
         deviations=certainty(found),
+        alternatives=alternatives(found),
         belt=screened.belt,
     )
 

@@ -26,7 +26,7 @@ from recon.fitting.options import FitOptions
 from recon.method.protocols import Sensor
 from recon.method.reconstruction import Method, Reconstruction, solve
 from recon.method.shape_prior import WithShape
-from recon.method.stages import Watch
+from recon.method.stages import Compared, Watch
 from recon.method.start import checked_start
 from recon.method.terms import Term, ground_moved, offsets
 
@@ -58,6 +58,16 @@ class ClipFit:
     grounded: bool = True
     """Whether there is a ground at all; without one, the world is the frame of the observations
     and its z = 0 means nothing."""
+    ground_seen: bool = False
+    """Whether an unknown ground was laid on a plane that is given or seen."""
+    guesses: Compared | None = None
+    """The first guesses among which a quick fit chose; None where there was one only."""
+
+    @property
+    def compared(self) -> tuple[Compared, ...]:
+        """All hypotheses that were compared on the way, the last ones last."""
+        stages = [report.compared for report in self.result.reports]
+        return tuple(one for one in (self.guesses, *stages) if one is not None)
 
 
 def fit_clip(
@@ -105,16 +115,17 @@ def fit_clip(
         start = job.guess.motion
         T = torch.eye(4).expand(len(start.translation), 4, 4)
         result = job.fit(options, job.scene(start), start, job.moved)
-        return ClipFit(result, noises, False, T, seen, grounded=False)
+        return ClipFit(result, noises, False, T, seen, grounded=False, guesses=job.guesses)
     if known == {True}:
         start = guess.motion if guess.distance_known else job.on_known_ground()
         T = torch.eye(4).expand(len(start.translation), 4, 4)
         result = job.fit(options, job.scene(start), start, job.moved)
-        return ClipFit(result, noises, True, T, seen)
+        return ClipFit(result, noises, True, T, seen, guesses=job.guesses)
     result = job.with_ground()
     assert result.estimate.scene.ground is not None
     T = result.estimate.scene.ground.T_world_recording.detach().cpu()
-    return ClipFit(result, noises, False, T, seen)
+    shown = job.ground_seen
+    return ClipFit(result, noises, False, T, seen, ground_seen=shown, guesses=job.guesses)
 
 
 def _with_offsets(observations: tuple[Sensor, ...]) -> tuple[tuple[Sensor, ...], int]:
@@ -162,6 +173,8 @@ class _Job:
     body: BodyModel
     options: FitOptions
     watch: Watch | None
+    guesses: Compared | None = None
+    """The first guesses that the one was chosen from."""
 
     @property
     def long(self) -> bool:
@@ -235,7 +248,7 @@ class _Job:
             o.coarse(self.body) if not o.point_names(self.body) else o for o in shown.observations
         )
         starts = [one.resample(one.fps / 2) for one in (shown.guess.motion, *shown.guess.others)]
-        chosen = solve(
+        found = solve(
             rough,
             self.method(self.rough, frozenset()),
             self.body,
@@ -244,10 +257,11 @@ class _Job:
             scene=self.scene(starts[0]),
             weights=weights_of(self.noises),
             watch=self.watch,
-        ).chosen
+        )
         every = (self.guess.motion, *self.guess.others)
-        rows = [every[number][[row]] for row, number in enumerate(chosen or ())]
-        return replace(self, guess=FirstGuess(concatenate(rows), self.guess.distance_known))
+        rows = [every[number][[row]] for row, number in enumerate(found.chosen or ())]
+        guess = FirstGuess(concatenate(rows), self.guess.distance_known)
+        return replace(self, guess=guess, guesses=found.reports[-1].compared)
 
     def on_known_ground(self) -> Motion:
         """A first motion under the pose prior, as far from the one camera as its soles are low.

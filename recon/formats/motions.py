@@ -39,9 +39,14 @@ class MotionFile:
     joints: Float[Tensor, "time 22 3"] | None = None
     """Joint positions in the world, metres."""
     contacts: Float[Tensor, "time 22"] | None = None
-    """Probability, from 0 to 1, that a joint is in contact with the ground."""
+    """Probability, from 0 to 1, that a joint touches the ground; a fit writes labels, 0 or 1."""
+    contact_probability: Float[Tensor, "time 22"] | None = None
+    """Probability of contact as a motion prior predicts it, where it does."""
     ground: Float[Tensor, "4"] | None = None
     """(nx, ny, nz, d): the points x of the ground have n·x = d, metres."""
+    ground_std: Float[Tensor, "2"] | None = None
+    """Standard deviations of a ground that was found: of its normal about each horizontal axis,
+    radians, and of its height below the origin of the recording's frame, metres."""
     joint_std: Float[Tensor, "time 22"] | None = None
     """Standard deviation of every joint, metres."""
     observed: Bool[Tensor, "time 22"] | None = None
@@ -59,7 +64,9 @@ class MotionFile:
 _EXTRA = {
     "joints": ("time", 22, 3),
     "contacts": ("time", 22),
+    "contact_probability": ("time", 22),
     "ground": (4,),
+    "ground_std": (2,),
     "joint_std": ("time", 22),
     "observed": ("time", 22),
     "truth_visible": ("time", 22),
@@ -73,6 +80,8 @@ _RANGES: dict[str, Limit] = {
     "trans": limits.POSITION,
     "joints": limits.POSITION,
     "contacts": limits.PROBABILITY,
+    "contact_probability": limits.PROBABILITY,
+    "ground_std": limits.DEVIATION,
     "joint_std": limits.DEVIATION,
     "truth_visible": limits.PROBABILITY,
     "observed": limits.PROBABILITY,
@@ -192,8 +201,8 @@ def save_motion(path: str | Path, file: MotionFile | Motion) -> None:
     for key, shape in _EXTRA.items():
         value: Tensor | None = getattr(file, key)
         if value is not None:
-            per_frame = shape[0] == "time" or len(value) == motion.frames
-            arrays[key] = _numpy(value[:frames] if per_frame and key != "ground" else value)
+            per_frame = shape[0] == "time" or (shape[0] == "poses" and len(value) == motion.frames)
+            arrays[key] = _numpy(value[:frames] if per_frame else value)
     if bad := [k for k, v in arrays.items() if v.dtype.kind == "f" and not np.isfinite(v).all()]:
         raise FormatError(f"{path}: not written, {', '.join(bad)} hold NaN or infinity")
     save_arrays(path, arrays)

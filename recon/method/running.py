@@ -16,7 +16,7 @@ from recon.core.motion import Motion
 from recon.core.scene import Scene
 from recon.core.struct import S, concatenate
 from recon.method.protocols import Estimate, Prior
-from recon.method.stages import Stage, StageReport, Watch
+from recon.method.stages import Compared, Stage, StageReport, Watch
 from recon.method.terms import Term
 from recon.method.unknowns import Layout, Unknowns
 from recon.solver.solution import Solution, in_turn
@@ -63,6 +63,16 @@ class Hypotheses(Generic[S]):
         number = None if self.number is None else self.number[index]
         return Hypotheses(self.prior, self.unknowns[index], clip, number)
 
+    def compared(
+        self, value: Float[Tensor, " rows"], kept: Int[Tensor, " kept"], body: BodyModel
+    ) -> Compared:
+        """All of them as they are told apart by their values, some of which are kept."""
+        clip = torch.arange(len(value)) if self.clip is None else self.clip
+        with torch.no_grad():
+            motion = self.unknowns.motion(self.prior, body)
+        remains = torch.zeros(len(value), dtype=torch.bool).index_fill(0, kept, True)
+        return Compared(clip, value.detach().cpu(), remains, motion.detach().to(device="cpu"))
+
     def of(self, stage: Stage[S]) -> Stage[S]:
         """A stage, whose data are of clips, with the data of every row."""
         return stage if self.clip is None else stage.rows(self.clip)
@@ -108,6 +118,8 @@ def run_hypotheses(
         if stage.kept is not None:
             value = rank(stage, held, body) if stage.ranking else solution.value
             index = held.best(value, stage.kept)
+            if len(index) < len(value):
+                reports[-1] = replace(reports[-1], compared=held.compared(value, index, body))
             held, reports = held.rows(index), [report.rows(index) for report in reports]
     return held, reports
 

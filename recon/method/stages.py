@@ -4,10 +4,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Generic, Protocol, runtime_checkable
 
-from jaxtyping import Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from recon.body.model import BodyModel
+from recon.core.motion import Motion
 from recon.core.struct import S
 from recon.method.protocols import Energy, Estimate, Prior
 from recon.method.terms import Term
@@ -98,15 +99,30 @@ class Stage(Generic[S]):
 
 
 @dataclass(frozen=True)
+class Compared:
+    """Hypotheses of clips that a stage compared at its end, and left some of out."""
+
+    clip: Int[Tensor, " rows"]
+    """The clip of every hypothesis."""
+    value: Float[Tensor, " rows"]
+    """The objective by which they were compared; NaN where a fit met NaN or infinity."""
+    kept: Bool[Tensor, " rows"]
+    motion: Motion
+    """What the stage had found from each, in the frame of the recording; axes (rows, time)."""
+
+
+@dataclass(frozen=True)
 class StageReport:
     """How one stage ended for each clip of the batch."""
 
     stage: Stage[Any]
     solution: Solution
     seconds: float
+    compared: Compared | None = None
+    """The hypotheses among which the stage chose; None where it left none out."""
 
     def rows(self, index: Int[Tensor, " rows"]) -> "StageReport":
-        """The report for some clips of the batch."""
+        """The report for some clips of the batch; what was compared stays whole."""
         return replace(self, solution=self.solution.rows(index))
 
 

@@ -36,6 +36,8 @@ def make_file(frames: int = 4) -> MotionFile:
         joints=torch.randn(frames, 22, 3, dtype=torch.float64),
         contacts=torch.rand(frames, 22, dtype=torch.float64),
         ground=torch.tensor([0.0, 0.0, 1.0, 0.1], dtype=torch.float64),
+        contact_probability=torch.rand(frames, 22, dtype=torch.float64),
+        ground_std=torch.tensor([0.02, 0.05], dtype=torch.float64),
         joint_std=torch.rand(frames, 22, dtype=torch.float64),
         observed=torch.rand(frames, 22) > 0.5,
         truth_visible=torch.rand(frames, 22) > 0.5,
@@ -65,8 +67,9 @@ def test_a_motion_file_is_read_back_as_it_was(tmp_path: Path, frames: int) -> No
         assert torch.allclose(back.motion.tensors()[name], tensor, atol=1e-9), name
     for name in ("body", "checksum", "gender", "format_version"):
         assert getattr(back, name) == getattr(file, name)
-    extra = ("joints", "contacts", "ground", "joint_std", "observed", "truth_visible")
-    for name in (*extra, "T_world_camera"):
+    extra = ("joints", "contacts", "ground", "ground_std", "joint_std", "observed")
+    more = ("contact_probability", "truth_visible", "T_world_camera")
+    for name in (*extra, *more):
         assert torch.equal(getattr(back, name), getattr(file, name)), name
     assert list(tmp_path.iterdir()) == [tmp_path / "m.npz"]
 

@@ -1,6 +1,6 @@
 """Standard deviations from the curvature of the objective."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import pytest
 import torch
@@ -11,8 +11,11 @@ from observations.joints3d import Joints3D
 from priors.pose.prior import PosePrior, PoseWeights
 from recon.core.camera import depth_camera
 from recon.core.residuals import Noise
-from recon.method import laplace
-from recon.method.laplace import deviations
+from recon.core.scene import UnknownGround
+from recon.jobs.info.files import describe
+from recon.method.laplace import deviations as laplace
+from recon.method.laplace.deviations import deviations
+from recon.method.laplace.grounds import GroundBelief
 from recon.method.protocols import Estimate
 from recon.simulation.depth import depth_points
 from recon.simulation.images import dome
@@ -80,6 +83,60 @@ def test_more_sensors_make_surer_and_cuts_change_nothing(monkeypatch):
     assert torch.allclose(cut, one, rtol=0.1)
 
 
+def on_a_ground(noise: float, **belief: float | bool):
+    """Deviations of the walk whose recording does not know the ground, which is where it is."""
+    estimate = at_truth()
+    pivot = torch.zeros(1, 3).to(estimate.motion.translation)
+    scene = estimate.scene.replace(ground=UnknownGround.create(pivot))
+    known = GroundBelief(**{"stance": 0.03, "upright": 0.05, "tilted": True, **belief})
+    sensors, noises = [seen(noise=0.0)], [Noise(noise, noise)]
+    return deviations(replace(estimate, scene=scene), sensors, noises, Flat(), known)
+
+
+def test_a_ground_is_as_sure_as_feet_stand_on_it():
+    """Points tell the feet to millimetres, so what remains is how far feet miss a ground."""
+    level = on_a_ground(0.001, tilted=False).ground
+    assert level is not None
+    assert level.normal == 0
+    assert level.height == pytest.approx(0.03, rel=0.05)
+    blurred = on_a_ground(0.2, tilted=False).ground
+    assert blurred is not None
+    assert blurred.height > 1.1 * level.height
+    found = on_a_ground(0.001).ground
+    assert found is not None
+    assert 0.04 < found.normal < 0.05  # radians: footprints tell a little, too
+    assert found.height > level.height  # where the walk began is far from where it is
+    plane = on_a_ground(0.001, shown=1e6).ground
+    assert plane is not None
+    assert plane.height < 2e-3  # metres: the plane was seen
+
+
+def test_what_is_believed_of_the_ground_makes_no_joint_less_sure():
+    """Joints are those in the recording, which shows them whatever the ground is."""
+    known = deviations(at_truth(), [seen(noise=0.0)], [Noise(0.01, 0.01)], Flat())
+    found = on_a_ground(0.01, upright=1.0, stance=1.0)
+    assert known.ground is None
+    assert torch.allclose(found.joints, known.joints, rtol=0.02)
+    assert torch.allclose(found.root, known.root, rtol=0.02)
+
+
+def test_a_result_says_how_sure_its_ground_is(tmp_path):
+    clip = seen()[0].derived(ground_known=False)
+    result = recon.fit(clip, "pose")
+    assert result.ground_std is not None
+    assert result.ground_std.normal_degrees == 0  # z is up in the recording
+    assert 0 < result.ground_std.height < 0.2
+    assert result.report()["standard_deviations"]["ground"]["height"] == result.ground_std.height
+    result.save(tmp_path / "out.npz")
+    loaded = recon.load_motion(tmp_path / "out.npz")
+    assert loaded.ground_std is not None
+    assert loaded.ground_std.tolist() == pytest.approx([0.0, result.ground_std.height])
+    assert describe(tmp_path / "out.npz")["ground_height_std"] == pytest.approx(
+        result.ground_std.height
+    )
+    assert recon.fit(seen()[0], "pose").ground_std is None
+
+
 @pytest.mark.parametrize("prior", ["pose", "humor"])
 def test_a_result_knows_how_sure_it_is(prior, tmp_path):
     result = recon.fit(seen(hide_below=0.6)[0], prior=prior)
@@ -93,6 +150,11 @@ def test_a_result_knows_how_sure_it_is(prior, tmp_path):
     assert loaded.joint_std is not None
     assert torch.allclose(loaded.joint_std, result.joint_std)
     assert result.report()["standard_deviations"]["joints"]["pelvis"] > 0
+    if prior == "humor":
+        assert loaded.contact_probability is not None
+        assert ((loaded.contact_probability >= 0) & (loaded.contact_probability <= 1)).all()
+    else:
+        assert loaded.contact_probability is None
 
 
 def test_depth_and_images_say_how_sure_they_are():

@@ -7,15 +7,20 @@ import torch
 
 from recon.core.residuals import Noise, Unit
 from recon.core.skeleton import JOINTS
-from recon.fitting.clip import ClipFit
+from recon.fitting.clip import GROUND_DEVIATION, ClipFit
 from recon.formats.results.certainty import JointCertainty
-from recon.method.laplace import Believing, Deviations, deviations
+from recon.method.laplace.deviations import Believing, Deviations, deviations
+from recon.method.laplace.grounds import GroundBelief, GroundDeviation
 from recon.method.protocols import Estimate, Sensor
 
 _WORTH: dict[Unit, float] = {"metres": 4.0, "pixels": 2.0}
 """Independent observations that one in this unit is worth. Priors smooth more than the density
 that stands for them says, so errors are smaller than its curvature promises; chosen on validation
 people so that 90 % of the errors of seen joints lie within 1.645 standard deviations."""
+_STANCE = 0.03
+"""Metres by which standing feet miss the ground, clip by clip."""
+_UPRIGHT = 0.05
+"""Radians by which people lean on average over a clip."""
 
 
 def certainty(found: ClipFit) -> Deviations | None:
@@ -35,9 +40,18 @@ def certainty(found: ClipFit) -> Deviations | None:
     least = min(noise.metres for noise in found.noises)
     with torch.no_grad():
         try:
-            return deviations(estimate, seen, noises, prior.belief(least))
+            return deviations(estimate, seen, noises, prior.belief(least), _ground(found))
         except RuntimeError:  # a Hessian that is singular to rounding has no inverse
             return None
+
+
+def _ground(found: ClipFit) -> GroundBelief | None:
+    """What is believed of a ground that was found; None where it was known, or there is none."""
+    if not found.grounded or found.ground_known:
+        return None
+    level = all(one.level for one in found.observations)
+    shown = GROUND_DEVIATION**-2 if found.ground_seen else 0.0
+    return GroundBelief(_STANCE, _UPRIGHT, not level, shown)
 
 
 def _thinned(one: Sensor, noise: Noise, estimate: Estimate) -> tuple[Sensor, Noise]:
@@ -49,11 +63,17 @@ def _thinned(one: Sensor, noise: Noise, estimate: Estimate) -> tuple[Sensor, Noi
 
 
 def certainty_report(deviations: Deviations, joints: JointCertainty | None) -> dict[str, Any]:
-    """Standard deviations as a report has them: medians of joints and root, and of the shape."""
+    """Standard deviations as a report has them: medians of joints and root, shape, ground."""
     every = deviations.joints.median(0).values.tolist()
+    ground = deviations.ground
     return {
         **({} if joints is None else asdict(joints)),
+        **({} if ground is None else {"ground": _ground_report(ground)}),
         "joints": dict(zip(JOINTS, every, strict=True)),
         "root": float(deviations.root.median()),
         "shape": deviations.shape.tolist(),
     }
+
+
+def _ground_report(ground: GroundDeviation) -> dict[str, float]:
+    return {"normal_degrees": ground.normal_degrees, "height": ground.height}

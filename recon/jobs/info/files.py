@@ -1,5 +1,7 @@
 """What a file holds and what was assumed in reading it."""
 
+import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +24,7 @@ from recon.formats.observations import (
 )
 from recon.formats.projects import Project, project_at
 from recon.formats.results.certainty import JointCertainty
+from recon.formats.results.reports import read_report
 from recon.jobs.info.cameras import (
     describe_calibration,
     describe_detections,
@@ -108,6 +111,7 @@ def _motion(path: Path) -> dict[str, Any]:
         "has_contacts": file.contacts is not None,
         "has_camera": file.T_world_camera is not None,
         **_certainty(file),
+        **_alternatives(path),
         "units": "metres, z up",
     }
 
@@ -122,7 +126,26 @@ def _certainty(file: MotionFile) -> dict[str, Any]:
         "median_joint_std_seen": found.seen,
         "median_joint_std_hidden": found.hidden,
         "share_of_hidden_joints": found.hidden_share,
+        **_ground(file),
     }
+
+
+def _ground(file: MotionFile) -> dict[str, float]:
+    """How far a ground that was found may be off."""
+    if file.ground_std is None:
+        return {}
+    normal, height = file.ground_std.tolist()
+    return {"ground_normal_std_degrees": math.degrees(normal), "ground_height_std": height}
+
+
+def _alternatives(path: Path) -> dict[str, list[str]]:
+    """Other motions that explain the same data, which the report beside the file tells."""
+    beside = path.with_name(f"{path.name}.json")
+    report = read_report(beside)
+    if report is None or report.checksum_if_own(path.name, path) is None:
+        return {}
+    told = json.loads(beside.read_bytes()).get("alternatives", [])
+    return {"alternatives": [one["message"] for one in told]} if told else {}
 
 
 def _observation(path: Path) -> dict[str, Any]:

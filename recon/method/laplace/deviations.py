@@ -7,11 +7,12 @@ the covariance of the motion is H⁻¹ and that of a joint G H⁻¹ Gᵀ, with G
 Every frame has 69 coordinates: the translation in metres and the rotation steps of 22 joints in
 radians, R_j Exp(w_j). The shape is shared by all. A residual of a sensor depends on one frame, a
 pose's coordinates likewise, a joint's acceleration on three; so H is banded in time, with the
-shape as a border (`recon.solver.blocks`).
+shape as a border (`recon.solver.blocks`). Where the ground is unknown, its height and tilt are in
+the border, too.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol, runtime_checkable
 
 import torch
@@ -23,11 +24,17 @@ from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.residuals import Noise
 from recon.core.scene import Scene
+from recon.method.laplace.grounds import (
+    GroundBelief,
+    GroundDeviation,
+    add_stance,
+    deviation,
+    perturbed,
+)  # fmt: skip
+from recon.method.laplace.hessian import FRAME, Accumulated
 from recon.method.protocols import REFERENCE_FPS, Decoded, Density, Estimate, Sensor
-from recon.solver.blocks import Bordered, Inverse, inverse
+from recon.solver.blocks import Inverse, inverse
 
-FRAME = 69
-"""Coordinates of a frame: three of the translation, three of every joint's rotation step."""
 _STEP = 1e-3
 """Metres, radians and standard deviations of shape over which derivatives are differences."""
 _DISBELIEVED = 4.0
@@ -35,9 +42,6 @@ _DISBELIEVED = 4.0
 _CHUNK = 150
 """Frames that are looked at together; longer motions are cut, and cuts overlap."""
 _OVERLAP = 15
-_LEAST = 0.1
-"""Curvature that every coordinate has at least, 1 / metres² or 1 / radians²: what nothing holds is
-unknown by no more than three metres and half a turn."""
 
 
 @runtime_checkable
@@ -59,6 +63,8 @@ class Deviations:
     """Standard deviation of the rotation of the root about an axis, radians."""
     shape: Float[Tensor, " shape"]
     """Standard deviation of every shape coefficient."""
+    ground: GroundDeviation | None = None
+    """Of the ground where it was found; None where it is known, or nothing tells it."""
 
 
 def deviations(
@@ -66,14 +72,18 @@ def deviations(
     sensors: Sequence[Sensor],
     noises: Sequence[Noise],
     density: Density,
+    ground: GroundBelief | None = None,
 ) -> Deviations:
     """How far the joints of a fit of one clip may be from the truth.
+
+    Joints are those in the frame of the recording, whatever is believed of the ground.
 
     Args:
         estimate: the fit; a leading axis of length one.
         sensors: what was seen, likewise.
         noises: standard deviations of the sensors' coordinates.
         density: how likely poses, shapes and accelerations are, without the data.
+        ground: what is believed of an unknown ground; None where it is known or not asked for.
     """
     body = estimate.body.model.to(dtype=torch.float64)
     motion = estimate.motion.detach().to(dtype=torch.float64)
@@ -81,7 +91,10 @@ def deviations(
     held = [one.to(dtype=torch.float64) for one in sensors]
     cuts = _cuts(motion.frames)
     windows = [motion.window(first, stop) for first, stop in cuts]
-    parts = [_of_window(one, scene, body, _during(held, one), noises, density) for one in windows]
+    parts = [
+        _of_window(one, scene, body, _during(held, one), noises, density, ground)
+        for one in windows
+    ]
     joints = motion.translation.new_zeros(motion.frames, len(body.joint_template))
     root = motion.translation.new_zeros(motion.frames)
     for (first, stop), part in zip(cuts, parts, strict=True):
@@ -89,7 +102,10 @@ def deviations(
         joints[first + skip : stop] = part.joints[skip:]
         root[first + skip : stop] = part.root[skip:]
     least = torch.stack([part.shape for part in parts]).amin(0)
-    return Deviations(joints, root, least)
+    told = [part.ground for part in parts if part.ground is not None]
+    # windows of a long recording share one ground, which the surest of them tells best
+    surest = min(told, key=lambda one: one.height) if told else None
+    return Deviations(joints, root, least, surest)
 
 
 def _cuts(frames: int) -> list[tuple[int, int]]:
@@ -112,28 +128,43 @@ def _of_window(
     sensors: Sequence[Sensor],
     noises: Sequence[Noise],
     density: Density,
+    ground: GroundBelief | None,
 ) -> Deviations:
-    every = _perturbed(motion)
-    scenes = scene[torch.zeros(len(every.translation), dtype=torch.long)]
+    every = _perturbed(motion, 0 if ground is None else ground.coordinates)
+    rows = len(every.translation)
+    if ground is None:
+        scenes = scene[torch.zeros(rows, dtype=torch.long)]
+    else:
+        scenes = perturbed(scene, rows, ground, _STEP)
     estimates = Estimate(Decoded(every), body.pose(every), scenes)
     joints = _derivative(estimates.body.joints.flatten(-2))
     frames = motion.frames
     size = joints.shape[-1]
-    h = _Accumulated.zero(frames, size, like=motion.translation)
+    h = Accumulated.zero(frames, size, like=motion.translation)
     for one, noise in zip(sensors, noises, strict=True):
         h.add_sensor(_clock(one, motion), *_whitened(one, noise, estimates))
     h.add_frames(_derivative(density.whitened(every)) * (REFERENCE_FPS / motion.fps) ** 0.5)
     rate = (motion.fps / REFERENCE_FPS) ** 3
     h.add_accelerations(joints, density.acceleration * rate)
-    h.shape.diagonal().add_(density.shape * frames * REFERENCE_FPS / motion.fps)
-    found = inverse(h.bordered())
-    return _marginals(found, joints)
-
-
-def _perturbed(motion: Motion) -> Motion:
-    """The motion as it is, then after a step of each coordinate in all frames, then of shape."""
     shapes = motion.shape.shape[-1]
-    count = 1 + FRAME + shapes
+    shape = h.shape.diagonal()[:shapes]
+    shape += density.shape * frames * REFERENCE_FPS / motion.fps
+    told = ground is not None and add_stance(h, estimates, joints, ground)
+    found = inverse(h.bordered())
+    seen = _derivative(scenes.to_recording(estimates.body.joints).flatten(-2))
+    marginals = _marginals(found, seen, shapes)
+    if ground is None or not told:
+        return marginals
+    return replace(marginals, ground=deviation(found.border, scenes, ground, _STEP))
+
+
+def _perturbed(motion: Motion, more: int) -> Motion:
+    """The motion as it is, then after a step of each coordinate in all frames, then of shape.
+
+    `more` rows with the motion as it is follow, in which something else is moved.
+    """
+    shapes = motion.shape.shape[-1]
+    count = 1 + FRAME + shapes + more
     frames = motion.frames
     translation = motion.translation.expand(count, frames, 3).clone()
     steps = motion.translation.new_zeros(count, 22, 3)
@@ -184,84 +215,13 @@ def _clock(one: Sensor, motion: Motion) -> Tensor:
     return frame.clamp(0, motion.frames - 1)
 
 
-@dataclass(frozen=True)
-class _Accumulated:
-    """Blocks of the Hessian while residuals are added, in place."""
+def _marginals(
+    found: Inverse, joints: Float[Tensor, "time 66 coordinates"], shapes: int
+) -> Deviations:
+    """Standard deviations of every frame's joints and root, and of the shape.
 
-    frames: Float[Tensor, "time 3 n n"]
-    """[t, k]: the block that couples frame t with frame t + k."""
-    border: Float[Tensor, "time n m"]
-    shape: Float[Tensor, "m m"]
-
-    @classmethod
-    def zero(cls, frames: int, size: int, like: Tensor) -> "_Accumulated":
-        m = size - FRAME
-        blocks = like.new_zeros(frames, 3, FRAME, FRAME)
-        blocks[:, 0].diagonal(dim1=-2, dim2=-1).add_(_LEAST)
-        corner = _LEAST * torch.eye(m, dtype=like.dtype, device=like.device)
-        return cls(blocks, like.new_zeros(frames, FRAME, m), corner)
-
-    def add_sensor(self, frame: Tensor, jacobian: Tensor, weight: Tensor) -> None:
-        """Residuals of single moments, each at its frame."""
-        whole = jacobian.mT @ (jacobian * weight[..., None])
-        self._add(frame, whole)
-
-    def add_frames(self, jacobian: Tensor) -> None:
-        """Whitened residuals of single frames."""
-        self._add(torch.arange(len(jacobian)), jacobian.mT @ jacobian)
-
-    def _add(self, frame: Tensor, whole: Tensor) -> None:
-        self.frames[:, 0].index_add_(0, frame, whole[:, :FRAME, :FRAME])
-        self.border.index_add_(0, frame, whole[:, :FRAME, FRAME:])
-        self.shape.add_(whole[:, FRAME:, FRAME:].sum(0))
-
-    def add_accelerations(self, joints: Tensor, weight: float) -> None:
-        """½ weight |p_(t-1) - 2 p_t + p_(t+1)|² of all joints."""
-        if len(joints) < 3:
-            return
-        moved, shaped = joints[..., :FRAME], joints[..., FRAME:]
-        sign = joints.new_tensor([1.0, -2.0, 1.0])
-        inner = len(joints) - 2
-        bend = shaped[:-2] - 2 * shaped[1:-1] + shaped[2:]
-        self.shape.add_(weight * (bend.mT @ bend).sum(0))
-        for a in range(3):
-            left = moved[a : a + inner]
-            self.border[a : a + inner] += weight * sign[a] * (left.mT @ bend)
-            for b in range(a, 3):
-                right = moved[b : b + inner]
-                pair = weight * sign[a] * sign[b] * (left.mT @ right)
-                self.frames[a : a + inner, b - a] += pair
-
-    def bordered(self) -> Bordered:
-        """Two frames to a block, so that only neighbouring blocks couple."""
-        count = len(self.frames)
-        pairs = -(-count // 2)
-        n = 2 * FRAME
-        own = self.frames.new_zeros(pairs, 2, 2, FRAME, FRAME)
-        beside = self.frames.new_zeros(pairs, 2, 2, FRAME, FRAME)
-        even, odd = self.frames[::2], self.frames[1::2]
-        full = len(odd)
-        own[:, 0, 0] = even[:, 0]
-        own[:full, 1, 1] = odd[:, 0]
-        own[full:, 1, 1] = torch.eye(FRAME, dtype=own.dtype, device=own.device)
-        own[:full, 0, 1] = even[:full, 1]
-        own[:full, 1, 0] = even[:full, 1].mT
-        beside[: pairs - 1, 0, 0] = even[:-1, 2]
-        beside[: pairs - 1, 1, 0] = odd[: pairs - 1, 1]
-        if full > 1:
-            beside[: full - 1, 1, 1] = odd[:-1, 2]
-        border = self.border.new_zeros(pairs, 2, FRAME, self.border.shape[-1])
-        border[:, 0], border[:full, 1] = self.border[::2], self.border[1::2]
-        return Bordered(
-            diagonal=own.transpose(2, 3).reshape(pairs, n, n),
-            upper=beside[: pairs - 1].transpose(2, 3).reshape(pairs - 1, n, n),
-            border=border.reshape(pairs, n, -1),
-            corner=self.shape,
-        )
-
-
-def _marginals(found: Inverse, joints: Float[Tensor, "time 66 coordinates"]) -> Deviations:
-    """Standard deviations of every frame's joints and root, and of the shape."""
+    Those of the root are given the ground.
+    """
     count = len(joints)
     blocks = found.within.unflatten(-1, (2, FRAME)).unflatten(-3, (2, FRAME))
     own = torch.stack((blocks[:, 0, :, 0], blocks[:, 1, :, 1]), 1).flatten(0, 1)[:count]
@@ -269,7 +229,18 @@ def _marginals(found: Inverse, joints: Float[Tensor, "time 66 coordinates"]) -> 
     moved, shaped = joints[..., :FRAME], joints[..., FRAME:]
     rest = shaped - moved @ onto
     variance = ((moved @ own) * moved).sum(-1) + ((rest @ found.border) * rest).sum(-1)
-    turned = own + onto @ found.border @ onto.mT
+    given, onto_shape = _given_rest(found.border, shapes), onto[..., :shapes]
+    turned = own + onto_shape @ given @ onto_shape.mT
     root = turned[:, 3:6, 3:6].diagonal(dim1=-2, dim2=-1).mean(-1).sqrt()
     per_joint = variance.unflatten(-1, (-1, 3)).mean(-1).sqrt()
-    return Deviations(per_joint, root, found.border.diagonal().sqrt())
+    return Deviations(per_joint, root, found.border.diagonal()[:shapes].sqrt())
+
+
+def _given_rest(covariance: Float[Tensor, "m m"], count: int) -> Float[Tensor, "count count"]:
+    """Covariance of the first coordinates where all others are known."""
+    first, across, rest = (
+        covariance[:count, :count], covariance[:count, count:], covariance[count:, count:],
+    )  # fmt: skip
+    if rest.numel() == 0:
+        return first
+    return first - across @ torch.linalg.solve(rest, across.mT)

@@ -1,0 +1,1 @@
+"""How sure a fit is, from the curvature of its objective about the result (Laplace)."""
