@@ -14,9 +14,9 @@ class JointCertainty:
     """Medians of the standard deviations of joints' coordinates, over frames and joints."""
 
     seen: float | None
-    """Of joints that a sensor saw, metres; None where none was seen."""
+    """Median of joints that a sensor saw, metres; None where none was seen."""
     hidden: float | None
-    """Of joints that were inferred, metres; None where none was."""
+    """Median of joints that were inferred, metres; None where none was."""
     hidden_share: float
     """Share of the joints, over all frames, that were inferred."""
 
@@ -31,7 +31,7 @@ class JointCertainty:
         return cls(_median(std, seen), _median(std, ~seen), float((~seen).double().mean()))
 
     def __str__(self) -> str:
-        """For example `1.1 cm where seen, 5.3 cm where inferred (17 % of the joints)`."""
+        """The medians in words: `1.1 cm where seen, 5.3 cm where inferred (17 % of the joints)`."""
         parts: list[str] = []
         if self.seen is not None:
             parts.append(f"{100 * self.seen:.1f} cm where seen")

@@ -64,7 +64,7 @@ class Deviations:
     shape: Float[Tensor, " shape"]
     """Standard deviation of every shape coefficient."""
     ground: GroundDeviation | None = None
-    """Of the ground where it was found; None where it is known, or nothing tells it."""
+    """Those of the ground where it was found; None where it is known, or nothing tells it."""
 
 
 def deviations(

@@ -47,13 +47,13 @@ class GroundDeviation:
     """Standard deviations of a ground that was found."""
 
     normal: float
-    """Of its normal about each horizontal axis, radians; 0 where the vertical is known."""
+    """Standard deviation of its normal about each horizontal axis, radians; 0 where the vertical is known."""
     height: float
-    """Of its height below the origin of the recording's frame (that of a camera), metres."""
+    """Standard deviation of its height below the origin of the recording's frame, metres."""
 
     @property
     def normal_degrees(self) -> float:
-        """That of the normal in degrees."""
+        """The standard deviation of the normal in degrees."""
         return math.degrees(self.normal)
 
 
