@@ -31,7 +31,7 @@ class JointCertainty:
         return cls(_median(std, seen), _median(std, ~seen), float((~seen).double().mean()))
 
     def __str__(self) -> str:
-        """The medians in words: `1.1 cm where seen, 5.3 cm where inferred (17 % of the joints)`."""
+        """Medians in words: `1.1 cm where seen, 5.3 cm where inferred (17 % of the joints)`."""
         parts: list[str] = []
         if self.seen is not None:
             parts.append(f"{100 * self.seen:.1f} cm where seen")

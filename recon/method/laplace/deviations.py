@@ -64,7 +64,7 @@ class Deviations:
     shape: Float[Tensor, " shape"]
     """Standard deviation of every shape coefficient."""
     ground: GroundDeviation | None = None
-    """Those of the ground where it was found; None where it is known, or nothing tells it."""
+    """Standard deviations of the ground; None where it is known, and where nothing tells it."""
 
 
 def deviations(

@@ -47,7 +47,7 @@ class GroundDeviation:
     """Standard deviations of a ground that was found."""
 
     normal: float
-    """Standard deviation of its normal about each horizontal axis, radians; 0 where the vertical is known."""
+    """Standard deviation of its normal about a horizontal axis, radians; 0 where it is known."""
     height: float
     """Standard deviation of its height below the origin of the recording's frame, metres."""
 
