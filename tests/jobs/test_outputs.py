@@ -56,7 +56,7 @@ CASES = (
     *(Case("view", to, ("IN.npz", f"--{to}", "OUT")) for to in ("html", "png", "mp4")),
     *(
         Case("export", to, ("IN.npz", f"--{to}", "OUT"))
-        for to in ("glb", "bvh", "trc", "mot", "angles", "joints", "html")
+        for to in ("glb", "usd", "bvh", "trc", "mot", "angles", "joints", "html")
     ),
     Case("export", "ply", ("IN.npz", "--ply", "OUT"), Kind.FOLDER),
     *(Case("train", "out", (p, "IN.folder", "--out", "OUT.st")) for p in ("pose", "humor")),
