@@ -36,6 +36,7 @@ from recon.method.reconstruction import solve
 
 SEED, NOISE = 0, 0.04
 LAGS = (0, 5, 15)
+PRIORS = ("pose", "humor")
 
 Row = dict[str, float]
 
@@ -58,8 +59,9 @@ def main() -> None:
         rows[clip] = measured(truth.replace(start_time=0.0), body)
         Console().print(shown(clip, rows[clip]))
     first = load_motion(files[chosen[0]]).motion.resample(FPS)
-    minutes = for_minutes(there_and_back(first, 60 * arguments.minutes), body)
-    Console().print(shown(f"{arguments.minutes:g} minutes", {"lag 15": minutes}))
+    whole = there_and_back(first, 60 * arguments.minutes)
+    minutes = {f"{prior}, lag 15": for_minutes(whole, body, prior) for prior in PRIORS}
+    Console().print(shown(f"{arguments.minutes:g} minutes", minutes))
     if arguments.json is not None:
         write(
             arguments.json, SEED, corpus_source(arguments.corpus, [files[c] for c in chosen]),
@@ -83,8 +85,10 @@ def measured(truth: Motion, body: BodyModel) -> dict[str, Row]:
     """One clip: every lag, and both offline fits."""
     seen = noisy_joints(truth.map(lambda tensor: tensor[None]), body, SEED, NOISE)
     true = body.pose(truth).joints
-    rows = {f"lag {lag}": streamed(seen, true, lag) for lag in LAGS}
-    for prior in ("pose", "humor"):
+    rows = {
+        f"{prior}, lag {lag}": streamed(seen, true, lag, prior) for prior in PRIORS for lag in LAGS
+    }
+    for prior in PRIORS:
         began = time.process_time()
         motion = solve([seen], method_of(FitOptions(prior=prior), NOISE, body), body).clip(0)
         spent = (time.process_time() - began) / truth.frames
@@ -94,9 +98,9 @@ def measured(truth: Motion, body: BodyModel) -> dict[str, Row]:
     return rows
 
 
-def streamed(seen: Joints3D, true: Tensor, lag: int) -> Row:
+def streamed(seen: Joints3D, true: Tensor, lag: int, prior: str) -> Row:
     """A clip pushed moment by moment."""
-    stream = Stream(lag=lag)
+    stream = Stream(prior, lag)
     found: list[Tensor] = []
     spent: list[float] = []
     for moment in range(seen.moments):
@@ -112,11 +116,11 @@ def streamed(seen: Joints3D, true: Tensor, lag: int) -> Row:
     } | compared(torch.stack(found), true)  # fmt: skip
 
 
-def for_minutes(truth: Motion, body: BodyModel) -> Row:
+def for_minutes(truth: Motion, body: BodyModel, prior: str) -> Row:
     """A long stream of lag 15, and how the memory of the process grows."""
     seen = noisy_joints(truth.map(lambda tensor: tensor[None]), body, SEED, NOISE)
     half = seen.moments // 2
-    stream, spent, sizes = Stream(lag=15), [], [0.0, 0.0]
+    stream, spent, sizes = Stream(prior, lag=15), [], [0.0, 0.0]
     found: list[Tensor] = []
     for moment in range(seen.moments):
         one = seen[0].window(moment / FPS, moment / FPS)

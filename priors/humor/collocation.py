@@ -40,7 +40,7 @@ _FITTED = 0.5
 _MOST = 0.9
 """Share of the moments in which a joint must be seen for its clip to be seen whole."""
 
-_ERROR, _SURPRISE = 100.0, 20.0
+ERROR, SURPRISE = 100.0, 20.0
 """Energies of one step, in nats, beyond which it counts less and less. A step that is far from
 the corpus is one that the networks never saw, so the data should decide about it."""
 
@@ -132,13 +132,13 @@ class CollocatedHumor:
         if not isinstance(energy, PriorEnergy) or energy.name not in ("step", "latents"):
             return self.poses.add_curvature(term, clip)
         name = energy.name
-        scale = _ERROR if name == "step" else _SURPRISE
+        scale = ERROR if name == "step" else SURPRISE
         nats = clip.estimate.decoded.energies[name][clip.clip]
         steps = max(int(clip.motion.valid.sum()) - 1, 1)
         # the mean logarithm of the derivative of ρ over the steps
         weight = term.weight * float((-nats / (scale * steps)).exp())
         error, latents = (weight, 0.0) if name == "step" else (0.0, weight)
-        bundled_curvature().add(clip, error, latents)
+        bundled_curvature().add(clip.motion, clip.part, error, latents)
         return True
 
     def decode(self, variables: PoseVariables) -> Decoded:
@@ -152,14 +152,14 @@ class CollocatedHumor:
         decoded = self.poses.decode(variables)
         motion, humor = decoded.motion, self.humor.like(variables.translation)
         posed = humor.body.pose(motion)
-        states = posed_states(motion, posed)
+        states = posed_states(motion, posed.joints)
         pelvis = humor.pelvis(motion.shape)
         found = explain(humor.networks, states, pelvis)
         exists = motion.valid[:, 1:]
         error = 0.5 * (found.error @ humor.error_whitening).square().sum(-1)
         energies = {
-            "step": _heavy_tailed(error, _ERROR).where(exists, 0.0).sum(-1),
-            "latents": _heavy_tailed(found.surprise, _SURPRISE).where(exists, 0.0).sum(-1),
+            "step": heavy_tailed(error, ERROR).where(exists, 0.0).sum(-1),
+            "latents": heavy_tailed(found.surprise, SURPRISE).where(exists, 0.0).sum(-1),
         }
         return Decoded(
             motion=motion,
@@ -169,7 +169,8 @@ class CollocatedHumor:
         )
 
 
-def _heavy_tailed(nats: Tensor, scale: float) -> Tensor:
+def heavy_tailed(nats: Tensor, scale: float) -> Tensor:
+    """The energy ρ(x) = s log(1 + x / s): as x where it is small, slower where it is large."""
     return scale * torch.log1p(nats / scale)
 
 

@@ -16,8 +16,10 @@ from torch import Tensor
 
 from priors.checkpoints import named_checkpoint
 from recon.core import rotations as so3
+from recon.core.motion import Motion
 from recon.core.struct import TensorStruct
-from recon.method.newton.model import FRAME, ClipModel
+from recon.method.newton.model import FRAME
+from recon.solver.banded import Banded
 
 SPAN = 4
 """Frames that a step depends on, from the one before it starts to the one after it ends."""
@@ -48,15 +50,15 @@ class StepCurvature(TensorStruct):
         found = {name: root.double() @ root.double().mT for name, root in roots.items()}
         return cls(**{name: matrix.float() for name, matrix in found.items()})
 
-    def add(self, clip: ClipModel, error: float, latents: float) -> None:
+    def add(self, motion: Motion, hessian: Banded, error: float, latents: float) -> None:
         """Add the curvature of all steps of a clip.
 
         Args:
-            clip: the model that it is added to.
+            motion: of one clip, without a batch axis.
+            hessian: what it is added to, by the steps of its frames and by the shape.
             error: weight of a step's error, latents: of its surprise, per nat.
             latents: weight of its surprise.
         """
-        motion, hessian = clip.motion, clip.part
         like, steps, moved = motion.translation, motion.frames - 1, SPAN * FRAME
         whole = (error * self.error + latents * self.latents).to(like)
         size = hessian.corner.shape[-1]

@@ -5,7 +5,7 @@ import math
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import torch
 from jaxtyping import Bool, Float
@@ -36,6 +36,9 @@ from recon.core.struct import TensorStruct
 from recon.method.plugins import imported
 from recon.method.protocols import REFERENCE_FPS, Decoded
 from recon.method.reconstruction import Method
+
+if TYPE_CHECKING:
+    from priors.humor.live import LiveSteps
 
 _LOG = logging.getLogger(__name__)
 
@@ -157,6 +160,10 @@ class Humor:
         """
         kind = imported(_METHODS[self.methods[0] if name is None else name], "method")
         return kind.for_noise(self.like(body.template), noise)
+
+    def live(self, noise: float) -> "LiveSteps":
+        """The energies of steps for a stream whose points are off by `noise` metres."""
+        return imported("priors.humor.live:LiveSteps", "live").for_noise(self, noise)
 
     def to(
         self, *, device: torch.device | str | None = None, dtype: torch.dtype | None = None

@@ -7,7 +7,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from priors.humor.networks import STATE
-from recon.body.model import BodyModel, PosedBody
+from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.skeleton import CONTACT_JOINTS, JOINTS
@@ -171,11 +171,11 @@ def _turned(turn: Float[Tensor, "*batch 3 3"], vector: Float[Tensor, "*batch 3"]
 
 def states_of(motion: Motion, body: BodyModel) -> State:
     """States along a motion of a body; see `posed_states`."""
-    return posed_states(motion, body.pose(motion))
+    return posed_states(motion, body.pose(motion).joints)
 
 
-def posed_states(motion: Motion, posed: PosedBody) -> State:
-    """States along a motion, axes (clips, time), with velocities by finite differences.
+def posed_states(motion: Motion, joints: Float[Tensor, "*batch time 22 3"]) -> State:
+    """States along a motion and its joints, axes (clips, time); velocities by finite differences.
 
     Central differences inside, one-sided at both ends of what exists (HuMoR, section 1.5, at
     the motion's own rate).
@@ -185,7 +185,6 @@ def posed_states(motion: Motion, posed: PosedBody) -> State:
     """
     if bool((motion.valid.sum(-1) < 2).any()):
         raise ValueError("velocities need at least two frames of every clip; got one")
-    joints = posed.joints
     roots = motion.rotations[..., 0, :, :]
     spin = so3.log(roots[..., 1:, :, :] @ roots[..., :-1, :, :].mT)
     return State(

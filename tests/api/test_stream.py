@@ -63,6 +63,27 @@ def test_every_moment_is_told_once_in_its_turn_and_well(seen, truth):
     assert all(bool(one.observed.all()) for one in found)
 
 
+def test_a_prior_over_steps_is_nearer_and_tells_contacts(seen, truth):
+    """A stream knew the pose prior alone."""
+    plain, better = (played(stream(prior=prior, lag=10), seen) for prior in ("pose", "humor"))
+    assert [one.time for one in better] == pytest.approx([k / FPS for k in range(FRAMES)])
+    assert all(one.contacts is None for one in plain)
+    contacts = torch.stack([one.contacts for one in better])
+    assert ((contacts >= 0) & (contacts <= 1)).all()
+    feet = [recon.core.skeleton.joint_index(f"{side}_foot") for side in ("left", "right")]
+    assert (contacts[:, feet].max(-1).values > 0.5).float().mean() > 0.8
+    errors = [(joints_of(found) - truth).norm(dim=-1).mean() for found in (plain, better)]
+    assert errors[1] < errors[0]
+    steps = joints_of(better).diff(dim=0).norm(dim=-1)
+    assert steps.max() < 1.5 * truth.diff(dim=0).norm(dim=-1).max()
+
+
+def test_steps_of_other_lengths_are_refused(seen):
+    faster = recon.Joints3D(seen[:1], np.ones((1, 22), bool), range(22), 60.0)
+    with pytest.raises(recon.ReconError, match="30 moments a second"):
+        recon.Stream("humor").push(faster)
+
+
 def test_a_lag_shorter_than_the_beginning(seen, truth):
     """The data of the first moments were compared with later frames where the window shrank."""
     found = played(stream(lag=0), seen[:18])
@@ -224,7 +245,7 @@ def test_bad_moments_are_refused_and_the_stream_goes_on(seen):
     ("settings", "message"),
     [
         ({"lag": -1}, "lag: expected"),
-        ({"prior": "anchor"}, "prior: a stream knows"),
+        ({"prior": "anchor"}, "prior: expected .*'humor'"),
         ({"noise": [0.1, 0.2], "template": None}, "noise: expected one"),
     ],
 )

@@ -12,6 +12,7 @@ from observations.noise import weights_of
 from observations.together.moments import Tracker, joined
 from priors.pose.prior import PosePrior
 from recon.api.live.moments import Moment
+from recon.api.live.objective import LivePrior
 from recon.api.live.shape import ShapeKnowledge
 from recon.api.live.smoother import Smoothed, begun
 from recon.api.live.window import Window
@@ -61,6 +62,7 @@ def begin(
     person: Person,
     body: BodyModel,
     poses: PosePrior,
+    prior: LivePrior | None,
 ) -> Smoothed:
     """A window of these moments, each one frame after the other, fitted under the pose prior.
 
@@ -93,4 +95,5 @@ def begin(
         body,
         poses.density,
         knowledge,
+        prior,
     )

@@ -1,11 +1,13 @@
-"""The energies of a window under the pose prior, and their Gauss-Newton equations.
+"""The energies of a window, and their Gauss-Newton equations.
 
 They are those of `priors.pose.prior.PosePrior` as a method: data, the density of poses, small
-second differences of the joints' paths.
+second differences of the joints' paths. Another prior's energies of steps between frames are
+added (`StepEnergies`).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
@@ -20,8 +22,63 @@ from recon.api.live.window import VARIABLES, Window
 from recon.body.derivatives import CarriedPoints, turned_by
 from recon.body.kinematics import forward_kinematics
 from recon.body.model import BodyModel
+from recon.core.motion import Motion
 from recon.method.protocols import REFERENCE_FPS
-from recon.solver.chain import Chain
+from recon.solver.banded import Banded, add_differences
+
+_BEND = (1.0, -2.0, 1.0)
+"""Second difference of three neighbours."""
+
+
+@runtime_checkable
+class Judged(Protocol):
+    """What is said of the steps of a window."""
+
+    @property
+    def energy(self) -> Float[Tensor, ""]:
+        """The weighted energy."""
+        ...
+
+    @property
+    def contacts(self) -> Float[Tensor, "time 22"]:
+        """Probability that a joint touches the ground."""
+        ...
+
+
+@runtime_checkable
+class StepEnergies(Protocol):
+    """Energies of a prior over the steps between frames; `priors.humor.live` has HuMoR's."""
+
+    reach: ClassVar[int]
+    """Frames so far apart are in one energy."""
+
+    @property
+    def poses(self) -> PoseWeights:
+        """Weights of the density of poses and of smoothness beside them."""
+        ...
+
+    def judged(self, motion: Motion, joints: Float[Tensor, "1 time 22 3"], held: int) -> Any:
+        """The energy, a `Judged` with a gradient by what the motion was made of."""
+        ...
+
+    def add_curvature(
+        self,
+        motion: Motion,
+        judged: Any,
+        hessian: Banded,
+        of_joints: Float[Tensor, "time some 66"],
+    ) -> None:
+        """Add the Hessian by the variables of all frames, and by the joints' coordinates."""
+        ...
+
+
+@runtime_checkable
+class LivePrior(Protocol):
+    """A prior that a stream can have beside the density of poses."""
+
+    def live(self, noise: float) -> StepEnergies:
+        """Its energies beside points of a standard deviation of `noise` metres a coordinate."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -34,12 +91,8 @@ class Equations:
 
     value: float
     gradient: Float[Tensor, "active 69"]
-    blocks: Float[Tensor, "active 69 69"]
-    """Blocks of A on its diagonal, those of `alone` included."""
-    next: Float[Tensor, "between 69 69"]
-    """Blocks of A between frames t and t + 1."""
-    after_next: Float[Tensor, "across 69 69"]
-    """Blocks of A between frames t and t + 2."""
+    inner: Float[Tensor, "active reach_and_one 69 69"]
+    """Blocks of A: [t, k] couples the frames t and t + k; those of `alone` are included."""
     alone: Float[Tensor, "active 69 69"]
     """What data and pose of every frame alone give to A."""
     gradient_alone: Float[Tensor, "active 69"]
@@ -50,31 +103,15 @@ class Equations:
     gradient_shape: Float[Tensor, "active shape"]
     """h, frame by frame."""
 
-    def chain(self, damping: float) -> Chain:
-        """The equations of a damped step, two frames to a block.
+    contacts: Float[Tensor, "active 22"] | None
+    """Probability of contact, where a prior tells it."""
 
-        An odd number of frames has one more before the first, which nothing holds or moves.
-        """
-        n, odd = VARIABLES, len(self.blocks) % 2
-        ahead = (0, 0, 0, 0, odd, 0)
-        grown = self.blocks + damping * torch.diag_embed(self.alone.diagonal(dim1=1, dim2=2))
-        grown = torch.cat((torch.eye(n).to(grown)[None][:odd], grown))
-        near, far = pad(self.next, ahead), pad(self.after_next, ahead)
-        first, second = slice(0, None, 2), slice(1, None, 2)
-        diagonal = grown.new_zeros(len(grown) // 2, 2 * n, 2 * n)
-        diagonal[:, :n, :n], diagonal[:, n:, n:] = grown[first], grown[second]
-        diagonal[:, :n, n:], diagonal[:, n:, :n] = near[first], near[first].mT
-        upper = grown.new_zeros(len(diagonal) - 1, 2 * n, 2 * n)
-        upper[:, :n, :n], upper[:, n:, n:] = far[first], far[second]
-        upper[:, n:, :n] = near[second]
-        return Chain(
-            diagonal=diagonal,
-            upper=upper,
-            border=pad(self.border, ahead).reshape(len(diagonal), 2 * n, -1),
-            corner=self.corner.sum(0),
-            right=-pad(self.gradient, (0, 0, odd, 0)).reshape(-1, 2 * n),
-            right_border=-self.gradient_shape.sum(0),
-        )
+    def damped(self, damping: float) -> Banded:
+        """The matrix of a damped step."""
+        inner = self.inner.clone()
+        diagonal = inner[:, 0].diagonal(dim1=1, dim2=2)
+        diagonal.add_(damping * self.alone.diagonal(dim1=1, dim2=2))
+        return Banded(inner, self.border, self.corner.sum(0))
 
 
 @dataclass(frozen=True)
@@ -95,6 +132,13 @@ class Objective:
     fps: float
     offsets: Float[Tensor, "rows 3"]
     """Constant offsets of points from their place on the model; see `Scene.offsets`."""
+    steps: StepEnergies | None = None
+    """Energies of a prior beside the density of poses."""
+
+    @property
+    def reach(self) -> int:
+        """Frames so far apart are in one energy: the frames before a window that are held."""
+        return len(_BEND) - 1 if self.steps is None else self.steps.reach
 
     @property
     def rate(self) -> float:
@@ -122,7 +166,14 @@ class Objective:
         for scale, points, sensor in zip(self.scales, self.points, seen, strict=True):
             places = points.of(orientations[held:], joints[held:])
             total = total + scale * energy_of(sensor, places)
+        if self.steps is not None:
+            total = total + self.steps.judged(self.motion(window), joints[None], held).energy
         return float(total)
+
+    def motion(self, window: Window) -> Motion:
+        """The motion of a window, a batch of one."""
+        rotations = window.rotations(self.density)
+        return Motion.create(window.translation[None], rotations[None], self.shape[None], self.fps)
 
     def equations(self, window: Window, seen: Sequence[Tracker], with_shape: bool) -> Equations:
         """The model of the last frames, those with data; earlier ones are held where they are."""
@@ -155,28 +206,50 @@ class Objective:
                 flat = (scale * model.curvature @ by_shape.unflatten(1, (-1, 3))).flatten(1, 2)
                 corner = corner + by_shape.mT @ flat
                 gradient_shape = gradient_shape + (down @ by_shape)[:, 0]
+        gradient_alone = gradient
         bend = joints.diff(n=2, dim=0)[max(held - 2, 0) :]
         second = _second_differences(window.frames, held).to(bend)
         column = _by_variables(self.joints.by_rotations(*own), turns).flatten(1, 2)
         force = self.stiffness * (second[:, held:].mT @ bend.flatten(1))
-        smooth = self.stiffness * (second.mT @ second)[held:, held:]
+        gradient = gradient + (force[:, None] @ column)[:, 0]
         value = value + 0.5 * self.stiffness * bend.square().sum()
-        between = [
-            smooth.diagonal(k)[:, None, None] * (column[: active - k].mT @ column[k:])
-            for k in range(3)
-        ]
+        hessian = Banded.zero(window.frames, self.reach, VARIABLES, 0, pose)
+        of_joints = pose.new_zeros(window.frames, self.reach + 1, column.shape[1])
+        add_differences(of_joints, _BEND, of_joints.new_tensor([[self.stiffness]]))
+        contacts = None
+        if self.steps is not None:
+            judged, slope = self._judged(window, held)
+            value, gradient = value + judged.energy.detach(), gradient + slope
+            motion = self.motion(window)[0]
+            self.steps.add_curvature(motion, judged, hessian, of_joints)
+            contacts = judged.contacts[held:]
+        inner = replace(hessian, inner=hessian.inner[held:], border=hessian.border[held:])
+        inner.add_products(of_joints[held:], column, column[..., :0])
+        inner.inner[:, 0] += alone
         return Equations(
             value=float(value),
-            gradient=gradient + (force[:, None] @ column)[:, 0],
-            blocks=alone + between[0],
-            next=between[1],
-            after_next=between[2],
+            gradient=gradient,
+            inner=inner.inner,
             alone=alone,
-            gradient_alone=gradient,
+            gradient_alone=gradient_alone,
             border=border,
             corner=corner,
             gradient_shape=gradient_shape,
+            contacts=contacts,
         )
+
+    def _judged(self, window: Window, held: int) -> tuple[Any, Float[Tensor, "active 69"]]:
+        """What a prior says of the steps, and its slope by the variables of the active frames."""
+        assert self.steps is not None
+        with torch.enable_grad():
+            zero = window.pose.new_zeros(window.frames, VARIABLES, requires_grad=True)
+            moved = window.moved(zero)
+            motion = self.motion(moved)
+            _, joints = forward_kinematics(motion.rotations[0], self.rest)
+            joints = joints + moved.translation[:, None]
+            judged = self.steps.judged(motion, joints[None], held)
+            (slope,) = torch.autograd.grad(judged.energy, zero)
+        return judged, slope[held:]
 
 
 def _by_variables(

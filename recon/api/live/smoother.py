@@ -1,6 +1,7 @@
 """Fixed-lag smoothing: a window of the newest frames, moved a little with every moment."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import torch
@@ -10,19 +11,18 @@ from torch import Tensor
 from observations.together.moments import Tracker, joined, moments
 from priors.pose.density import PoseDensity
 from priors.pose.prior import PoseWeights
-from recon.api.live.objective import Equations, Objective
+from recon.api.live.objective import Equations, LivePrior, Objective
 from recon.api.live.shape import ShapeKnowledge
-from recon.api.live.window import VARIABLES, Window
+from recon.api.live.window import Window
 from recon.body.derivatives import CarriedPoints
 from recon.body.model import BodyModel
-from recon.solver.chain import solve_chain
+from recon.solver.banded import Factor, NotPositiveDefinite
 
-HELD = 2
-"""Frames before the window that are held where they are, so that motion goes on without a seam:
-as many as a second difference reaches back."""
 _DAMPING, _LARGEST = 1e-6, 1e3
 """Least share that the diagonal is raised by in an accepted step, and the share at which a frame
 is taken to be as good as it gets."""
+_REFUSED = 1e-2
+"""Share after the first step that gained nothing."""
 _ENOUGH = 1e-4
 """Relative decrease of the energy below which no further step is taken."""
 _SLOWED = 0.9
@@ -60,7 +60,8 @@ class Smoothed:
         window, knowledge, learning = self.window.extended(_SLOWED), self.knowledge, self.learning
         if (count := data[0].moments) > most:
             data = tuple(moments(one, count - most, count) for one in data)
-            window = window[-(most + HELD) :]
+            # as many are held where they are, so that motion goes on without a seam
+            window = window[-(most + self.objective.reach) :]
             if learning and self.equations is not None:
                 objective = self.objective
                 weight = objective.weights.shape * objective.rate
@@ -88,34 +89,28 @@ class Smoothed:
         """After one step that lowers the energy, and by how much; None where none does."""
         objective, shape = self.objective, self.objective.shape
         before = equations.value
-        chain = equations.chain
-        damping = _DAMPING
+        damping, slope = _DAMPING, equations.gradient_shape.sum(0)
+        held = slope.new_zeros(len(slope), len(slope))
         if self.learning:
             before += self._value_of_shape(shape)
+            weight = 2 * objective.weights.shape * objective.rate * self.active
+            held = self.knowledge.information + weight * torch.eye(len(shape)).to(shape)
+            slope = slope + self.knowledge.gradient(shape) + weight * shape
         while damping < _LARGEST:
-            system = chain(damping)
-            if self.learning:
-                weight = 2 * objective.weights.shape * objective.rate * self.active
-                held = weight * torch.eye(len(shape), dtype=shape.dtype, device=shape.device)
-                slope = self.knowledge.gradient(shape) + weight * shape
-                system = replace(
-                    system,
-                    corner=system.corner + self.knowledge.information + held,
-                    right_border=system.right_border - slope,
-                )
-            solution = solve_chain(system)
-            if solution is not None:
-                steps = solution.inner.reshape(-1, VARIABLES)[-self.active :]
+            system = equations.damped(damping)
+            with suppress(NotPositiveDefinite):
+                factor = Factor(replace(system, corner=system.corner + held))
+                steps, reshape = factor.up(*factor.down(-equations.gradient, -slope))
                 window = self.window.moved(steps)
                 tried = objective
                 if self.learning:
-                    tried = reshaped(objective, shape + solution.border, self.seen)
+                    tried = reshaped(objective, shape + reshape, self.seen)
                 value = tried.value(window, self.seen)
                 if self.learning:
                     value += self._value_of_shape(tried.shape)
                 if value <= before:
                     return replace(self, window=window, objective=tried), before - value
-            damping *= 100
+            damping = max(100 * damping, _REFUSED)
         return None
 
     def _value_of_shape(self, shape: Float[Tensor, " shape"]) -> float:
@@ -134,6 +129,7 @@ def begun(
     body: BodyModel,
     density: PoseDensity,
     knowledge: ShapeKnowledge | None,
+    prior: LivePrior | None,
 ) -> Smoothed:
     """A window from a first motion.
 
@@ -147,10 +143,13 @@ def begun(
         body: whose motion it is.
         density: of poses.
         knowledge: of the shape from before; None holds the shape that is given.
+        prior: over steps, beside the density of poses.
     """
+    steps = None if prior is None else prior.live(noise)
     objective = Objective(
-        body, density, PoseWeights.for_noise(noise), tuple(scales), (),
-        CarriedPoints.joints(body, shape), shape, body.rest_joints(shape), seen[0].fps, offsets,
+        body, density, PoseWeights.for_noise(noise) if steps is None else steps.poses,
+        tuple(scales), (), CarriedPoints.joints(body, shape), shape, body.rest_joints(shape),
+        seen[0].fps, offsets, steps,
     )  # fmt: skip
     return Smoothed(
         window,

@@ -13,14 +13,21 @@ from recon.api.given import BodyLike, body_given
 from recon.api.live.beginning import Person
 from recon.api.live.estimate import LiveEstimate
 from recon.api.live.moments import Door, Moment, MomentLike
+from recon.api.live.objective import LivePrior
 from recon.api.live.tracking import Tracking
 from recon.api.shapes import ShapeLike, shape_given
 from recon.core.arrays import positive
 from recon.core.errors import ObservationError, ReconError, WeightsError
 from recon.diagnosis.findings import Finding
+from recon.fitting.priors import loaded
+from recon.method.protocols import REFERENCE_FPS
 
 GONE = 0.5
 """Seconds without points after which the person has left, and by which a clock may jump."""
+
+
+_OTHER_RATE = 0.1
+"""Share by which a rate may differ from that of a prior over steps."""
 
 
 class Stream:
@@ -38,7 +45,7 @@ class Stream:
 
     def __init__(
         self,
-        prior: str = "pose",
+        prior: str | LivePrior | PosePrior = "pose",
         lag: int = 15,
         *,
         template: Tracker | Sequence[Tracker] | None = None,
@@ -49,7 +56,8 @@ class Stream:
         """A stream that has seen nothing yet.
 
         Args:
-            prior: `pose`.
+            prior: `pose`, or `humor`, which needs 30 moments a second, takes about twice the time
+                and is nearer to the truth; or a prior that is loaded already.
             lag: frames after which an estimate is final; 0 gives the newest.
             template: an observation, or one per sensor, of any moments: what arrays that are
                 pushed mean. None where observations are pushed.
@@ -63,13 +71,19 @@ class Stream:
             ReconError: for what is no lag, prior, shape or sensor of a stream.
             FileNotFoundError: when there is no such body.
         """
-        if prior != "pose":
-            raise WeightsError(f"prior: a stream knows 'pose', got {prior!r}")
         if not isinstance(lag, int) or not 0 <= lag <= 120:
             raise ReconError(f"lag: expected 0 to 120 frames, got {lag!r}")
         self._lag = lag
         self._body = body_given(body).to(dtype=torch.float32, device="cpu")
-        self._poses = PosePrior.load().to(dtype=torch.float32)
+        found = loaded(prior, "open", self._body) if isinstance(prior, str) else prior
+        if not isinstance(found, PosePrior | LivePrior):
+            raise WeightsError(
+                "prior: expected 'pose', 'humor' or a prior with a method live(noise), got "
+                f"{prior if isinstance(prior, str) else type(prior).__name__!r}"
+            )
+        poses = found if isinstance(found, PosePrior) else PosePrior.load()
+        self._poses = poses.to(dtype=torch.float32)
+        self._prior = None if isinstance(found, PosePrior) else found
         self._noise = noise
         held = None if shape is None else shape_given(shape, self._body)
         self._person = Person(held)
@@ -183,12 +197,17 @@ class Stream:
         door = self._door
         assert door is not None
         noise = self._noise
+        if self._prior is not None and abs(door.fps / REFERENCE_FPS - 1) > _OTHER_RATE:
+            raise ObservationError(
+                f"a prior over steps knows those of 1/30 s: expected 30 moments a second, got "
+                f"{door.fps:g}; push moments of that rate, or take prior='pose'"
+            )
         count = len(door.sensors)
         rows = list(noise) if isinstance(noise, Sequence) else [noise] * count
         if len(rows) != count:
             raise ReconError(f"noise: expected one number for each of {count} sensors")
         given = tuple(None if one is None else positive(one, "noise") for one in rows)
-        return Tracking(door, self._lag, given, self._person, self._body, self._poses)
+        return Tracking(door, self._lag, given, self._person, self._body, self._poses, self._prior)
 
     def _ended(self, keep_clock: bool = False) -> list[LiveEstimate]:
         tracking, self._tracking = self._tracking, None

@@ -12,6 +12,7 @@ from priors.pose.prior import PosePrior
 from recon.api.live.beginning import Person, begin
 from recon.api.live.estimate import LiveEstimate
 from recon.api.live.moments import Door, Moment
+from recon.api.live.objective import LivePrior
 from recon.api.live.smoother import Smoothed
 from recon.body.model import BodyModel
 from recon.core.errors import ReconError
@@ -46,6 +47,8 @@ class Tracking:
     person: Person
     body: BodyModel
     poses: PosePrior
+    prior: LivePrior | None = None
+    """The prior over steps, beside the density of poses."""
     gathered: list[Moment] = field(default_factory=list)
     """Moments before the first motion, or those that lie astray."""
     smoothed: Smoothed | None = None
@@ -130,7 +133,9 @@ class Tracking:
         """Make a first motion of what was gathered; whether there is one now."""
         self.since_seen = self.unseen
         try:
-            first = begin(self.gathered, self.noise, self.person, self.body, self.poses)
+            first = begin(
+                self.gathered, self.noise, self.person, self.body, self.poses, self.prior
+            )
         except ReconError as error:
             times = f"{self.gathered[0].time:.3f} s to {self.gathered[-1].time:.3f} s"
             findings.append(
@@ -214,6 +219,7 @@ class Tracking:
         rotations, _, joints = now.objective.posed(now.window[self.final : stop])
         held = now.window.frames - now.active
         self.final = stop
+        contacts = None if now.equations is None else now.equations.contacts
         return [
             LiveEstimate(
                 time=self.times[row],
@@ -222,7 +228,7 @@ class Tracking:
                 joints=joints[k],
                 shape=now.objective.shape,
                 observed=torch.from_numpy(self._observed(row - held)),
-                contacts=None,
+                contacts=None if contacts is None else contacts[row - held],
             )
             for k, row in enumerate(rows)
         ]
