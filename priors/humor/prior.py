@@ -90,6 +90,24 @@ class HumorVariables(TensorStruct):
         return self.derived(latents=self.latents[:, : frames - 1], valid=self.valid[:, :frames])
 
 
+@dataclass(frozen=True)
+class Rolled(TensorStruct):
+    """A first state and the states that latents lead to from there."""
+
+    first: State
+    """In the world; axis (clips)."""
+    start: State
+    """The same in its own canonical frame."""
+    frame: Frame
+    """That frame."""
+    pelvis: Float[Tensor, "clips 3"]
+    """See `Humor.pelvis`."""
+    rollout: Rollout
+    """The steps, each in the canonical frame of the state that it starts from."""
+    states: State
+    """The states reached, in the world; axes (clips, steps)."""
+
+
 @dataclass(frozen=True, eq=False)
 class Humor:
     """Rempe et al., ICCV 2021: p(x_0) Π p(z_t | x_(t-1)), x_t = decoder(z_t, x_(t-1)).
@@ -200,7 +218,7 @@ class Humor:
             velocity=first.velocity,
             angular_velocity=first.angular_velocity,
             joint_velocities=first.joint_velocities[:, 1:],
-            latents=own._latents(states, own.pelvis(motion.shape)),
+            latents=own.latents_along(states, own.pelvis(motion.shape)),
             shape=motion.shape,
             base=motion.rotations[:, 0],
             valid=motion.valid,
@@ -214,20 +232,33 @@ class Humor:
         nats.
         """
         own = self.like(variables.translation)
-        first = own._first(variables)
-        pelvis = own.pelvis(variables.shape)
+        return own.decoded(variables, own.rolled(variables))
+
+    def rolled(self, variables: HumorVariables) -> "Rolled":
+        """The states of a first state and latents; the prior is in their precision."""
+        first, pelvis = self._first(variables), self.pelvis(variables.shape)
         frame = Frame.of(first)
         start = frame.enter(first, pelvis)
-        rest = own.body.rest_joints(variables.shape) if own.from_body else None
-        rollout = roll_out(own._decoder, start.pack(), pelvis, variables.latents, rest)
-        mean, log_variance = own.networks.prior(rollout.inputs)
+        rest = self.body.rest_joints(variables.shape) if self.from_body else None
+        rollout = roll_out(self._decoder, start.pack(), pelvis, variables.latents, rest)
+        return Rolled(first, start, frame, pelvis, rollout, rollout.in_world(frame, pelvis))
+
+    def decoded(self, variables: HumorVariables, rolled: "Rolled") -> Decoded:
+        """What `decode` gives, from the states."""
+        mean, log_variance = self.networks.prior(rolled.rollout.inputs)
         away = (variables.latents - mean).square() * (-log_variance).exp()
         nats = 0.5 * (away + log_variance + _LOG_TWO_PI).sum(-1)
-        energies = {
-            "transition": nats.where(variables.valid[:, 1:], 0.0).sum(-1),
-            "initial": own.initial.energy(initial_features(start)),
-        }
-        return _decoded(first, rollout, rollout.in_world(frame, pelvis), variables, energies)
+        first, states = rolled.first, rolled.states
+        motion = _motion(first, states, variables.shape, variables.start_time)
+        return Decoded(
+            motion=motion.replace(valid=variables.valid),
+            energies={
+                "transition": nats.where(variables.valid[:, 1:], 0.0).sum(-1),
+                "initial": self.initial.energy(initial_features(rolled.start)),
+            },
+            contacts=contact_probabilities(rolled.rollout.contacts),
+            joints=torch.cat((first.joints[:, None], states.joints), 1),
+        )
 
     def _first(self, variables: HumorVariables) -> State:
         steps = torch.cat((variables.root[:, None], variables.pose), 1)
@@ -246,7 +277,7 @@ class Humor:
             joint_velocities=velocities,
         )
 
-    def _latents(
+    def latents_along(
         self, states: State, pelvis: Float[Tensor, "clips 3"]
     ) -> Float[Tensor, "clips steps 48"]:
         """Posterior mean of every step from where the steps before have led.
@@ -290,20 +321,4 @@ def _motion(
         shape=shape,
         fps=REFERENCE_FPS,
         start_time=start_time,
-    )
-
-
-def _decoded(
-    first: State,
-    rollout: Rollout,
-    states: State,
-    variables: HumorVariables,
-    energies: dict[str, Tensor],
-) -> Decoded:
-    motion = _motion(first, states, variables.shape, variables.start_time)
-    return Decoded(
-        motion=motion.replace(valid=variables.valid),
-        energies=energies,
-        contacts=contact_probabilities(rollout.contacts),
-        joints=torch.cat((first.joints[:, None], states.joints), 1),
     )

@@ -1,0 +1,198 @@
+"""Multiple shooting with HuMoR: segments of 1, 5, 15 and all steps, on the same windows.
+
+    python -m benchmarks.segments CORPUS --only 4 --json segments.json
+
+Validation windows of 60 frames. Noisy joints: 22 with 4 cm of noise per coordinate; hidden points:
+43 of the skin without noise, those below 0.9 m hidden. All lengths have the same start, the motion
+of collocation before feet are held, whose time is counted, and the same weights. `objective` is in
+squares of the noise that the weights are for. `defect` is ½ eᵀ C⁻¹ e of one join of two segments,
+nats. `drift` is how far the roll-out of the first state and all latents, without the other states,
+comes away from the fit's own joints. `by tolerance` counts windows whose last stage ended so.
+"""
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from rich.console import Console
+from rich.table import Table
+from torch import Tensor
+
+from benchmarks.arguments import over_windows
+from benchmarks.converged import Protocol, protocols
+from benchmarks.humor import evenly
+from benchmarks.results import corpus_source, write
+from benchmarks.rollout_protocols import SEED, compared
+from benchmarks.tables.segments import HEADINGS, lines
+from benchmarks.windows import Windows, load_windows
+from priors.humor.prior import Humor, HumorVariables
+from priors.humor.segments import SegmentedHumor, SegmentedVariables
+from priors.humor.shooting import Shooting
+from priors.training.dataset import Splits
+from recon.body.model import BodyModel
+from recon.core.motion import Motion
+from recon.core.scene import Scene
+from recon.method.reconstruction import Reconstruction, solve
+from recon.method.stages import Stage
+from recon.method.terms import Term
+from recon.method.unknowns import Layout, Unknowns
+
+LENGTHS = (1, 5, 15, None)
+"""Steps of a segment; None are all of them, the roll-out."""
+PROTOCOLS = ("noisy joints", "hidden points")
+_LEAST_NOISE = 0.014
+"""Metres; weights are those of at least this noise."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """What segments of one length did with one window; metres."""
+
+    protocol: str
+    steps: int | None
+    window: str
+    subject: str
+    joints: float
+    thirds: tuple[float, ...]
+    """Mean error of joints over the first, the middle and the last third of the frames."""
+    hidden: float | None
+    objective: float
+    """In squares of the noise."""
+    terms: dict[str, float] = field(repr=False)
+    """Its parts, likewise."""
+    defect: float | None
+    """Mean over joins, nats; None where there is one segment."""
+    drift: float
+    seconds: float
+    """CPU time for one clip, the start's included."""
+    started: float
+    """CPU time of the start for one clip."""
+    evaluations: int
+    """Of the last stage."""
+    ended: str
+
+
+@dataclass(frozen=True)
+class Part:
+    """Some stages of a method."""
+
+    method: Shooting
+    which: slice
+
+    def stages(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
+        """Those."""
+        return self.method.stages(data)[self.which]
+
+
+def main() -> None:
+    """Fit, print and write."""
+    parser = over_windows(__doc__)
+    parser.set_defaults(part="validation")
+    parser.add_argument("--only", type=int, default=4, help="use so many windows in all")
+    parser.add_argument("--protocols", nargs="+", choices=PROTOCOLS, default=list(PROTOCOLS))
+    parser.add_argument("--steps", nargs="+", type=int, default=[k or 0 for k in LENGTHS],
+                        help="of a segment; 0 are all of them")  # fmt: skip
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+    body, humor = BodyModel.load(), Humor.load()
+    splits = Splits.load(arguments.splits)
+    windows = load_windows(arguments.corpus, splits, arguments.part, body, SEED)
+    windows = windows.take(evenly(windows, arguments.only))
+    rows: list[Row] = []
+    for name in arguments.protocols:
+        seen = protocols(windows, body)[name]
+        for row in fits(name, seen, windows, [k or None for k in arguments.steps], humor, body):
+            rows.append(row)
+            print(row, flush=True)
+        show(rows)
+        if arguments.json is not None:
+            write(arguments.json, SEED, corpus_source(arguments.corpus, windows.files),
+                  part=arguments.part, windows=windows.about,
+                  rows=[vars(row) for row in rows])  # fmt: skip
+
+
+def fits(
+    name: str,
+    seen: Protocol,
+    windows: Windows,
+    lengths: list[int | None],
+    humor: Humor,
+    body: BodyModel,
+) -> Iterator[Row]:
+    """Segments of every length from one start, all windows at once."""
+    count, variance = len(windows.names), max(seen.noise, _LEAST_NOISE) ** 2
+    began = time.process_time()
+    method = Shooting.for_noise(humor, seen.noise)
+    start = solve([seen.observed], Part(method, slice(0, -1)), body).motion.detach()
+    started = (time.process_time() - began) / count
+    for steps in lengths:
+        began = time.process_time()
+        method = Shooting.for_noise(humor, seen.noise, steps)
+        result = solve([seen.observed], Part(method, slice(-1, None)), body, start=start)
+        seconds = started + (time.process_time() - began) / count
+        fit = compared(windows, seen, result, body)
+        errors = (fit.joints - fit.truth).norm(dim=-1).mean(-1)
+        drift = (unrolled(result, start, humor, body) - fit.joints).norm(dim=-1).mean((1, 2))
+        [report] = result.reports
+        names, last = [term.name for term in report.stage.terms], report.solution
+        for k, window in enumerate(windows.names):
+            unseen = fit.hidden[k][fit.unseen[k]]
+            parts = (last.trace[k, -1] / variance).tolist()
+            yield Row(
+                name, steps, window, windows.subjects[k],
+                joints=float(errors[k].mean()),
+                thirds=tuple(float(part.mean()) for part in errors[k].tensor_split(3)),
+                hidden=float(unseen.mean()) if len(unseen) else None,
+                objective=sum(parts),
+                terms=dict(zip(names, parts, strict=True)),
+                defect=_defect(result, k, steps),
+                drift=float(drift[k]),
+                seconds=seconds,
+                started=started,
+                evaluations=int(last.evaluations[k]),
+                ended=last.termination[k].name.lower(),
+            )  # fmt: skip
+
+
+def _defect(result: Reconstruction, clip: int, steps: int | None) -> float | None:
+    if steps is None:
+        return None
+    joins = (int(result.motion.valid[clip].sum()) - 2) // steps
+    return float(result.estimate.decoded.energies["defect"][clip]) / joins
+
+
+def unrolled(
+    result: Reconstruction, start: Motion, humor: Humor, body: BodyModel
+) -> Float[Tensor, "clips time 22 3"]:
+    """Joints of the roll-out of a fit's first state and all of its latents, metres."""
+    [report] = result.reports
+    prior, scene = report.stage.prior, Scene.create(len(start.translation), like=start.translation)
+    with torch.no_grad():
+        began = Unknowns.of(prior, start, scene, body)
+        layout = Layout.of(began, report.stage.free)
+        variables = layout.unflatten(began, report.solution.x).variables
+        if isinstance(variables, SegmentedVariables):
+            variables = first_state(variables, prior)
+        return body.pose(humor.decode(variables).motion).joints
+
+
+def first_state(variables: SegmentedVariables, prior: SegmentedHumor) -> HumorVariables:
+    """The first segment's state with the latents of all steps."""
+    every = range(0, len(variables.shape) * variables.segments, variables.segments)
+    first = variables.apart(prior.length)[list(every)]
+    return first.replace(latents=variables.latents, valid=variables.valid)
+
+
+def show(rows: list[Row]) -> None:
+    """Means over windows."""
+    table = Table(*HEADINGS)
+    for line in lines([vars(row) for row in rows]):
+        table.add_row(*line)
+    Console(width=150).print(table)
+
+
+if __name__ == "__main__":
+    main()
