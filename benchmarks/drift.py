@@ -30,6 +30,8 @@ from priors.training.dataset import Splits
 from recon.body.model import BodyModel
 
 SEED = 0
+_JOINTS = slice(75, 141)
+"""Joints among the 207 numbers of a step's error (`priors.humor.state.step_between`)."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +78,7 @@ def rows_of(windows: Windows, humor: Humor, body: BodyModel) -> list[Row]:
     """Every window."""
     states, pelvis = states_of(windows.truth, body), humor.pelvis(windows.truth.shape)
     steps = explain(humor.networks, states, pelvis)
-    landed = (steps.landed.joints - states.joints[:, 1:]).norm(dim=-1).mean((1, 2))
+    landed = steps.error[..., _JOINTS].unflatten(-1, (-1, 3)).norm(dim=-1).mean((1, 2))
     nats = 0.5 * (steps.error @ humor.error_whitening).square().sum(-1).mean(1)
     surprise, speed = steps.surprise.mean(1), states.joint_velocities.norm(dim=-1).mean((1, 2))
     back = humor.encode(windows.truth)

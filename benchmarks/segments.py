@@ -4,7 +4,8 @@
 
 Validation windows of 60 frames. Noisy joints: 22 with 4 cm of noise per coordinate; hidden points:
 43 of the skin without noise, those below 0.9 m hidden. All lengths have the same start, the motion
-of collocation before feet are held, whose time is counted, and the same weights. `objective` is in
+of collocation before feet are held, whose time is counted, and the same weights; collocation
+itself stands beside them. `objective` is in
 squares of the noise that the weights are for. `defect` is ½ eᵀ C⁻¹ e of one join of two segments,
 nats. `drift` is how far the roll-out of the first state and all latents, without the other states,
 comes away from the fit's own joints. `by tolerance` counts windows whose last stage ended so.
@@ -28,6 +29,7 @@ from benchmarks.results import corpus_source, write
 from benchmarks.rollout_protocols import SEED, compared
 from benchmarks.tables.segments import HEADINGS, lines
 from benchmarks.windows import Windows, load_windows
+from priors.humor.collocation import Collocation
 from priors.humor.prior import Humor, HumorVariables
 from priors.humor.segments import SegmentedHumor, SegmentedVariables
 from priors.humor.shooting import Shooting
@@ -40,8 +42,11 @@ from recon.method.stages import Stage
 from recon.method.terms import Term
 from recon.method.unknowns import Layout, Unknowns
 
-LENGTHS = (1, 5, 15, None)
-"""Steps of a segment; None are all of them, the roll-out."""
+METHODS: dict[str, int | None] = {
+    "collocation": None, "segments of 1": 1, "segments of 5": 5, "segments of 15": 15,
+    "roll-out": None,
+}  # fmt: skip
+"""Steps of a segment, where there are segments."""
 PROTOCOLS = ("noisy joints", "hidden points")
 _LEAST_NOISE = 0.014
 """Metres; weights are those of at least this noise."""
@@ -49,30 +54,28 @@ _LEAST_NOISE = 0.014
 
 @dataclass(frozen=True)
 class Row:
-    """What segments of one length did with one window; metres."""
+    """What segments of one length, or collocation, did with one window; metres."""
 
     protocol: str
-    steps: int | None
+    method: str
     window: str
     subject: str
     joints: float
     thirds: tuple[float, ...]
     """Mean error of joints over the first, the middle and the last third of the frames."""
     hidden: float | None
-    objective: float
-    """In squares of the noise."""
-    terms: dict[str, float] = field(repr=False)
-    """Its parts, likewise."""
-    defect: float | None
-    """Mean over joins, nats; None where there is one segment."""
-    drift: float
     seconds: float
     """CPU time for one clip, the start's included."""
-    started: float
-    """CPU time of the start for one clip."""
     evaluations: int
     """Of the last stage."""
     ended: str
+    objective: float | None = None
+    """In squares of the noise; None of collocation, which has another."""
+    terms: dict[str, float] = field(default_factory=dict, repr=False)
+    """Its parts, likewise."""
+    defect: float | None = None
+    """Mean over joins, nats; None where nothing joins."""
+    drift: float | None = None
 
 
 @dataclass(frozen=True)
@@ -93,8 +96,7 @@ def main() -> None:
     parser.set_defaults(part="validation")
     parser.add_argument("--only", type=int, default=4, help="use so many windows in all")
     parser.add_argument("--protocols", nargs="+", choices=PROTOCOLS, default=list(PROTOCOLS))
-    parser.add_argument("--steps", nargs="+", type=int, default=[k or 0 for k in LENGTHS],
-                        help="of a segment; 0 are all of them")  # fmt: skip
+    parser.add_argument("--methods", nargs="+", choices=METHODS, default=list(METHODS))
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     body, humor = BodyModel.load(), Humor.load()
@@ -104,7 +106,7 @@ def main() -> None:
     rows: list[Row] = []
     for name in arguments.protocols:
         seen = protocols(windows, body)[name]
-        for row in fits(name, seen, windows, [k or None for k in arguments.steps], humor, body):
+        for row in fits(name, seen, windows, arguments.methods, humor, body):
             rows.append(row)
             print(row, flush=True)
         show(rows)
@@ -118,43 +120,62 @@ def fits(
     name: str,
     seen: Protocol,
     windows: Windows,
-    lengths: list[int | None],
+    methods: list[str],
     humor: Humor,
     body: BodyModel,
 ) -> Iterator[Row]:
-    """Segments of every length from one start, all windows at once."""
+    """Collocation, and segments of every length from one start, all windows at once."""
     count, variance = len(windows.names), max(seen.noise, _LEAST_NOISE) ** 2
+    if "collocation" in methods:
+        began = time.process_time()
+        result = solve([seen.observed], Collocation.for_noise(humor, seen.noise), body)
+        seconds = (time.process_time() - began) / count
+        for k in range(count):
+            yield Row(
+                name, "collocation", **_scored(windows, k, seen, result, body), seconds=seconds
+            )
     began = time.process_time()
     method = Shooting.for_noise(humor, seen.noise)
     start = solve([seen.observed], Part(method, slice(0, -1)), body).motion.detach()
     started = (time.process_time() - began) / count
-    for steps in lengths:
-        began = time.process_time()
+    for segmented in [one for one in methods if one != "collocation"]:
+        began, steps = time.process_time(), METHODS[segmented]
         method = Shooting.for_noise(humor, seen.noise, steps)
         result = solve([seen.observed], Part(method, slice(-1, None)), body, start=start)
         seconds = started + (time.process_time() - began) / count
-        fit = compared(windows, seen, result, body)
-        errors = (fit.joints - fit.truth).norm(dim=-1).mean(-1)
-        drift = (unrolled(result, start, humor, body) - fit.joints).norm(dim=-1).mean((1, 2))
+        drift = (unrolled(result, start, humor, body) - result.body.joints).norm(dim=-1)
         [report] = result.reports
-        names, last = [term.name for term in report.stage.terms], report.solution
-        for k, window in enumerate(windows.names):
-            unseen = fit.hidden[k][fit.unseen[k]]
-            parts = (last.trace[k, -1] / variance).tolist()
+        names = [term.name for term in report.stage.terms]
+        for k in range(count):
+            parts = (report.solution.trace[k, -1] / variance).tolist()
             yield Row(
-                name, steps, window, windows.subjects[k],
-                joints=float(errors[k].mean()),
-                thirds=tuple(float(part.mean()) for part in errors[k].tensor_split(3)),
-                hidden=float(unseen.mean()) if len(unseen) else None,
+                name,
+                segmented,
+                **_scored(windows, k, seen, result, body),
+                seconds=seconds,
                 objective=sum(parts),
                 terms=dict(zip(names, parts, strict=True)),
                 defect=_defect(result, k, steps),
-                drift=float(drift[k]),
-                seconds=seconds,
-                started=started,
-                evaluations=int(last.evaluations[k]),
-                ended=last.termination[k].name.lower(),
-            )  # fmt: skip
+                drift=float(drift[k].mean()),
+            )
+
+
+def _scored(
+    windows: Windows, k: int, seen: Protocol, result: Reconstruction, body: BodyModel
+) -> dict[str, Any]:
+    """What every method has of a window."""
+    fit, last = compared(windows, seen, result, body), result.reports[-1].solution
+    errors = (fit.joints[k] - fit.truth[k]).norm(dim=-1).mean(-1)
+    unseen = fit.hidden[k][fit.unseen[k]]
+    return {
+        "window": windows.names[k],
+        "subject": windows.subjects[k],
+        "joints": float(errors.mean()),
+        "thirds": tuple(float(part.mean()) for part in errors.tensor_split(3)),
+        "hidden": float(unseen.mean()) if len(unseen) else None,
+        "evaluations": int(last.evaluations[k]),
+        "ended": last.termination[k].name.lower(),
+    }
 
 
 def _defect(result: Reconstruction, clip: int, steps: int | None) -> float | None:
@@ -175,6 +196,7 @@ def unrolled(
         layout = Layout.of(began, report.stage.free)
         variables = layout.unflatten(began, report.solution.x).variables
         if isinstance(variables, SegmentedVariables):
+            assert isinstance(prior, SegmentedHumor)
             variables = first_state(variables, prior)
         return body.pose(humor.decode(variables).motion).joints
 

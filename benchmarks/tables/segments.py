@@ -5,28 +5,30 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.tables.values import NONE, markdown, number, result, source
+from benchmarks.tables.values import markdown, number, result, source
 
-HEADINGS = ["on the same windows", "steps of a segment", "joints cm", "by thirds cm",
+HEADINGS = ["on the same windows", "method", "joints cm", "by thirds cm",
             "hidden points cm", "objective", "defect, nats", "drift cm", "evaluations", "CPU s",
             "by tolerance"]  # fmt: skip
+FILES = ("segments", "segments_hidden")
 _TOLERANCE = ("converged", "gradient")
 
 
 def segments() -> str:
     """Every length in every protocol."""
-    return markdown(HEADINGS, lines(result("segments")["rows"])) + source("segments")
+    rows = [row for file in FILES for row in result(file)["rows"]]
+    return markdown(HEADINGS, lines(rows)) + source(*FILES)
 
 
 def lines(rows: Sequence[Mapping[str, Any]]) -> list[list[str]]:
     """Means over windows by protocol and length; see `benchmarks.segments.Row`."""
-    found: dict[tuple[str, int | None], list[Mapping[str, Any]]] = {}
+    found: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
     for row in rows:
-        found.setdefault((row["protocol"], row["steps"]), []).append(row)
-    return [_line(protocol, steps, own) for (protocol, steps), own in found.items()]
+        found.setdefault((row["protocol"], row["method"]), []).append(row)
+    return [_line(protocol, method, own) for (protocol, method), own in found.items()]
 
 
-def _line(protocol: str, steps: int | None, rows: Sequence[Mapping[str, Any]]) -> list[str]:
+def _line(protocol: str, method: str, rows: Sequence[Mapping[str, Any]]) -> list[str]:
     def mean(name: str) -> float | None:
         values = [row[name] for row in rows if row[name] is not None]
         return float(np.mean(values)) if values else None
@@ -35,12 +37,12 @@ def _line(protocol: str, steps: int | None, rows: Sequence[Mapping[str, Any]]) -
     ended = sum(row["ended"] in _TOLERANCE for row in rows)
     return [
         f"{protocol}, {len(rows)} windows",
-        "all: the roll-out" if steps is None else str(steps),
+        method,
         number(mean("joints"), 100, 2),
         " ".join(f"{100 * third:.2f}" for third in thirds),
         number(mean("hidden"), 100, 2),
         number(mean("objective"), 1, 0),
-        NONE if steps is None else number(mean("defect"), 1, 1),
+        number(mean("defect"), 1, 1),
         number(mean("drift"), 100, 1),
         number(mean("evaluations"), 1, 0),
         number(mean("seconds"), 1, 1),

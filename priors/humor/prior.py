@@ -2,6 +2,7 @@
 
 import logging
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -41,11 +42,13 @@ _LOG = logging.getLogger(__name__)
 
 _LOG_TWO_PI = math.log(2 * math.pi)
 
-_METHODS = {
-    "collocation": "priors.humor.collocation:Collocation",
-    "rollout": "priors.humor.shooting:Shooting",
+_METHODS: Mapping[str, tuple[str, Mapping[str, int]]] = {
+    "collocation": ("priors.humor.collocation:Collocation", {}),
+    "rollout": ("priors.humor.shooting:Shooting", {}),
+    "shooting": ("priors.humor.shooting:Shooting", {"segment": 5}),
 }
-"""Classes of the ways to fit, by name; the usual one first."""
+"""Classes of the ways to fit and their settings, by name; the usual one first. Lengths other
+than 5 steps were measured on validation windows (`benchmarks.segments`)."""
 
 
 @dataclass(frozen=True)
@@ -171,10 +174,12 @@ class Humor:
     def method(self, noise: float, body: BodyModel, name: str | None = None) -> Method:
         """One of the `methods`, for observations whose coordinates are off by `noise` metres.
 
-        None is `collocation`, all frames at once; `rollout` moves a first state and latents.
+        None is `collocation`, all frames at once; `rollout` moves a first state and latents,
+        `shooting` a state every few steps and latents.
         """
-        kind = imported(_METHODS[self.methods[0] if name is None else name], "method")
-        return kind.for_noise(self.like(body.template), noise)
+        place, settings = _METHODS[self.methods[0] if name is None else name]
+        kind = imported(place, "method")
+        return kind.for_noise(self.like(body.template), noise, **settings)
 
     def to(
         self, *, device: torch.device | str | None = None, dtype: torch.dtype | None = None

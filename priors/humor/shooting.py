@@ -104,7 +104,7 @@ class Schedule:
     """Phase of all latents, in which the first state is held."""
     all: int = 1000
     """Phase in which everything moves."""
-    tolerance: float = 1e-5
+    tolerance: float = 3e-5
     """Relative decrease of the objective at which a phase ends, thrice in a row."""
     scale: float = 0.0
     """Objective below which its decrease is taken relative to this, in the unit of the data."""
