@@ -22,8 +22,6 @@ from tests.priors.test_humor import humor, motions
 from tests.priors.test_humor_shooting import seen_of, zero
 from tests.priors.test_pose import swinging
 
-pytestmark = pytest.mark.numerics
-
 
 def same(motion: Motion, other: Motion) -> None:
     torch.testing.assert_close(motion.rotations, other.rotations)
