@@ -98,17 +98,17 @@ class Rolled(TensorStruct):
     """A first state and the states that latents lead to from there."""
 
     first: State
-    """In the world; axis (clips)."""
+    """First states in the world; axis (clips)."""
     start: State
-    """The same in its own canonical frame."""
+    """First states in their own canonical frames."""
     frame: Frame
-    """That frame."""
+    """Canonical frames of the first states."""
     pelvis: Float[Tensor, "clips 3"]
     """See `Humor.pelvis`."""
     rollout: Rollout
     """The steps, each in the canonical frame of the state that it starts from."""
     states: State
-    """The states reached, in the world; axes (clips, steps)."""
+    """States to which the steps lead, in the world; axes (clips, steps)."""
 
 
 @dataclass(frozen=True, eq=False)
