@@ -25,6 +25,7 @@ EXPECTED = {
     "observations": f"{_OBSERVATION}, 2D detections, or a folder of scans or depth images",
     "recording": "a recording (.bvh, .amc, .c3d, .trc, .mat), or a folder of them with --all",
     "result": _MOTION,
+    "smplx": "a SMPL-X file (.npz, .pkl)",
     "truth": _MOTION,
 }
 """What every argument that names something to read should be, by the argument's name."""
