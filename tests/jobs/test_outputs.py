@@ -58,6 +58,7 @@ CASES = (
         Case("export", to, ("IN.npz", f"--{to}", "OUT"))
         for to in ("glb", "usd", "bvh", "trc", "mot", "angles", "joints", "html")
     ),
+    Case("export", "robot", ("IN.npz", "--robot", "OUT", "--smplx", "other.npz")),
     Case("export", "ply", ("IN.npz", "--ply", "OUT"), Kind.FOLDER),
     *(Case("train", "out", (p, "IN.folder", "--out", "OUT.st")) for p in ("pose", "humor")),
 )
