@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from recon.api.load import load_observation as load_observation
     from recon.api.many import fit_clips as fit_clips
     from recon.api.result import Result as Result
+    from recon.api.results.laboratory import LaboratoryReport as LaboratoryReport
     from recon.api.results.motion import MotionResult as MotionResult
     from recon.api.shapes import Shape as Shape
     from recon.api.verbs.complete import complete as complete
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from recon.api.verbs.generate import sample as sample
     from recon.api.verbs.interpolate import interpolate as interpolate
     from recon.api.verbs.refine import refine as refine
+    from recon.api.verbs.report import report as report
     from recon.api.verbs.retarget import retarget as retarget
     from recon.api.verbs.simulate import simulate as simulate
     from recon.body.model import BodyModel as BodyModel
@@ -67,6 +69,8 @@ _HOMES = {
     "convert": "recon.api.verbs.convert",
     "evaluate": "recon.api.verbs.evaluate",
     "simulate": "recon.api.verbs.simulate",
+    "report": "recon.api.verbs.report",
+    "LaboratoryReport": "recon.api.results.laboratory",
     "MotionResult": "recon.api.results.motion",
     "Joints3D": "observations.joints3d",
     "Markers3D": "observations.markers3d",

@@ -26,6 +26,7 @@ EXPECTED = {
     "recording": "a recording (.bvh, .amc, .c3d, .trc, .mat), or a folder of them with --all",
     "result": _MOTION,
     "smplx": "a SMPL-X file (.npz, .pkl)",
+    "trial": "a recording (.bvh, .amc, .c3d, .trc, .mat) or a motion file (.npz)",
     "truth": _MOTION,
 }
 """What every argument that names something to read should be, by the argument's name."""

@@ -53,6 +53,7 @@ CASES = (
     Case("simulate", "out", ("IN.npz", "OUT.npz", "--kind", "joints3d")),
     Case("simulate", "out", ("IN.npz", "OUT", "--kind", "scans"), Kind.FOLDER),
     Case("evaluate", "json", ("IN.npz", "other.npz", "--json", "OUT"), Kind.REPORT),
+    Case("report", "out", ("IN.trc", "--out", "OUT.html")),
     *(Case("view", to, ("IN.npz", f"--{to}", "OUT")) for to in ("html", "png", "mp4")),
     *(
         Case("export", to, ("IN.npz", f"--{to}", "OUT"))
