@@ -131,5 +131,5 @@ def test_what_is_no_motion_is_refused(tmp_path, found):
         recon.report(tmp_path / "seen.npz")
     with pytest.raises(recon.FormatError, match="are of recordings"):
         recon.report(DEMO, unit="mm")
-    with pytest.raises(ValueError, match=r"ends in .html"):
-        found.save(tmp_path / "gait.pdf")
+    with pytest.raises(ValueError, match="would both be written"):
+        found.save(tmp_path / "gait.csv")

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from recon.api.results.printing import in_ten_lines
+from recon.formats.results.outputs import check_outputs
 from recon.formats.results.reports import versions
 from recon.formats.results.writing import writing
 from recon.metrics.gait.analysis import Gait
@@ -56,16 +57,17 @@ class LaboratoryReport:
         """Write the page, and beside it the table, whose name ends in .csv instead.
 
         Args:
-            path: page to write; it ends in .html.
+            path: page to write.
             overwrite: replace files that are there and recon did not write.
             report: what stands beside both, in FILE.json, instead of the versions.
 
         Raises:
             FileExistsError: when a file is there and recon did not write it, unless `overwrite`.
-            ValueError: when the path has another ending, or matplotlib is not installed.
+            ValueError: when page and table would have one name, or matplotlib is not installed.
         """
         said = {"versions": versions()} if report is None else report
         outputs = outputs_of(Path(path))
+        check_outputs(outputs, overwrite=overwrite)
         page, table = self.page(), self.table()
         with writing(*outputs, report=said, overwrite=overwrite) as staged:
             for file, text in zip(staged, (page, table), strict=True):

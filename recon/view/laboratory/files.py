@@ -6,11 +6,5 @@ from recon.formats.results.outputs import Output
 
 
 def outputs_of(page: Path) -> tuple[Output, Output]:
-    """The page and the table beside it.
-
-    Raises:
-        ValueError: when the page's name does not end in .html.
-    """
-    if page.suffix.lower() not in (".html", ".htm"):
-        raise ValueError(f"{page}: the report is a page; give a name that ends in .html")
+    """The page and the table beside it, whose name ends in .csv instead."""
     return Output(page), Output(page.with_suffix(".csv"))
