@@ -30,6 +30,8 @@ Code = Literal[
     "views out of step",
     "wrong basin",
     "unseen",
+    "guessed",
+    "undecided",
     "treadmill",
     "uneven ground",
     "residual",
@@ -60,6 +62,8 @@ Code = Literal[
 * views out of step: one camera's clock is shifted against the others'.
 * wrong basin: a fit to depth has locked on to the wrong posture or heading.
 * unseen: frames or limbs that nothing was seen of; they are inferred.
+* guessed: a large part of the body was not seen, and its standard deviation is large.
+* undecided: another motion explains the data nearly as well.
 * treadmill: all standing feet are carried along at one velocity.
 * uneven ground: feet stand at several heights, or the person sits.
 * residual: the body stays away from the data for a reason that is not known.
