@@ -7,10 +7,12 @@ from tyro.conf import Positional
 
 from recon.cli.places import Arguments, Overwrite, Place, Quiet, writes
 from recon.formats.results.outputs import Output
-from recon.view.laboratory.files import outputs_of
 
 
 def _page_and_table(out: Path, _: Arguments) -> tuple[Output, ...]:
+    # the room of pictures loads torch, which other verbs must not wait for
+    from recon.view.laboratory.files import outputs_of
+
     return outputs_of(out)
 
 
