@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from recon.api.results.laboratory import LaboratoryReport as LaboratoryReport
     from recon.api.results.motion import MotionResult as MotionResult
     from recon.api.shapes import Shape as Shape
+    from recon.api.verbs.angles import joint_angles as joint_angles
     from recon.api.verbs.complete import complete as complete
     from recon.api.verbs.convert import convert as convert
     from recon.api.verbs.evaluate import evaluate as evaluate
@@ -60,6 +61,7 @@ _HOMES = {
     "LiveEstimate": "recon.api.live.estimate",
     "Result": "recon.api.result",
     "Shape": "recon.api.shapes",
+    "joint_angles": "recon.api.verbs.angles",
     "complete": "recon.api.verbs.complete",
     "refine": "recon.api.verbs.refine",
     "retarget": "recon.api.verbs.retarget",
