@@ -3,12 +3,12 @@
     python -m benchmarks.segments CORPUS --only 4 --json segments.json
 
 Validation windows of 60 frames. Noisy joints: 22 with 4 cm of noise per coordinate; hidden points:
-43 of the skin without noise, those below 0.9 m hidden. All lengths have the same start, the motion
-of collocation before feet are held, whose time is counted, and the same weights; collocation
-itself stands beside them. `objective` is in
-squares of the noise that the weights are for. `defect` is ½ eᵀ C⁻¹ e of one join of two segments,
-nats. `drift` is how far the roll-out of the first state and all latents, without the other states,
-comes away from the fit's own joints. `by tolerance` counts windows whose last stage ended so.
+43 of the skin without noise, those below 0.9 m hidden. All lengths have the same weights and
+the same start, the motion of collocation, which stands beside them and whose time is counted.
+`objective` is in squares of the noise that the weights are for. `defect` is ½ eᵀ C⁻¹ e of one join
+of two segments, nats. `drift` is how far the roll-out of the first state and all latents, without
+the other states, comes away from the fit's own joints. `by tolerance` counts windows whose last
+stage ended so.
 """
 
 import time
@@ -29,7 +29,6 @@ from benchmarks.results import corpus_source, write
 from benchmarks.rollout_protocols import SEED, compared
 from benchmarks.tables.segments import HEADINGS, lines
 from benchmarks.windows import Windows, load_windows
-from priors.humor.collocation import Collocation
 from priors.humor.prior import Humor, HumorVariables
 from priors.humor.segments import SegmentedHumor, SegmentedVariables
 from priors.humor.shooting import Shooting
@@ -126,18 +125,14 @@ def fits(
 ) -> Iterator[Row]:
     """Collocation, and segments of every length from one start, all windows at once."""
     count, variance = len(windows.names), max(seen.noise, _LEAST_NOISE) ** 2
-    if "collocation" in methods:
-        began = time.process_time()
-        result = solve([seen.observed], Collocation.for_noise(humor, seen.noise), body)
-        seconds = (time.process_time() - began) / count
-        for k in range(count):
-            yield Row(
-                name, "collocation", **_scored(windows, k, seen, result, body), seconds=seconds
-            )
     began = time.process_time()
     method = Shooting.for_noise(humor, seen.noise)
-    start = solve([seen.observed], Part(method, slice(0, -1)), body).motion.detach()
-    started = (time.process_time() - began) / count
+    begun = solve([seen.observed], Part(method, slice(0, -1)), body)
+    start, started = begun.motion.detach(), (time.process_time() - began) / count
+    if "collocation" in methods:
+        for k in range(count):
+            scores = _scored(windows, k, seen, begun, body)
+            yield Row(name, "collocation", **scores, seconds=started)
     for segmented in [one for one in methods if one != "collocation"]:
         began, steps = time.process_time(), METHODS[segmented]
         method = Shooting.for_noise(humor, seen.noise, steps)

@@ -23,7 +23,6 @@ from priors.humor.terms import (
 )
 from priors.pose.prior import PosePrior, PoseWeights
 from recon.core.errors import ReconError
-from recon.method.newton.preconditioned import Preconditioned
 from recon.method.protocols import Energy, Estimate
 from recon.method.reconstruction import Method
 from recon.method.stages import Stage
@@ -126,8 +125,8 @@ class Shooting:
 
     The shape is moved with them, and so is the ground where it is not known. The first state has
     the mixture for an energy and the latents the conditional prior. The usual start is the motion
-    that `Collocation` finds without contacts; the presets have the phases, weights and start of
-    the publication (section 6.8).
+    that `Collocation` finds; the presets have the phases, weights and start of the publication
+    (section 6.8).
 
     With `segment`, a state is moved every so many steps, and what a segment leads to need only be
     near to what the next one begins with.
@@ -175,7 +174,7 @@ class Shooting:
             humor,
             HumorWeights.for_noise(noise),
             Schedule(scale=0.5 * _NUMBERS * variance),
-            start=Steps(Collocation.for_noise(humor, noise)),
+            start=Collocation.for_noise(humor, noise),
             segment=segment,
         )
 
@@ -259,19 +258,6 @@ class Shooting:
                 schedule.all,
             ),
         )
-
-
-@dataclass(frozen=True)
-class Steps:
-    """Collocation without its last stage, in which feet are held as well."""
-
-    method: Collocation
-
-    def stages(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
-        """All but the last, the one before minimised by second order."""
-        *first, steps = self.method.without_feet(data)
-        ending = replace(steps.minimiser, tolerance_decrease=1e-5)
-        return *first, replace(steps, minimiser=ending, second_order=Preconditioned())
 
 
 def _first_frames(variables: HumorVariables) -> HumorVariables:

@@ -7,7 +7,7 @@ import pytest
 import recon
 from priors.humor.collocation import Collocation
 from priors.humor.prior import Humor
-from priors.humor.shooting import Schedule, Shooting, Steps
+from priors.humor.shooting import Schedule, Shooting
 from recon.core.errors import ReconError
 from recon.fitting.methods import method_of
 from recon.fitting.options import FitOptions
@@ -20,7 +20,7 @@ from tests.filmed import bundled, cameras, joint_error, view, walk
 def test_it_is_one_of_the_methods_of_humor():
     method = method_of(FitOptions(method="rollout"), 0.02, bundled())
     assert isinstance(method, Shooting)
-    assert isinstance(method.start, Steps)
+    assert isinstance(method.start, Collocation)
     assert method.segment is None
     assert isinstance(method_of(FitOptions(method="collocation"), 0.02, bundled()), Collocation)
     segmented = method_of(FitOptions(method="shooting"), 0.02, bundled())

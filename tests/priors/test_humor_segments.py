@@ -136,4 +136,4 @@ def test_segments_that_cannot_be_are_refused(body: BodyModel) -> None:
     with pytest.raises(ReconError, match="expected a weight of their defects above 0, got 0"):
         Shooting(prior, segment=5)
     stages = Shooting.for_noise(prior, 0.04, 5).stages((Term("data", zero, 1.0),))
-    assert [stage.name for stage in stages] == ["root", "pose", "steps", "segments"]
+    assert [stage.name for stage in stages] == ["root", "pose", "steps", "contacts", "segments"]
