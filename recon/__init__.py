@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from recon.api.verbs.report import report as report
     from recon.api.verbs.retarget import retarget as retarget
     from recon.api.verbs.simulate import simulate as simulate
+    from recon.api.verbs.to_body import to_body as to_body
     from recon.body.model import BodyModel as BodyModel
     from recon.body.motion_files import load_motion_of as load_motion_of
     from recon.core.camera import Camera as Camera
@@ -72,6 +73,7 @@ _HOMES = {
     "evaluate": "recon.api.verbs.evaluate",
     "simulate": "recon.api.verbs.simulate",
     "report": "recon.api.verbs.report",
+    "to_body": "recon.api.verbs.to_body",
     "LaboratoryReport": "recon.api.results.laboratory",
     "MotionResult": "recon.api.results.motion",
     "Joints3D": "observations.joints3d",

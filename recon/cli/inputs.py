@@ -23,6 +23,7 @@ EXPECTED = {
     "motion": _MOTION,
     "obs": _OBSERVATION,
     "observations": f"{_OBSERVATION}, 2D detections, or a folder of scans or depth images",
+    "onto": "a SMPL-family file (.npz, .pkl)",
     "recording": "a recording (.bvh, .amc, .c3d, .trc, .mat), or a folder of them with --all",
     "result": _MOTION,
     "smplx": "a SMPL-X file (.npz, .pkl)",

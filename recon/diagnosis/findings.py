@@ -36,6 +36,7 @@ Code = Literal[
     "uneven ground",
     "residual",
     "body size",
+    "body surface",
     "distance",
     "gap",
     "jump",
@@ -67,6 +68,7 @@ Code = Literal[
 * treadmill: all standing feet are carried along at one velocity.
 * uneven ground: feet stand at several heights, or the person sits.
 * residual: the body stays away from the data for a reason that is not known.
+* body surface: the skins of two bodies do not agree, between which a motion is carried.
 * body size: the fitted person is smaller, larger or odder than people are.
 * distance: a camera would be nearer or farther than people are filmed.
 * gap: a stretch of frames without data.

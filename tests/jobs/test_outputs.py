@@ -60,6 +60,7 @@ CASES = (
         for to in ("glb", "usd", "bvh", "trc", "mot", "angles", "joints", "html")
     ),
     Case("export", "robot", ("IN.npz", "--robot", "OUT", "--smplx", "other.npz")),
+    Case("export", "smpl", ("IN.npz", "--smpl", "OUT", "--onto", "other.npz")),
     Case("export", "ply", ("IN.npz", "--ply", "OUT"), Kind.FOLDER),
     *(Case("train", "out", (p, "IN.folder", "--out", "OUT.st")) for p in ("pose", "humor")),
 )

@@ -10,7 +10,7 @@ from recon.cli.places import Overwrite, Place, folder, writes
 
 @writes(
     Place("glb"), Place("usd"), Place("bvh"), Place("trc"), Place("mot"), Place("angles"),
-    Place("joints"), Place("robot"), Place("ply", folder), Place("html"),
+    Place("joints"), Place("robot"), Place("smpl"), Place("ply", folder), Place("html"),
 )  # fmt: skip
 def export(
     motion: Positional[Path],
@@ -22,6 +22,7 @@ def export(
     angles: Path | None = None,
     joints: Path | None = None,
     robot: Path | None = None,
+    smpl: Path | None = None,
     ply: Path | None = None,
     html: Path | None = None,
     markers: Literal["joints", "halpe26", "opencap", "pig", "bsm"] = "joints",
@@ -29,6 +30,7 @@ def export(
     unit: Literal["m", "cm", "mm"] = "mm",
     up: Literal["x", "y", "z"] = "y",
     smplx: Path | None = None,
+    onto: Path | None = None,
     body: Path | None = None,
     overwrite: Overwrite = False,
 ) -> None:
@@ -44,6 +46,7 @@ def export(
         angles: joint angles after the ISB as CSV, degrees.
         joints: positions of the 22 joints as CSV, metres, with their standard deviations.
         robot: SMPL-X .npz for GMR and like loaders, 30 Hz, soles on z = 0; needs --smplx.
+        smpl: AMASS .npz on the SMPL-family body of --onto, with betas that are its own.
         ply: folder for one mesh per frame.
         html: self-contained page, as `recon view` writes.
         markers: labels of --trc: the 22 joints, keypoints as Pose2Sim names them, OpenCap's 43
@@ -52,6 +55,7 @@ def export(
         unit: of --trc.
         up: axis that points up in --trc; y is OpenSim's.
         smplx: the SMPL-X body that the loader of --robot poses, SMPLX_NEUTRAL.npz or .pkl.
+        onto: the body file of --smpl (SMPL, SMPL-H, SMPL-X; .npz or .pkl).
         body: the SMPL-family file of the motion's body; default: the bundled body.
         overwrite: replace files that are there and recon did not write.
     """
@@ -59,7 +63,7 @@ def export(
 
     asked = {
         "glb": glb, "usd": usd, "bvh": bvh, "trc": trc, "mot": mot, "angles": angles,
-        "joints": joints, "robot": robot, "html": html,
+        "joints": joints, "robot": robot, "smpl": smpl, "html": html,
     }  # fmt: skip
     if ply is None and all(target is None for target in asked.values()):
         options = ", ".join(f"--{name}" for name in asked)
@@ -71,9 +75,14 @@ def export(
             "SMPL-X body (SMPLX_NEUTRAL.npz or .pkl) that its loader poses, as betas of our body "
             "mean nothing there"
         )
+    if (smpl is None) != (onto is None):
+        raise ValueError(
+            "--smpl and --onto go together: the first is the file to write, the second the body "
+            "file (SMPL, SMPL-H or SMPL-X; .npz or .pkl) whose poses and betas it has"
+        )
     export_file(
         motion, **asked, ply=ply, markers=markers, model=model, unit=unit, up=up, smplx=smplx,
-        body=body, overwrite=overwrite,
+        onto=onto, body=body, overwrite=overwrite,
     )  # fmt: skip
 
 

@@ -19,6 +19,7 @@ from recon.jobs.export.bvh import skeleton_of, write_bvh
 from recon.jobs.export.gltf import write_glb
 from recon.jobs.export.markers import MarkerSetName, markers_of
 from recon.jobs.export.robots import write_robot
+from recon.jobs.export.smpl import write_smpl
 from recon.jobs.export.tables import write_angles, write_mot
 from recon.jobs.export.usd import write_usd
 from recon.jobs.view import draw_html, shown
@@ -35,6 +36,7 @@ def export_file(
     angles: Path | None = None,
     joints: Path | None = None,
     robot: Path | None = None,
+    smpl: Path | None = None,
     ply: Path | None = None,
     html: Path | None = None,
     markers: MarkerSetName = "joints",
@@ -42,14 +44,15 @@ def export_file(
     unit: Literal["m", "cm", "mm"] = "mm",
     up: Axis = "y",
     smplx: Path | None = None,
+    onto: Path | None = None,
     body: Path | None = None,
     overwrite: bool = False,
 ) -> None:
     """Write a motion in any of these formats, all or none; `ply` is a folder.
 
     Beside every file is a report, in the folder `report.json`. `markers`, `unit` and `up` are of
-    the TRC file, `model` is the OpenSim model of the MOT file, `smplx` the body of `robot`; `body`
-    is the motion's own.
+    the TRC file, `model` is the OpenSim model of the MOT file, `smplx` the body of `robot`, `onto`
+    that of `smpl`; `body` is the motion's own.
 
     Raises:
         FileNotFoundError: when there is no such motion.
@@ -75,6 +78,11 @@ def export_file(
             )
         write_robot(path, motion, own, smplx)
 
+    def for_smpl(path: Path) -> None:
+        if onto is None:
+            raise ReconError("a file for SMPL needs `onto`, the body file that is posed there")
+        write_smpl(path, motion, own, onto)
+
     def meshes(folder: Path) -> None:
         write_ply_sequence(folder, own.pose(motion).vertices.numpy(), own.faces.numpy())
 
@@ -87,12 +95,13 @@ def export_file(
         (angles, Kind.FILE, lambda path: write_angles(path, motion, own)),
         (joints, Kind.FILE, positions),
         (robot, Kind.FILE, for_robots),
+        (smpl, Kind.FILE, for_smpl),
         (ply, Kind.FOLDER, meshes),
         (html, Kind.FILE, lambda path: draw_html(path, shown(source, body=body))),
     ]
     asked = [(Output(path, kind), write) for path, kind, write in every if path is not None]
     report = {
-        "inputs": checksums([one for one in (source, body, smplx) if one is not None]),
+        "inputs": checksums([one for one in (source, body, smplx, onto) if one is not None]),
         "versions": versions(),
     }
     outputs = [output for output, _ in asked]
