@@ -49,6 +49,7 @@ def keypoints_of(
         start_time=file.start_time,
         sigma=sigma,
         ground_known=file.camera.T_camera_world is not None,
+        focal_known=file.camera.focal_known,
     )
 
 

@@ -14,6 +14,7 @@ from recon.core.errors import ObservationError
 from recon.core.limits import FRAME_RATE
 from recon.core.units import Axis
 from recon.formats.calibration.cameras import Calibration, CameraUnit, load_cameras
+from recon.formats.calibration.guessed import guessed_camera, guessed_size
 from recon.formats.clocks.scan_times import crowded
 from recon.formats.detections.reader import read_keypoints
 from recon.formats.detections.records import Detections
@@ -57,7 +58,7 @@ def load_views(
         paths: files or folders of `recon.formats.detections.reader`, one per view; a folder that
             holds such folders, or a project of Pose2Sim or EasyMocap, stands for all its views.
         calibration: file or folder of `recon.formats.calibration.cameras`, or what was read from
-            it.
+            it. None guesses the camera of one view, a phone's, from the size of its images.
         fps: frames per second; no format of keypoints states it.
         layout: which keypoints; None to tell it from the files.
         person: number of a person in the first view, from 0 by first appearance; None for the
@@ -73,16 +74,19 @@ def load_views(
             message says what was expected and which option decides.
     """
     folders, notes = expand([Path(path) for path in paths])
-    if calibration is None:
+    if calibration is None and len(folders) > 1:
         raise ObservationError(
-            "2D keypoints need a calibrated camera; give its file with --camera"
+            f"several views ({', '.join(map(str, folders))}) need calibrated cameras; give their "
+            "file with --camera, or one view alone, whose camera is then guessed"
         )
     if fps is None or not FRAME_RATE.holds(fps):
         raise ObservationError(
             f"files of 2D keypoints do not state the frame rate, and it was given as {fps}; give "
             "frames per second with --frame-rate"
         )
-    if not isinstance(calibration, Calibration):
+    if calibration is None:
+        calibration = _guessed(folders[0], layout, image_size)
+    elif not isinstance(calibration, Calibration):
         calibration = load_cameras(
             calibration, unit=camera_unit, up=camera_up, image_size=image_size
         )
@@ -111,6 +115,26 @@ def load_views(
         names=tuple(matched[v] for v in kept),
         first_frame=first,
         decisions=(*notes, *calibration.decisions, *matching, *layouts, *who),
+    )
+
+
+def _guessed(path: Path, layout: str | None, image_size: tuple[int, int] | None) -> Calibration:
+    """A phone's camera for one view, its images as large as given or as the keypoints say."""
+    how = "given"
+    if image_size is None:
+        seen = read_keypoints(path, layout=layout)
+        image_size = guessed_size(seen.pixels, seen.confidence)
+        how = "guessed as the smallest usual one that holds the keypoints (--image-size gives it)"
+    camera = guessed_camera(image_size)
+    width, height = image_size
+    return Calibration(
+        {view_name(path): camera},
+        "m",
+        (
+            f"image size {width} x {height}: {how}",
+            f"no --camera: guessed a focal length of {camera.camera_matrix[0, 0]:.0f} pixels, "
+            "that of a phone's main camera (28 mm for 35 mm film), which the fit corrects",
+        ),
     )
 
 

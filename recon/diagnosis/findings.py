@@ -41,6 +41,7 @@ Code = Literal[
     "gap",
     "jump",
     "joint centres",
+    "focal",
     "stopped",
 ]
 """The likeliest cause of a finding.
@@ -74,6 +75,7 @@ Code = Literal[
 * gap: a stretch of frames without data.
 * jump: the body moves faster between two frames than the data does.
 * joint centres: points that are called markers lie inside the body.
+* focal: nobody measured the focal length of the camera; it was found with the motion.
 * stopped: the caller ended the fit before it was done.
 """
 

@@ -36,6 +36,8 @@ class CameraArrays:
     """Lens coefficients k1 k2 p1 p2 [k3 [k4 k5 k6]] in OpenCV's order; None for no distortion."""
     T_camera_world: Float[np.ndarray, "poses 4 4"] | None = None
     """Maps world to camera, metres; one pose or one per frame. None where it is not known."""
+    focal_known: bool = True
+    """Whether somebody measured the focal length; not written."""
 
 
 @dataclass(frozen=True)
