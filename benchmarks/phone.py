@@ -9,12 +9,19 @@ the 22 joints about the pelvis, seen from the camera.
 `focal`: the true focal length is 0.7, 1 or 1.4 times that which the image size suggests, by turns.
 `known` is told the true one, `found` guesses it and corrects the guess, `held` believes the guess.
 `ratio` is the focal length that was used over the true one.
+
+`track`: a phone of known lens is carried around the person by 57 degrees, with a sway of 5 cm. It
+is fixed (`static`), or its track is in a file of a tracker, in a world and a unit of its own where
+the tracker knows of none; `undeclared` is believed to be fixed. `unit` is the length of the path
+of the camera that was found over the true one.
 """
 
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -26,7 +33,8 @@ from benchmarks.arguments import over_windows
 from benchmarks.humor import evenly
 from benchmarks.results import corpus_source, write
 from benchmarks.scores import Columns, Row, Rows, by_subject, tables
-from benchmarks.windows import Windows, load_windows
+from benchmarks.track_files import write_arkit, write_colmap, write_droid, write_tum
+from benchmarks.windows import FPS, Windows, load_windows
 from observations.files.images import keypoints_of
 from observations.keypoints2d import Keypoints2D
 from priors.training.dataset import Splits
@@ -37,18 +45,27 @@ from recon.core.struct import concatenate
 from recon.fitting.clip import ClipFit, fit_clip
 from recon.fitting.options import FitOptions
 from recon.formats.calibration.guessed import guessed_camera
-from recon.formats.observations import KeypointsFile
-from recon.simulation.images import dome, keypoints2d
+from recon.formats.calibration.tracks import read_track
+from recon.formats.observations import CameraPath, KeypointsFile
+from recon.simulation.images import dome, keypoints2d, orbiting
 from recon.simulation.points import Corruption
 
 SEED = 0
 FRAMES = 90
 PIXELS = 3.0
 SIZE = (1920, 1080)
+ORBIT = 1.0
+"""Radians that a carried phone goes around the person."""
 FACTORS = (0.7, 1.0, 1.4)
 """True focal lengths over the guessed one, by turns."""
 COLUMNS: Columns = {
-    "about": ("pelvis cm", 100), "ratio": ("focal ratio", 1), "seconds": ("CPU s", 1),
+    "about": ("pelvis cm", 100), "ratio": ("focal ratio", 1), "unit": ("unit ratio", 1),
+    "seconds": ("CPU s", 1),
+}  # fmt: skip
+
+
+TRACKERS: dict[str, Callable[[Path, Float[np.ndarray, "time 4 4"]], Path]] = {
+    "COLMAP": write_colmap, "TUM": write_tum, "DROID-SLAM": write_droid, "ARKit": write_arkit,
 }  # fmt: skip
 
 
@@ -84,15 +101,14 @@ def main() -> None:
 
 def focal(windows: Windows, body: BodyModel) -> dict[str, Rows]:
     """The focal length told, found and guessed."""
-    filmed = [_filmed(windows.truth[k], body, k) for k in range(len(windows.names))]
+    filmed = [
+        _filmed(windows.truth[k], body, k, FACTORS[k % 3]) for k in range(len(windows.names))
+    ]
     known = [_lost(one, one.file.camera.camera_matrix) for one in filmed]
     guess = guessed_camera(SIZE).camera_matrix
     views: dict[str, Sequence[KeypointsFile]] = {
         "known": known,
-        "found": [
-            replace(one, camera=replace(guessed_camera(SIZE), T_camera_world=None))
-            for one in known
-        ],
+        "found": [replace(one, camera=guessed_camera(SIZE)) for one in known],
         "held": [_lost(one, guess) for one in filmed],
     }
     return {
@@ -101,10 +117,40 @@ def focal(windows: Windows, body: BodyModel) -> dict[str, Rows]:
     }
 
 
-def _filmed(truth: Motion, body: BodyModel, seed: int) -> Filmed:
+def track(windows: Windows, body: BodyModel) -> dict[str, Rows]:
+    """A fixed phone, and one that is carried, its track in a file of each tracker."""
+    still = [_filmed(windows.truth[k], body, k, factor=1.0) for k in range(len(windows.names))]
+    carried = [_carried(windows.truth[k], body, k, one) for k, one in enumerate(still)]
+    matrix = guessed_camera(SIZE).camera_matrix
+    rows = {
+        "static": _rows(windows, still, [_lost(one, matrix) for one in still], body),
+        "undeclared": _rows(windows, carried, [_lost(one, matrix) for one in carried], body),
+    }
+    with tempfile.TemporaryDirectory() as scratch:
+        for name, writer in TRACKERS.items():
+            files = []
+            for k, one in enumerate(carried):
+                T = one.camera.T_world_camera.double().numpy()
+                read = read_track(writer(Path(scratch) / f"{name}{k}", T))
+                poses, _ = read.at(0, FRAMES, FPS)
+                lost = _lost(one, matrix)
+                path = CameraPath(poses, read.metric, read.level)
+                files.append(replace(lost, camera=replace(lost.camera, path=path)))
+            rows[name] = _rows(windows, carried, files, body)
+    return {name: by_subject(windows, found) for name, found in rows.items()}
+
+
+def _carried(truth: Motion, body: BodyModel, seed: int, still: Filmed) -> Filmed:
+    """The same phone carried around the person."""
+    middle = body.pose(truth).joints.flatten(0, 1).mean(0)
+    camera = orbiting(still.camera, middle, truth.frames, ORBIT)
+    return Filmed(keypoints2d(truth, body, camera, Corruption(noise=PIXELS), 100 * seed), camera)
+
+
+def _filmed(truth: Motion, body: BodyModel, seed: int, factor: float) -> Filmed:
     """A window as a fixed phone sees it from a direction of its own."""
     guess = guessed_camera(SIZE).camera_matrix
-    matrix = np.diag([FACTORS[seed % 3], FACTORS[seed % 3], 1.0]) @ guess
+    matrix = np.diag([factor, factor, 1.0]) @ guess
     matrix[:2, 2] = guess[:2, 2]
     (camera,) = dome(truth, body, Camera.create(matrix, SIZE), 1, first=2.4 * seed)
     seen = keypoints2d(truth, body, camera, Corruption(noise=PIXELS), 100 * seed)
@@ -133,6 +179,7 @@ def _rows(
         rows.append({
             "about": _about(fitted, seen, k, windows.truth[k], one.camera, body),
             "ratio": used / float(one.camera.camera_matrix[0, 0]),
+            "unit": _unit(seen, k, one.camera),
             "seconds": seconds,
         })  # fmt: skip
     return rows
@@ -148,11 +195,22 @@ def _about(
     return float((_centred(ours) - _centred(theirs)).norm(dim=-1).mean())
 
 
+def _unit(seen: Keypoints2D, k: int, camera: Camera) -> float | None:
+    """Length of the camera's path that was found over the true one; None where it stands."""
+    if camera.T_camera_world.ndim == 2 or seen.camera.T_camera_world.shape[-3] == 1:
+        return None
+    found, true = seen.camera.T_world_camera[k, :, :3, 3], camera.T_world_camera[:, :3, 3]
+    return float((found[-1] - found[0]).norm() / (true[-1] - true[0]).norm())
+
+
 def _centred(joints: Float[Tensor, "time 22 3"]) -> Float[Tensor, "time 22 3"]:
     return joints - joints[:, :1]
 
 
-CASES: dict[str, Callable[[Windows, BodyModel], dict[str, Rows]]] = {"focal": focal}
+CASES: dict[str, Callable[[Windows, BodyModel], dict[str, Rows]]] = {
+    "focal": focal,
+    "track": track,
+}
 
 if __name__ == "__main__":
     main()

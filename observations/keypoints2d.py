@@ -65,6 +65,10 @@ class Keypoints2D(SensorRecord):
     focal_known: bool = True
     """Whether the camera's focal length is known. If not, it is a guess, which `Scene.lens` of a
     fit to this one view corrects; the camera's pose must not be known either."""
+    level: bool = False
+    """Whether the z axis of the recording's frame points up where its ground is not known."""
+    unit_known: bool = True
+    """Whether a moving camera's translations are metres; if not, a fit corrects their unit."""
 
     def __init__(
         self,
@@ -78,6 +82,8 @@ class Keypoints2D(SensorRecord):
         ground_known: bool = True,
         offset_rows: tuple[int, int] | None = None,
         focal_known: bool = True,
+        level: bool = False,
+        unit_known: bool = True,
     ) -> None:
         """Arrays of numpy become tensors in single precision; what is not seen becomes zero.
 
@@ -93,7 +99,7 @@ class Keypoints2D(SensorRecord):
             pixels=pixels, confidence=confidence, points=points,
             camera=checked_view("Keypoints2D", camera, pixels), fps=fps, start_time=start_time,
             sigma=positive(sigma, "Keypoints2D.sigma"), ground_known=ground_known,
-            offset_rows=offset_rows, focal_known=focal_known,
+            offset_rows=offset_rows, focal_known=focal_known, level=level, unit_known=unit_known,
         )  # fmt: skip
 
     def settled(self, scene: Scene) -> "Keypoints2D":

@@ -14,6 +14,7 @@ EXPECTED = {
     "beside": _MOTION,
     "body": "a SMPL-family file (.npz, .pkl)",
     "camera": "a calibration of cameras (.toml, .yml, .json)",
+    "camera_track": "the track of a camera (a folder of COLMAP, .txt, .npy, .npz, .json)",
     "compare": _MOTION,
     "corpus": "a folder that `recon convert --all` wrote",
     "file": "a file or folder that recon reads",

@@ -10,6 +10,8 @@ from torch import Tensor
 
 from observations.keypoints2d import OFFSET_UNIT, Keypoints2D
 from observations.noise import weights_of
+from observations.start.paths import with_unit
+from observations.timing import at_observation_times
 from observations.together import kinds
 from observations.together.first_guess import FirstGuess, first_guess
 from priors.roles import FIRST
@@ -18,6 +20,7 @@ from recon.core.errors import ObservationError
 from recon.core.motion import Motion
 from recon.core.residuals import Noise
 from recon.core.scene import GROUND, HEIGHT, LENS, OFFSETS, Scene, UnknownGround, UnknownLens
+from recon.core.skeleton import joint_index
 from recon.core.struct import concatenate
 from recon.fitting.ground import ground_below, pelvis_path, sole_heights, upright_ground
 from recon.fitting.long import WINDOW, OneShape, fit_long
@@ -30,6 +33,7 @@ from recon.method.stages import Compared, Watch
 from recon.method.start import checked_start
 from recon.method.terms import Term, ground_moved, lens_changed, offsets
 
+FOOT_JOINTS = tuple(joint_index(f"{side}_ankle") for side in ("left", "right"))
 LONG = 10.0
 """Seconds; longer recordings are fitted by windows."""
 _MOST = 1.5
@@ -119,6 +123,7 @@ def fit_clip(
     seen, offsets = _with_offsets(tuple(observations))
     job = _Job(seen, guess, noises, offsets, body, options, watch).decided()
     if not options.grounded:
+        job = job.paced()
         start = job.guess.motion
         T = torch.eye(4).expand(len(start.translation), 4, 4)
         result = job.fit(options, job.scene(start), start, job.moved)
@@ -129,6 +134,7 @@ def fit_clip(
         T = torch.eye(4).expand(len(start.translation), 4, 4)
         result = job.fit(options, job.scene(start), start, job.moved)
         return ClipFit(result, noises, True, T, seen, guesses=job.guesses)
+    job = job.paced()
     result = job.with_ground()
     assert result.estimate.scene.ground is not None
     T = result.estimate.scene.ground.T_world_recording.detach().cpu()
@@ -200,6 +206,8 @@ class _Job:
         """Whether one view of unknown pose is all there is, and its focal length is a guess."""
         views = kinds.views(self.observations)
         alone = len(self.observations) == len(views) == 1
+        if alone and views[0].camera.T_camera_world.shape[-3] > 1:
+            return False  # the path of a camera that moves is of the lens that its tracker had
         return alone and not views[0].focal_known and not views[0].ground_known
 
     def scene(self, start: Motion, ground: UnknownGround | None = None) -> Scene:
@@ -316,6 +324,26 @@ class _Job:
         """A first motion under the pose prior, which does not ask where the ground is."""
         start = self.guess.motion
         return self.fit(self.rough, self.scene(start), start, frozenset()).motion
+
+    def paced(self) -> "_Job":
+        """The clips with the unit of the camera's path told by the feet of a first motion."""
+        views = kinds.views(self.observations)
+        if len(self.observations) > 1 or not views or views[0].unit_known:
+            return self
+        (view,) = views
+        motion = self.free()
+        feet = self.body.pose(motion).joints[..., list(FOOT_JOINTS), :]
+        there, _ = at_observation_times(
+            feet, motion, fps=view.fps, start_time=view.start_time, moments=view.moments
+        )
+        if there.shape[-3] < view.moments:
+            return self
+        seen = view.camera.to_camera(there).detach().double().cpu().numpy()
+        found = with_unit(view, seen)
+        moved = found.camera.T_world_camera[..., :3, 3] - view.camera.T_world_camera[..., :3, 3]
+        if motion.frames == view.moments:
+            motion = motion.replace(translation=motion.translation + moved)
+        return replace(self, observations=(found,), guess=replace(self.guess, motion=motion))
 
     def with_ground(self) -> Reconstruction:
         """The whole clip and its ground, found from the way people stand."""

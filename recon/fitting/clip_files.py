@@ -124,7 +124,7 @@ def load_clip(
         views = load_views(
             detections, settings.camera, fps=settings.frame_rate, layout=settings.layout,
             person=settings.person, camera_unit=settings.camera_unit, camera_up=settings.camera_up,
-            image_size=settings.image_size,
+            image_size=settings.image_size, track=settings.camera_track,
         )  # fmt: skip
         notes += views.decisions
         shown = views.files

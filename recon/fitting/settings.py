@@ -40,6 +40,9 @@ class FitSettings:
     """Unit of the calibration, where it does not tell."""
     camera_up: Literal["x", "y", "z"] | None = None
     """Axis of the calibration's world that points up; default: z."""
+    camera_track: Path | None = None
+    """How the one camera was carried, by a tracker: a folder of COLMAP with `images.txt`, a text
+    of TUM's, an array of DROID-SLAM or DPVO (.npy, .npz), or ARKit's .json."""
     image_size: tuple[int, int] | None = None
     """Width and height of the images, pixels, where no calibration tells."""
     ground: tuple[float, float, float, float] | Literal["none"] | None = None

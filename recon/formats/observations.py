@@ -25,6 +25,18 @@ _KEYS = {
 
 
 @dataclass(frozen=True)
+class CameraPath:
+    """How a camera was carried, in the world of a tracker that knows nothing of the ground."""
+
+    T_world_camera: Float[np.ndarray, "time 4 4"]
+    """A pose for every frame, in the tracker's unit."""
+    metric: bool
+    """Whether that unit is the metre."""
+    level: bool
+    """Whether the z axis of the tracker's world points up."""
+
+
+@dataclass(frozen=True)
 class CameraArrays:
     """A calibrated camera; OpenCV axes."""
 
@@ -38,6 +50,8 @@ class CameraArrays:
     """Maps world to camera, metres; one pose or one per frame. None where it is not known."""
     focal_known: bool = True
     """Whether somebody measured the focal length; not written."""
+    path: CameraPath | None = None
+    """How a camera whose pose is not known moved; not written."""
 
 
 @dataclass(frozen=True)

@@ -85,7 +85,13 @@ def _failed(job: Job, failure: Failure) -> Record:
 
 def _check_targets(clips: Sequence[BatchClip], out: Path, settings: FitSettings) -> None:
     """Refuse to write a result of any clip over what any clip is made from."""
-    named = (settings.camera, settings.masks, settings.body, Path(settings.weights))
+    named = (
+        settings.camera,
+        settings.camera_track,
+        settings.masks,
+        settings.body,
+        Path(settings.weights),
+    )
     inputs = {file.resolve() for clip in clips for file in clip.observations}
     inputs |= {path.resolve() for path in named if path is not None}
     for clip in clips:
