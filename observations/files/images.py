@@ -13,7 +13,8 @@ from recon.body.model import BodyModel
 from recon.core.camera import Camera
 from recon.core.errors import ObservationError
 from recon.core.ground import Ground, world_from_camera
-from recon.formats.observations import CameraArrays, CameraPath, KeypointsFile
+from recon.formats.calibration.path import CameraPath
+from recon.formats.observations import CameraArrays, KeypointsFile
 
 LEVEL_CAMERA = (0.0, -1.0, 0.0, -1.2)
 """The ground that a camera of unknown pose is first taken to see: level, 1.2 m below it."""

@@ -1,8 +1,8 @@
 """The unit of a path that a tracker of images tells but for its scale: by feet that stand.
 
 A person's distance follows from the size of the body, so feet have places in metres about the
-camera. In the world they are where the camera is, in an unknown unit, plus that. Feet stand about
-half of the time, so the right unit is the one in which most of their speeds are near zero.
+camera. In the world they are where the camera is, in an unknown unit, plus that. One foot stands
+at most moments, so the right unit is the one in which the slower foot hardly moves.
 """
 
 import numpy as np
@@ -16,7 +16,7 @@ from recon.body.model import BodyModel
 
 _LAG = 0.13
 """Seconds over which velocities are taken."""
-_STANDING = 0.15
+_STANDING = 0.1
 """Metres per second by which standing feet seem to move."""
 _FEET = ("left_ankle", "right_ankle")
 _TRIED = np.geomspace(0.01, 30.0, 120)
@@ -52,20 +52,31 @@ def path_unit(
     feet: Float[np.ndarray, "moments feet 3"],
     fps: float,
 ) -> float:
-    """Metres of a unit of the path in which most feet stand; 1 where the camera only turns."""
+    """Metres of a unit of the path in which one foot mostly stands; 1 where the camera only turns.
+
+    Args:
+        T_world_camera: in the tracker's unit.
+        feet: one place of either foot in the frame of the camera, metres; nan where not seen.
+        fps: of both.
+    """
     places = T_world_camera[:, :3, 3]
     extent = float(np.linalg.norm(np.ptp(places, axis=0)))
     lag = max(1, round(_LAG * fps))
-    distance = float(np.nanmedian(np.linalg.norm(feet, axis=-1)))
+    seen = np.isfinite(feet).all(-1)
+    distance = float(np.median(np.linalg.norm(feet[seen], axis=-1))) if seen.any() else np.nan
     if extent < _STILL or len(places) <= lag or not np.isfinite(distance):
         return 1.0
     turned = np.einsum("tij,tfj->tfi", T_world_camera[:, :3, :3], feet)
     own = (turned[lag:] - turned[:-lag]) * fps / lag
     carried = (places[lag:] - places[:-lag])[:, None] * fps / lag
+    if not np.isfinite(own).all(-1).any():
+        return 1.0
 
     def misfit(unit: float) -> float:
         speed = np.linalg.norm(own + unit * carried, axis=-1)
-        return float(np.nanmean(np.log1p((speed / _STANDING) ** 2)))
+        slower = np.nan_to_num(speed, nan=np.inf).min(-1)
+        slower = slower[np.isfinite(slower)]
+        return float(np.log1p((slower / _STANDING) ** 2).mean())
 
     tried = _TRIED * distance / extent
     best = tried[np.argmin([misfit(unit) for unit in tried])]

@@ -33,7 +33,7 @@ from recon.method.stages import Compared, Watch
 from recon.method.start import checked_start
 from recon.method.terms import Term, ground_moved, lens_changed, offsets
 
-FOOT_JOINTS = tuple(joint_index(f"{side}_ankle") for side in ("left", "right"))
+_BALLS = tuple(joint_index(f"{side}_foot") for side in ("left", "right"))
 LONG = 10.0
 """Seconds; longer recordings are fitted by windows."""
 _MOST = 1.5
@@ -332,7 +332,7 @@ class _Job:
             return self
         (view,) = views
         motion = self.free()
-        feet = self.body.pose(motion).joints[..., list(FOOT_JOINTS), :]
+        feet = self.body.pose(motion).joints[..., list(_BALLS), :]
         there, _ = at_observation_times(
             feet, motion, fps=view.fps, start_time=view.start_time, moments=view.moments
         )

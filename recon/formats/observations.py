@@ -11,6 +11,7 @@ from recon.core import limits
 from recon.core.errors import FormatError
 from recon.core.limits import Limit, check_camera, check_pose
 from recon.core.units import METRES, Axis, check_override, to_z_up
+from recon.formats.calibration.path import CameraPath
 from recon.formats.clocks.point_clock import PointClock, settled_clock
 from recon.formats.files.opening import load_arrays, save_arrays
 
@@ -22,18 +23,6 @@ _KEYS = {
     "points": ("points", "frame", "fps"),
 }
 """Kinds of observation and the keys each must have."""
-
-
-@dataclass(frozen=True)
-class CameraPath:
-    """How a camera was carried, in the world of a tracker that knows nothing of the ground."""
-
-    T_world_camera: Float[np.ndarray, "time 4 4"]
-    """A pose for every frame, in the tracker's unit."""
-    metric: bool
-    """Whether that unit is the metre."""
-    level: bool
-    """Whether the z axis of the tracker's world points up."""
 
 
 @dataclass(frozen=True)

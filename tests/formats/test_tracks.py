@@ -23,8 +23,8 @@ from observations.start.paths import path_unit
 from recon.core.camera import Camera
 from recon.fitting.clip_files import load_clip
 from recon.fitting.settings import FitSettings
+from recon.formats.calibration.path import CameraPath
 from recon.formats.calibration.tracks import read_track
-from recon.formats.observations import CameraPath
 from recon.simulation.images import keypoints2d, orbiting
 from recon.simulation.points import Corruption
 from tests.filmed import bundled, cameras, walk
@@ -108,7 +108,7 @@ def test_arrays_of_other_shapes_are_refused(tmp_path) -> None:
 
 def test_standing_feet_tell_the_unit() -> None:
     """Feet in the frame of the camera that moves, and its path in another unit."""
-    feet = bundled().pose(walk(FRAMES)).joints[:, [7, 8]]
+    feet = bundled().pose(walk(FRAMES)).joints[:, [10, 11]]
     seen = moving().to_camera(feet).double().numpy()
     assert path_unit(in_units(poses()), seen, 30.0) == pytest.approx(1 / UNIT, rel=0.05)
     still = np.tile(np.eye(4), (FRAMES, 1, 1))
