@@ -45,8 +45,8 @@ from recon.core.struct import concatenate
 from recon.fitting.clip import ClipFit, fit_clip
 from recon.fitting.options import FitOptions
 from recon.formats.calibration.guessed import guessed_camera
-from recon.formats.calibration.path import CameraPath
 from recon.formats.calibration.tracks import read_track
+from recon.formats.camera_path import CameraPath
 from recon.formats.observations import KeypointsFile
 from recon.simulation.images import dome, keypoints2d, orbiting
 from recon.simulation.points import Corruption

@@ -8,12 +8,12 @@ from jaxtyping import Float
 
 from observations.correspondences import BodyPoints
 from observations.keypoints2d import SIGMA, Keypoints2D
-from observations.start.paths import keypoint_feet, with_unit
+from observations.together.camera_paths import keypoint_feet, with_unit
 from recon.body.model import BodyModel
 from recon.core.camera import Camera
 from recon.core.errors import ObservationError
 from recon.core.ground import Ground, world_from_camera
-from recon.formats.calibration.path import CameraPath
+from recon.formats.camera_path import CameraPath
 from recon.formats.observations import CameraArrays, KeypointsFile
 
 LEVEL_CAMERA = (0.0, -1.0, 0.0, -1.2)

@@ -16,8 +16,8 @@ from recon.core.units import Axis
 from recon.formats.calibration.camera import CameraFields, settle_camera
 from recon.formats.calibration.cameras import Calibration, CameraUnit, load_cameras
 from recon.formats.calibration.guessed import guessed_camera, guessed_size
-from recon.formats.calibration.path import CameraPath
 from recon.formats.calibration.tracks import CameraTrack, read_track
+from recon.formats.camera_path import CameraPath
 from recon.formats.clocks.scan_times import crowded
 from recon.formats.detections.reader import read_keypoints
 from recon.formats.detections.records import Detections

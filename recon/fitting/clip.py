@@ -10,9 +10,9 @@ from torch import Tensor
 
 from observations.keypoints2d import OFFSET_UNIT, Keypoints2D
 from observations.noise import weights_of
-from observations.start.paths import with_unit
 from observations.timing import at_observation_times
 from observations.together import kinds
+from observations.together.camera_paths import with_unit
 from observations.together.first_guess import FirstGuess, first_guess
 from priors.roles import FIRST
 from recon.body.model import BodyModel
