@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from benchmarks.tables import (
     bodies,
     cameras,
+    clinic,
     conversions,
     doors,
     drift,
@@ -51,6 +52,8 @@ TABLES: Mapping[str, Table] = {
     "cameras-ablations": cameras.ablations,
     "detections": cameras.detections,
     "nearest": cameras.nearest,
+    "clinic": clinic.recordings,
+    "clinic-files": clinic.files,
     "doors": doors.files,
     "doors-projects": doors.projects,
     "cycles": gait.cycles,
