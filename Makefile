@@ -3,6 +3,7 @@
 # make mutants: small faults in some modules, and which of them their tests notice.
 # make docs: the documentation site, in site/.
 # make tables: the tables of README.md and docs/ from benchmarks/results.
+# make clients: our files in Blender, three.js, OpenSim, OpenUSD and glTF's validator (1 GB of them).
 # make bench: those result files themselves (needs RECON_DATA; many hours).
 PYTHON ?= python3
 BIN := .venv/bin
@@ -11,7 +12,7 @@ OUT ?= out
 # On the kernels of other processors, from inputs off by a few units in the last place.
 NUMERICS = $(BIN)/pytest -q -n 2 --dist loadfile -m 'numerics and not slow' --ulps 4
 
-.PHONY: demo test test-slow docs mutants tables bench clean
+.PHONY: demo test test-slow docs mutants tables clients bench clean
 
 demo: .venv/installed
 	$(BIN)/recon demo --out demo
@@ -36,6 +37,17 @@ mutants: .venv/developed
 
 tables: .venv/developed
 	$(BIN)/python -m benchmarks.tables
+
+clients: .venv/developed
+	$(PIP) --editable '.[usd]'
+	$(PYTHON) -m venv $(OUT)/clients/opensim
+	$(OUT)/clients/opensim/bin/pip install --quiet opensim==4.6 usd-core==26.11
+	$(PYTHON) -m venv $(OUT)/clients/blender
+	$(OUT)/clients/blender/bin/pip install --quiet bpy==5.0.1
+	npm install --silent --prefix $(OUT)/clients/node three@0.187.0 gltf-validator@2.0.0-dev.3.10
+	$(BIN)/python -m benchmarks.clients --python $(OUT)/clients/opensim/bin/python \
+		--blender $(OUT)/clients/blender/bin/python --node $(OUT)/clients/node/node_modules \
+		--json benchmarks/results/clients.json
 
 bench: .venv/developed
 	mkdir -p $(OUT)

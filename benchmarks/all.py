@@ -22,6 +22,7 @@ _CYCLES = ("CORPUS", "--weights", "nc", "--licence", "nc")
 _POINTS = ("noisy joints", "occluded points")
 _COLUMNS = ("--columns", "p=0", "p=50+lm", "f=5+lm", "p=50")
 
+_ROLLOUT = ("rollout_fits", "CORPUS", "--part", "validation", "--only", "2", "--protocols")
 COMMANDS: dict[str, tuple[str, ...]] = {
     "corpus": ("corpus", "CORPUS"),
     "likeness": ("likeness", "CORPUS"),
@@ -85,7 +86,13 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "rollout_fits": ("rollout_fits", "CORPUS", "--only", "6", "--protocols", "noisy joints"),
     "rollout_fits_hidden": ("rollout_fits", "CORPUS", "--only", "2", "--protocols",
                             "hidden points"),
-    "rollout_fits_camera": ("rollout_fits", "CORPUS", "--only", "2", "--protocols", "one camera"),
+    "rollout_half": (*_ROLLOUT, "in-betweening", "upper body"),
+    "rollout_camera": (*_ROLLOUT, "one camera", "one camera, posed"),
+    "rollout_views": (*_ROLLOUT, "three views", "joints and depth"),
+    "rollout_depth": (*_ROLLOUT, "keypoints and depth"),
+    "segments": ("segments", "CORPUS", "--only", "4", "--protocols", "noisy joints"),
+    "segments_hidden": ("segments", "CORPUS", "--only", "4", "--protocols", "hidden points"),
+    "drift": ("drift", "CORPUS"),
     "solver": ("solver",),
     "speed": ("speed",),
     "fuzz": ("fuzz",),

@@ -128,12 +128,12 @@ def rows_of(
     for start in range(0, len(windows.names), _AT_ONCE):
         some = windows.take(list(range(start, min(start + _AT_ONCE, len(windows.names)))))
         filmed = [film(some.truth[k], body, start + k) for k in range(len(some.names))]
-        batch = _batch(filmed)
+        batch = batch_of(filmed)
         began = time.process_time()
         fitted = fit_clip(batch.observations, settings, body)
         seconds = (time.process_time() - began) / len(filmed)
         motion, contacts = fitted.result.motion.detach(), fitted.result.contacts
-        T = _to_true_world(batch, fitted.T_world_recording)
+        T = to_true_world(batch, fitted.T_world_recording)
         for k in range(len(filmed)):
             said = None if contacts is None else contacts[k]
             row = _compared(motion[k], some, k, T[k], batch.visible[k].bool(), said, body)
@@ -167,7 +167,7 @@ def _compared(
     }
 
 
-def _to_true_world(
+def to_true_world(
     filmed: Filmed, T_world_recording: Float[Tensor, "clips 4 4"]
 ) -> Float[Tensor, "clips 4 4"]:
     """Maps the world that was found to the true one, by way of the camera."""
@@ -186,7 +186,7 @@ def _ground_errors(filmed: Filmed, T_world_recording: Tensor, k: int) -> Row:
     return {"normal": math.degrees(errors["ground_normal"]), "height": errors["ground_height"]}
 
 
-def _batch(filmed: list[Filmed]) -> Filmed:
+def batch_of(filmed: list[Filmed]) -> Filmed:
     """One batch of several; clouds padded to one length."""
 
     def joined(pose: Callable[[Filmed], Tensor | None]) -> Tensor | None:

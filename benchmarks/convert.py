@@ -21,7 +21,7 @@ import resource
 import subprocess
 import sys
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +32,7 @@ from torch import Tensor
 from benchmarks.results import ROOT, recordings_source, write
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
+from recon.core.motion import Motion
 from recon.formats.mocap.reader import read_recording
 from recon.formats.mocap.recording import MarkerRecording
 from recon.formats.motions import load_motion
@@ -166,9 +167,19 @@ def judged(row: Row, baseline: Path, path: Path, folder: Path, body: BodyModel) 
         row[name]["left_out_mm"] = left_out(folder / "hidden.npz", seen)
 
 
-def steps(motion: Path, seen: Known) -> Row:
+def within(seen: Known, motion: Motion) -> Known:
+    """The markers in the frames of a motion: ends at which nobody is seen may be left out."""
+    if motion.frames == seen.recording.frames:
+        return seen
+    first = round((motion.start_time - seen.recording.start_time) * seen.recording.fps)
+    return replace(seen, recording=seen.recording.window(first, first + motion.frames))
+
+
+def steps(path: Path, seen: Known) -> Row:
     """Steps of joints that no marker makes, and the largest one beyond all markers, mm."""
-    joints = seen.body.pose(load_motion(motion).motion).joints
+    motion = load_motion(path).motion
+    seen = within(seen, motion)
+    joints = seen.body.pose(motion).joints
     bones = tuple(seen.body.weights[list(seen.markers.vertices)].argmax(-1).tolist())
     unmade = unmade_steps(joints, seen.positions, seen.visible, bones)
     both = seen.visible[1:] & seen.visible[:-1]
@@ -183,6 +194,7 @@ def steps(motion: Path, seen: Known) -> Row:
 def left_out(path: Path, seen: Known) -> float:
     """Mean distance of hidden markers from their places on a motion, mm."""
     motion = load_motion(path).motion
+    seen = within(seen, motion)
     posed = seen.body.pose(motion)
     vertices = torch.tensor(seen.markers.vertices)
     bones = seen.body.weights[vertices].argmax(-1)

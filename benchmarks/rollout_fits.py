@@ -1,12 +1,16 @@
-"""Roll-out and collocation, HuMoR's two ways to fit, on the same windows in several protocols.
+"""Roll-out and collocation, HuMoR's two ways to fit, on the same windows in all protocols.
 
     python -m benchmarks.rollout_fits CORPUS --only 6 --json rollout_fits.json
-    python -m benchmarks.rollout_fits CORPUS --part validation --only 6 --protocols "noisy joints"
+    python -m benchmarks.rollout_fits CORPUS --part validation --only 2 --protocols "three views"
 
 Windows of 60 frames. Noisy joints: 22 with 4 cm of noise per coordinate; hidden points: 43 of the
-skin without noise, those below 0.9 m hidden; one camera: keypoints with three pixels of noise,
-of a camera that does not know the ground, legs hidden for the middle third, errors about the
-pelvis after the best turn.
+skin without noise, those below 0.9 m hidden; in-betweening: joints with 1 cm of noise, nothing
+seen for one second; upper body: the same without legs. `one camera` does not know the ground, `one
+camera, posed` and `three views` stand in a calibrated room: keypoints with three pixels of noise,
+legs hidden for the middle third. `keypoints and depth` are of one sensor of unknown pose, `joints
+and depth` of noisy joints and a calibrated sensor. Errors of what cameras filmed are those of
+joints about the pelvis, in the true world.
+
 `network's own` is what is left when the true motion itself is encoded and rolled out: the error of
 a fit that follows the network alone. CPU s is the time of one processor for one clip, a few clips
 at once. `by tolerance` counts windows whose last stage ended by tolerance.
@@ -20,26 +24,18 @@ from pathlib import Path
 import torch
 from rich.console import Console
 from rich.table import Table
-from torch import Tensor
 
 from benchmarks.arguments import over_windows
-from benchmarks.cameras import one_camera
 from benchmarks.humor import evenly
 from benchmarks.results import corpus_source, write
+from benchmarks.rollout_protocols import PROTOCOLS, SEED
 from benchmarks.tables.rollouts import HEADINGS, METHODS, lines
-from benchmarks.windows import Windows, load_windows, noisy_joints, occluded_points
+from benchmarks.windows import Windows, load_windows
 from priors.humor.prior import Humor
 from priors.training.dataset import Splits
 from recon.body.model import BodyModel
-from recon.fitting.clip import fit_clip
-from recon.fitting.methods import method_of
 from recon.fitting.options import FitOptions
-from recon.method.protocols import Observation
-from recon.method.reconstruction import Reconstruction, solve
-from recon.solver.lbfgs import Termination
 
-SEED = 0
-PROTOCOLS = ("noisy joints", "hidden points", "one camera")
 AT_ONCE = 4
 
 
@@ -52,11 +48,11 @@ class Row:
     window: str
     subject: str
     joints: float
-    """Mean error of the 22 joints; about the pelvis where a camera sees them."""
+    """Mean error of the 22 joints; about the pelvis where cameras see them."""
     thirds: tuple[float, ...]
     """The same over the first, the middle and the last third of the frames."""
     hidden: float | None
-    """Mean error of the points that were not seen, where points were."""
+    """Mean error of the points or joints that were not seen, where some were not."""
     seconds: float
     evaluations: int
     """Evaluations of all stages."""
@@ -70,6 +66,7 @@ def main() -> None:
     parser.add_argument("--only", type=int, default=None, help="use so many windows in all")
     parser.add_argument("--windows", nargs="+", default=None, help="use these, by name")
     parser.add_argument("--protocols", nargs="+", choices=PROTOCOLS, default=list(PROTOCOLS))
+    parser.add_argument("--methods", nargs="+", choices=METHODS, default=list(METHODS))
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     body, splits = BodyModel.load(), Splits.load(arguments.splits)
@@ -80,7 +77,7 @@ def main() -> None:
     known = network_errors(windows, body)
     rows: list[Row] = []
     for protocol in arguments.protocols:
-        for row in fits(protocol, windows, body):
+        for row in fits(protocol, windows, arguments.methods, body):
             rows.append(row)
             print(f"{protocol}, {row.method}, {row.window}: {100 * row.joints:.2f} cm, "
                   f"{row.seconds:.1f} CPU s, {row.ended}", flush=True)  # fmt: skip
@@ -89,80 +86,33 @@ def main() -> None:
             save(arguments.json, arguments.corpus, arguments.part, windows, rows, known)
 
 
-def fits(protocol: str, windows: Windows, body: BodyModel) -> Iterator[Row]:
-    """Both methods on all windows, a few at once."""
+def fits(protocol: str, windows: Windows, methods: list[str], body: BodyModel) -> Iterator[Row]:
+    """All methods on all windows, a few at once."""
     for first in range(0, len(windows.names), AT_ONCE):
         some = windows.take(list(range(first, min(first + AT_ONCE, len(windows.names)))))
-        for method in METHODS:
+        for method in methods:
             yield from _fitted(protocol, method, some, body, first)
 
 
 def _fitted(
     protocol: str, method: str, windows: Windows, body: BodyModel, first: int
 ) -> Iterator[Row]:
-    truth = body.pose(windows.truth).joints
     began = time.process_time()
-    if protocol == "one camera":
-        results = [_filmed(windows, k, method, body, first + k) for k in range(len(truth))]
-        ended = [_last(result, 0) for result in results]
-        made = torch.cat([result.body.joints for result in results])
-        hidden: list[float | None] = [None] * len(truth)
-    else:
-        result, hidden = _seen(protocol, windows, method, body)
-        ended = [_last(result, k) for k in range(len(truth))]
-        made = result.body.joints
-    seconds = (time.process_time() - began) / len(truth)
+    fit = PROTOCOLS[protocol](windows, FitOptions(method=method), body, first)
+    seconds = (time.process_time() - began) / len(windows.names)
+    errors = (fit.joints - fit.truth).norm(dim=-1).mean(-1)
+    reports = fit.result.reports
     for k, name in enumerate(windows.names):
-        own, true = made[k].detach(), truth[k]
-        if protocol == "one camera":
-            own, true = own - own[:, :1], true - true[:, :1]
-            own = _aligned(own, true)
-        errors = (own - true).norm(dim=-1).mean(-1)
+        unseen = fit.hidden[k][fit.unseen[k]]
         yield Row(
             protocol, method, name, windows.subjects[k],
-            joints=float(errors.mean()),
-            thirds=tuple(float(part.mean()) for part in errors.tensor_split(3)),
-            hidden=hidden[k],
+            joints=float(errors[k].mean()),
+            thirds=tuple(float(part.mean()) for part in errors[k].tensor_split(3)),
+            hidden=float(unseen.mean()) if len(unseen) else None,
             seconds=seconds,
-            evaluations=ended[k][1],
-            ended=ended[k][0].name.lower(),
+            evaluations=sum(int(report.solution.evaluations[k]) for report in reports),
+            ended=reports[-1].solution.termination[k].name.lower(),
         )  # fmt: skip
-
-
-def _seen(
-    protocol: str, windows: Windows, method: str, body: BodyModel
-) -> tuple[Reconstruction, list[float | None]]:
-    """A batch of windows from points in space; and the errors of hidden points."""
-    if protocol == "noisy joints":
-        seen: list[Observation] = [noisy_joints(windows.truth, body, SEED)]
-        result = solve(seen, method_of(FitOptions(method=method), 0.04, body), body)
-        return result, [None] * len(windows.names)
-    occluded, points = occluded_points(windows.truth, body)
-    result = solve([occluded], method_of(FitOptions(method=method), 0.0, body), body)
-    away = (occluded.predict(result.estimate).detach() - points).norm(dim=-1)
-    masks = ~occluded.visible
-    return result, [float(e[m].mean()) if bool(m.any()) else None
-                    for e, m in zip(away, masks, strict=True)]  # fmt: skip
-
-
-def _filmed(windows: Windows, k: int, method: str, body: BodyModel, seed: int) -> Reconstruction:
-    """One window from one camera of unknown ground."""
-    filmed = one_camera(windows.truth[k], body, seed)
-    return fit_clip(filmed.observations, FitOptions(method=method), body).result
-
-
-def _aligned(points: Tensor, truth: Tensor) -> Tensor:
-    """Points about the pelvis after the one turn of the whole clip that brings them nearest."""
-    u, _, v = torch.linalg.svd((points.flatten(0, 1).mT @ truth.flatten(0, 1)).double())
-    signs = torch.ones(3, dtype=u.dtype)
-    signs[2] = torch.linalg.det(u @ v)
-    return points @ (u * signs @ v).to(points)
-
-
-def _last(result: Reconstruction, clip: int) -> tuple[Termination, int]:
-    """How the last stage ended for a clip, and the evaluations of all stages."""
-    evaluations = sum(int(report.solution.evaluations[clip]) for report in result.reports)
-    return result.reports[-1].solution.termination[clip], evaluations
 
 
 def network_errors(windows: Windows, body: BodyModel) -> dict[str, float]:

@@ -23,6 +23,7 @@ from recon.core.camera import Camera, Projection
 from recon.core.motion import Motion
 from recon.core.residuals import Noise, Residuals, Unit
 from recon.core.robust import geman_mcclure
+from recon.core.scene import Scene
 from recon.method.newton.model import PointModel
 from recon.method.protocols import REFERENCE_FPS, Estimate
 
@@ -61,6 +62,13 @@ class Keypoints2D(SensorRecord):
     offset_rows: tuple[int, int] | None = None
     """First row, and the row after the last, of `Scene.offsets` that these points own, in units
     of `OFFSET_UNIT`: constant offsets of the keypoints on this person. None estimates none."""
+    focal_known: bool = True
+    """Whether the camera's focal length is known. If not, it is a guess, which `Scene.lens` of a
+    fit to this one view corrects; the camera's pose must not be known either."""
+    level: bool = False
+    """Whether the z axis of the recording's frame points up where its ground is not known."""
+    unit_known: bool = True
+    """Whether a moving camera's translations are metres; if not, a fit corrects their unit."""
 
     def __init__(
         self,
@@ -73,6 +81,9 @@ class Keypoints2D(SensorRecord):
         sigma: float = SIGMA,
         ground_known: bool = True,
         offset_rows: tuple[int, int] | None = None,
+        focal_known: bool = True,
+        level: bool = False,
+        unit_known: bool = True,
     ) -> None:
         """Arrays of numpy become tensors in single precision; what is not seen becomes zero.
 
@@ -88,8 +99,14 @@ class Keypoints2D(SensorRecord):
             pixels=pixels, confidence=confidence, points=points,
             camera=checked_view("Keypoints2D", camera, pixels), fps=fps, start_time=start_time,
             sigma=positive(sigma, "Keypoints2D.sigma"), ground_known=ground_known,
-            offset_rows=offset_rows,
+            offset_rows=offset_rows, focal_known=focal_known, level=level, unit_known=unit_known,
         )  # fmt: skip
+
+    def settled(self, scene: Scene) -> "Keypoints2D":
+        """The view with the focal length of a scene, which is then taken as known."""
+        if self.focal_known or scene.lens is None:
+            return self
+        return self.derived(camera=scene.lens.of(self.camera), focal_known=True)
 
     @property
     def shown(self) -> Bool[Tensor, "*batch moments points"]:
@@ -126,7 +143,8 @@ class Keypoints2D(SensorRecord):
             estimate.scene.to_recording(self.predict(estimate)), estimate.motion,
             fps=self.fps, start_time=self.start_time, moments=self.pixels.shape[-3],
         )  # fmt: skip
-        return self.camera.at(range(seen.start, seen.stop)).project(points), seen
+        camera = self.settled(estimate.scene).camera
+        return camera.at(range(seen.start, seen.stop)).project(points), seen
 
     def point_model(self, points: Float[Tensor, "*batch moments points 3"]) -> PointModel:
         """The energy about predicted points, frame of the recording, metres."""

@@ -21,8 +21,10 @@ if TYPE_CHECKING:
     from recon.api.load import load_observation as load_observation
     from recon.api.many import fit_clips as fit_clips
     from recon.api.result import Result as Result
+    from recon.api.results.laboratory import LaboratoryReport as LaboratoryReport
     from recon.api.results.motion import MotionResult as MotionResult
     from recon.api.shapes import Shape as Shape
+    from recon.api.verbs.angles import joint_angles as joint_angles
     from recon.api.verbs.complete import complete as complete
     from recon.api.verbs.convert import convert as convert
     from recon.api.verbs.evaluate import evaluate as evaluate
@@ -30,8 +32,10 @@ if TYPE_CHECKING:
     from recon.api.verbs.generate import sample as sample
     from recon.api.verbs.interpolate import interpolate as interpolate
     from recon.api.verbs.refine import refine as refine
+    from recon.api.verbs.report import report as report
     from recon.api.verbs.retarget import retarget as retarget
     from recon.api.verbs.simulate import simulate as simulate
+    from recon.api.verbs.to_body import to_body as to_body
     from recon.body.model import BodyModel as BodyModel
     from recon.body.motion_files import load_motion_of as load_motion_of
     from recon.core.camera import Camera as Camera
@@ -58,6 +62,7 @@ _HOMES = {
     "LiveEstimate": "recon.api.live.estimate",
     "Result": "recon.api.result",
     "Shape": "recon.api.shapes",
+    "joint_angles": "recon.api.verbs.angles",
     "complete": "recon.api.verbs.complete",
     "refine": "recon.api.verbs.refine",
     "retarget": "recon.api.verbs.retarget",
@@ -67,6 +72,9 @@ _HOMES = {
     "convert": "recon.api.verbs.convert",
     "evaluate": "recon.api.verbs.evaluate",
     "simulate": "recon.api.verbs.simulate",
+    "report": "recon.api.verbs.report",
+    "to_body": "recon.api.verbs.to_body",
+    "LaboratoryReport": "recon.api.results.laboratory",
     "MotionResult": "recon.api.results.motion",
     "Joints3D": "observations.joints3d",
     "Markers3D": "observations.markers3d",

@@ -1,15 +1,19 @@
 """2D keypoint files as an energy: lens distortion taken out, confidences kept."""
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 from jaxtyping import Float
 
 from observations.correspondences import BodyPoints
 from observations.keypoints2d import SIGMA, Keypoints2D
+from observations.together.camera_paths import keypoint_feet, with_unit
 from recon.body.model import BodyModel
 from recon.core.camera import Camera
 from recon.core.errors import ObservationError
 from recon.core.ground import Ground, world_from_camera
+from recon.formats.camera_path import CameraPath
 from recon.formats.observations import CameraArrays, KeypointsFile
 
 LEVEL_CAMERA = (0.0, -1.0, 0.0, -1.2)
@@ -37,10 +41,10 @@ def keypoints_of(
         raise ObservationError(
             f"layout {file.layout} has {len(points.known)} keypoints, got {file.pixels.shape[1]}"
         )
-    camera = pinhole(file.camera, T_recording_camera)
+    camera, path = pinhole(file.camera, T_recording_camera), file.camera.path
     pixels = torch.from_numpy(undistorted(file)).float()[None]
     confidence = torch.from_numpy(file.confidence).float()[None] * points.known
-    return Keypoints2D(
+    view = Keypoints2D(
         pixels=torch.where(confidence[..., None] > 0, pixels, 0.0),
         confidence=confidence,
         points=points,
@@ -49,7 +53,11 @@ def keypoints_of(
         start_time=file.start_time,
         sigma=sigma,
         ground_known=file.camera.T_camera_world is not None,
+        focal_known=file.camera.focal_known,
+        level=path is not None and path.level,
+        unit_known=path is None or path.metric,
     )
+    return view if view.unit_known else with_unit(view, keypoint_feet(view, body))
 
 
 def camera_above(ground: tuple[float, float, float, float]) -> Float[np.ndarray, "4 4"]:
@@ -105,6 +113,8 @@ def pinhole(
     if poses is None:
         if T_recording_camera is None:
             T_recording_camera = camera_above(LEVEL_CAMERA)
+        if arrays.path is not None:
+            return _carried(arrays, arrays.path, T_recording_camera)
         poses = np.linalg.inv(T_recording_camera)[None]
     return Camera.create(
         torch.from_numpy(np.asarray(arrays.camera_matrix)).float()[None],
@@ -112,3 +122,15 @@ def pinhole(
         None,
         torch.from_numpy(np.asarray(poses)).float(),
     )
+
+
+def _carried(
+    arrays: CameraArrays, path: CameraPath, T_recording_camera: Float[np.ndarray, "4 4"]
+) -> Camera:
+    """The camera on its path, its first pose as given; only its first place where up is known."""
+    first = path.T_world_camera[0]
+    T = T_recording_camera @ np.linalg.inv(first)
+    if path.level:
+        T = np.eye(4)
+        T[:3, 3] = T_recording_camera[:3, 3] - first[:3, 3]
+    return pinhole(replace(arrays, T_camera_world=np.linalg.inv(T @ path.T_world_camera)))

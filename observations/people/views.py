@@ -13,7 +13,11 @@ from observations.people.tracks import Track, choose, follow
 from recon.core.errors import ObservationError
 from recon.core.limits import FRAME_RATE
 from recon.core.units import Axis
+from recon.formats.calibration.camera import CameraFields, settle_camera
 from recon.formats.calibration.cameras import Calibration, CameraUnit, load_cameras
+from recon.formats.calibration.guessed import guessed_camera, guessed_size
+from recon.formats.calibration.tracks import CameraTrack, read_track
+from recon.formats.camera_path import CameraPath
 from recon.formats.clocks.scan_times import crowded
 from recon.formats.detections.reader import read_keypoints
 from recon.formats.detections.records import Detections
@@ -50,6 +54,7 @@ def load_views(
     camera_unit: CameraUnit | None = None,
     camera_up: Axis | None = None,
     image_size: tuple[int, int] | None = None,
+    track: Path | None = None,
 ) -> Views:
     """Read the 2D keypoints of one person from one or more calibrated views.
 
@@ -57,7 +62,7 @@ def load_views(
         paths: files or folders of `recon.formats.detections.reader`, one per view; a folder that
             holds such folders, or a project of Pose2Sim or EasyMocap, stands for all its views.
         calibration: file or folder of `recon.formats.calibration.cameras`, or what was read from
-            it.
+            it. None guesses the camera of one view, a phone's, from the size of its images.
         fps: frames per second; no format of keypoints states it.
         layout: which keypoints; None to tell it from the files.
         person: number of a person in the first view, from 0 by first appearance; None for the
@@ -66,6 +71,8 @@ def load_views(
         camera_unit: unit of the calibration, None to tell it.
         camera_up: axis of the calibration's world that points up; None for z, checked.
         image_size: width and height, pixels, for calibrations that do not state it.
+        track: how the one camera was carried, as a tracker wrote it; see
+            `recon.formats.calibration.tracks`.
 
     Raises:
         FileNotFoundError: when a file or folder is not there.
@@ -73,16 +80,26 @@ def load_views(
             message says what was expected and which option decides.
     """
     folders, notes = expand([Path(path) for path in paths])
-    if calibration is None:
+    if calibration is None and len(folders) > 1:
         raise ObservationError(
-            "2D keypoints need a calibrated camera; give its file with --camera"
+            f"several views ({', '.join(map(str, folders))}) need calibrated cameras; give their "
+            "file with --camera, or one view alone, whose camera is then guessed"
         )
     if fps is None or not FRAME_RATE.holds(fps):
         raise ObservationError(
             f"files of 2D keypoints do not state the frame rate, and it was given as {fps}; give "
             "frames per second with --frame-rate"
         )
-    if not isinstance(calibration, Calibration):
+    path = None if track is None else read_track(track)
+    if path is not None and len(folders) > 1:
+        raise ObservationError(
+            f"{track}: the track of one camera was given with {len(folders)} views; give one view"
+        )
+    if calibration is None and path is not None and path.camera is not None:
+        calibration = _tracked(folders[0], path.camera, layout, image_size, Path(str(track)))
+    elif calibration is None:
+        calibration = _guessed(folders[0], layout, image_size, held=path is not None)
+    elif not isinstance(calibration, Calibration):
         calibration = load_cameras(
             calibration, unit=camera_unit, up=camera_up, image_size=image_size
         )
@@ -98,6 +115,14 @@ def load_views(
     cameras = [
         _timed(camera, first, frames, name) for camera, name in zip(cameras, matched, strict=True)
     ]
+    carried: tuple[str, ...] = ()
+    if path is not None:
+        poses, how = path.at(first, frames, fps)
+        carried = (_said(path, how),)
+        cameras = [
+            replace(camera, T_camera_world=None, path=CameraPath(poses, path.metric, path.level))
+            for camera in cameras
+        ]
     seen = _Seen(tuple(found), tuple(matched), tuple(cameras), first)
     tracks, who = _one_person(seen, person, up_given=camera_up is not None)
     kept = [v for v, track in enumerate(tracks) if track is not None]
@@ -110,8 +135,52 @@ def load_views(
         files=files,
         names=tuple(matched[v] for v in kept),
         first_frame=first,
-        decisions=(*notes, *calibration.decisions, *matching, *layouts, *who),
+        decisions=(*notes, *calibration.decisions, *carried, *matching, *layouts, *who),
     )
+
+
+def _guessed(
+    path: Path, layout: str | None, image_size: tuple[int, int] | None, *, held: bool
+) -> Calibration:
+    """A phone's camera for one view, its images as large as given or as the keypoints say."""
+    how = "given"
+    if image_size is None:
+        seen = read_keypoints(path, layout=layout)
+        image_size = guessed_size(seen.pixels, seen.confidence)
+        how = "guessed as the smallest usual one that holds the keypoints (--image-size gives it)"
+    camera = guessed_camera(image_size)
+    width, height = image_size
+    return Calibration(
+        {view_name(path): camera},
+        "m",
+        (
+            f"image size {width} x {height}: {how}",
+            f"no --camera: guessed a focal length of {camera.camera_matrix[0, 0]:.0f} pixels, "
+            "that of a phone's main camera (28 mm for 35 mm film), which the fit "
+            + ("keeps, as the camera moves" if held else "corrects"),
+        ),
+    )
+
+
+def _tracked(
+    path: Path,
+    camera: CameraFields,
+    layout: str | None,
+    image_size: tuple[int, int] | None,
+    track: Path,
+) -> Calibration:
+    """The camera that a tracker states, its images as large as it, the caller or keypoints say."""
+    if image_size is None and camera.size is None:
+        seen = read_keypoints(path, layout=layout)
+        image_size = guessed_size(seen.pixels, seen.confidence)
+    settled = replace(settle_camera(camera, image_size, track), T_camera_world=None)
+    return Calibration({view_name(path): settled}, "m", (f"{track}: its intrinsics were taken",))
+
+
+def _said(track: CameraTrack, how: str) -> str:
+    unit = "metres" if track.metric else "of unknown unit, told by standing feet"
+    up = "its world is level" if track.level else "up is told by the person"
+    return f"camera track of {track.producer}: {how}; {unit}; {up}; the ground is unknown"
 
 
 @dataclass(frozen=True)

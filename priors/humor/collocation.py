@@ -199,8 +199,8 @@ class Collocation:
         Feet come last, because wrongly standing feet of a first guess would be held there; and
         only the last stage is minimised to the end. The one before moves slow changes of the
         whole clip first, in cosines of time: where limbs are hidden it comes to better minima than
-        Newton's direction does. Where every joint is seen, it is left out, and poses before it are
-        found roughly.
+        Newton's direction does. Where every joint is seen, it is left out, and the poses before
+        are found roughly.
         """
         root, poses, steps = self.without_feet(data)
         held = Term("contact velocity", contact_velocity, self.weights.contact_velocity)

@@ -2,6 +2,7 @@
 
 import logging
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -44,11 +45,13 @@ _LOG = logging.getLogger(__name__)
 
 _LOG_TWO_PI = math.log(2 * math.pi)
 
-_METHODS = {
-    "collocation": "priors.humor.collocation:Collocation",
-    "rollout": "priors.humor.shooting:Shooting",
+_METHODS: Mapping[str, tuple[str, Mapping[str, int]]] = {
+    "collocation": ("priors.humor.collocation:Collocation", {}),
+    "rollout": ("priors.humor.shooting:Shooting", {}),
+    "shooting": ("priors.humor.shooting:Shooting", {"segment": 5}),
 }
-"""Classes of the ways to fit, by name; the usual one first."""
+"""Classes of the ways to fit and their settings, by name; the usual one first. Lengths other
+than 5 steps were measured on validation windows (`benchmarks.segments`)."""
 
 
 @dataclass(frozen=True)
@@ -91,6 +94,24 @@ class HumorVariables(TensorStruct):
     def first(self, frames: int) -> "HumorVariables":
         """Variables of the motion's first frames."""
         return self.derived(latents=self.latents[:, : frames - 1], valid=self.valid[:, :frames])
+
+
+@dataclass(frozen=True)
+class Rolled(TensorStruct):
+    """A first state and the states that latents lead to from there."""
+
+    first: State
+    """First states in the world; axis (clips)."""
+    start: State
+    """First states in their own canonical frames."""
+    frame: Frame
+    """Canonical frames of the first states."""
+    pelvis: Float[Tensor, "clips 3"]
+    """See `Humor.pelvis`."""
+    rollout: Rollout
+    """The steps, each in the canonical frame of the state that it starts from."""
+    states: State
+    """States to which the steps lead, in the world; axes (clips, steps)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,10 +177,12 @@ class Humor:
     def method(self, noise: float, body: BodyModel, name: str | None = None) -> Method:
         """One of the `methods`, for observations whose coordinates are off by `noise` metres.
 
-        None is `collocation`, all frames at once; `rollout` moves a first state and latents.
+        None is `collocation`, all frames at once; `rollout` moves a first state and latents,
+        `shooting` a state every few steps and latents.
         """
-        kind = imported(_METHODS[self.methods[0] if name is None else name], "method")
-        return kind.for_noise(self.like(body.template), noise)
+        place, settings = _METHODS[self.methods[0] if name is None else name]
+        kind = imported(place, "method")
+        return kind.for_noise(self.like(body.template), noise, **settings)
 
     def live(self, noise: float) -> "LiveSteps":
         """The energies of steps for a stream whose points are off by `noise` metres."""
@@ -207,7 +230,7 @@ class Humor:
             velocity=first.velocity,
             angular_velocity=first.angular_velocity,
             joint_velocities=first.joint_velocities[:, 1:],
-            latents=own._latents(states, own.pelvis(motion.shape)),
+            latents=own.latents_along(states, own.pelvis(motion.shape)),
             shape=motion.shape,
             base=motion.rotations[:, 0],
             valid=motion.valid,
@@ -221,20 +244,33 @@ class Humor:
         nats.
         """
         own = self.like(variables.translation)
-        first = own._first(variables)
-        pelvis = own.pelvis(variables.shape)
+        return own.decoded(variables, own.rolled(variables))
+
+    def rolled(self, variables: HumorVariables) -> "Rolled":
+        """The states of a first state and latents; the prior is in their precision."""
+        first, pelvis = self._first(variables), self.pelvis(variables.shape)
         frame = Frame.of(first)
         start = frame.enter(first, pelvis)
-        rest = own.body.rest_joints(variables.shape) if own.from_body else None
-        rollout = roll_out(own._decoder, start.pack(), pelvis, variables.latents, rest)
-        mean, log_variance = own.networks.prior(rollout.inputs)
+        rest = self.body.rest_joints(variables.shape) if self.from_body else None
+        rollout = roll_out(self._decoder, start.pack(), pelvis, variables.latents, rest)
+        return Rolled(first, start, frame, pelvis, rollout, rollout.in_world(frame, pelvis))
+
+    def decoded(self, variables: HumorVariables, rolled: "Rolled") -> Decoded:
+        """What `decode` gives, from the states."""
+        mean, log_variance = self.networks.prior(rolled.rollout.inputs)
         away = (variables.latents - mean).square() * (-log_variance).exp()
         nats = 0.5 * (away + log_variance + _LOG_TWO_PI).sum(-1)
-        energies = {
-            "transition": nats.where(variables.valid[:, 1:], 0.0).sum(-1),
-            "initial": own.initial.energy(initial_features(start)),
-        }
-        return _decoded(first, rollout, rollout.in_world(frame, pelvis), variables, energies)
+        first, states = rolled.first, rolled.states
+        motion = _motion(first, states, variables.shape, variables.start_time)
+        return Decoded(
+            motion=motion.replace(valid=variables.valid),
+            energies={
+                "transition": nats.where(variables.valid[:, 1:], 0.0).sum(-1),
+                "initial": self.initial.energy(initial_features(rolled.start)),
+            },
+            contacts=contact_probabilities(rolled.rollout.contacts),
+            joints=torch.cat((first.joints[:, None], states.joints), 1),
+        )
 
     def _first(self, variables: HumorVariables) -> State:
         steps = torch.cat((variables.root[:, None], variables.pose), 1)
@@ -253,7 +289,7 @@ class Humor:
             joint_velocities=velocities,
         )
 
-    def _latents(
+    def latents_along(
         self, states: State, pelvis: Float[Tensor, "clips 3"]
     ) -> Float[Tensor, "clips steps 48"]:
         """Posterior mean of every step from where the steps before have led.
@@ -297,20 +333,4 @@ def _motion(
         shape=shape,
         fps=REFERENCE_FPS,
         start_time=start_time,
-    )
-
-
-def _decoded(
-    first: State,
-    rollout: Rollout,
-    states: State,
-    variables: HumorVariables,
-    energies: dict[str, Tensor],
-) -> Decoded:
-    motion = _motion(first, states, variables.shape, variables.start_time)
-    return Decoded(
-        motion=motion.replace(valid=variables.valid),
-        energies=energies,
-        contacts=contact_probabilities(rollout.contacts),
-        joints=torch.cat((first.joints[:, None], states.joints), 1),
     )

@@ -1,4 +1,7 @@
-"""HuMoR's roll-out fitted to data (single shooting): a first state and latents are moved."""
+"""HuMoR's roll-out fitted to data: a first state and latents are moved (single shooting).
+
+Or a state every few steps (multiple shooting), which the roll-out is with one segment.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -11,6 +14,7 @@ from torch import Tensor
 
 from priors.humor.collocation import Collocation
 from priors.humor.prior import Humor, HumorVariables
+from priors.humor.segments import SegmentedHumor
 from priors.humor.terms import (
     bone_length,
     contact_height,
@@ -18,7 +22,7 @@ from priors.humor.terms import (
     joint_consistency,
 )
 from priors.pose.prior import PosePrior, PoseWeights
-from recon.method.newton.preconditioned import Preconditioned
+from recon.core.errors import ReconError
 from recon.method.protocols import Energy, Estimate
 from recon.method.reconstruction import Method
 from recon.method.stages import Stage
@@ -51,6 +55,8 @@ class HumorWeights:
     bones: float = 10.0
     contact_velocity: float = 1.0
     contact_height: float = 1.0
+    defect: float = 0.0
+    """Weight of ½ eᵀ C⁻¹ e where segments join, in nats; see `SegmentedHumor.decode`."""
     ground: float = 0.0
     """Weight of ½ (turn² + lift²) of an unknown ground away from where it began, radians² and
     metres², for every frame."""
@@ -59,7 +65,9 @@ class HumorWeights:
     def for_noise(cls, noise: float) -> "HumorWeights":
         """Weights for observations of a standard deviation of `noise` metres per coordinate."""
         variance = max(noise, _LEAST_NOISE) ** 2
-        return cls(transition=0.2 * variance, initial=0.02 * variance, shape=5e-6)
+        return cls(
+            transition=0.2 * variance, initial=0.02 * variance, shape=5e-6, defect=0.1 * variance
+        )
 
     @classmethod
     def published_joints(cls) -> "HumorWeights":
@@ -95,7 +103,7 @@ class Schedule:
     """Phase of all latents, in which the first state is held."""
     all: int = 1000
     """Phase in which everything moves."""
-    tolerance: float = 1e-5
+    tolerance: float = 3e-5
     """Relative decrease of the objective at which a phase ends, thrice in a row."""
     scale: float = 0.0
     """Objective below which its decrease is taken relative to this, in the unit of the data."""
@@ -117,8 +125,11 @@ class Shooting:
 
     The shape is moved with them, and so is the ground where it is not known. The first state has
     the mixture for an energy and the latents the conditional prior. The usual start is the motion
-    that `Collocation` finds without contacts; the presets have the phases, weights and start of
-    the publication (section 6.8).
+    that `Collocation` finds; the presets have the phases, weights and start of the publication
+    (section 6.8).
+
+    With `segment`, a state is moved every so many steps, and what a segment leads to need only be
+    near to what the next one begins with.
     """
 
     prior: Humor
@@ -128,16 +139,43 @@ class Shooting:
     """Finds the motion from which first state and latents are encoded."""
     data_weights: Mapping[str, float] | None = None
     """Weights of observations by their unit, instead of those of the fit."""
+    segment: int | None = None
+    """Steps from one state that is moved to the next; None is all of them, the roll-out."""
+
+    def __post_init__(self) -> None:
+        """Refuse segments without steps, without joins, and published phases of them.
+
+        Raises:
+            ReconError: when a segment has no step, defects have no weight, or a phase is of the
+                roll-out alone.
+        """
+        if self.segment is None:
+            return
+        if self.segment < 1:
+            raise ReconError(
+                f"expected segments of at least one step, got {self.segment}; None is the roll-out"
+            )
+        if self.schedule.first > 0 or self.schedule.latents > 0:
+            raise ReconError(
+                "the phases of the first 15 frames and of the latents alone are of the roll-out; "
+                f"expected a schedule without them for segments of {self.segment} steps"
+            )
+        if not self.weights.defect > 0:
+            raise ReconError(
+                f"segments of {self.segment} steps would not join: expected a weight of their "
+                f"defects above 0, got {self.weights.defect:g}"
+            )
 
     @classmethod
-    def for_noise(cls, humor: Humor, noise: float) -> "Shooting":
+    def for_noise(cls, humor: Humor, noise: float, segment: int | None = None) -> "Shooting":
         """The method for observations of a standard deviation of `noise` metres per coordinate."""
         variance = max(noise, _LEAST_NOISE) ** 2
         return cls(
             humor,
             HumorWeights.for_noise(noise),
             Schedule(scale=0.5 * _NUMBERS * variance),
-            start=Steps(Collocation.for_noise(humor, noise)),
+            start=Collocation.for_noise(humor, noise),
+            segment=segment,
         )
 
     @classmethod
@@ -171,6 +209,11 @@ class Shooting:
 
     def _phases(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
         w, schedule = self.weights, self.schedule
+        prior = self.prior
+        joins: tuple[Term, ...] = ()
+        if self.segment is not None:
+            prior = SegmentedHumor(self.prior, self.segment)
+            joins = (Term("defect", prior_energy("defect"), w.defect),)
         ground = (Term("ground held", _ground_held, w.ground),) if w.ground > 0 else ()
         always = (
             *data,
@@ -179,6 +222,7 @@ class Shooting:
             Term("shape", shape, w.shape),
             Term("consistency", joint_consistency, w.consistency),
             Term("bones", bone_length, w.bones),
+            *joins,
             *ground,
         )
         contacts = (
@@ -199,7 +243,7 @@ class Shooting:
                 tolerance_decrease=schedule.tolerance,
                 scale=schedule.scale,
             )
-            found = Stage(name, self.prior, terms, free, minimiser, portion)
+            found: Stage[Any] = Stage(name, prior, terms, free, minimiser, portion)
             return (found,) if iterations > 0 else ()
 
         return (
@@ -207,21 +251,13 @@ class Shooting:
                 "first state", (*always, *contacts), _STATE | _REST, schedule.first, _first_frames
             ),
             *stage("latents", always, _REST, schedule.latents),
-            *stage("all", (*always, *contacts), _STATE | _REST, schedule.all),
+            *stage(
+                "all" if self.segment is None else "segments",
+                (*always, *contacts),
+                _STATE | _REST,
+                schedule.all,
+            ),
         )
-
-
-@dataclass(frozen=True)
-class Steps:
-    """Collocation without its last stage, in which feet are held as well."""
-
-    method: Collocation
-
-    def stages(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
-        """All but the last, the one before minimised by second order."""
-        *first, steps = self.method.without_feet(data)
-        ending = replace(steps.minimiser, tolerance_decrease=1e-5)
-        return *first, replace(steps, minimiser=ending, second_order=Preconditioned())
 
 
 def _first_frames(variables: HumorVariables) -> HumorVariables:

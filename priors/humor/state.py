@@ -162,7 +162,7 @@ def step_between(before: State, after: State) -> Float[Tensor, "*batch 207"]:
     turns = {2, 4}
     parts = [so3.axis_sine(b @ a.mT) if k in turns else b - a for k, (a, b) in enumerate(pairs)]
     batch = before.translation.shape[:-1]
-    return torch.cat([part.reshape(*batch, -1) for part in parts], -1)
+    return torch.cat([part.flatten(len(batch)) for part in parts], -1)
 
 
 def _turned(turn: Float[Tensor, "*batch 3 3"], vector: Float[Tensor, "*batch 3"]) -> Tensor:

@@ -29,6 +29,7 @@ def load_observation(
     camera_unit: Literal["m", "mm"] | None = None,
     camera_up: Literal["x", "y", "z"] | None = None,
     image_size: tuple[int, int] | None = None,
+    camera_track: Path | str | None = None,
     ground: tuple[float, float, float, float] | None = None,
     depth_scale: float = 0.001,
     reader: str | None = None,
@@ -54,7 +55,8 @@ def load_observation(
         camera: calibration of the cameras that detections and depth images come from.
         camera_unit: unit of the calibration, where it does not tell.
         camera_up: axis of the calibration's world that points up.
-        image_size: width and height, pixels, where the calibration does not tell.
+        image_size: width and height, pixels, where no calibration tells.
+        camera_track: how the one camera was carried, as COLMAP, TUM, DROID-SLAM or ARKit write it.
         ground: plane n·x = d below a camera without pose, (nx, ny, nz, d) in its frame, metres.
         depth_scale: metres per unit of depth images.
         reader: class that reads files of a sensor of your own, "package.module:Class"; not needed
@@ -72,8 +74,10 @@ def load_observation(
         unit=unit, up=up, frame_rate=frame_rate, layout=layout, person=person,
         masks=None if masks is None else Path(masks),
         camera=None if camera is None else Path(camera), camera_unit=camera_unit,
-        camera_up=camera_up, image_size=image_size, ground=ground, depth_scale=depth_scale,
-        reader=reader, seed=seed, mapping=None if mapping is None else Path(mapping),
+        camera_up=camera_up, image_size=image_size,
+        camera_track=None if camera_track is None else Path(camera_track), ground=ground,
+        depth_scale=depth_scale, reader=reader, seed=seed,
+        mapping=None if mapping is None else Path(mapping),
     )  # fmt: skip
     clip = read_clip(paths, settings, BodyModel.load() if body is None else body)
     for note in clip.notes:

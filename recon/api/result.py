@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from observations.together.frames import unposed_camera
 from recon.api.motion_file import described
 from recon.api.report import describe
 from recon.api.results.motion import MotionResult
@@ -191,8 +192,11 @@ def result_of(
             translation=motion.translation + ground * motion.translation.new_tensor(_UP)
         )
     T_world_camera = None
-    if clip.T_recording_camera is not None:
-        T_world_camera = (T @ torch.from_numpy(clip.T_recording_camera)).float()
+    T_recording_camera = clip.T_recording_camera
+    if found.lens_found:  # a camera of another focal length stands elsewhere
+        T_recording_camera = unposed_camera(found.observations)
+    if T_recording_camera is not None:
+        T_world_camera = (T @ torch.from_numpy(T_recording_camera)).float()
     cycle = cycle_report(found, examined.residuals) if completes else None
     belt = None
     if examined.belt is not None:

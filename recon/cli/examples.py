@@ -53,6 +53,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "recon evaluate motion.npz truth.npz",
         "recon evaluate motion.npz truth.npz --obs seen.npz --json metrics.json",
     ),
+    "report": (
+        "recon report trial.c3d",
+        "recon report motion.npz --out gait.html",
+    ),
     "view": (
         "recon view motion.npz --html motion.html --obs seen.npz",
         "recon view motion.npz --compare truth.npz --mp4 both.mp4",

@@ -14,6 +14,7 @@ EXPECTED = {
     "beside": _MOTION,
     "body": "a SMPL-family file (.npz, .pkl)",
     "camera": "a calibration of cameras (.toml, .yml, .json)",
+    "camera_track": "the track of a camera (a folder of COLMAP, .txt, .npy, .npz, .json)",
     "compare": _MOTION,
     "corpus": "a folder that `recon convert --all` wrote",
     "file": "a file or folder that recon reads",
@@ -23,8 +24,11 @@ EXPECTED = {
     "motion": _MOTION,
     "obs": _OBSERVATION,
     "observations": f"{_OBSERVATION}, 2D detections, or a folder of scans or depth images",
+    "onto": "a SMPL-family file (.npz, .pkl)",
     "recording": "a recording (.bvh, .amc, .c3d, .trc, .mat), or a folder of them with --all",
     "result": _MOTION,
+    "smplx": "a SMPL-X file (.npz, .pkl)",
+    "trial": "a recording (.bvh, .amc, .c3d, .trc, .mat) or a motion file (.npz)",
     "truth": _MOTION,
 }
 """What every argument that names something to read should be, by the argument's name."""

@@ -7,13 +7,14 @@ from recon.cli.verbs.batch import batch
 from recon.cli.verbs.complete import complete
 from recon.cli.verbs.convert import convert
 from recon.cli.verbs.demo import demo
-from recon.cli.verbs.evaluate import evaluate
 from recon.cli.verbs.export import export
 from recon.cli.verbs.fit import fit
 from recon.cli.verbs.generation.interpolate import interpolate
 from recon.cli.verbs.generation.predict import predict
 from recon.cli.verbs.generation.sample import sample
 from recon.cli.verbs.info import info
+from recon.cli.verbs.judging.evaluate import evaluate
+from recon.cli.verbs.judging.report import report
 from recon.cli.verbs.refine import refine
 from recon.cli.verbs.retarget import retarget
 from recon.cli.verbs.simulate import simulate
@@ -35,6 +36,7 @@ ALL = (
     retarget,
     simulate,
     evaluate,
+    report,
     view,
     export,
     info,

@@ -1,4 +1,4 @@
-"""Unknowns of a clip that belong to no prior: the ground, and offsets of tracked points."""
+"""Unknowns of a clip that belong to no prior: ground, lens, and offsets of tracked points."""
 
 from dataclasses import dataclass
 
@@ -7,11 +7,14 @@ from jaxtyping import Float
 from torch import Tensor
 
 from recon.core import rotations as so3
+from recon.core.camera import Camera
 from recon.core.ground import Ground
 from recon.core.struct import TensorStruct
 
 TILT = 0.2
 """Radians that one unit of `UnknownGround.tilt` turns the ground by."""
+ZOOM = 0.3
+"""Change of the focal length's logarithm by one unit of `UnknownLens.zoom`."""
 
 OFFSETS = frozenset({"scene.offsets"})
 """Optimised variables of the offsets of tracked points."""
@@ -19,6 +22,8 @@ HEIGHT = frozenset({"scene.ground.lift"})
 """Optimised variables of a ground of which only the height is unknown."""
 GROUND = frozenset({"scene.ground.tilt", "scene.ground.lift"})
 """Optimised variables of an unknown ground."""
+LENS = frozenset({"scene.lens.zoom"})
+"""Optimised variables of a camera whose focal length is not known."""
 
 
 @dataclass(frozen=True)
@@ -60,6 +65,43 @@ class UnknownGround(TensorStruct):
 
 
 @dataclass(frozen=True)
+class UnknownLens(TensorStruct):
+    """The focal length of a camera that nobody calibrated and whose pose is not known.
+
+    A camera farther away with a longer lens shows almost the same. So the camera moves back along
+    its viewing axis while its focal length grows (a dolly zoom): the person keeps the size in the
+    image, and what changes is perspective alone.
+    """
+
+    zoom: Float[Tensor, "*batch"]
+    """Logarithm of the focal length over the guessed one, in units of `ZOOM`."""
+    distance: Float[Tensor, "*batch"]
+    """Depth at which things keep their size in the image, metres, for the guessed focal length."""
+
+    @classmethod
+    def create(cls, distance: Float[Tensor, "*batch"]) -> "UnknownLens":
+        """The guessed focal length for a start."""
+        return cls(torch.zeros_like(distance), distance)
+
+    @property
+    def factor(self) -> Float[Tensor, "*batch"]:
+        """The focal length over the guessed one."""
+        return (ZOOM * self.zoom).exp()
+
+    def of(self, camera: Camera) -> Camera:
+        """The camera of the guessed focal length with this one, moved back as far as it must."""
+        factor = self.factor[..., None]
+        back = (factor - 1) * self.distance[..., None]
+        longer = camera.camera_matrix[..., :2] * factor[..., None, None]
+        matrix = torch.cat((longer, camera.camera_matrix[..., 2:]), -1)
+        pose = camera.T_camera_world
+        shift = torch.nn.functional.pad(back[..., None], (2, 0))
+        place = torch.cat((pose[..., :3, 3] + shift, pose[..., 3:, 3]), -1)
+        pose = torch.cat((pose[..., :3], place[..., None]), -1)
+        return camera.derived(camera_matrix=matrix, T_camera_world=pose)
+
+
+@dataclass(frozen=True)
 class Scene(TensorStruct):
     """Unknowns shared by all frames of a clip, optimised beside the prior's variables."""
 
@@ -72,6 +114,8 @@ class Scene(TensorStruct):
     """
     ground: UnknownGround | None = None
     """The ground in the recording's frame; None where the recording's z = 0 is the ground."""
+    lens: UnknownLens | None = None
+    """The focal length of the one camera; None where all are known."""
 
     @classmethod
     def create(cls, clips: int, offsets: int = 0, *, like: Tensor) -> "Scene":

@@ -15,6 +15,8 @@ from recon.diagnosis.findings import Finding
 from recon.diagnosis.fits.agreement import agreement_warnings
 from recon.diagnosis.fits.alternatives import Alternative, alternatives
 from recon.diagnosis.fits.certainty import certainty
+from recon.diagnosis.fits.doubts import guessed_findings, undecided_findings
+from recon.diagnosis.fits.lens import lens_doubtful, lens_finding
 from recon.diagnosis.fits.plausibility import body_warnings, child_findings, mirror_warnings
 from recon.diagnosis.fits.seen_joints import observed_joints, unseen_findings
 from recon.diagnosis.fits.summaries import ResidualSummary, summarise
@@ -192,22 +194,37 @@ def examine(found: ClipFit, names: Sequence[str], screened: ScreenedClip) -> Exa
     rate = None if free or unmeasured else rate_finding(motion, body, seen)
     carried = None if free else _carried(names, found.observations, motion, body, seen)
     support = support_findings(motion, body, seen) if found.grounded else []
+    others, sure = alternatives(found), certainty(found)
+    lens = lens_finding(names[0], found)
+    told = [] if lens is None else [lens]
+    doubtful = lens_doubtful(found)
     after = [
+        *(told if doubtful else []),
         *([] if carried is None else [carried]),
         *agreement_warnings(summaries, found.observations, here),
         *sizes,
         *mirror_warnings(views),
         *([] if rate is None else [rate]),
+        *undecided_findings(others),
     ]
+    guessed: list[Finding] = []
+    if sure is not None:
+        guessed = guessed_findings(sure.joints.numpy(), observed, motion.fps)
     return Examined(
         fit=found,
         residuals=summaries,
-        diagnosis=(*unseen_findings(observed), *support, *child_findings(found)),
+        diagnosis=(
+            *([] if doubtful else told),
+            *unseen_findings(observed),
+            *guessed,
+            *support,
+            *child_findings(found),
+        ),
         repairs=screened.repairs,
         warnings=(*screened.warnings, *after),
         observed=observed,
-        deviations=certainty(found),
-        alternatives=alternatives(found),
+        deviations=sure,
+        alternatives=others,
         belt=screened.belt,
     )
 

@@ -30,14 +30,18 @@ Code = Literal[
     "views out of step",
     "wrong basin",
     "unseen",
+    "guessed",
+    "undecided",
     "treadmill",
     "uneven ground",
     "residual",
     "body size",
+    "body surface",
     "distance",
     "gap",
     "jump",
     "joint centres",
+    "focal",
     "stopped",
 ]
 """The likeliest cause of a finding.
@@ -60,14 +64,18 @@ Code = Literal[
 * views out of step: one camera's clock is shifted against the others'.
 * wrong basin: a fit to depth has locked on to the wrong posture or heading.
 * unseen: frames or limbs that nothing was seen of; they are inferred.
+* guessed: a large part of the body was not seen, and its standard deviation is large.
+* undecided: another motion explains the data nearly as well.
 * treadmill: all standing feet are carried along at one velocity.
 * uneven ground: feet stand at several heights, or the person sits.
 * residual: the body stays away from the data for a reason that is not known.
+* body surface: the skins of two bodies do not agree, between which a motion is carried.
 * body size: the fitted person is smaller, larger or odder than people are.
 * distance: a camera would be nearer or farther than people are filmed.
 * gap: a stretch of frames without data.
 * jump: the body moves faster between two frames than the data does.
 * joint centres: points that are called markers lie inside the body.
+* focal: nobody measured the focal length of the camera; it was found with the motion.
 * stopped: the caller ended the fit before it was done.
 """
 

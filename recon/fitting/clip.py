@@ -8,16 +8,19 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from observations.keypoints2d import OFFSET_UNIT
+from observations.keypoints2d import OFFSET_UNIT, Keypoints2D
 from observations.noise import weights_of
+from observations.timing import at_observation_times
 from observations.together import kinds
+from observations.together.camera_paths import with_unit
 from observations.together.first_guess import FirstGuess, first_guess
 from priors.roles import FIRST
 from recon.body.model import BodyModel
 from recon.core.errors import ObservationError
 from recon.core.motion import Motion
 from recon.core.residuals import Noise
-from recon.core.scene import GROUND, HEIGHT, OFFSETS, Scene, UnknownGround
+from recon.core.scene import GROUND, HEIGHT, LENS, OFFSETS, Scene, UnknownGround, UnknownLens
+from recon.core.skeleton import joint_index
 from recon.core.struct import concatenate
 from recon.fitting.ground import ground_below, pelvis_path, sole_heights, upright_ground
 from recon.fitting.long import WINDOW, OneShape, fit_long
@@ -28,8 +31,9 @@ from recon.method.reconstruction import Method, Reconstruction, solve
 from recon.method.shape_prior import WithShape
 from recon.method.stages import Compared, Watch
 from recon.method.start import checked_start
-from recon.method.terms import Term, ground_moved, offsets
+from recon.method.terms import Term, ground_moved, lens_changed, offsets
 
+_BALLS = tuple(joint_index(f"{side}_foot") for side in ("left", "right"))
 LONG = 10.0
 """Seconds; longer recordings are fitted by windows."""
 _MOST = 1.5
@@ -40,6 +44,8 @@ It differs by a centimetre or two, but frames repeat each other."""
 GROUND_DEVIATION = 0.001
 """Metres and radians by which a plane that is given or seen may miss the ground: thousands of
 points see it, and no step of a person should outweigh them."""
+LENS_DEVIATION = 0.3
+"""Standard deviation of the logarithm of a focal length that is guessed from the image size."""
 ROUGH = FitOptions(prior=FIRST)
 
 
@@ -68,6 +74,11 @@ class ClipFit:
         """All hypotheses that were compared on the way, the last ones last."""
         stages = [report.compared for report in self.result.reports]
         return tuple(one for one in (self.guesses, *stages) if one is not None)
+
+    @property
+    def lens_found(self) -> bool:
+        """Whether the focal length of the camera was found with the motion."""
+        return self.result.estimate.scene.lens is not None
 
 
 def fit_clip(
@@ -112,19 +123,22 @@ def fit_clip(
     seen, offsets = _with_offsets(tuple(observations))
     job = _Job(seen, guess, noises, offsets, body, options, watch).decided()
     if not options.grounded:
+        job = job.paced()
         start = job.guess.motion
         T = torch.eye(4).expand(len(start.translation), 4, 4)
         result = job.fit(options, job.scene(start), start, job.moved)
+        seen = job.settled(result)
         return ClipFit(result, noises, False, T, seen, grounded=False, guesses=job.guesses)
     if known == {True}:
         start = guess.motion if guess.distance_known else job.on_known_ground()
         T = torch.eye(4).expand(len(start.translation), 4, 4)
         result = job.fit(options, job.scene(start), start, job.moved)
         return ClipFit(result, noises, True, T, seen, guesses=job.guesses)
+    job = job.paced()
     result = job.with_ground()
     assert result.estimate.scene.ground is not None
     T = result.estimate.scene.ground.T_world_recording.detach().cpu()
-    shown = job.ground_seen
+    shown, seen = job.ground_seen, job.settled(result)
     return ClipFit(result, noises, False, T, seen, ground_seen=shown, guesses=job.guesses)
 
 
@@ -184,13 +198,27 @@ class _Job:
     @property
     def moved(self) -> frozenset[str]:
         """What of the scene is found besides the motion, the ground aside."""
-        return OFFSETS if self.offsets else frozenset()
+        found = OFFSETS if self.offsets else frozenset()
+        return found | LENS if self.lens_unknown else found
+
+    @property
+    def lens_unknown(self) -> bool:
+        """Whether one view of unknown pose is all there is, and its focal length is a guess."""
+        views = kinds.views(self.observations)
+        alone = len(self.observations) == len(views) == 1
+        if alone and views[0].camera.T_camera_world.shape[-3] > 1:
+            return False  # the path of a camera that moves is of the lens that its tracker had
+        return alone and not views[0].focal_known and not views[0].ground_known
 
     def scene(self, start: Motion, ground: UnknownGround | None = None) -> Scene:
         """A scene with no offsets of keypoints, and a ground."""
         clips = len(start.translation)
         scene = Scene.create(clips, self.offsets, like=start.translation)
-        return scene.replace(ground=ground)
+        if not self.lens_unknown:
+            return scene.replace(ground=ground)
+        pelvis = self.body.pose(start).joints[..., :1, :].mean(-3, keepdim=True)
+        depth = kinds.views(self.observations)[0].camera.to_camera(pelvis)[..., 2].flatten(1)
+        return scene.replace(ground=ground, lens=UnknownLens.create(depth[:, 0]))
 
     @property
     def rough(self) -> FitOptions:
@@ -209,6 +237,8 @@ class _Job:
         if moved >= OFFSETS:
             weight = (noise * OFFSET_UNIT / KEYPOINT_OFFSET_DEVIATION) ** 2
             terms = (*terms, Term("offsets", offsets, weight))
+        if moved >= LENS:
+            terms = (*terms, Term("lens", lens_changed, (noise / LENS_DEVIATION) ** 2))
         if moved >= GROUND and self.ground_seen:
             terms = (*terms, Term("ground", ground_moved, (noise / GROUND_DEVIATION) ** 2))
         method = WithScene(method, moved, terms) if moved or terms else method
@@ -283,10 +313,37 @@ class _Job:
         seen = any(cloud.ground_seen for cloud in kinds.clouds(self.observations))
         return seen or self.options.ground_given
 
+    def settled(self, result: Reconstruction) -> tuple[Sensor, ...]:
+        """The observations with what was found of the scene."""
+        scene = result.estimate.scene.detach()
+        return tuple(
+            o.settled(scene) if isinstance(o, Keypoints2D) else o for o in self.observations
+        )
+
     def free(self) -> Motion:
         """A first motion under the pose prior, which does not ask where the ground is."""
         start = self.guess.motion
         return self.fit(self.rough, self.scene(start), start, frozenset()).motion
+
+    def paced(self) -> "_Job":
+        """The clips with the unit of the camera's path told by the feet of a first motion."""
+        views = kinds.views(self.observations)
+        if len(self.observations) > 1 or not views or views[0].unit_known:
+            return self
+        (view,) = views
+        motion = self.free()
+        feet = self.body.pose(motion).joints[..., list(_BALLS), :]
+        there, _ = at_observation_times(
+            feet, motion, fps=view.fps, start_time=view.start_time, moments=view.moments
+        )
+        if there.shape[-3] < view.moments:
+            return self
+        seen = view.camera.to_camera(there).detach().double().cpu().numpy()
+        found = with_unit(view, seen)
+        moved = found.camera.T_world_camera[..., :3, 3] - view.camera.T_world_camera[..., :3, 3]
+        if motion.frames == view.moments:
+            motion = motion.replace(translation=motion.translation + moved)
+        return replace(self, observations=(found,), guess=replace(self.guess, motion=motion))
 
     def with_ground(self) -> Reconstruction:
         """The whole clip and its ground, found from the way people stand."""

@@ -124,7 +124,7 @@ def load_clip(
         views = load_views(
             detections, settings.camera, fps=settings.frame_rate, layout=settings.layout,
             person=settings.person, camera_unit=settings.camera_unit, camera_up=settings.camera_up,
-            image_size=settings.image_size,
+            image_size=settings.image_size, track=settings.camera_track,
         )  # fmt: skip
         notes += views.decisions
         shown = views.files
@@ -217,12 +217,17 @@ def clip_from(files: Sequence[tuple[str, ObservationFile]], body: BodyModel) -> 
 def window(clip: Clip, start: float, stop: float) -> Clip:
     """What was seen from one time to another, both included, seconds of the recording's clock.
 
+    Before the first and after the last moment of all observations there is nothing to fit.
+
     Raises:
         ValueError: when the times do not rise or nothing was seen between them.
     """
     if not start < stop:
         raise ObservationError(f"--between takes two rising times in seconds, got {start} {stop}")
-    cut = tuple(observation.window(start, stop) for observation in clip.observations)
+    ends = [one.start_time + (one.shown.shape[-2] - 1) / one.fps for one in clip.observations]
+    first = max(start, min(one.start_time for one in clip.observations))
+    last = max(first, min(stop, max(ends)))
+    cut = tuple(observation.window(first, last) for observation in clip.observations)
     if not any(len(seen_times(one)) > 0 for one in cut):
         every = np.concatenate([seen_times(one) for one in clip.observations])
         raise ObservationError(

@@ -17,7 +17,7 @@ from recon.formats.weight_files import weights_path
 
 _CLOUDS, _IMAGES, _KEYPOINTS = (".ply", ".pcd"), (".png",), (".json",)
 _CALIBRATIONS = (".toml", ".yml", ".yaml", ".npz")
-_PATHS = ("body", "camera", "masks", "mapping", "weights")
+_PATHS = ("body", "camera", "camera_track", "masks", "mapping", "weights")
 """Settings that name files: their contents count, not where they lie."""
 
 
@@ -99,6 +99,14 @@ def camera_input(path: Path) -> Input:
     return Input(path, (path,))
 
 
+def track_input(path: Path) -> Input:
+    """What `recon.formats.calibration.tracks.read_track` reads: COLMAP's texts, or the file."""
+    folder = path if path.is_dir() else path.parent
+    if path.is_dir() or path.name == "images.txt":
+        return Input(path, tuple(folder / name for name in ("cameras.txt", "images.txt")))
+    return Input(path, (path,))
+
+
 def masks_input(path: Path) -> Input:
     """What is read of silhouettes: the images of a folder, or the file."""
     return Input(path, _inside(path, _IMAGES) if path.is_dir() else (path,))
@@ -113,6 +121,7 @@ def input_checksums(paths: Sequence[Path], settings: FitSettings) -> dict[str, s
     given = [observation_input(path) for path in paths]
     named: list[tuple[Path | None, Callable[[Path], Input]]] = [
         (settings.camera, camera_input),
+        (settings.camera_track, track_input),
         (settings.masks, masks_input),
         (settings.body, lambda path: Input(path, (path,))),
         (settings.mapping, lambda path: Input(path, (path,))),
@@ -141,6 +150,8 @@ def settings_checksum(settings: FitSettings, version: int) -> str:
         "tables": _bundled("recon", "assets", ("body.npz", "landmarks.json", "markers.toml")),
     }
     places = {"prior": settings.prior, "reader": settings.reader}
+    if settings.camera_track is not None:
+        contents["camera track"] = track_input(settings.camera_track).checksum()
     # only where there is such code, so that all other results keep their checksums
     contents |= {
         f"code of {what}": _code(place) for what, place in places.items() if place and ":" in place

@@ -19,7 +19,8 @@ class FitSettings:
     file."""
     method: str | None = None
     """How the prior is fitted, where there are several ways: `humor` by `collocation` (the motion
-    itself is moved; default) or `rollout` (a first state and latents are, as published)."""
+    itself is moved; default), `rollout` (a first state and latents are, as published) or
+    `shooting` (a state every five steps and latents are)."""
     body: Path | None = None
     """A SMPL-family file of your own; default: the bundled body."""
     between: tuple[float, float] | None = None
@@ -33,13 +34,17 @@ class FitSettings:
     noise_pixels: float | None = None
     """Standard deviation of keypoints in images, pixels; default: told from the data."""
     camera: Path | None = None
-    """Calibration of the cameras that detections and depth images come from."""
+    """Calibration of the cameras that detections and depth images come from; default, for
+    detections of one view: a phone's, whose focal length the fit corrects."""
     camera_unit: Literal["m", "mm"] | None = None
     """Unit of the calibration, where it does not tell."""
     camera_up: Literal["x", "y", "z"] | None = None
     """Axis of the calibration's world that points up; default: z."""
+    camera_track: Path | None = None
+    """How the one camera was carried, by a tracker: a folder of COLMAP with `images.txt`, a text
+    of TUM's, an array of DROID-SLAM or DPVO (.npy, .npz), or ARKit's .json."""
     image_size: tuple[int, int] | None = None
-    """Width and height of the images, pixels, where the calibration does not tell."""
+    """Width and height of the images, pixels, where no calibration tells."""
     ground: tuple[float, float, float, float] | Literal["none"] | None = None
     """Ground seen by a camera without pose: the plane n·x = d in its frame (x right, y down, z
     forward), the normal up, metres; 0 -1 0 -1.2 is 1.2 m below a level camera. Default: found.

@@ -11,6 +11,7 @@ from recon.core import limits
 from recon.core.errors import FormatError
 from recon.core.limits import Limit, check_camera, check_pose
 from recon.core.units import METRES, Axis, check_override, to_z_up
+from recon.formats.camera_path import CameraPath
 from recon.formats.clocks.point_clock import PointClock, settled_clock
 from recon.formats.files.opening import load_arrays, save_arrays
 
@@ -36,6 +37,10 @@ class CameraArrays:
     """Lens coefficients k1 k2 p1 p2 [k3 [k4 k5 k6]] in OpenCV's order; None for no distortion."""
     T_camera_world: Float[np.ndarray, "poses 4 4"] | None = None
     """Maps world to camera, metres; one pose or one per frame. None where it is not known."""
+    focal_known: bool = True
+    """Whether somebody measured the focal length; not written."""
+    path: CameraPath | None = None
+    """How a camera whose pose is not known moved; not written."""
 
 
 @dataclass(frozen=True)

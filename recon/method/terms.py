@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from recon.core.scene import TILT
+from recon.core.scene import TILT, ZOOM
 from recon.core.struct import TensorStruct
 from recon.method.protocols import REFERENCE_FPS, Energy, Estimate
 
@@ -108,3 +108,10 @@ def ground_moved(estimate: Estimate) -> Float[Tensor, "*batch"]:
     assert unknown is not None, "the ground is known: leave this term out"
     turn = TILT * unknown.tilt
     return 0.5 * (turn.square().sum(-1) + unknown.lift.square())
+
+
+def lens_changed(estimate: Estimate) -> Float[Tensor, "*batch"]:
+    """½ log² of the focal length over the guessed one; without unit."""
+    unknown = estimate.scene.lens
+    assert unknown is not None, "the focal length is known: leave this term out"
+    return 0.5 * (ZOOM * unknown.zoom).square()

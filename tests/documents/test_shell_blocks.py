@@ -42,6 +42,8 @@ def test_shell_blocks_are_commands(block: Block) -> None:
                 assert re.search(rf"^{rest[0]}:", makefile, re.M), f"{block}: no target {rest[0]}"
             case "python":
                 assert _is_there(rest), f"{block}: {words}"
+            case "blender":
+                assert _is_there([rest[rest.index("--python") + 1]]), f"{block}: {words}"
             case _:
                 assert words[:2] == ["pip", "install"], f"{block}: unknown program {program}"
 

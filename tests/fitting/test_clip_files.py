@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 import torch
 
+from observations.joints3d import Joints3D
 from observations.keypoints2d import Keypoints2D
 from recon.core.camera import transform
-from recon.fitting.clip_files import load_clip
+from recon.fitting.clip_files import Clip, load_clip, window
 from recon.fitting.settings import FitSettings
 from recon.formats.motions import load_motion
 from recon.formats.observations import save_observation
@@ -98,3 +99,17 @@ def test_points_outside_a_mask_are_not_believed(tmp_path):
     assert isinstance(unmasked, Keypoints2D)
     assert (unmasked.confidence > 0).all()
     assert torch.equal(seen.pixels[0][below], torch.zeros_like(seen.pixels[0][below]))
+
+
+def test_a_stretch_ends_where_the_observations_do():
+    """`--between 0 10` of a trial from 1.3 to 3.3 s gave ten seconds, most of them invented."""
+    places, visible = torch.rand(1, 10, 2, 3), torch.ones(1, 10, 2, dtype=torch.bool)
+    seen = Joints3D(places, visible, (4, 5), 10.0, start_time=2.0)
+    clip = Clip((seen,), ("joints",), (), None)
+    (kept,) = window(clip, 0.0, 10.0).observations
+    assert kept.start_time == 2.0
+    assert kept.shown.shape == (1, 10, 2)
+    (part,) = window(clip, 0.0, 2.35).observations
+    assert part.shown.shape == (1, 4, 2)
+    with pytest.raises(ValueError, match="nothing was seen between 5 and 9 s"):
+        window(clip, 5.0, 9.0)

@@ -7,7 +7,7 @@ import pytest
 import recon
 from priors.humor.collocation import Collocation
 from priors.humor.prior import Humor
-from priors.humor.shooting import Schedule, Shooting, Steps
+from priors.humor.shooting import Schedule, Shooting
 from recon.core.errors import ReconError
 from recon.fitting.methods import method_of
 from recon.fitting.options import FitOptions
@@ -20,8 +20,12 @@ from tests.filmed import bundled, cameras, joint_error, view, walk
 def test_it_is_one_of_the_methods_of_humor():
     method = method_of(FitOptions(method="rollout"), 0.02, bundled())
     assert isinstance(method, Shooting)
-    assert isinstance(method.start, Steps)
+    assert isinstance(method.start, Collocation)
+    assert method.segment is None
     assert isinstance(method_of(FitOptions(method="collocation"), 0.02, bundled()), Collocation)
+    segmented = method_of(FitOptions(method="shooting"), 0.02, bundled())
+    assert isinstance(segmented, Shooting)
+    assert segmented.segment == 5
     assert isinstance(
         method_of(FitOptions(prior=Humor.load(), method="rollout"), 0.02, bundled()), Shooting
     )
@@ -30,7 +34,7 @@ def test_it_is_one_of_the_methods_of_humor():
 @pytest.mark.parametrize(
     ("prior", "expected"),
     [
-        ("humor", "'humor' is fitted by collocation or rollout, got 'roll'"),
+        ("humor", "by collocation or rollout or shooting, got 'roll'"),
         ("pose", "'pose' is fitted in one way only, got 'roll'"),
         (Collocation(Humor.load()), "a Collocation is fitted in one way only"),
     ],
@@ -47,9 +51,10 @@ class Hurried:
 
     iterations: int = 5
     posing: int = 30
+    segment: int | None = None
 
     def stages(self, data) -> tuple[Stage, ...]:
-        method = Shooting.for_noise(Humor.load(), 0.02)
+        method = Shooting.for_noise(Humor.load(), 0.02, self.segment)
         brief = dataclasses.replace(method, schedule=Schedule(all=self.iterations))
         return tuple(
             dataclasses.replace(
@@ -62,13 +67,14 @@ class Hurried:
         )
 
 
-def test_one_camera_of_unknown_ground():
+@pytest.mark.parametrize("segment", [None, 5])
+def test_one_camera_of_unknown_ground(segment):
     """First states could not be carried to another world: an unknown ground was refused."""
     truth = walk(12)
     posed = view(truth, cameras(truth)[0])
     lens = posed.camera.camera_matrix.flatten(0, -3)[0]
     unposed = posed.replace(camera=recon.Camera.create(lens, posed.camera.image_size))
-    result = recon.fit(unposed, Hurried())
+    result = recon.fit(unposed, Hurried(segment=segment))
     assert not result.failed
     feet = result.joints[:, [7, 8, 10, 11], 2]
     assert (

@@ -21,7 +21,7 @@ def make_motion(body: BodyModel, frames: int = 5) -> Motion:
     vectors = 0.4 * torch.randn(frames, 22, 3, dtype=torch.float64)
     shape = 0.3 * torch.randn(body.shape_size, dtype=torch.float64)
     walk = torch.randn(frames, 3, dtype=torch.float64)
-    return Motion.create(walk, so3.exp(vectors), shape, 30.0)
+    return Motion.create(walk, so3.exp(vectors), shape, 30.0, 2.5)
 
 
 def array(file: pygltflib.GLTF2, number: int) -> np.ndarray:
@@ -83,6 +83,7 @@ def test_structure_follows_the_rules_of_the_format(written: Any) -> None:
     assert np.array_equal(inverse[:, :, 3], np.tile([0, 0, 0, 1], (22, 1)))
     assert file.scenes[0].nodes == [22, 23]
     assert file.nodes[22].skin == 0
+    assert file.asset.extras == {"start_time": motion.start_time}
     clock = array(file, file.animations[0].samplers[0].input)[:, 0]
     assert np.abs(clock - np.arange(motion.frames) / 30).max() < 1e-6  # s
     for (_, path), values in tracks(file).items():

@@ -18,6 +18,7 @@ from recon.formats.mocap.recording import MarkerRecording
 from recon.formats.motions import load_motion
 from recon.ingest import convert
 from recon.ingest.markers.coverage import full_body_markers
+from recon.ingest.markers.fit import fit_markers
 from recon.ingest.markers.observation import seen_markers
 from recon.method.protocols import Estimate
 from tests.ingest.test_ingest import MARKERS
@@ -195,3 +196,20 @@ def test_offsets_that_are_none_are_refused() -> None:
         Markers3D(points, visible, [5], 30.0, offsets=np.zeros((2, 3)))
     with pytest.raises(ValueError, match="divide millimetres by 1000"):
         Markers3D(points, visible, [5], 30.0, offsets=[[9.0, 0.0, 0.0]])
+
+
+def test_a_marker_seen_where_others_are_not_gets_its_offset(
+    markers: MarkerRecording, single: BodyModel
+) -> None:
+    """Offsets were found from the frames that show most markers, in which some had none."""
+    visible, positions = markers.visible.copy(), markers.positions.copy()
+    neck = markers.marker_names.index("C7")
+    positions[:, neck, 2] += 0.04
+    visible[:18, neck] = False
+    for marker in range(6):
+        visible[18:, (neck + 3 * marker + 1) % len(markers.marker_names)] = False
+    spoiled = dataclasses.replace(markers, visible=visible, positions=positions)
+    chosen = full_body_markers(spoiled, single)
+    fit = fit_markers(spoiled.select(chosen.labels), chosen, single)
+    row = chosen.labels.index("C7")
+    assert float((fit.subject.offsets[row] - chosen.nominal[row]).norm()) > 0.01

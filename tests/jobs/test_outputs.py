@@ -53,11 +53,14 @@ CASES = (
     Case("simulate", "out", ("IN.npz", "OUT.npz", "--kind", "joints3d")),
     Case("simulate", "out", ("IN.npz", "OUT", "--kind", "scans"), Kind.FOLDER),
     Case("evaluate", "json", ("IN.npz", "other.npz", "--json", "OUT"), Kind.REPORT),
+    Case("report", "out", ("IN.trc", "--out", "OUT.html")),
     *(Case("view", to, ("IN.npz", f"--{to}", "OUT")) for to in ("html", "png", "mp4")),
     *(
         Case("export", to, ("IN.npz", f"--{to}", "OUT"))
         for to in ("glb", "usd", "bvh", "trc", "mot", "angles", "joints", "html")
     ),
+    Case("export", "robot", ("IN.npz", "--robot", "OUT", "--smplx", "other.npz")),
+    Case("export", "smpl", ("IN.npz", "--smpl", "OUT", "--onto", "other.npz")),
     Case("export", "ply", ("IN.npz", "--ply", "OUT"), Kind.FOLDER),
     *(Case("train", "out", (p, "IN.folder", "--out", "OUT.st")) for p in ("pose", "humor")),
 )

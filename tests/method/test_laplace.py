@@ -83,23 +83,23 @@ def test_more_sensors_make_surer_and_cuts_change_nothing(monkeypatch):
     assert torch.allclose(cut, one, rtol=0.1)
 
 
-def on_a_ground(noise: float, **belief: float | bool):
+def on_a_ground(noise: float, **belief: float):
     """Deviations of the walk whose recording does not know the ground, which is where it is."""
     estimate = at_truth()
     pivot = torch.zeros(1, 3).to(estimate.motion.translation)
     scene = estimate.scene.replace(ground=UnknownGround.create(pivot))
-    known = GroundBelief(**{"stance": 0.03, "upright": 0.05, "tilted": True, **belief})
+    known = GroundBelief(**{"stance": 0.03, "upright": 0.05, "coordinates": 3, **belief})
     sensors, noises = [seen(noise=0.0)], [Noise(noise, noise)]
     return deviations(replace(estimate, scene=scene), sensors, noises, Flat(), known)
 
 
 def test_a_ground_is_as_sure_as_feet_stand_on_it():
     """Points tell the feet to millimetres, so what remains is how far feet miss a ground."""
-    level = on_a_ground(0.001, tilted=False).ground
+    level = on_a_ground(0.001, coordinates=1).ground
     assert level is not None
     assert level.normal == 0
     assert level.height == pytest.approx(0.03, rel=0.05)
-    blurred = on_a_ground(0.2, tilted=False).ground
+    blurred = on_a_ground(0.2, coordinates=1).ground
     assert blurred is not None
     assert blurred.height > 1.1 * level.height
     found = on_a_ground(0.001).ground

@@ -6,7 +6,6 @@ import torch
 from observations.joints3d import Joints3D
 from priors.humor.collocation import CollocatedHumor, Collocation
 from priors.humor.prior import Humor
-from priors.humor.shooting import Steps
 from priors.humor.state import states_of
 from priors.humor.steps import error_whitening, explain
 from priors.pose.prior import PosePrior
@@ -129,10 +128,7 @@ def test_feet_are_held_last(body: BodyModel) -> None:
     assert {t.name for t in contacts.terms} - {t.name for t in steps.terms} == {"contact velocity"}
 
 
-def test_rough_steps_are_left_out_where_every_joint_is_seen_but_not_before_the_rollout(
-    body: BodyModel,
-) -> None:
-    """The roll-out began at the pose prior's motion where every joint was seen."""
+def test_rough_steps_are_left_out_where_every_joint_is_seen(body: BodyModel) -> None:
     positions = torch.zeros(2, 10, 22, 3)
     shown = torch.ones(2, 10, 22, dtype=torch.bool)
     whole = Term("data", Joints3D(positions, shown, tuple(range(22)), 30.0), 1.0)
@@ -142,6 +138,3 @@ def test_rough_steps_are_left_out_where_every_joint_is_seen_but_not_before_the_r
     method = Collocation(humor(body))
     assert [s.name for s in method.stages((whole,))] == ["root", "pose", "contacts"]
     assert [s.name for s in method.stages((hidden,))] == ["root", "pose", "steps", "contacts"]
-    begun = Steps(method).stages((whole,))
-    assert [stage.name for stage in begun] == ["root", "pose", "steps"]
-    assert begun[-1].second_order is not None

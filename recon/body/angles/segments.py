@@ -39,7 +39,7 @@ BONES: Mapping[str, str] = MappingProxyType(
     }
 )  # fmt: skip
 """The joint whose bone carries each segment."""
-_FORWARD, _UP = np.array([0.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0])
+_UP = np.array([0.0, 1.0, 0.0])
 _UPRIGHT = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
 """Axes of a person who stands in the rest pose, as columns: the pose has y up and faces z."""
 
@@ -123,8 +123,9 @@ def isb_axes(body: BodyModel, shape: Float[Tensor, " shape"]) -> Axes:
 def opensim_axes(body: BodyModel, shape: Float[Tensor, " shape"]) -> Axes:
     """Axes of segments as the bodies of OpenSim's gait models have them in their zero pose.
 
-    Pelvis, thorax and soles are upright in our rest pose; long bones point from joint to joint,
-    thigh and shank share the axis of the knee. The foot points from the heel to the second toe.
+    Pelvis, thorax and soles are upright in our rest pose; long bones point from joint to joint.
+    Thigh, shank and foot share the axis of the knee: the models know no torsion of the shank, and
+    would have to turn the ankle for feet that point outwards at rest.
 
     Raises:
         ValueError: when the body is not the bundled one, whose landmarks alone are known.
@@ -135,8 +136,7 @@ def opensim_axes(body: BodyModel, shape: Float[Tensor, " shape"]) -> Axes:
         names = ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")
         hip, knee, ankle, shoulder, elbow, wrist = (points.joint(f"{side}_{n}") for n in names)
         flexion = points.rightwards(end, "knee_medial", "knee_lateral")
-        ahead = points.mean(f"{side}_toe2_base") - points.mean(f"{side}_heel")
-        foot = _along_y(_UP, np.cross(ahead, _UP))
+        foot = _along_y(_UP, flexion)
         knuckles = points.mean(f"{side}_index_knuckle", f"{side}_pinky_knuckle")
         axes |= {
             f"femur_{end}": _along_y(hip - knee, flexion),

@@ -25,9 +25,10 @@ def fit(
     observation files (.npz) of 3D joints, markers, keypoints or points; 3D keypoints of
     FreeMoCap (session folder), MediaPipe, MotionBERT, Azure Kinect, Anipose, Pose2Sim or
     your own (.npy, .npz, .csv, .json, .trc); markers of a laboratory (.c3d, .trc); with
-    --camera and --frame-rate, 2D detections of OpenPose, MMPose, AlphaPose, MediaPipe,
-    DeepLabCut, EasyMocap or Pose2Sim (a folder or file per view, or a folder of views); a
-    folder of scans (.ply, .pcd); a folder of 16-bit depth images (.png, with --camera).
+    --frame-rate and --camera (which one view of a phone does not need), 2D detections of
+    OpenPose, MMPose, AlphaPose, MediaPipe, DeepLabCut, EasyMocap or Pose2Sim (a folder or
+    file per view, or a folder of views); a folder of scans (.ply, .pcd); a folder of 16-bit
+    depth images (.png, with --camera).
 
     Writes OUT (AMASS .npz with joints, contacts and ground) and OUT.json (what happened).
 

@@ -8,8 +8,8 @@ from recon.core.errors import FormatError
 
 EXPECTED = (
     "an observation (.npz), 3D keypoints (.npy, .npz, .csv, .json, .trc, .c3d or a session "
-    "folder), 2D keypoints (.json, .csv or folders of them, with --camera), a folder of scans "
-    "(.ply, .pcd) or depth images (.png)"
+    "folder), markers (.c3d, .trc), 2D keypoints (.json, .csv or folders of them, with --camera), "
+    "a folder of scans (.ply, .pcd) or depth images (.png)"
 )
 _HEAD = 1 << 16
 """Bytes at the start of a file that are looked at."""

@@ -87,6 +87,24 @@ def load_arrays(path: Path) -> dict[str, np.ndarray]:
         ) from error
 
 
+def load_array(path: Path) -> np.ndarray:
+    """The array of an .npy file; pickled objects are never opened.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+        ValueError: when it is damaged, too large or needs pickle.
+    """
+    existing(path)
+    BINARY.check(path.stat().st_size, path)
+    try:
+        return np.load(path, allow_pickle=False)
+    except DAMAGE as error:
+        raise FormatError(
+            f"{path}: expected an .npy file with a plain array, but it cannot be read "
+            f"({error!s:.{_SAID}})"
+        ) from error
+
+
 def save_arrays(path: Path, arrays: dict[str, np.ndarray]) -> None:
     """Write an .npz file; readers see the old file or the whole new one."""
     clear_leftovers(path)

@@ -5,9 +5,8 @@ from pathlib import Path
 import numpy as np
 
 from recon.core.errors import FormatError
-from recon.core.limits import BINARY, KEYPOINTS
-from recon.formats.files.npz_headers import DAMAGE
-from recon.formats.files.opening import existing, load_arrays
+from recon.core.limits import KEYPOINTS
+from recon.formats.files.opening import load_array, load_arrays
 from recon.formats.keypoints3d.records import Points3D
 
 _NAMES = ("names", "joint_names", "keypoint_names", "labels", "markers")
@@ -25,15 +24,7 @@ def read_array(path: Path) -> Points3D:
         FileNotFoundError: when there is no such file.
         ValueError: when it is damaged, needs pickle, or has other axes.
     """
-    existing(path)
-    BINARY.check(path.stat().st_size, path)
-    try:
-        array = np.load(path, allow_pickle=False)
-    except DAMAGE as error:
-        raise FormatError(
-            f"{path}: expected an .npy file with a plain array, but it cannot be read "
-            f"({error!s:.200})"
-        ) from error
+    array = load_array(path)
     found = as_points(array)
     if found is None:
         raise FormatError(

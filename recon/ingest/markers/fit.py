@@ -37,6 +37,10 @@ from recon.method.protocols import REFERENCE_FPS
 OUTLIER = 0.1
 """Metres at which a marker counts half as much: swapped labels, ghosts."""
 CALIBRATION_FRAMES = 150
+_ENOUGH = 15
+"""Frames in which a marker must be seen for its offset to be found."""
+_SHARES = (0.9, 0.8, 0.7, 0.6, 0.5, 0.0)
+"""Shares of the largest number of markers in a frame that make it well seen, in this order."""
 _FOOT_MARKER = (0.0, 0.08)
 """Metres above the ground of the lowest marker of a body that stands."""
 _KEY_RATE = 10.0
@@ -105,13 +109,14 @@ def fit_markers(
     """
     with torch.no_grad():
         data = _Data.of(recording, markers, body, weights or MarkerWeights())
-        placed = placed_frames(data.visible, data.bones).nonzero()[:, 0]
+        shown = placed_frames(data.visible, data.bones)
+        placed = shown.nonzero()[:, 0]
         if len(placed) == 0:
             raise ReconError(
                 f"{recording.name}: no frame shows enough markers of one body to place it; there "
                 f"are {int(data.visible.sum(-1).max())} of {len(markers.labels)} at most"
             )
-        chosen = _well_seen(data.visible)
+        chosen = _well_seen(data.visible, shown)
         subject, motion = _calibrate(data, chosen)
         energies = data.energies(subject)
         step = max(1, round(recording.fps / _KEY_RATE))
@@ -247,12 +252,24 @@ def _spread(some: Bool[Tensor, "..."], index: Int[Tensor, " rows"], count: int) 
     return everything
 
 
-def _well_seen(visible: Bool[Tensor, "time markers"]) -> Int[Tensor, " chosen"]:
-    """Frames evenly over the recording among those that show most markers."""
+def _well_seen(
+    visible: Bool[Tensor, "time markers"], placed: Bool[Tensor, " time"]
+) -> Int[Tensor, " chosen"]:
+    """Frames evenly over the recording, among those that show most markers.
+
+    Frames that show fewer are taken where a marker would be seen in hardly any frame otherwise:
+    its offset is found from these frames alone.
+    """
     count = visible.sum(-1)
-    good = (count >= 0.9 * count.max()).nonzero()[:, 0]
-    pick = np.linspace(0, len(good) - 1, min(CALIBRATION_FRAMES, len(good))).round()
-    return good[torch.from_numpy(np.unique(pick.astype(int)))]
+    wanted = visible[placed].sum(0).clamp(max=_ENOUGH)
+    chosen = count.new_zeros(0)
+    for share in _SHARES:
+        good = ((count >= share * count.max()) & placed).nonzero()[:, 0]
+        pick = np.linspace(0, len(good) - 1, min(CALIBRATION_FRAMES, len(good))).round()
+        chosen = good[torch.from_numpy(np.unique(pick.astype(int)))]
+        if bool((visible[chosen].sum(0) >= wanted).all()):
+            break
+    return chosen
 
 
 def stands_on_zero(recording: MarkerRecording) -> bool:

@@ -71,6 +71,8 @@ def write_bvh(
     from scipy.spatial.transform import Rotation
 
     turn, scale = to_z_up("y").T, 1 / METRES[unit]
+    # a hundredth of a micrometre in any unit
+    decimals = 8 if METRES[unit] == 1 else 6
     world = turn @ recording.orientations
     places = recording.positions @ (turn.T * scale)
     offsets = recording.rest_offsets * scale
@@ -83,7 +85,7 @@ def write_bvh(
     def describe(joint: int, indent: str) -> None:
         parent = recording.parents[joint]
         rest = offsets[joint] if parent >= 0 else np.zeros(3)
-        offset = " ".join(f"{x:.6f}" for x in rest)
+        offset = " ".join(f"{x:.{decimals}f}" for x in rest)
         if joint in ends:
             lines.extend((f"{indent}End Site", f"{indent}{{", f"{indent}\tOFFSET {offset}"))
             lines.append(f"{indent}}}")
@@ -114,7 +116,7 @@ def write_bvh(
     for root in children[-1]:
         describe(root, "")
     values = np.concatenate(columns, axis=1)
-    row = " ".join(["%.6f"] * values.shape[1])
+    row = " ".join([f"%.{decimals}f"] * values.shape[1])
     lines.extend(("MOTION", f"Frames: {len(values)}", f"Frame Time: {1 / recording.fps:.8f}"))
     lines.extend(row % tuple(frame) for frame in values.tolist())
     with replacing(path) as beside:

@@ -21,7 +21,7 @@ _HALF = 0.5**0.5
 
 
 def write_glb(path: Path, motion: Motion, body: BodyModel) -> None:
-    """Write one clip; frame k is at k / fps seconds.
+    """Write one clip; frame k is at k / fps seconds, the clock's first time in `asset.extras`.
 
     The node `z_up` above the skeleton turns our z up to glTF's y up. Vertices keep their four
     largest weights, scaled to sum to one. Corrective offsets of SMPL bodies are left out.
@@ -59,7 +59,9 @@ def write_glb(path: Path, motion: Motion, body: BodyModel) -> None:
         baseColorFactor=[0.55, 0.65, 0.8, 1.0], metallicFactor=0.0, roughnessFactor=0.8
     )
     document = gltf.GLTF2(
-        asset=gltf.Asset(version="2.0", generator="recon"),
+        asset=gltf.Asset(
+            version="2.0", generator="recon", extras={"start_time": motion.start_time}
+        ),
         scene=0,
         # a skinned mesh belongs at the root: it is placed by its joints alone
         scenes=[gltf.Scene(nodes=[len(JOINTS), len(JOINTS) + 1])],

@@ -7,6 +7,7 @@ from typing import Literal
 from recon.body.angles.opensim import OpenSimModel
 from recon.body.model import BodyModel
 from recon.body.motion_files import load_motion_of
+from recon.core.errors import ReconError
 from recon.core.units import Axis
 from recon.formats.clouds.ply import write_ply_sequence
 from recon.formats.mocap.trc import write_trc
@@ -17,6 +18,8 @@ from recon.formats.results.writing import writing
 from recon.jobs.export.bvh import skeleton_of, write_bvh
 from recon.jobs.export.gltf import write_glb
 from recon.jobs.export.markers import MarkerSetName, markers_of
+from recon.jobs.export.robots import write_robot
+from recon.jobs.export.smpl import write_smpl
 from recon.jobs.export.tables import write_angles, write_mot
 from recon.jobs.export.usd import write_usd
 from recon.jobs.view import draw_html, shown
@@ -32,19 +35,24 @@ def export_file(
     mot: Path | None = None,
     angles: Path | None = None,
     joints: Path | None = None,
+    robot: Path | None = None,
+    smpl: Path | None = None,
     ply: Path | None = None,
     html: Path | None = None,
     markers: MarkerSetName = "joints",
     model: OpenSimModel = "rajagopal2016",
     unit: Literal["m", "cm", "mm"] = "mm",
     up: Axis = "y",
+    smplx: Path | None = None,
+    onto: Path | None = None,
     body: Path | None = None,
     overwrite: bool = False,
 ) -> None:
     """Write a motion in any of these formats, all or none; `ply` is a folder.
 
     Beside every file is a report, in the folder `report.json`. `markers`, `unit` and `up` are of
-    the TRC file, `model` is the OpenSim model of the MOT file; `body` is the motion's own.
+    the TRC file, `model` is the OpenSim model of the MOT file, `smplx` the body of `robot`, `onto`
+    that of `smpl`; `body` is the motion's own.
 
     Raises:
         FileNotFoundError: when there is no such motion.
@@ -63,6 +71,18 @@ def export_file(
     def positions(path: Path) -> None:
         write_joint_table(path, file, own.pose(motion).joints)
 
+    def for_robots(path: Path) -> None:
+        if smplx is None:
+            raise ReconError(
+                "a file for robots needs `smplx`, the SMPL-X body that is posed there"
+            )
+        write_robot(path, motion, own, smplx)
+
+    def for_smpl(path: Path) -> None:
+        if onto is None:
+            raise ReconError("a file for SMPL needs `onto`, the body file that is posed there")
+        write_smpl(path, motion, own, onto)
+
     def meshes(folder: Path) -> None:
         write_ply_sequence(folder, own.pose(motion).vertices.numpy(), own.faces.numpy())
 
@@ -74,12 +94,14 @@ def export_file(
         (mot, Kind.FILE, lambda path: write_mot(path, motion, own, model)),
         (angles, Kind.FILE, lambda path: write_angles(path, motion, own)),
         (joints, Kind.FILE, positions),
+        (robot, Kind.FILE, for_robots),
+        (smpl, Kind.FILE, for_smpl),
         (ply, Kind.FOLDER, meshes),
         (html, Kind.FILE, lambda path: draw_html(path, shown(source, body=body))),
     ]
     asked = [(Output(path, kind), write) for path, kind, write in every if path is not None]
     report = {
-        "inputs": checksums([source] if body is None else [source, body]),
+        "inputs": checksums([one for one in (source, body, smplx, onto) if one is not None]),
         "versions": versions(),
     }
     outputs = [output for output, _ in asked]

@@ -11,7 +11,7 @@ from recon.jobs.many.subjects import shapes_of_subjects
 from recon.jobs.many.workers import Failure, run_jobs
 from recon.jobs.many.worklog import Record, open_log
 
-FIT_VERSION = 3
+FIT_VERSION = 4
 """Version of the method. It is raised when the same clip and settings give another motion, so that
 results of older versions are made anew."""
 
@@ -85,7 +85,13 @@ def _failed(job: Job, failure: Failure) -> Record:
 
 def _check_targets(clips: Sequence[BatchClip], out: Path, settings: FitSettings) -> None:
     """Refuse to write a result of any clip over what any clip is made from."""
-    named = (settings.camera, settings.masks, settings.body, Path(settings.weights))
+    named = (
+        settings.camera,
+        settings.camera_track,
+        settings.masks,
+        settings.body,
+        Path(settings.weights),
+    )
     inputs = {file.resolve() for clip in clips for file in clip.observations}
     inputs |= {path.resolve() for path in named if path is not None}
     for clip in clips:

@@ -39,6 +39,9 @@ _STEP = 1e-3
 """Metres, radians and standard deviations of shape over which derivatives are differences."""
 _DISBELIEVED = 4.0
 """Standard deviations beyond which residuals say ever less: the fit does not believe them."""
+_PEOPLE = 1.0
+"""Inverse variance of a shape coefficient among people, the most that is believed of it: a prior
+that counts for every frame would be ever surer."""
 _CHUNK = 150
 """Frames that are looked at together; longer motions are cut, and cuts overlap."""
 _OVERLAP = 15
@@ -148,12 +151,12 @@ def _of_window(
     h.add_accelerations(joints, density.acceleration * rate)
     shapes = motion.shape.shape[-1]
     shape = h.shape.diagonal()[:shapes]
-    shape += density.shape * frames * REFERENCE_FPS / motion.fps
+    shape += min(density.shape * frames * REFERENCE_FPS / motion.fps, _PEOPLE)
     told = ground is not None and add_stance(h, estimates, joints, ground)
     found = inverse(h.bordered())
     seen = _derivative(scenes.to_recording(estimates.body.joints).flatten(-2))
     marginals = _marginals(found, seen, shapes)
-    if ground is None or not told:
+    if ground is None or ground.coordinates == 0 or not told:
         return marginals
     return replace(marginals, ground=deviation(found.border, scenes, ground, _STEP))
 

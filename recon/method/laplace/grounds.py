@@ -7,6 +7,7 @@ known, and from how far standing feet miss a ground and people lean, clip by cli
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 import torch
 from jaxtyping import Float
@@ -31,15 +32,10 @@ class GroundBelief:
     upright: float
     """Standard deviation of a clip's mean direction from feet to head about each horizontal axis,
     radians."""
-    tilted: bool
-    """Whether the direction of the ground's normal is unknown besides its height."""
+    coordinates: Literal[0, 1, 3]
+    """How many of the ground's coordinates are unknown: none, its lift, or with it two turns."""
     shown: float = 0.0
     """Inverse variance of a plane that is given or seen, 1 / metres² and 1 / radians²."""
-
-    @property
-    def coordinates(self) -> int:
-        """Number of the ground's coordinates: its lift and, where it is tilted, two turns."""
-        return 3 if self.tilted else 1
 
 
 @dataclass(frozen=True)
@@ -60,6 +56,8 @@ class GroundDeviation:
 def perturbed(scene: Scene, rows: int, belief: GroundBelief, step: float) -> Scene:
     """Scenes of so many rows; in the last ones a coordinate of the ground each is moved."""
     scenes = scene[torch.zeros(rows, dtype=torch.long)]
+    if belief.coordinates == 0:
+        return scenes
     assert scenes.ground is not None, "the ground is known: ask for no deviation of it"
     tilt, lift = scenes.ground.tilt.clone(), scenes.ground.lift.clone()
     first = rows - belief.coordinates
@@ -95,13 +93,14 @@ def add_stance(
     rows = joints.unflatten(1, (22, 3))
     share = standing / standing.sum() / belief.stance**2
     hessian.add_frames(rows[:, feet, 2] * share.sqrt()[..., None])
-    if belief.tilted:
+    if belief.coordinates == 3:
         rise = places[:, _HEAD] - places[:, _ANKLES].mean(1)
         lean = (rows[:, _HEAD] - rows[:, _ANKLES].mean(1))[:, :2]
         tall = rise.norm(dim=-1).clamp(min=0.1)[:, None, None]
         hessian.add_frames(lean / tall / (len(places) ** 0.5 * belief.upright))
-    corner = hessian.shape.diagonal()[-belief.coordinates :]
-    corner += belief.shown
+    if belief.coordinates > 0:
+        corner = hessian.shape.diagonal()[-belief.coordinates :]
+        corner += belief.shown
     return True
 
 

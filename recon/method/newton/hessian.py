@@ -9,7 +9,13 @@ from torch import Tensor
 from recon.core import rotations as so3
 from recon.core.camera import transform
 from recon.core.motion import Motion
-from recon.method.newton.model import ClipModel, Framewise, PointSensor, WeighedByClip
+from recon.method.newton.model import (
+    ClipModel,
+    Framewise,
+    OfScene,
+    PointSensor,
+    WeighedByClip,
+)
 from recon.method.protocols import REFERENCE_FPS, Estimate
 from recon.method.stages import Stage
 from recon.method.terms import (
@@ -17,6 +23,7 @@ from recon.method.terms import (
     ground_moved,
     joint_acceleration,
     joint_velocity,
+    lens_changed,
     offsets,
     shape,
 )
@@ -25,7 +32,7 @@ from recon.solver.banded import Banded, add_differences
 _SAME_MOMENT = 1e-4
 """Frames; moments closer than this to a frame are that frame's."""
 
-_OF_SCENE = (offsets, ground_moved)
+_OF_SCENE = (offsets, ground_moved, lens_changed)
 """Terms of the scene's own variables, which are minimised as they are."""
 
 
@@ -92,6 +99,8 @@ def _add_points(weight: float, sensor: PointSensor, model: ClipModel) -> None:
     clip, motion, scene = model.clip, model.motion, model.estimate.scene
     one: Any = sensor
     one = one[clip]
+    if isinstance(one, OfScene):
+        one = one.settled(scene[clip])
     carried = sensor.carried(model.body, motion.shape, scene.offsets[clip])
     places = carried.of(*model.posed)
     if scene.ground is not None:

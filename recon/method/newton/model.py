@@ -16,6 +16,7 @@ from recon.body.derivatives import CarriedPoints, joints_by_shape
 from recon.body.kinematics import forward_kinematics
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
+from recon.core.scene import Scene
 from recon.method.protocols import Energy, Estimate
 from recon.method.terms import Term
 from recon.solver.banded import Banded
@@ -63,6 +64,15 @@ class PointSensor(Protocol):
         self, body: BodyModel, shape: Float[Tensor, " shape"], offsets: Float[Tensor, "rows 3"]
     ) -> CarriedPoints:
         """The points on a body of some shape; offsets as in `Scene.offsets`."""
+        ...
+
+
+@runtime_checkable
+class OfScene(Protocol):
+    """An observation that depends on what is unknown of the scene, beside the ground."""
+
+    def settled(self, scene: Scene) -> Any:
+        """The observation as it is in a scene, of which it then asks no more."""
         ...
 
 

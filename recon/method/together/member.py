@@ -75,6 +75,7 @@ class Member:
             and a.start.shape.shape[-1] == b.start.shape.shape[-1]
             and a.scene.offsets.shape[1:] == b.scene.offsets.shape[1:]
             and (a.scene.ground is None) == (b.scene.ground is None)
+            and (a.scene.lens is None) == (b.scene.lens is None)
             and all(map(_beside, _sensors(a), _sensors(b)))
             and (self.lengths == other.lengths or (self.stretchable and other.stretchable))
             and alike(a.body, b.body)

@@ -1,0 +1,1 @@
+"""Verbs that judge a motion: against the truth, or as a laboratory reads it."""

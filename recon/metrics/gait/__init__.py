@@ -1,0 +1,1 @@
+"""Gait as laboratories measure it: events, cycles, and the figures of time and space."""

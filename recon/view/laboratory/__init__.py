@@ -1,0 +1,1 @@
+"""The laboratory report: one page with figures of gait, and a table beside it."""

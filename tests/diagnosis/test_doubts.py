@@ -1,0 +1,88 @@
+"""What a fit says of its own doubts: guessed limbs, other motions, and a size nobody can tell."""
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from observations.files.images import keypoints_of
+from observations.keypoints2d import Keypoints2D
+from recon.core.skeleton import JOINTS, LEGS
+from recon.diagnosis.fits.alternatives import Alternative
+from recon.diagnosis.fits.certainty import certainty
+from recon.diagnosis.fits.doubts import guessed_findings, undecided_findings
+from recon.diagnosis.fits.size import size_is_unknown, with_unknown_size
+from recon.fitting.clip import fit_clip
+from recon.fitting.options import FitOptions
+from recon.method.laplace.deviations import Deviations
+from recon.simulation.images import keypoints2d
+from recon.simulation.points import Corruption
+from tests.filmed import bundled, cameras, walk
+
+FRAMES = 24
+OPTIONS = FitOptions(prior="pose")
+
+
+def filmed(posed: bool) -> Keypoints2D:
+    """The walk before one camera that knows where it stands, or does not."""
+    truth = walk(FRAMES)
+    file = keypoints2d(truth, bundled(), cameras(truth)[0], Corruption(noise=3.0), 0)
+    if not posed:
+        file = replace(file, camera=replace(file.camera, T_camera_world=None))
+    return keypoints_of(file, bundled())
+
+
+def test_one_camera_without_a_ground_cannot_tell_how_large_and_far_a_person_is():
+    """Errors of 26 cm were said to be 7 cm: perspective tells less than exact bodies promise."""
+    fit = fit_clip([filmed(False)], OPTIONS, bundled())
+    assert size_is_unknown(fit)
+    sure = certainty(fit)
+    assert isinstance(sure, Deviations)
+    assert sure.shape[0] > 0.9  # standard deviations of people
+    assert sure.joints.median() > 0.1  # metres: 7.5 % of the four metres to the camera
+    again = with_unknown_size(sure, fit)
+    assert (again.joints > sure.joints).all()
+    held = replace(OPTIONS, shape=torch.zeros(16))
+    assert not size_is_unknown(fit_clip([filmed(False)], held, bundled()))
+
+
+def test_a_camera_over_a_known_ground_tells_it():
+    fit = fit_clip([filmed(True)], OPTIONS, bundled())
+    assert not size_is_unknown(fit)
+    sure = certainty(fit)
+    assert isinstance(sure, Deviations)
+    assert sure.joints.median() < 0.1
+
+
+def std_of(legs: float, rest: float = 0.02) -> np.ndarray:
+    std = np.full((60, 22), rest)
+    std[:, list(LEGS)] = legs
+    return std
+
+
+def test_limbs_that_nothing_holds_are_said_to_be_guessed():
+    observed = np.ones((60, 22), dtype=bool)
+    observed[10:40, list(LEGS)] = False
+    (found,) = guessed_findings(std_of(0.2), observed, 30.0)
+    assert found.code == "guessed"
+    assert found.frames == ((10, 39),)
+    assert found.joints == tuple(JOINTS[k] for k in sorted(LEGS))
+    assert found.value == 0.2
+    assert "40 cm" in found.message
+    assert guessed_findings(std_of(0.05), observed, 30.0) == []
+    assert guessed_findings(std_of(0.2), np.ones((60, 22), dtype=bool), 30.0) == []
+    brief = observed | (np.arange(60) > 12)[:, None]
+    assert guessed_findings(std_of(0.2), brief, 30.0) == []
+
+
+def other(energy: float) -> Alternative:
+    return Alternative("heading", 180.0, 0.4, energy, 1.0)
+
+
+def test_another_motion_is_said_where_it_is_nearly_as_likely():
+    (found,) = undecided_findings([other(1.02), other(1.1), other(2.0)])
+    assert found.code == "undecided"
+    assert "facing 180 degrees elsewhere" in found.message
+    assert "and 1 more" in found.message
+    assert undecided_findings([other(1.3)]) == []
+    assert undecided_findings([]) == []
