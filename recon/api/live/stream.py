@@ -56,8 +56,8 @@ class Stream:
         """A stream that has seen nothing yet.
 
         Args:
-            prior: `pose`, or `humor`, which needs 30 moments a second, takes about twice the time
-                and is nearer to the truth; or a prior that is loaded already.
+            prior: `pose`, or `humor`, which needs 30 moments a second, takes two to three times as
+                long and is nearer to the truth but in the fastest motions; or a loaded prior.
             lag: frames after which an estimate is final; 0 gives the newest.
             template: an observation, or one per sensor, of any moments: what arrays that are
                 pushed mean. None where observations are pushed.

@@ -28,8 +28,8 @@ def stream(
 
     Args:
         observations: observation files of the sensors, of any length.
-        prior: `pose`; `humor` is nearer to the truth, takes about twice the time and needs 30
-            moments a second.
+        prior: `pose`; `humor` is nearer to the truth but in the fastest motions, takes two to
+            three times as long and needs 30 moments a second.
         lag: frames after which an estimate is final.
         camera: calibration of the cameras that 2D detections come from.
         frame_rate: frames per second, where files do not tell.
