@@ -28,6 +28,11 @@ _LOST_AFTER = 60
 """Frames without a detection after which somebody who comes back is somebody new."""
 _EQUAL = 0.8
 """Ratio of completeness from which on neither of two tracks is the more complete."""
+_STANDS = 0.05
+"""Spread of keypoints' places over a film, in body sizes, below which their owner stands by; sway
+and the noise of detectors reach 0.03."""
+_MOVES = 3.0
+"""Multiple of a bystander's that is surely a person who moves."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +52,22 @@ class Track:
     def completeness(self) -> float:
         """Sum over the frames of the mean confidence of the keypoints."""
         return float(self.confidence.mean(1).sum())
+
+    @property
+    def movement(self) -> float:
+        """How far the keypoints' places are spread over the film, in body sizes.
+
+        Half the distance between the percentiles 16 and 84, as of a standard deviation; the
+        median over the keypoints.
+        """
+        seen = self.confidence > 0
+        often = seen.sum(0) > 1
+        if not often.any():
+            return 0.0
+        places = np.where(seen[..., None], self.pixels, np.nan)[:, often]
+        low, high = np.nanpercentile(places, (16, 84), axis=0)
+        sizes = [body_size(p, c) for p, c in zip(self.pixels, self.confidence, strict=True)]
+        return float(np.median(np.linalg.norm(high - low, axis=-1)) / 2 / np.median(sizes))
 
     def __str__(self) -> str:
         place = self.pixels[self.confidence > 0].mean(0)
@@ -89,9 +110,11 @@ def follow(detections: Detections) -> tuple[Track, ...]:
 def choose(tracks: tuple[Track, ...], person: int | None, name: str) -> Track:
     """The track of the person asked for, or the most complete one.
 
+    Of two that are about equally complete it is the one that moves, where the other stands by.
+
     Raises:
-        ValueError: when there is no such person, nobody, or two tracks are about equally complete;
-            the message lists who there is.
+        ValueError: when there is no such person, nobody, or two tracks are about equally complete
+            and both move or both stand; the message lists who there is.
     """
     listed = "; ".join(map(str, tracks))
     if len(tracks) == 0:
@@ -100,13 +123,21 @@ def choose(tracks: tuple[Track, ...], person: int | None, name: str) -> Track:
         if not 0 <= person < len(tracks):
             raise ObservationError(f"{name}: there is no person {person}; there are {listed}")
         return tracks[person]
-    best = sorted(tracks, key=lambda track: -track.completeness)[:2]
-    if len(best) > 1 and best[1].completeness >= _EQUAL * best[0].completeness:
+    best = max(tracks, key=lambda track: track.completeness)
+    alike = [one for one in tracks if one.completeness >= _EQUAL * best.completeness]
+    alike.sort(key=lambda track: -track.movement)
+    if len(alike) > 1 and not _stands_beside(alike[1], alike[0]):
+        numbers = sorted(one.number for one in alike[:2])
         raise ObservationError(
-            f"{name}: persons {best[0].number} and {best[1].number} are seen about equally well; "
+            f"{name}: persons {numbers[0]} and {numbers[1]} are seen about equally well; "
             f"choose one with --person. There are {listed}"
         )
-    return best[0]
+    return alike[0]
+
+
+def _stands_beside(other: Track, mover: Track) -> bool:
+    """Whether somebody stands by while another one moves."""
+    return other.movement < _STANDS and mover.movement > _MOVES * max(other.movement, _STANDS / 3)
 
 
 def body_size(pixels: np.ndarray, confidence: np.ndarray) -> float:

@@ -204,6 +204,9 @@ def _one_person(
     if len(found) == 1:
         track = choose(tracks[0], person, found[0].name)
         who = "the only one" if len(tracks[0]) == 1 else "given" if person is not None else "most"
+        most = max(one.completeness for one in tracks[0])
+        if who == "most" and track.completeness < most:
+            who = "moves; a bystander is as complete"
         return [track], (f"{names[0]}: {track} ({who} of {len(tracks[0])} tracks)",)
     if posed := [n for n, c in zip(names, cameras, strict=True) if c.T_camera_world is None]:
         raise ObservationError(

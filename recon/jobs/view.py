@@ -28,6 +28,7 @@ def view_files(
     html: Path | None = None,
     png: Path | None = None,
     mp4: Path | None = None,
+    rrd: Path | None = None,
     body: Path | None = None,
     certainty: bool = False,
     overwrite: bool = False,
@@ -48,7 +49,7 @@ def view_files(
             `overwrite`.
     """
     show = shown(motion, obs=obs, compare=compare, side=side, body=body, certainty=certainty)
-    every = ((html, draw_html), (png, _draw_png), (mp4, _draw_mp4))
+    every = ((html, draw_html), (png, _draw_png), (mp4, _draw_mp4), (rrd, _draw_rrd))
     asked = [(Output(path), draw) for path, draw in every if path is not None]
     read = [path for path in (motion, *obs, compare, side, body) if path is not None]
     report = {"inputs": checksums(read), "versions": versions()}
@@ -139,6 +140,12 @@ def _draw_mp4(path: Path, show: Show) -> None:
         write_views_mp4(path, show)
     else:
         write_mp4(path, show)
+
+
+def _draw_rrd(path: Path, show: Show) -> None:
+    from recon.view.timeline import write_rrd
+
+    write_rrd(path, show)
 
 
 def _meanwhile(file: MotionFile, motion: Motion, path: Path) -> Motion:

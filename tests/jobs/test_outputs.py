@@ -54,7 +54,7 @@ CASES = (
     Case("simulate", "out", ("IN.npz", "OUT", "--kind", "scans"), Kind.FOLDER),
     Case("evaluate", "json", ("IN.npz", "other.npz", "--json", "OUT"), Kind.REPORT),
     Case("report", "out", ("IN.trc", "--out", "OUT.html")),
-    *(Case("view", to, ("IN.npz", f"--{to}", "OUT")) for to in ("html", "png", "mp4")),
+    *(Case("view", to, ("IN.npz", f"--{to}", "OUT")) for to in ("html", "png", "mp4", "rrd")),
     *(
         Case("export", to, ("IN.npz", f"--{to}", "OUT"))
         for to in ("glb", "usd", "bvh", "trc", "mot", "angles", "joints", "html")

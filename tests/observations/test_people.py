@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from observations.people.tracks import choose, follow
+from observations.people.tracks import Track, choose, follow
 from recon.formats.detections.records import Detections, Row, gather
 from tests.keypoint_scene import camera, figure, image
 
@@ -38,6 +38,28 @@ def test_two_people_in_any_order_stay_themselves():
     assert choose(tracks, 1, "cam") is tracks[1]
     with pytest.raises(ValueError, match=r"no person 2; there are person 0: 20 frames"):
         choose(tracks, 2, "cam")
+
+
+def test_somebody_who_moves_is_preferred_to_a_bystander():
+    """A judge stands in the picture all the time; the one who walks by is who was filmed."""
+    rng = np.random.default_rng(0)
+
+    def both(steps: float) -> tuple[Track, ...]:
+        rows: list[Row] = []
+        for t in range(20):
+            judge = seen((0, -2))
+            judge[:, :2] += rng.normal(scale=4.0, size=judge[:, :2].shape)
+            rows.append((t, judge, -1))
+            if t > 0:  # the judge is even more complete
+                rows.append((t, seen((0, steps * t)), -1))
+        return follow(scene(rows))
+
+    walker = choose(both(0.05), None, "cam")
+    assert walker.number == 1
+    assert walker.movement > 0.1
+    assert both(0.05)[0].movement < 0.04
+    with pytest.raises(ValueError, match="--person"):
+        choose(both(0.0), None, "cam")
 
 
 def test_gaps_and_hidden_legs_do_not_break_a_track_and_the_more_complete_is_chosen():

@@ -7,12 +7,13 @@ from tyro.conf import Positional
 from recon.cli.places import Overwrite, Place, writes
 
 
-@writes(Place("html"), Place("png"), Place("mp4"))
+@writes(Place("html"), Place("png"), Place("mp4"), Place("rrd"))
 def view(
     motion: Positional[Path],
     html: Path | None = None,
     png: Path | None = None,
     mp4: Path | None = None,
+    rrd: Path | None = None,
     obs: tuple[Path, ...] = (),
     compare: Path | None = None,
     beside: Path | None = None,
@@ -30,6 +31,7 @@ def view(
         html: page to write.
         png: picture to write: frames side by side.
         mp4: film to write.
+        rrd: file for the Rerun viewer to write, everything on a timeline; needs rerun-sdk.
         obs: observations of the motion, of any kind: their points, clouds and cameras are drawn;
             missing points where the motion has them.
         compare: a second motion, for example the truth, in the same place at the same times.
@@ -42,9 +44,9 @@ def view(
     """
     from recon.jobs.view import view_files
 
-    if html is None and png is None and mp4 is None:
-        raise ValueError("nothing to draw: give --html FILE, --png FILE or --mp4 FILE")
+    if all(target is None for target in (html, png, mp4, rrd)):
+        raise ValueError("nothing to draw: give --html, --png, --mp4 or --rrd FILE")
     view_files(
-        motion, obs=obs, compare=compare, side=beside, html=html, png=png, mp4=mp4, body=body,
-        certainty=std, overwrite=overwrite,
+        motion, obs=obs, compare=compare, side=beside, html=html, png=png, mp4=mp4, rrd=rrd,
+        body=body, certainty=std, overwrite=overwrite,
     )  # fmt: skip
