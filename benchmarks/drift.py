@@ -25,7 +25,7 @@ from benchmarks.tables.drift import HEADINGS, lines
 from benchmarks.windows import Windows, load_windows
 from priors.humor.prior import Humor
 from priors.humor.state import states_of
-from priors.humor.steps import explain, latents_of
+from priors.humor.stepwise.steps import explain, latents_of
 from priors.training.dataset import Splits
 from recon.body.model import BodyModel
 

@@ -17,10 +17,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from priors.humor.curvature import SPAN, bundled_curvature
 from priors.humor.prior import Humor
 from priors.humor.state import contact_probabilities, posed_states
-from priors.humor.steps import explain
+from priors.humor.stepwise.curvature import SPAN, bundled_curvature
+from priors.humor.stepwise.steps import explain
 from priors.humor.terms import contact_velocity
 from priors.pose.prior import PoseBelief, PosePrior, PoseVariables, PoseWeights
 from recon.body.model import BodyModel

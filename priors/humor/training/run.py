@@ -10,7 +10,7 @@ import torch
 from priors.humor.mixture import Mixture
 from priors.humor.networks import HumorNetworks
 from priors.humor.state import canonical, distinct_features, initial_features, rest_pelvis
-from priors.humor.steps import error_whitening
+from priors.humor.stepwise.steps import error_whitening
 from priors.humor.training.corpus import Corpus, Variation
 from priors.humor.training.scaling import ScaledNetworks
 from priors.humor.weights import networks_from, read_weights, save_weights

@@ -1,4 +1,4 @@
-"""Learning the mean curvature of a step: `priors.humor.curvature` over the training corpus.
+"""Learning the mean curvature of a step: `priors.humor.stepwise.curvature` over the training corpus.
 
     python -m priors.humor.training.stiffness CORPUS --out humor_steps.safetensors
 
@@ -15,10 +15,10 @@ from torch import Tensor
 
 from priors.checkpoints import save_checkpoint
 from priors.humor.collocation import CollocatedHumor
-from priors.humor.curvature import SPAN
 from priors.humor.prior import Humor
 from priors.humor.state import states_of
-from priors.humor.steps import explain, latents_of
+from priors.humor.stepwise.curvature import SPAN
+from priors.humor.stepwise.steps import explain, latents_of
 from priors.pose.prior import PosePrior, PoseVariables
 from priors.training.dataset import SPLITS, Splits, load_clips
 from recon.core import rotations as so3

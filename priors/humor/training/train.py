@@ -19,7 +19,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from priors.humor.state import Frame, State, canonical, compose
-from priors.humor.steps import divergence
+from priors.humor.stepwise.steps import divergence
 from priors.humor.training.corpus import Corpus, StateWindows
 from priors.humor.training.run import (
     HumorRun,

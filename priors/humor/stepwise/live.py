@@ -7,10 +7,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from priors.humor.collocation import ERROR, SURPRISE, CollocationWeights, heavy_tailed
-from priors.humor.curvature import SPAN, bundled_curvature
 from priors.humor.prior import Humor
 from priors.humor.state import contact_probabilities, posed_states
-from priors.humor.steps import explain
+from priors.humor.stepwise.curvature import SPAN, bundled_curvature
+from priors.humor.stepwise.steps import explain
 from priors.pose.prior import PoseWeights
 from recon.core.motion import Motion
 from recon.solver.banded import Banded, add_differences
