@@ -1,4 +1,4 @@
-"""Learning the mean curvature of a step: `priors.humor.stepwise.curvature` over the training corpus.
+"""Learning the mean curvature of a step (`priors.humor.stepwise.curvature`) from the corpus.
 
     python -m priors.humor.training.stiffness CORPUS --out humor_steps.safetensors
 

@@ -47,7 +47,7 @@ class Judged(Protocol):
 
 @runtime_checkable
 class StepEnergies(Protocol):
-    """Energies of a prior over the steps between frames; `priors.humor.stepwise.live` has HuMoR's."""
+    """Energies of a prior over steps between frames, such as `priors.humor.stepwise.live`."""
 
     reach: ClassVar[int]
     """Frames so far apart are in one energy."""
