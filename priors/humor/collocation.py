@@ -13,13 +13,13 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, ClassVar
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from priors.humor.prior import Humor
 from priors.humor.state import contact_probabilities, posed_states
 from priors.humor.stepwise.curvature import SPAN, bundled_curvature
+from priors.humor.stepwise.energies import ERROR, SURPRISE, CollocationWeights, heavy_tailed
 from priors.humor.stepwise.steps import explain
 from priors.humor.terms import contact_velocity
 from priors.pose.prior import PoseBelief, PosePrior, PoseVariables, PoseWeights
@@ -39,42 +39,6 @@ _FITTED = 0.5
 2 cm of 22 joints in 60 frames."""
 _MOST = 0.9
 """Share of the moments in which a joint must be seen for its clip to be seen whole."""
-
-ERROR, SURPRISE = 100.0, 20.0
-"""Energies of one step, in nats, beyond which it counts less and less. A step that is far from
-the corpus is one that the networks never saw, so the data should decide about it."""
-
-
-@dataclass(frozen=True)
-class CollocationWeights:
-    """Multipliers of the unweighted energies, for an observation of weight one."""
-
-    pose: PoseWeights
-    """Weights of the pose density, of the shape and of the remaining smoothness."""
-    step: float
-    """Weight of the squared error of the decoder, in nats per step."""
-    latents: float
-    """Weight of the KL divergence of the posterior from the prior, in nats per step."""
-    contact_velocity: float
-    """Weight of ½ c |step|² in metres², where c is the probability of contact of a joint."""
-
-    @classmethod
-    def for_noise(cls, noise: float) -> "CollocationWeights":
-        """Weights for observations of a standard deviation of `noise` metres per coordinate.
-
-        Chosen on validation subjects (`benchmarks.tune_humor`). A calibrated bound would have
-        multipliers of noise² for both of its parts; errors of neighbouring steps repeat each
-        other, so less is better. Where points are exact, 14 mm remain: nobody moves just like
-        the people of the corpus.
-        """
-        pose = PoseWeights.for_noise(noise)
-        variance = max(noise, 0.014) ** 2
-        return cls(
-            pose=PoseWeights(0.5 * pose.pose, pose.shape, acceleration=0.15 * pose.acceleration),
-            step=0.1 * variance,
-            latents=0.3 * variance,
-            contact_velocity=2e4 * max(noise, 0.008) ** 2,
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,11 +131,6 @@ class CollocatedHumor:
             contacts=contact_probabilities(found.contacts),
             posed=posed,
         )
-
-
-def heavy_tailed(nats: Tensor, scale: float) -> Tensor:
-    """The energy ρ(x) = s log(1 + x / s): as x where it is small, slower where it is large."""
-    return scale * torch.log1p(nats / scale)
 
 
 @dataclass(frozen=True, eq=False)

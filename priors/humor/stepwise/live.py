@@ -6,10 +6,10 @@ from typing import ClassVar
 from jaxtyping import Float
 from torch import Tensor
 
-from priors.humor.collocation import ERROR, SURPRISE, CollocationWeights, heavy_tailed
 from priors.humor.prior import Humor
 from priors.humor.state import contact_probabilities, posed_states
 from priors.humor.stepwise.curvature import SPAN, bundled_curvature
+from priors.humor.stepwise.energies import ERROR, SURPRISE, CollocationWeights, heavy_tailed
 from priors.humor.stepwise.steps import explain
 from priors.pose.prior import PoseWeights
 from recon.core.motion import Motion

@@ -28,7 +28,7 @@ _ARKIT = ("transform", "cameraTransform", "camera_transform", "cameraPoseARFrame
 _TIMES = ("timestamp", "time")
 _SEVEN = ("poses", "traj", "traj_est", "trajectory")
 _FLIPPED = np.diag([1.0, -1.0, -1.0, 1.0])
-"""From OpenCV's camera axes to those of ARKit."""
+"""Turn from OpenCV's camera axes to those of ARKit."""
 _WRITTEN = (
     "a folder with COLMAP's images.txt, a text of TUM's (timestamp tx ty tz qx qy qz qw), an "
     "array (.npy, .npz) of DROID-SLAM's (frames, 7), or ARKit's .json"
@@ -40,7 +40,7 @@ class CameraTrack:
     """Poses of one camera over time."""
 
     T_world_camera: Float[np.ndarray, "poses 4 4"]
-    """In the tracker's world and unit; z up where it is `level`."""
+    """Poses in the tracker's world and unit; z up where it is `level`."""
     frames: Int[np.ndarray, " poses"] | None
     """Numbers of the frames; None where times tell, or nothing."""
     times: Float[np.ndarray, " poses"] | None
