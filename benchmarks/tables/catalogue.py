@@ -15,6 +15,7 @@ from benchmarks.tables import (
     points,
     rollouts,
     second_order,
+    segments,
     trust,
 )
 from benchmarks.tables.page import Table
@@ -49,6 +50,7 @@ TABLES: Mapping[str, Table] = {
     "converged": second_order.converged,
     "rollout-fits": rollouts.rollout_fits,
     "drift": drift.drift,
+    "segments": segments.segments,
     "fuzz": others.fuzz,
     "cameras-summary": cameras.summary,
     "cameras": cameras.cameras,
