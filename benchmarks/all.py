@@ -47,6 +47,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
               "2D + depth"),
     "pose2sim": ("pose2sim", "OBSERVATIONS"),
     "doors": ("doors", "OBSERVATIONS"),
+    "phone": ("phone", "CORPUS", "--part", "validation", "--only", "5", "--cases", "focal"),
     "slip_sizes": ("slips.sizes", "CORPUS"),
     "slips": ("slips", "CORPUS", "--prior", "pose", "--good", "300", "--observations",
               "OBSERVATIONS"),
