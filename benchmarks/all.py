@@ -48,6 +48,8 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "pose2sim": ("pose2sim", "OBSERVATIONS"),
     "doors": ("doors", "OBSERVATIONS"),
     "phone": ("phone", "CORPUS", "--part", "validation", "--only", "5", "--cases", "focal"),
+    "phone_track": ("phone", "CORPUS", "--part", "validation", "--only", "2", "--cases",
+                    "track"),
     "slip_sizes": ("slips.sizes", "CORPUS"),
     "slips": ("slips", "CORPUS", "--prior", "pose", "--good", "300", "--observations",
               "OBSERVATIONS"),

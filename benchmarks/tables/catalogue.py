@@ -63,6 +63,7 @@ TABLES: Mapping[str, Table] = {
     "doors": doors.files,
     "doors-projects": doors.projects,
     "phone-focal": phone.focal,
+    "phone-track": phone.track,
     "cycles": gait.cycles,
     "anchor-reconstruction": gait.reconstruction,
     "anchor-study": gait.study,

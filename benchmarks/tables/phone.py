@@ -19,3 +19,22 @@ def focal() -> str:
         ])  # fmt: skip
     headings = ["focal length", "about the pelvis cm", "over the true one", "CPU s"]
     return markdown(headings, rows) + source("phone")
+
+
+_TRACK = {
+    "static": "fixed", "undeclared": "carried, believed fixed", "COLMAP": "carried, COLMAP",
+    "TUM": "carried, TUM", "DROID-SLAM": "carried, DROID-SLAM", "ARKit": "carried, ARKit",
+}  # fmt: skip
+
+
+def track() -> str:
+    """A fixed phone, and a carried one with the files of trackers."""
+    rows = []
+    for name, label in _TRACK.items():
+        found = result("phone_track")["tables"]["track"][name]["mean"]
+        rows.append([
+            label, number(found["about"], 100, 2), number(found.get("unit"), 1, 2),
+            number(found["seconds"], 1, 1),
+        ])  # fmt: skip
+    headings = ["phone", "about the pelvis cm", "length of the path over the true one", "CPU s"]
+    return markdown(headings, rows) + source("phone_track")
