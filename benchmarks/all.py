@@ -22,6 +22,7 @@ _CYCLES = ("CORPUS", "--weights", "nc", "--licence", "nc")
 _POINTS = ("noisy joints", "occluded points")
 _COLUMNS = ("--columns", "p=0", "p=50+lm", "f=5+lm", "p=50")
 
+_SEGMENTS = ("segments", "CORPUS", "--only", "2", "--protocols")
 _ROLLOUT = ("rollout_fits", "CORPUS", "--part", "validation", "--only", "2", "--protocols")
 COMMANDS: dict[str, tuple[str, ...]] = {
     "corpus": ("corpus", "CORPUS"),
@@ -46,6 +47,9 @@ COMMANDS: dict[str, tuple[str, ...]] = {
               "2D + depth"),
     "pose2sim": ("pose2sim", "OBSERVATIONS"),
     "doors": ("doors", "OBSERVATIONS"),
+    "phone": ("phone", "CORPUS", "--part", "validation", "--only", "5", "--cases", "focal"),
+    "phone_track": ("phone", "CORPUS", "--part", "validation", "--only", "2", "--cases",
+                    "track"),
     "slip_sizes": ("slips.sizes", "CORPUS"),
     "slips": ("slips", "CORPUS", "--prior", "pose", "--good", "300", "--observations",
               "OBSERVATIONS"),
@@ -90,8 +94,13 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "rollout_camera": (*_ROLLOUT, "one camera", "one camera, posed"),
     "rollout_views": (*_ROLLOUT, "three views", "joints and depth"),
     "rollout_depth": (*_ROLLOUT, "keypoints and depth"),
-    "segments": ("segments", "CORPUS", "--only", "4", "--protocols", "noisy joints"),
-    "segments_hidden": ("segments", "CORPUS", "--only", "4", "--protocols", "hidden points"),
+    "segments": (*_SEGMENTS, "noisy joints", "--methods", "collocation", "segments of 5",
+                 "segments of 15"),
+    "segments_ends": (*_SEGMENTS, "noisy joints", "--methods", "segments of 1", "roll-out"),
+    "segments_hidden": (*_SEGMENTS, "hidden points", "--methods", "collocation", "segments of 5"),
+    "segments_hidden_1": (*_SEGMENTS, "hidden points", "--methods", "segments of 1"),
+    "segments_hidden_15": (*_SEGMENTS, "hidden points", "--methods", "segments of 15"),
+    "segments_hidden_rollout": (*_SEGMENTS, "hidden points", "--methods", "roll-out"),
     "drift": ("drift", "CORPUS"),
     "solver": ("solver",),
     "speed": ("speed",),

@@ -12,9 +12,11 @@ from benchmarks.tables import (
     gait,
     many,
     others,
+    phone,
     points,
     rollouts,
     second_order,
+    segments,
     trust,
 )
 from benchmarks.tables.page import Table
@@ -49,6 +51,7 @@ TABLES: Mapping[str, Table] = {
     "converged": second_order.converged,
     "rollout-fits": rollouts.rollout_fits,
     "drift": drift.drift,
+    "segments": segments.segments,
     "fuzz": others.fuzz,
     "cameras-summary": cameras.summary,
     "cameras": cameras.cameras,
@@ -59,6 +62,8 @@ TABLES: Mapping[str, Table] = {
     "clinic-files": clinic.files,
     "doors": doors.files,
     "doors-projects": doors.projects,
+    "phone-focal": phone.focal,
+    "phone-track": phone.track,
     "cycles": gait.cycles,
     "anchor-reconstruction": gait.reconstruction,
     "anchor-study": gait.study,

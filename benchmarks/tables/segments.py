@@ -5,19 +5,22 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.tables.values import markdown, number, result, source
+from benchmarks.tables.values import markdown, number, present, result, source
 
 HEADINGS = ["on the same windows", "method", "joints cm", "by thirds cm",
             "hidden points cm", "objective", "defect, nats", "drift cm", "evaluations", "CPU s",
             "by tolerance"]  # fmt: skip
-FILES = ("segments", "segments_hidden")
+FILES = ("segments", "segments_ends", "segments_hidden", "segments_hidden_1", "segments_hidden_15",
+         "segments_hidden_rollout")  # fmt: skip
+_ORDER = ("collocation", "segments of 1", "segments of 5", "segments of 15", "roll-out")
 _TOLERANCE = ("converged", "gradient")
 
 
 def segments() -> str:
     """Every length in every protocol."""
-    rows = [row for file in FILES for row in result(file)["rows"]]
-    return markdown(HEADINGS, lines(rows)) + source(*FILES)
+    files = present(FILES)
+    rows = [row for file in files for row in result(file)["rows"]]
+    return markdown(HEADINGS, lines(rows)) + source(*files)
 
 
 def lines(rows: Sequence[Mapping[str, Any]]) -> list[list[str]]:
@@ -25,7 +28,13 @@ def lines(rows: Sequence[Mapping[str, Any]]) -> list[list[str]]:
     found: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
     for row in rows:
         found.setdefault((row["protocol"], row["method"]), []).append(row)
-    return [_line(protocol, method, own) for (protocol, method), own in found.items()]
+    protocols = list(dict.fromkeys(protocol for protocol, _ in found))
+    return [
+        _line(protocol, method, found[protocol, method])
+        for protocol in protocols
+        for method in _ORDER
+        if (protocol, method) in found
+    ]
 
 
 def _line(protocol: str, method: str, rows: Sequence[Mapping[str, Any]]) -> list[str]:

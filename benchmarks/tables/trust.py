@@ -69,7 +69,41 @@ def uncertainty() -> str:
     ]  # fmt: skip
     headings = ["data; prior", "joints", "within 1.645 std (0.9)", "error of an axis, cm",
                 "median std, cm", "rank correlation", "% of the fit's time"]  # fmt: skip
-    return markdown(headings, rows) + source("uncertainty")
+    parts = [markdown(headings, rows), _grounds(), _contacts()]
+    return "\n\n".join(part for part in parts if part) + source("uncertainty")
+
+
+def _grounds() -> str:
+    """Grounds that were found: errors of their height and normal beside what fits state."""
+    factors = {"height": ("cm", 100), "normal, degrees": ("degrees", 1)}
+    rows = [
+        [name, f"{kind.split(',')[0]}, {unit}", number(row[kind]["within"], 1, 2),
+         number(row[kind]["median_error"], factor, 1), number(row[kind]["rms"], factor, 1),
+         number(row[kind]["median_std"], factor, 1)]
+        for name, row in result("uncertainty")["rows"].items()
+        for kind, (unit, factor) in factors.items() if kind in row
+    ]  # fmt: skip
+    headings = ["data; prior", "ground", "within 1.645 std (0.9)", "median error", "RMS error",
+                "median std"]  # fmt: skip
+    return markdown(headings, rows) if rows else ""
+
+
+def _contacts() -> str:
+    """How often feet touch where the prior says so."""
+    found = {
+        name: row["contacts"]
+        for name, row in result("uncertainty")["rows"].items()
+        if "contacts" in row
+    }
+    if not found:
+        return ""
+    said = [key for key in next(iter(found.values())) if key.startswith("said ")]
+    rows = [
+        [name, *(number(row[key], 100, 0) if key in row else NONE for key in said)]
+        for name, row in found.items()
+    ]
+    headings = ["feet that touch, %, where the probability is", *(k[5:] for k in said)]
+    return markdown(headings, rows)
 
 
 def refine() -> str:

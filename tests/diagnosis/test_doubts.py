@@ -85,4 +85,7 @@ def test_another_motion_is_said_where_it_is_nearly_as_likely():
     assert "facing 180 degrees elsewhere" in found.message
     assert "and 1 more" in found.message
     assert undecided_findings([other(1.3)]) == []
+    rough = Alternative("posture", 3.0, 0.08, 1.05, 1.0)
+    assert undecided_findings([rough]) == []
+    assert len(undecided_findings([replace(rough, distance=0.3)])) == 1
     assert undecided_findings([]) == []

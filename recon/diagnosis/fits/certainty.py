@@ -12,6 +12,7 @@ from recon.fitting.clip import GROUND_DEVIATION, ClipFit
 from recon.formats.results.certainty import JointCertainty
 from recon.method.laplace.deviations import Believing, Deviations, deviations
 from recon.method.laplace.grounds import GroundBelief, GroundDeviation
+from recon.method.priors import traits_of
 from recon.method.protocols import Estimate, Sensor
 
 _WORTH: dict[Unit, float] = {"metres": 4.0, "pixels": 1.0}
@@ -21,7 +22,9 @@ people so that 90 % of the errors of seen joints lie within 1.645 standard devia
 _STANCE = 0.03
 """Metres by which standing feet miss the ground, clip by clip."""
 _UPRIGHT = 0.04
-"""Radians by which people lean on average over a clip."""
+"""Radians by which people lean on average over a clip, beside what a prior knows of gravity."""
+_UPRIGHT_ALONE = 0.09
+"""The same where the ground is only put below upright people, by priors that know no gravity."""
 
 
 def certainty(found: ClipFit) -> Deviations | None:
@@ -55,7 +58,9 @@ def _ground(found: ClipFit) -> GroundBelief | None:
         return GroundBelief(_STANCE, _UPRIGHT, 0)
     level = all(one.level for one in found.observations)
     shown = GROUND_DEVIATION**-2 if found.ground_seen else 0.0
-    return GroundBelief(_STANCE, _UPRIGHT, 1 if level else 3, shown)
+    knows = traits_of(found.result.reports[-1].stage.prior).knows_gravity
+    upright = _UPRIGHT if knows else _UPRIGHT_ALONE
+    return GroundBelief(_STANCE, upright, 1 if level else 3, shown)
 
 
 def _thinned(one: Sensor, noise: Noise, estimate: Estimate) -> tuple[Sensor, Noise]:

@@ -17,7 +17,12 @@ _PART = 0.25
 _SHORTEST = 0.2
 """Seconds that are worth a word."""
 NEARLY = 0.15
-"""Share of the energy by which another motion may be worse and still be nearly as likely."""
+"""Share of the energy by which another motion may be worse and still be nearly as likely. On
+five validation windows of depth alone, where all headings were chosen well, the next was worse by
+29 % at least."""
+_ANOTHER = 0.15
+"""Metres, mean of joints, from which on another posture is another motion: quick fits that compare
+first guesses leave smaller differences to the fit that follows."""
 
 
 def guessed_findings(
@@ -55,7 +60,11 @@ def guessed_findings(
 
 def undecided_findings(alternatives: Sequence[Alternative]) -> list[Finding]:
     """The likeliest other motion, where it explains the data nearly as well."""
-    close = [one for one in alternatives if one.excess < NEARLY]
+    close = [
+        one
+        for one in alternatives
+        if one.excess < NEARLY and (one.kind != "posture" or one.distance > _ANOTHER)
+    ]
     if not close:
         return []
     more = f" and {len(close) - 1} more" if len(close) > 1 else ""

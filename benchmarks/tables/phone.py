@@ -1,0 +1,40 @@
+"""Tables of films of phones."""
+
+from benchmarks.tables.values import markdown, number, result, source
+
+_FOCAL = {
+    "known": "known", "found": "guessed and found by the fit", "held": "guessed and held",
+}  # fmt: skip
+
+
+def focal() -> str:
+    """The focal length told, found and guessed; windows of validation subjects."""
+    rows = []
+    for name, label in _FOCAL.items():
+        found = result("phone")["tables"]["focal"][name]
+        ratios = [row["ratio"] for row in found.values() if "ratio" in row]
+        rows.append([
+            label, number(found["mean"]["about"], 100, 2),
+            f"{min(ratios):.2f} to {max(ratios):.2f}", number(found["mean"]["seconds"], 1, 1),
+        ])  # fmt: skip
+    headings = ["focal length", "about the pelvis cm", "over the true one", "CPU s"]
+    return markdown(headings, rows) + source("phone")
+
+
+_TRACK = {
+    "static": "fixed", "undeclared": "carried, believed fixed", "COLMAP": "carried, COLMAP",
+    "TUM": "carried, TUM", "DROID-SLAM": "carried, DROID-SLAM", "ARKit": "carried, ARKit",
+}  # fmt: skip
+
+
+def track() -> str:
+    """A fixed phone, and a carried one with the files of trackers."""
+    rows = []
+    for name, label in _TRACK.items():
+        found = result("phone_track")["tables"]["track"][name]["mean"]
+        rows.append([
+            label, number(found["about"], 100, 2), number(found.get("unit"), 1, 2),
+            number(found["seconds"], 1, 1),
+        ])  # fmt: skip
+    headings = ["phone", "about the pelvis cm", "length of the path over the true one", "CPU s"]
+    return markdown(headings, rows) + source("phone_track")
