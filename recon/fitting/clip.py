@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from observations.keypoints2d import OFFSET_UNIT, Keypoints2D
+from observations.keypoints2d import OFFSET_UNIT
 from observations.noise import weights_of
 from observations.timing import at_observation_times
 from observations.together import kinds
@@ -317,7 +317,8 @@ class _Job:
         """The observations with what was found of the scene."""
         scene = result.estimate.scene.detach()
         return tuple(
-            o.settled(scene) if isinstance(o, Keypoints2D) else o for o in self.observations
+            views[0].settled(scene) if (views := kinds.views([one])) else one
+            for one in self.observations
         )
 
     def free(self) -> Motion:
