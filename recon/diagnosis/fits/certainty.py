@@ -24,7 +24,7 @@ _STANCE = 0.03
 _UPRIGHT = 0.04
 """Radians by which people lean on average over a clip, beside what a prior knows of gravity."""
 _UPRIGHT_ALONE = 0.09
-"""The same where the ground is only put below upright people, by priors that know no gravity."""
+"""Radians likewise where the ground is only put below people, by priors that know no gravity."""
 
 
 def certainty(found: ClipFit) -> Deviations | None:
