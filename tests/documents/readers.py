@@ -14,6 +14,7 @@ import torch
 import recon
 from observations.correspondences import BodyPoints
 from observations.files.images import keypoints_of
+from recon.core import rotations as so3
 from recon.core.skeleton import JOINTS
 from recon.formats.observations import KeypointsFile, PositionsFile, save_observation
 from recon.simulation.images import keypoints2d
@@ -41,6 +42,7 @@ def names_of_readers(folder: Path) -> dict[str, Any]:
     _write_scans(folder / "scans", scans.points, scans.frame)
     recon.save_motion(folder / "walk.npz", walk(90))
     runpy.run_path(str(ROOT / "examples" / "05_c3d.py"))["written"](folder / "trial.c3d")
+    _write_estimate(folder / "hmr4d_results.pt", walk(90))
     coco = keypoints2d(motion, body, cameras(motion)[0], Corruption(noise=3.0), 0, "coco17")
     pose = coco.camera.T_camera_world
     assert pose is not None
@@ -65,6 +67,16 @@ def names_of_readers(folder: Path) -> dict[str, Any]:
         "distortion": None,
         "T_camera_world": pose[0],
     }
+
+
+def _write_estimate(path: Path, motion: recon.Motion) -> None:
+    """What a video network writes of every frame (GVHMR)."""
+    vectors = so3.log(motion.rotations)
+    parts = {
+        "global_orient": vectors[:, 0], "body_pose": vectors[:, 1:].flatten(1),
+        "transl": motion.translation, "betas": torch.zeros(motion.frames, 10),
+    }  # fmt: skip
+    torch.save({"smpl_params_global": parts}, path)
 
 
 def _write(
