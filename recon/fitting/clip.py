@@ -24,7 +24,7 @@ from recon.core.skeleton import joint_index
 from recon.core.struct import concatenate
 from recon.fitting.ground import ground_below, pelvis_path, sole_heights, upright_ground
 from recon.fitting.long import WINDOW, OneShape, fit_long
-from recon.fitting.methods import WithoutRoot, WithScene, method_of
+from recon.fitting.methods import WithoutRoot, WithScene, WithSizeHeld, method_of
 from recon.fitting.options import FitOptions
 from recon.method.protocols import Sensor
 from recon.method.reconstruction import Method, Reconstruction, solve
@@ -204,11 +204,16 @@ class _Job:
     @property
     def lens_unknown(self) -> bool:
         """Whether one view of unknown pose is all there is, and its focal length is a guess."""
+        # the path of a camera that moves is of the lens that its tracker had
+        return self.size_untold and not kinds.views(self.observations)[0].focal_known
+
+    @property
+    def size_untold(self) -> bool:
+        """Whether one view of a camera that stands at an unknown place is all there is."""
         views = kinds.views(self.observations)
-        alone = len(self.observations) == len(views) == 1
-        if alone and views[0].camera.T_camera_world.shape[-3] > 1:
-            return False  # the path of a camera that moves is of the lens that its tracker had
-        return alone and not views[0].focal_known and not views[0].ground_known
+        if not len(self.observations) == len(views) == 1 or views[0].ground_known:
+            return False
+        return views[0].camera.T_camera_world.shape[-3] == 1
 
     def scene(self, start: Motion, ground: UnknownGround | None = None) -> Scene:
         """A scene with no offsets of keypoints, and a ground."""
@@ -233,6 +238,8 @@ class _Job:
             method = OneShape(method)
         elif options.shape_prior is not None:
             method = WithShape(method, options.shape_prior.terms(self.body, noise))
+        elif self.size_untold:
+            method = WithSizeHeld(method)
         terms = options.terms
         if moved >= OFFSETS:
             weight = (noise * OFFSET_UNIT / KEYPOINT_OFFSET_DEVIATION) ** 2

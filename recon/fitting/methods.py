@@ -73,6 +73,25 @@ class WithoutRoot:
 
 
 @dataclass(frozen=True)
+class WithSizeHeld:
+    """A method that takes the shape from its first stage that finds one.
+
+    One view of unknown pose does not tell whether somebody is large and far or small and near. A
+    prior over steps does not either, yet it finds the short steps of small people likelier: what
+    it judges would shrink them by a fifth (CMU 02_01), and bend their poses to fit.
+    """
+
+    method: Method
+
+    def stages(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
+        """Its stages; those after the first that moves the shape do not."""
+        stages = self.method.stages(data)
+        first = next((k for k, stage in enumerate(stages) if "shape" in stage.free), 0)
+        held = (replace(stage, free=stage.free - {"shape"}) for stage in stages[first + 1 :])
+        return *stages[: first + 1], *held
+
+
+@dataclass(frozen=True)
 class WithScene:
     """A method that finds something of the scene as well, once there is a first motion."""
 

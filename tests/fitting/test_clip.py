@@ -17,6 +17,7 @@ from recon.fitting.clip import ClipFit, fit_clip
 from recon.fitting.ground import sole_heights
 from recon.fitting.options import FitOptions
 from recon.formats.observations import CameraArrays, KeypointsFile
+from recon.method.stages import StageReport
 from recon.simulation.points import Corruption, joints3d
 from tests.filmed import bundled, cameras, joint_error, turned, view, walk
 
@@ -73,6 +74,20 @@ def test_one_camera_of_unknown_pose(settings):
     assert math.degrees(math.acos(float((up * true_up).sum().clamp(max=1)))) < 8
     soles = float(sole_heights(found.result.motion.detach(), bundled())[0])
     assert abs(soles) < 0.05
+    # HuMoR's networks like short steps: they shrank a man by a fifth, whom one view cannot measure
+    finding = [report.stage.name for report in found.result.reports if moves_shape(report)]
+    assert finding == ["pose"]
+
+
+def moves_shape(report: StageReport) -> bool:
+    return "shape" in report.stage.free
+
+
+def test_a_posed_camera_and_a_second_view_tell_the_size():
+    truth = walk(12)
+    for seen in ([one_view(truth)], [one_view(truth), view(truth, cameras(truth, 2)[1], seed=1)]):
+        found = fit_clip(seen, HUMOR, bundled())
+        assert moves_shape(found.result.reports[-1])
 
 
 @pytest.mark.parametrize("angle", [0.0, 1.5])

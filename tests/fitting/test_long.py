@@ -26,7 +26,16 @@ from recon.solver.lbfgs import LBFGS
 from tests import laws
 
 
-class At30(FreeMotion):
+class Unbent(FreeMotion):
+    """A prior over bodies that do not bend; first guesses do, towards their points."""
+
+    def encode(self, motion):
+        rest = torch.eye(3).to(motion.rotations).expand_as(motion.rotations[..., 1:, :, :])
+        rotations = torch.cat((motion.rotations[..., :1, :, :], rest), -3)
+        return super().encode(motion.replace(rotations=rotations))
+
+
+class At30(Unbent):
     """A prior that knows one rate only, as HuMoR does."""
 
     def encode(self, motion):
@@ -37,7 +46,7 @@ class At30(FreeMotion):
 class Rigid:
     """A cheap method: where the body is and what shape it has; it does not bend."""
 
-    prior: FreeMotion = field(default_factory=FreeMotion)
+    prior: FreeMotion = field(default_factory=Unbent)
     iterations: int = 15
 
     def stages(self, data):
