@@ -53,7 +53,7 @@ _LEAST_NOISE = 0.014
 
 @dataclass(frozen=True)
 class Row:
-    """What segments of one length, or collocation, did with one window; metres."""
+    """Errors in metres and cost of one way to fit one window."""
 
     protocol: str
     method: str
@@ -66,7 +66,7 @@ class Row:
     seconds: float
     """CPU time for one clip, the start's included."""
     evaluations: int
-    """Of the last stage."""
+    """Evaluations of the last stage."""
     ended: str
     objective: float | None = None
     """In squares of the noise; None of collocation, which has another."""

@@ -1,6 +1,7 @@
 """HuMoR's networks evaluated on all steps of given motions at once, without a rollout."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import torch
 from jaxtyping import Float
@@ -85,7 +86,7 @@ class _Steps(TensorStruct):
             -2,
         )
         # translation and joints are places, and joints turn about the pelvis
-        about, back = _placed(vectors)
+        about, back = _placed(vectors.dtype, vectors.device)
         ends = torch.stack((vectors[:, :-1], vectors[:, 1:])) - about @ level
         turned = ends @ frame.turn.mT + back * pelvis[:, None, None]
         root = turned[..., 3:6, :].mT
@@ -125,9 +126,11 @@ _MOVED = 207
 """Numbers of a raw step before its contact logits."""
 
 
-def _placed(vectors: Float[Tensor, "*batch 50 3"]) -> tuple[Tensor, Tensor]:
-    """What of a frame's origin and of the pelvis is taken from each vector, and what put back."""
-    about, back = vectors.new_zeros(50, 2), vectors.new_zeros(50, 1)
+@lru_cache(maxsize=8)
+def _placed(dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor]:
+    """Shares of a frame's origin and the pelvis that vectors lose, and of the pelvis put back."""
+    about = torch.zeros(50, 2, dtype=dtype, device=device)
+    back = torch.zeros(50, 1, dtype=dtype, device=device)
     about[0, 0] = 1.0
     about[6:28] = 1.0
     back[6:28] = 1.0

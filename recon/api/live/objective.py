@@ -57,8 +57,8 @@ class StepEnergies(Protocol):
         """Weights of the density of poses and of smoothness beside them."""
         ...
 
-    def judged(self, motion: Motion, joints: Float[Tensor, "1 time 22 3"], held: int) -> Any:
-        """The energy, a `Judged` with a gradient by what the motion was made of."""
+    def judged(self, motion: Motion, joints: Float[Tensor, "1 time 22 3"], held: int) -> Judged:
+        """The energy, with a gradient by what the motion was made of."""
         ...
 
     def add_curvature(
@@ -158,7 +158,7 @@ class Objective:
 
     def value(self, window: Window, seen: Sequence[Tracker]) -> float:
         """The energy of a window whose last frames have data."""
-        _, orientations, joints = self.posed(window)
+        rotations, orientations, joints = self.posed(window)
         held = window.frames - seen[0].moments
         total = self.weights.pose * self.rate * window.pose[held:].square().sum()
         bend = joints.diff(n=2, dim=0)[max(held - 2, 0) :]
@@ -167,12 +167,14 @@ class Objective:
             places = points.of(orientations[held:], joints[held:])
             total = total + scale * energy_of(sensor, places)
         if self.steps is not None:
-            total = total + self.steps.judged(self.motion(window), joints[None], held).energy
+            total = (
+                total
+                + self.steps.judged(self.motion(window, rotations), joints[None], held).energy
+            )
         return float(total)
 
-    def motion(self, window: Window) -> Motion:
-        """The motion of a window, a batch of one."""
-        rotations = window.rotations(self.density)
+    def motion(self, window: Window, rotations: Float[Tensor, "time 22 3 3"]) -> Motion:
+        """The motion of a window with these rotations of its joints, a batch of one."""
         return Motion.create(window.translation[None], rotations[None], self.shape[None], self.fps)
 
     def equations(self, window: Window, seen: Sequence[Tracker], with_shape: bool) -> Equations:
@@ -220,7 +222,7 @@ class Objective:
         if self.steps is not None:
             judged, slope = self._judged(window, held)
             value, gradient = value + judged.energy.detach(), gradient + slope
-            motion = self.motion(window)[0]
+            motion = self.motion(window, rotations)[0]
             self.steps.add_curvature(motion, judged, hessian, of_joints)
             contacts = judged.contacts[held:]
         inner = replace(hessian, inner=hessian.inner[held:], border=hessian.border[held:])
@@ -238,16 +240,14 @@ class Objective:
             contacts=contacts,
         )
 
-    def _judged(self, window: Window, held: int) -> tuple[Any, Float[Tensor, "active 69"]]:
+    def _judged(self, window: Window, held: int) -> tuple[Judged, Float[Tensor, "active 69"]]:
         """What a prior says of the steps, and its slope by the variables of the active frames."""
         assert self.steps is not None
         with torch.enable_grad():
             zero = window.pose.new_zeros(window.frames, VARIABLES, requires_grad=True)
             moved = window.moved(zero)
-            motion = self.motion(moved)
-            _, joints = forward_kinematics(motion.rotations[0], self.rest)
-            joints = joints + moved.translation[:, None]
-            judged = self.steps.judged(motion, joints[None], held)
+            rotations, _, joints = self.posed(moved)
+            judged = self.steps.judged(self.motion(moved, rotations), joints[None], held)
             (slope,) = torch.autograd.grad(judged.energy, zero)
         return judged, slope[held:]
 
