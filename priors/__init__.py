@@ -1,4 +1,4 @@
-"""Learned motion priors: what is likely."""
+"""Learned priors: which motions are likely, and what part of a body a point shows."""
 
 import recon
 
