@@ -6,6 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from recon.body.derivatives import turned_by
 from recon.body.kinematics import forward_kinematics
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
@@ -44,6 +45,15 @@ class PoseDensity(TensorStruct):
         """The pose at z; the inverse of `coordinates`."""
         steps = (coordinates @ self.basis.mT).unflatten(-1, (ROTATIONS, 3))
         return self.mean @ so3.exp(steps)
+
+    def by_rotations(
+        self, rotations: Float[Tensor, "*shape 21 3 3"]
+    ) -> Float[Tensor, "*shape 63 63"]:
+        """Derivatives of the coordinates by steps R_j Exp(w_j) of the joints, per radian."""
+        steps = so3.log(self.mean.mT @ rotations)
+        slopes = torch.linalg.inv(turned_by(steps))
+        inverse = torch.linalg.inv(self.basis).unflatten(-1, (ROTATIONS, 3))
+        return torch.einsum("zja,...jab->...zjb", inverse, slopes).flatten(-2)
 
 
 def frechet_mean(

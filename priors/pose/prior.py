@@ -163,11 +163,11 @@ class PoseBelief:
     acceleration: float
     shape: float
 
-    def whitened(self, motion: Motion) -> Float[Tensor, "*batch time 63"]:
-        """Coordinates z of every pose over their standard deviation."""
+    def by_rotations(self, motion: Motion) -> Float[Tensor, "*batch time 63 63"]:
+        """Derivatives of z over its standard deviation by steps R_j Exp(w_j), per radian."""
         like = motion.translation
         density = self.density.to(dtype=like.dtype, device=like.device)
-        return density.coordinates(motion.rotations[..., 1:, :, :]) * self.pose**0.5
+        return density.by_rotations(motion.rotations[..., 1:, :, :]) * self.pose**0.5
 
 
 @dataclass(frozen=True)

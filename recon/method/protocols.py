@@ -108,7 +108,7 @@ class TrackedJoints(Protocol):
 class Density(Protocol):
     """What a method believes of a motion without data, as residuals of unit variance.
 
-    -log p = ½ Σ |whitened|² + ½ acceleration Σ |second difference of a joint|² + ½ shape |betas|²,
+    -log p = ½ Σ |z|² + ½ acceleration Σ |second difference of a joint|² + ½ shape |betas|²,
     sums over frames at 30 Hz.
     """
 
@@ -122,8 +122,11 @@ class Density(Protocol):
         """Inverse variance of a shape coefficient, for every frame."""
         ...
 
-    def whitened(self, motion: Motion) -> Float[Tensor, "*batch time coordinates"]:
-        """Coordinates of every pose, of unit variance."""
+    def by_rotations(self, motion: Motion) -> Float[Tensor, "*batch time coordinates 63"]:
+        """Derivatives of a pose's coordinates of unit variance by the joints' rotation steps.
+
+        The steps are those of all joints but the root, R_j Exp(w_j), radians.
+        """
         ...
 
 

@@ -42,33 +42,32 @@ class Inverse:
 def inverse(h: Bordered) -> Inverse:
     """Diagonal blocks of the inverse in time and memory linear in the number of blocks.
 
-    Elimination from the first block on, D_i = A_i - U_(i-1)ᵀ D_(i-1)⁻¹ U_(i-1), and from the last
-    one back, E_i = A_i - U_i E_(i+1)⁻¹ U_iᵀ, meet in (A⁻¹)_ii = (D_i + E_i - A_i)⁻¹ (Rauch, Tung
-    and Striebel 1965, for Gaussian chains).
+    Elimination from the first block on, D_i = A_i - U_(i-1)ᵀ W_(i-1) with W_i = D_i⁻¹ U_i, and
+    from the last one back (A⁻¹)_ii = D_i⁻¹ + W_i (A⁻¹)_(i+1, i+1) W_iᵀ (Takahashi, Fagan and Chin
+    1973; for Gaussian chains Rauch, Tung and Striebel 1965).
 
     Raises:
         torch.linalg.LinAlgError: when H is not positive definite.
     """
-    a, u = h.diagonal, h.upper
-    count = u.shape[-1]
-    ahead, gathered = [a[0]], [h.border[0]]
-    factors = [torch.linalg.cholesky(ahead[0])]
-    for i in range(1, len(a)):
-        beside = torch.cat((u[i - 1], gathered[-1]), -1)
-        carried = torch.cholesky_solve(beside, factors[-1])
-        ahead.append(a[i] - u[i - 1].mT @ carried[:, :count])
-        gathered.append(h.border[i] - u[i - 1].mT @ carried[:, count:])
-        factors.append(torch.linalg.cholesky(ahead[-1]))
-    behind, onto = [a[-1]], [torch.cholesky_solve(gathered[-1], factors[-1])]
-    for i in range(len(a) - 2, -1, -1):
-        factor = torch.linalg.cholesky(behind[-1])
-        behind.append(a[i] - u[i] @ torch.cholesky_solve(u[i].mT, factor))
-        onto.append(torch.cholesky_solve(gathered[i] - u[i] @ onto[-1], factors[i]))
+    inverses: list[Tensor] = []
+    ahead: list[Tensor] = []
+    gathered: list[Tensor] = []
+    for i, (own, border) in enumerate(zip(h.diagonal, h.border, strict=True)):
+        if i > 0:
+            own = own - h.upper[i - 1].mT @ ahead[-1]
+            border = border - ahead[-1].mT @ gathered[-1]
+        inverses.append(torch.cholesky_inverse(torch.linalg.cholesky(own)))
+        gathered.append(border)
+        if i < len(h.upper):
+            ahead.append(inverses[-1] @ h.upper[i])
+    within, onto = [inverses[-1]], [inverses[-1] @ gathered[-1]]
+    for i in range(len(ahead) - 1, -1, -1):
+        within.append(torch.addmm(inverses[i], ahead[i] @ within[-1], ahead[i].mT))
+        onto.append(inverses[i] @ gathered[i] - ahead[i] @ onto[-1])
     x = torch.stack(onto[::-1])
-    both = torch.stack(ahead) + torch.stack(behind[::-1]) - a
     schur = h.corner - (h.border.mT @ x).sum(0)
     return Inverse(
-        within=torch.cholesky_inverse(torch.linalg.cholesky(both)),
+        within=torch.stack(within[::-1]),
         onto=x,
         border=torch.cholesky_inverse(torch.linalg.cholesky(schur)),
     )

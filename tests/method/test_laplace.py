@@ -45,9 +45,9 @@ class Flat:
     acceleration: float = 0.0
     shape: float = 1e4
 
-    def whitened(self, motion):
+    def by_rotations(self, motion):
         """Nothing."""
-        return motion.translation[..., :1] * 0.0
+        return motion.translation.new_zeros(*motion.translation.shape[:-1], 1, 63)
 
 
 def test_twice_the_noise_is_twice_the_deviation_where_only_data_speak():

@@ -16,27 +16,24 @@ from dataclasses import dataclass, replace
 from typing import Protocol, runtime_checkable
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from recon.body.model import BodyModel
-from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.residuals import Noise
 from recon.core.scene import Scene
+from recon.method.laplace.derivatives import STEP, Neighbourhood
 from recon.method.laplace.grounds import (
     GroundBelief,
     GroundDeviation,
     add_stance,
     deviation,
-    perturbed,
 )  # fmt: skip
 from recon.method.laplace.hessian import FRAME, Accumulated
-from recon.method.protocols import REFERENCE_FPS, Decoded, Density, Estimate, Sensor
+from recon.method.protocols import REFERENCE_FPS, Density, Estimate, Sensor
 from recon.solver.blocks import Inverse, inverse
 
-_STEP = 1e-3
-"""Metres, radians and standard deviations of shape over which derivatives are differences."""
 _DISBELIEVED = 4.0
 """Standard deviations beyond which residuals say ever less: the fit does not believe them."""
 _PEOPLE = 1.0
@@ -133,82 +130,37 @@ def _of_window(
     density: Density,
     ground: GroundBelief | None,
 ) -> Deviations:
-    every = _perturbed(motion, 0 if ground is None else ground.coordinates)
-    rows = len(every.translation)
-    if ground is None:
-        scenes = scene[torch.zeros(rows, dtype=torch.long)]
-    else:
-        scenes = perturbed(scene, rows, ground, _STEP)
-    estimates = Estimate(Decoded(every), body.pose(every), scenes)
-    joints = _derivative(estimates.body.joints.flatten(-2))
-    frames = motion.frames
-    size = joints.shape[-1]
-    h = Accumulated.zero(frames, size, like=motion.translation)
+    near = Neighbourhood(motion, scene, body, ground)
+    h = Accumulated.zero(motion.frames, near.joints.shape[-1], like=motion.translation)
     for one, noise in zip(sensors, noises, strict=True):
-        h.add_sensor(_clock(one, motion), *_whitened(one, noise, estimates))
-    h.add_frames(_derivative(density.whitened(every)) * (REFERENCE_FPS / motion.fps) ** 0.5)
+        frame = _clock(one, motion)
+        h.add_sensor(frame, *_whitened(one, noise, near, frame))
+    h.add_poses(density.by_rotations(motion)[0] * (REFERENCE_FPS / motion.fps) ** 0.5)
     rate = (motion.fps / REFERENCE_FPS) ** 3
-    h.add_accelerations(joints, density.acceleration * rate)
+    h.add_accelerations(near.joints, density.acceleration * rate)
     shapes = motion.shape.shape[-1]
     shape = h.shape.diagonal()[:shapes]
-    shape += min(density.shape * frames * REFERENCE_FPS / motion.fps, _PEOPLE)
-    told = ground is not None and add_stance(h, estimates, joints, ground)
+    shape += min(density.shape * motion.frames * REFERENCE_FPS / motion.fps, _PEOPLE)
+    told = ground is not None and add_stance(h, near.translated, near.joints, ground)
     found = inverse(h.bordered())
-    seen = _derivative(scenes.to_recording(estimates.body.joints).flatten(-2))
-    marginals = _marginals(found, seen, shapes)
+    marginals = _marginals(found, near.seen(), shapes)
     if ground is None or ground.coordinates == 0 or not told:
         return marginals
-    return replace(marginals, ground=deviation(found.border, scenes, ground, _STEP))
-
-
-def _perturbed(motion: Motion, more: int) -> Motion:
-    """The motion as it is, then after a step of each coordinate in all frames, then of shape.
-
-    `more` rows with the motion as it is follow, in which something else is moved.
-    """
-    shapes = motion.shape.shape[-1]
-    count = 1 + FRAME + shapes + more
-    frames = motion.frames
-    translation = motion.translation.expand(count, frames, 3).clone()
-    steps = motion.translation.new_zeros(count, 22, 3)
-    shape = motion.shape.expand(count, shapes).clone()
-    for k in range(3):
-        translation[1 + k, :, k] += _STEP
-    for k in range(FRAME - 3):
-        steps[4 + k, k // 3, k % 3] = _STEP
-    for k in range(shapes):
-        shape[1 + FRAME + k, k] += _STEP
-    rotations = motion.rotations @ so3.exp(steps)[:, None]
-    return motion.replace(
-        translation=translation,
-        rotations=rotations,
-        shape=shape,
-        valid=motion.valid.expand(count, frames),
-    )
-
-
-def _derivative(
-    values: Float[Tensor, "steps rows dims"],
-) -> Float[Tensor, "rows dims coordinates"]:
-    """Differences from the first, per unit of the step."""
-    return ((values[1:] - values[:1]) / _STEP).movedim(0, -1)
+    lying = deviation(found.border, near.translated.scene, ground, STEP)
+    return replace(marginals, ground=lying)
 
 
 def _whitened(
-    one: Sensor, noise: Noise, estimates: Estimate
-) -> tuple[Float[Tensor, "moments residuals coordinates"], Float[Tensor, "moments residuals"]]:
+    one: Sensor, noise: Noise, near: Neighbourhood, frame: Int[Tensor, " moments"]
+) -> tuple[Float[Tensor, "moments residuals columns"], Float[Tensor, "moments residuals"]]:
     """Derivatives of a sensor's residuals and their weights, standard deviations taken out."""
-    rows = torch.zeros(len(estimates.motion.translation), dtype=torch.long)
-    with torch.no_grad():
-        found = one[rows].residuals(estimates)
-    sigma = torch.full_like(found.values[0, ..., 0], noise.own)
-    distance = found.values[0].norm(dim=-1) / (_DISBELIEVED * sigma)
+    found, slopes = near.residuals(one, frame)
+    distance = found.values.norm(dim=-1) / (_DISBELIEVED * noise.own)
     # the curvature of Geman-McClure's kernel, as far as it is positive
     belief = (1 + distance.square()).reciprocal().square()
-    weight = found.weights[0].square() * belief / sigma.square() * (REFERENCE_FPS / one.fps)
+    weight = found.weights.square() * belief / noise.own**2 * (REFERENCE_FPS / one.fps)
     dims = found.values.shape[-1]
-    values = found.values.flatten(-2)
-    return _derivative(values), weight[..., None].expand(*weight.shape, dims).flatten(-2)
+    return slopes.flatten(1, 2), weight[..., None].expand(*weight.shape, dims).flatten(-2)
 
 
 def _clock(one: Sensor, motion: Motion) -> Tensor:

@@ -42,6 +42,11 @@ class Accumulated:
         whole = jacobian.mT @ (jacobian * weight[..., None])
         self._add(frame, whole)
 
+    def add_poses(self, jacobian: Float[Tensor, "time residuals 63"]) -> None:
+        """Whitened residuals of poses, by the rotation steps of all joints but the root."""
+        first = FRAME - jacobian.shape[-1]
+        self.frames[:, 0, first:, first:] += jacobian.mT @ jacobian
+
     def add_frames(self, jacobian: Tensor) -> None:
         """Whitened residuals of single frames."""
         self._add(torch.arange(len(jacobian)), jacobian.mT @ jacobian)

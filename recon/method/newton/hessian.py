@@ -45,7 +45,7 @@ def hessians(
     there is a term whose curvature is not known: steps that leave it out overshoot.
     """
     prior = stage.prior
-    known = any(_is_known(_of_clip(term, 0).energy) for term in stage.terms)
+    known = any(is_pointwise(_of_clip(term, 0).energy) for term in stage.terms)
     if not isinstance(prior, Framewise) or not known or estimate.motion.frames < 2:
         return None
     found: list[Banded] = []
@@ -68,7 +68,7 @@ def _of_clip(term: Term, clip: int) -> Term:
     return Term(term.name, energy, term.weight * weight)
 
 
-def _is_known(energy: Any) -> TypeGuard[PointSensor]:
+def is_pointwise(energy: Any) -> TypeGuard[PointSensor]:
     """Whether an energy is a sum over moments of points with a place in the world."""
     alone = getattr(energy, "placed", True) and getattr(energy, "momentwise", True)
     return isinstance(energy, PointSensor) and alone
@@ -78,7 +78,7 @@ def _add(term: Term, model: ClipModel) -> bool:
     """Add what is known of a term that is not the prior's own; whether anything is."""
     energy, motion = term.energy, model.motion
     rate = motion.fps / REFERENCE_FPS
-    if _is_known(energy):
+    if is_pointwise(energy):
         _add_points(term.weight, energy, model)
     elif energy is shape:
         frames = float(motion.valid.sum()) / rate
