@@ -56,7 +56,7 @@ class NoDelta(HumorNetworks):
 
 
 class Mvae(NoDelta, StandardPrior):
-    """Both."""
+    """Decodes the state itself, and samples latents from N(0, I)."""
 
 
 class LearningStandardPrior(ScaledNetworks):
@@ -72,7 +72,7 @@ class LearningNoDelta(ScaledNetworks):
 
     @classmethod
     def scaling_of(cls, world: State, rest_pelvis: Float[Tensor, "windows 3"]) -> Scaling:
-        """As ever, but for the outputs."""
+        """The usual scaling, but for the outputs."""
         frame = Frame.of(world[:, :-1])
         outputs = output_of(frame.enter(world[:, 1:], rest_pelvis[:, None])).flatten(0, 1)
         contacts = outputs.new_zeros(RAW - outputs.shape[1])
@@ -84,7 +84,7 @@ class LearningNoDelta(ScaledNetworks):
     def decode(
         self, state: Float[Tensor, "*batch 339"], latent: Float[Tensor, "*batch 48"]
     ) -> Float[Tensor, "*batch 216"]:
-        """As `NoDelta.decode`."""
+        """The next state, decoded as by `NoDelta.decode`."""
         return step_to(state, super().decode(state, latent))
 
 
@@ -133,7 +133,7 @@ ABLATIONS = {
     "standard-prior": Ablation(learning=LearningStandardPrior, networks=StandardPrior),
     "mvae": Ablation(_NEITHER, LearningMvae, Mvae),
 }
-"""By name: HuMoR, without each of its parts, and without all four (HuMoR, section 5.3)."""
+"""Methods by name: HuMoR, without each of its parts, and without all four (HuMoR, section 5.3)."""
 
 
 def main() -> None:

@@ -90,10 +90,11 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "rollout_fits": ("rollout_fits", "CORPUS", "--only", "6", "--protocols", "noisy joints"),
     "rollout_fits_hidden": ("rollout_fits", "CORPUS", "--only", "2", "--protocols",
                             "hidden points"),
-    "rollout_half": (*_ROLLOUT, "in-betweening", "upper body"),
+    "rollout_gap": (*_ROLLOUT, "in-betweening"),
+    "rollout_half": (*_ROLLOUT, "upper body"),
     "rollout_camera": (*_ROLLOUT, "one camera", "one camera, posed"),
-    "rollout_views": (*_ROLLOUT, "three views", "joints and depth"),
-    "rollout_depth": (*_ROLLOUT, "keypoints and depth"),
+    "rollout_views": (*_ROLLOUT, "three views"),
+    "rollout_depth": (*_ROLLOUT, "keypoints and depth", "joints and depth"),
     "segments": (*_SEGMENTS, "noisy joints", "--methods", "collocation", "segments of 5",
                  "segments of 15"),
     "segments_ends": (*_SEGMENTS, "noisy joints", "--methods", "segments of 1", "roll-out"),
@@ -107,8 +108,8 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "fuzz": ("fuzz",),
     "fuzz_readers": ("fuzz_readers", "--recordings", "RECORDINGS"),
 }  # fmt: skip
-"""By result file: the module below benchmarks and its arguments. CORPUS and OBSERVATIONS are
-folders of data, names in capitals besides are folders of runs below --out."""
+"""Result files, each with the module below benchmarks and its arguments. CORPUS and OBSERVATIONS
+are folders of data, other names in capitals are folders of runs below --out."""
 
 
 def main() -> None:

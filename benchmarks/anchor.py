@@ -95,7 +95,7 @@ class Cycles:
         return Cycles(self.batch[rows], clips, self.left[rows])
 
     def thinned(self, most: int | None) -> "Cycles":
-        """So many of them, evenly; None leaves all."""
+        """Some of the cycles, so many, evenly spread; None leaves all."""
         count = len(self.clips)
         if most is None or count <= most:
             return self
@@ -108,7 +108,7 @@ class Cycles:
         return [label(clip, float(angle)) for clip, angle in zip(self.clips, turn, strict=True)]
 
     def one_per_clip(self, wanted: str) -> "Cycles":
-        """Of every clip of a label its middle cycle; of a turn the one that turns most."""
+        """The middle cycle of every clip of a label; of a turn, the cycle that turns most."""
         labels, turn = self.labels, turned(self.batch.anchors).abs()
         rows = [row for row, name in enumerate(labels) if name == wanted]
         chosen: list[int] = []

@@ -29,7 +29,7 @@ class LinearCycles(TensorStruct):
 
     @classmethod
     def fit(cls, cycles: CycleBatch, components: int = COMPONENTS) -> "LinearCycles":
-        """From training cycles.
+        """The principal components of training cycles.
 
         Raises:
             ValueError: when there are fewer cycles than components.

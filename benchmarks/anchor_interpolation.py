@@ -55,7 +55,7 @@ PARTS: tuple[Part, ...] = ("validation", "test")
 MOST = 12
 """Pairs of a kind."""
 STEPS = 10
-"""Of k from 0 to 1."""
+"""Values of k from 0 to 1."""
 _STILL = 1e-3
 """Seconds by which durations may go back without counting as such."""
 Between = Callable[[CycleBatch, CycleBatch, float], CycleBatch]
@@ -113,7 +113,7 @@ def mixed(prior: AnchorFrames, a: CycleBatch, b: CycleBatch, share: float) -> Cy
 
 
 def stood(prior: AnchorFrames, between: Between) -> Between:
-    """The same cycles, with feet that stand where they are; kept, as all tables ask for k = 1/2.
+    """Cycles likewise, with feet that stand where they are; kept, as all tables ask for k = 1/2.
 
     Durations stay, and only they are looked at elsewhere: other shares are left as they are.
     """
@@ -272,7 +272,7 @@ def slip_course(prior: AnchorFrames, cycles: CycleBatch) -> Float[Tensor, " step
 def draw(
     path: Path, prior: AnchorFrames, methods: dict[str, Between], drawn: dict[str, Pairs]
 ) -> None:
-    """Of each kind: how fast held feet are through the cycle at k = 1/2, and durations along k."""
+    """The speed of held feet through the cycle at k = 1/2 and durations along k, for each kind."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

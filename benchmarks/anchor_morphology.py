@@ -94,7 +94,7 @@ def decoded(prior: AnchorFrames, code: Tensor, shape: Tensor) -> Anchors:
 
 
 def far_shape(prior: AnchorFrames, direction: int, amount: float) -> Float[Tensor, " shape"]:
-    """So many deviations along one direction."""
+    """The shape that lies so many standard deviations along one direction."""
     shape = torch.zeros(prior.body.shape_size)
     shape[direction] = amount
     return shape

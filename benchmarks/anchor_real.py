@@ -93,7 +93,7 @@ def by_pose(body: BodyModel) -> Fitter:
 
 
 Errors = dict[str, dict[str, dict[str, float]]]
-"""Of one recording: per method and case, with own offsets and nominal ones, per marker, mm."""
+"""Errors of one recording by method, case and kind of offset, per marker, mm."""
 
 
 def summary(errors: Errors) -> dict[str, dict[str, float]]:

@@ -55,7 +55,7 @@ def main() -> None:
 
 
 def learned(training: Cycles, ask: Ask) -> Cycles:
-    """Of all training cycles those that the weights learned from."""
+    """The training cycles that the weights learned from."""
     if ask.licence == "nc":
         return training
     rows = torch.tensor([ask.splits.is_open(clip) for clip in training.clips]).nonzero()[:, 0]
@@ -63,7 +63,7 @@ def learned(training: Cycles, ask: Ask) -> Cycles:
 
 
 def labelled(cycles: Cycles, most: int) -> tuple[Cycles, list[str]]:
-    """So many cycles of every action, with their actions."""
+    """Cycles of every action, so many of each, with their actions."""
     parts = [cycles.one_per_clip(name).thinned(most) for name in LABELS]
     kept = {name: part for name, part in zip(LABELS, parts, strict=True) if len(part.clips) > 1}
     labels = [name for name, part in kept.items() for _ in part.clips]

@@ -51,7 +51,7 @@ PIXELS = 3.0
 HIDDEN = 0.9
 """Metres; nothing below is seen for a third of the clip."""
 PIXELS_KEPT = 60_000
-"""Of a depth image, ground included; some thousand of them see the body."""
+"""Pixels of a depth image, ground included; some thousand of them see the body."""
 _AT_ONCE = 8
 _ORBIT = 1.0
 """Radians that the moving camera is carried around the body by."""
@@ -277,7 +277,7 @@ def depth_and_keypoints(truth: Motion, body: BodyModel, seed: int) -> Filmed:
 
 
 def keypoints_of_sensor(truth: Motion, body: BodyModel, seed: int) -> Filmed:
-    """The same keypoints alone."""
+    """Keypoints alone, those of the protocol with depth."""
     both = depth_and_keypoints(truth, body, seed)
     return replace(both, observations=both.observations[:1])
 

@@ -57,9 +57,9 @@ class Column:
     """What of a scanned cycle is observed."""
 
     points: int | None = None
-    """Of every frame; None is all, 0 none."""
+    """Points of every frame; None is all, 0 none."""
     frames: int | None = None
-    """Of 100; None is all."""
+    """Frames out of 100; None is all."""
     landmarks: bool = True
 
 

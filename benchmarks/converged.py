@@ -58,7 +58,7 @@ class Protocol:
     observed: Observed
     noise: float
     points: Float[Tensor, "clips time points 3"]
-    """Where its points truly are."""
+    """True places of its points."""
 
 
 @dataclass(frozen=True)

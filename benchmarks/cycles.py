@@ -35,7 +35,7 @@ class FoundCycle:
     subject: str
     cycle: Cycle
     motion: Motion
-    """Of the cycle alone, at 50 Hz."""
+    """The motion of the cycle alone, at 50 Hz."""
 
 
 def found_cycles(
@@ -58,7 +58,7 @@ def found_cycles(
 
 
 def chosen(found: list[FoundCycle], each: int) -> list[FoundCycle]:
-    """So many cycles of every subject, of clips evenly spread over its names, one of each.
+    """Cycles, so many of every subject, of clips evenly spread over its names, one of each.
 
     From every clip it is the middle cycle, so that nobody chose it by looking.
     """

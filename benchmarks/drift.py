@@ -51,7 +51,7 @@ class Row:
     added: tuple[float, ...]
     """Mean error of joints of the roll-out of these latents, by thirds of the frames, metres."""
     followed: tuple[float, ...]
-    """The same of latents that lead back to the motion."""
+    """Mean error likewise, of latents that lead back to the motion."""
 
 
 def main() -> None:

@@ -219,7 +219,7 @@ def _status(key: str) -> int:
 
 
 class _TooSlowError(BaseException):
-    """Not caught by any reader."""
+    """A reader took too long; it is no Exception, so that no reader catches it."""
 
 
 def _too_slow(*_: object) -> None:

@@ -42,7 +42,7 @@ class Seed:
     """One whole file and how it is read."""
 
     kind: str
-    """Of the format."""
+    """Name of the format."""
     name: str
     data: bytes
     read: Reader
@@ -51,7 +51,7 @@ class Seed:
     beside: dict[str, bytes] = field(default_factory=dict)
     """Other files of its folder."""
     share: float = 1.0
-    """Of the mutants, against other kinds."""
+    """Share of the mutants, against other kinds."""
 
 
 def seeds(folder: Path, recordings: Path | None) -> list[Seed]:

@@ -126,7 +126,7 @@ class Scene:
 
     @property
     def rest_heights(self) -> Float[Tensor, "clips 22"]:
-        """Of the joints of every window's body."""
+        """Heights of the joints of every window's body at rest."""
         return rest_heights(self.body, self.windows.truth.shape)
 
 
@@ -139,7 +139,7 @@ class Generated:
 
 
 def first_states(corpus: Path, windows: Windows, body: BodyModel) -> State:
-    """Of every window: velocities by the frames beside it in the recording, where there are."""
+    """The first state of every window; velocities are by the frames beside it in the recording."""
     files = clip_files(corpus)
     states: list[State] = []
     for name, shape in zip(windows.names, windows.truth.shape, strict=True):

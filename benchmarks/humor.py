@@ -126,7 +126,7 @@ class Networks:
 
     @classmethod
     def load(cls, default: Path | None, nc: Path | None, ablations: Path | None) -> "Networks":
-        """From files; `default` None is the bundled one, of the others they are left out."""
+        """Networks of files; without `default` the bundled ones, without the others none."""
         return cls(
             default=Humor.load(default),
             nc=None if nc is None else Humor.load(nc),
@@ -239,7 +239,7 @@ def fitted_rows(
 
 
 def evenly(windows: Windows, most: int | None) -> list[int]:
-    """So many windows, evenly from the list; all when there are no more."""
+    """Numbers of so many windows, evenly from the list; all when there are no more."""
     count = len(windows.names)
     if most is None or most >= count:
         return list(range(count))

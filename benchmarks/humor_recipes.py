@@ -22,7 +22,7 @@ GAP = round(1.0 * FPS)
 
 _LEGS = descendants(joint_index("left_hip")) + descendants(joint_index("right_hip"))
 UPPER_BODY = tuple(joint for joint in range(len(JOINTS)) if joint not in _LEGS)
-"""From the pelvis up."""
+"""Joints from the pelvis up."""
 
 GAP_COLUMNS: Columns = {
     "joints_all": ("all", 100), "joints_legs": ("legs", 100), "root_joints_all": ("pose", 100),

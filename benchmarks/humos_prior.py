@@ -62,7 +62,7 @@ def main() -> None:
 
 
 def print_wide(table: object) -> None:
-    """On one line a row, wherever it is printed to."""
+    """Prints every row of a table on one line, wherever it is printed to."""
     from rich.console import Console
 
     Console(width=180).print(table)

@@ -81,7 +81,7 @@ def paired(
 def _by_clip(
     values: Values, clips: Sequence[str], subjects: Sequence[str]
 ) -> dict[str, Float[np.ndarray, "clips 2"]]:
-    """For every subject: each clip's sum and number of values."""
+    """The sum and number of values of each clip, by subject."""
     found: dict[str, dict[str, list[float]]] = {}
     for value, clip, subject in zip(values, clips, subjects, strict=True):
         if value is not None:

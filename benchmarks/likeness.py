@@ -1,4 +1,4 @@
-"""Who moves like whom: clips of unknown people beside the people who are tested.
+"""Likeness of motions: clips of unknown people beside the people who are tested.
 
     python -m benchmarks.likeness CORPUS --json likeness.json
 

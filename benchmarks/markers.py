@@ -111,7 +111,7 @@ def predictions(
 
 
 def thinned(recording: MarkerRecording) -> MarkerRecording:
-    """At most 200 frames, evenly spaced, the rate lowered accordingly."""
+    """The recording with at most 200 frames, evenly spaced, and the rate that they have."""
     step = -(-recording.frames // FRAMES)
     return MarkerRecording(
         name=recording.name,
@@ -129,7 +129,7 @@ def mean(parts: list[Tensor]) -> float:
 
 
 def recordings(root: Path, only: list[str]) -> Iterator[str]:
-    """Those of the list that are there and asked for."""
+    """Recordings of the list that are there and asked for."""
     for name in RECORDINGS:
         there = (root / name.split("::")[0]).is_file()
         if there and (not only or any(part in name for part in only)):

@@ -44,7 +44,7 @@ _LIBRARIES = (
     "hypothesis", "pytest", "roma",
 )  # fmt: skip
 _PATIENCE = 5.0
-"""Times the tests' own CPU seconds, after which a fault counts as noticed: it never ends."""
+"""Factor of the tests' own CPU seconds, after which a fault counts as noticed: it never ends."""
 _ROOT = Path(__file__).parents[1]
 
 
@@ -73,7 +73,7 @@ def main() -> None:
 
 
 def _survivors(result: Path) -> dict[str, set[tuple]]:
-    """By module what an earlier run with the same sample did not notice."""
+    """Mutants that an earlier run with the same sample did not notice, by module."""
     return {
         row["module"]: {
             (s["line"], s["operator"], s["before"], s["after"]) for s in row["survivors"]

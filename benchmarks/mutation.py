@@ -35,7 +35,7 @@ class Mutant:
 
 
 def places(source: str) -> list[tuple[int, str]]:
-    """Where a fault can be made, and by which operator, in the order of the source.
+    """Places of possible faults, and the operator that makes each, in the order of the source.
 
     Docstrings, annotations, decorators, imports and what a `raise` says are left as they are.
     """

@@ -26,7 +26,8 @@ from recon.core.skeleton import CONTACT_JOINTS, JOINTS
 from recon.method.protocols import REFERENCE_FPS, Decoded, Estimate
 
 _PARTS = (3, 3, 3, 3, 63, 66, 66, len(CONTACT_JOINTS))
-"""Of a raw step: changes of translation, velocity, root, its velocity, pose, joints, theirs."""
+"""Sizes of a raw step's parts: changes of translation and its velocity, of the root's rotation and
+its velocity, of the pose, of joints and their velocities; and contacts."""
 
 _EXTRA = slice(0, 21)
 """Points of the surface that come with the joints."""
@@ -42,7 +43,7 @@ class NaiveHumor:
 
     @classmethod
     def of(cls, humor: Humor) -> "NaiveHumor":
-        """The same weights, with gradients."""
+        """Networks with the weights of ours, and with gradients."""
         networks = HumorNetworks(humor.networks.width).to(humor.body.template)
         networks.load_state_dict(humor.networks.state_dict())
         return cls(networks.requires_grad_(True), humor.initial, humor.body)

@@ -31,7 +31,7 @@ from recon.simulation.images import dome
 from recon.simulation.points import Corruption
 
 FRAMES, SEED, REPEATS = 90, 0, 5
-"""Of the bundled demo."""
+"""Frames of the bundled demo, the seed, and repetitions."""
 ROUND = 20
 """Evaluations between two searches."""
 

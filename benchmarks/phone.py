@@ -75,7 +75,7 @@ class Filmed:
     """One window as one camera saw it."""
 
     file: KeypointsFile
-    """With the camera that filmed it."""
+    """The keypoints, with the camera that filmed them."""
     camera: Camera
 
 
@@ -142,7 +142,7 @@ def track(windows: Windows, body: BodyModel) -> dict[str, Rows]:
 
 
 def _carried(truth: Motion, body: BodyModel, seed: int, still: Filmed) -> Filmed:
-    """The same phone carried around the person."""
+    """The phone carried around the person."""
     middle = body.pose(truth).joints.flatten(0, 1).mean(0)
     camera = orbiting(still.camera, middle, truth.frames, ORBIT)
     return Filmed(keypoints2d(truth, body, camera, Corruption(noise=PIXELS), 100 * seed), camera)

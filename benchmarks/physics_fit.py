@@ -41,7 +41,7 @@ from recon.physics.metrics import physics_metrics
 from recon.physics.samples import physics_samples
 
 PHYSICS_FPS = 20.0
-"""Of HUMOS's metrics."""
+"""Rate of HUMOS's metrics, Hz."""
 
 COLUMNS: Columns = {
     "joints_all": ("joints", 100), "observed_all": ("points", 100),

@@ -37,7 +37,8 @@ RECORDINGS = (
 )
 PICTURED = "cmu_c3d/02_01.c3d"
 SECONDS, HIDDEN_BELOW, NOISE = 3.0, 0.9, 0.02
-"""Of a marker against its landmark, metres: skin, and the hand that taped it."""
+"""Length of a clip; height below which markers are hidden; and the standard deviation of a marker
+against its landmark, which skin and the hand that taped it make. Seconds and metres."""
 
 
 def main() -> None:

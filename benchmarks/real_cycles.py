@@ -26,7 +26,7 @@ from recon.ingest.markers.fit import fit_markers
 RATE = 50
 """Frames per second that recordings are thinned to, or a little more."""
 SECONDS = 4.0
-"""From the middle of a recording, in which cycles are sought."""
+"""Seconds about the middle of a recording, in which cycles are sought."""
 OFFSET_EVERY = 10
 
 

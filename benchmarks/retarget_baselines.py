@@ -24,7 +24,7 @@ ON_GROUND, OFF_GROUND = 0.015, 0.03
 
 
 def copied(body: BodyModel, motion: Motion, shape: Float[Tensor, " shape"]) -> Motion:
-    """The same rotations and the same path of the pelvis."""
+    """A motion with unchanged rotations and an unchanged path of the pelvis."""
     return reshape.copied(motion, body, shape)
 
 
@@ -34,7 +34,7 @@ def copied_to_ground(body: BodyModel, motion: Motion, shape: Float[Tensor, " sha
 
 
 def scaled(body: BodyModel, motion: Motion, shape: Float[Tensor, " shape"]) -> Motion:
-    """The same rotations, the path grown with the legs, grounded as recordings are."""
+    """A motion of equal rotations, the path grown with the legs, grounded as recordings are."""
     return grounded(with_shape(motion, body, shape), body)
 
 

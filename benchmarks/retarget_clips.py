@@ -54,7 +54,7 @@ class Job:
     name: str
     subject: str
     motion: Motion
-    """On its own body, on the ground, 20 Hz."""
+    """The motion on its own body, on the ground, 20 Hz."""
     target: Float[Tensor, " shape"]
     real: bool
     """The target has the proportions of a recorded person."""
@@ -125,7 +125,7 @@ def is_high(motion: Motion, body: BodyModel) -> bool:
 
 
 def evenly(names: list[str], most: int) -> list[str]:
-    """So many of them, evenly spread."""
+    """Some of the names, so many, evenly spread."""
     if len(names) <= most:
         return names
     return [names[round(k)] for k in np.linspace(0, len(names) - 1, most)]
@@ -134,7 +134,7 @@ def evenly(names: list[str], most: int) -> list[str]:
 def draw_targets(
     own: Sequence[Sequence[float]], people: Mapping[str, Sequence[float]], seed: int
 ) -> list[str | list[float]]:
-    """For clips of these shapes: people in the even places, drawn shapes in the odd ones."""
+    """Targets for clips of these shapes: in even places people, in odd ones drawn shapes."""
     random = np.random.default_rng(seed)
     drawn: list[str | list[float]] = []
     for place, shape in enumerate(own):

@@ -79,7 +79,7 @@ class Row:
 
     @property
     def ratio(self) -> float:
-        """By how much ours is faster."""
+        """The factor by which ours is faster."""
         return self.naive / self.ours
 
 
@@ -146,7 +146,7 @@ def drawn(width: int) -> Humor:
 
 
 def compare(humor: Humor, clips: int, threads: int) -> Row:
-    """Both in turn."""
+    """Times of both roll-outs, run in turn."""
     problem, naive = Problem.create(humor, clips, FRAMES), NaiveHumor.of(humor)
     calls: dict[str, Callable[[], object]] = {
         "naive": lambda: problem.naive(naive),

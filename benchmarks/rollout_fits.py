@@ -50,7 +50,7 @@ class Row:
     joints: float
     """Mean error of the 22 joints; about the pelvis where cameras see them."""
     thirds: tuple[float, ...]
-    """The same over the first, the middle and the last third of the frames."""
+    """Means of errors over the first, the middle and the last third of the frames."""
     hidden: float | None
     """Mean error of the points or joints that were not seen, where some were not."""
     seconds: float

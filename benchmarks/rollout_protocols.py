@@ -35,7 +35,7 @@ class Fit:
 
     result: Reconstruction
     joints: Float[Tensor, "clips time 22 3"]
-    """Those that were found, in the frame in which they are compared, metres."""
+    """Joints that were found, in the frame in which they are compared, metres."""
     truth: Float[Tensor, "clips time 22 3"]
     hidden: Float[Tensor, "clips numbers"]
     """Errors of the points or joints that were not seen, metres."""

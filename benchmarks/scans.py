@@ -22,13 +22,13 @@ from recon.simulation.scans import scan_points
 
 FPS = 50.0
 POINTS = 10_000
-"""Of a frame."""
+"""Points of a frame."""
 NOISE = 0.005
-"""Of every coordinate of a scan, metres."""
+"""Standard deviation of every coordinate of a scan, metres."""
 MARKER_NOISE = 0.001
-"""Of every coordinate of a marker, metres."""
+"""Standard deviation of every coordinate of a marker, metres."""
 SKIN_OFFSET = 0.01
-"""Of a marker from its landmark, metres per axis, constant within a cycle."""
+"""Standard deviation of a marker's constant offset from its landmark, metres per axis."""
 SHORTEST, LONGEST = 0.3, 3.0
 """Seconds of a cycle."""
 ANCHORS = 100
@@ -42,7 +42,7 @@ class ScannedCycle:
     name: str
     subject: str
     truth: Motion
-    """Of the bare body, whose surface is under the clothes."""
+    """The motion of the bare body, whose surface is under the clothes."""
     scans: PointsFile
     landmarks: PositionsFile
 
@@ -86,7 +86,7 @@ def scanned_cycle(
 
 
 def thinned_points(scans: PointsFile, points: int, seed: int) -> PointsFile:
-    """At most so many points of every frame, drawn at random, other ones every frame.
+    """The scans with at most so many points of every frame, drawn anew in every frame.
 
     Raises:
         ValueError: when none would remain.

@@ -27,8 +27,8 @@ from recon.metrics.evaluation import ObservedPoints, evaluate, smoothness, sole_
 
 Row = dict[str, float | None]
 Rows = dict[str, Row]
-"""By subject, and "mean" over the subjects who count: values by metric. Under `WINDOWS`, by metric
-the list of the values of every window."""
+"""Values by metric for every subject, and as "mean" over those who count. Under `WINDOWS` is a
+list of the values of every window for each metric."""
 
 WINDOWS = "windows"
 KEPT = (
@@ -39,7 +39,7 @@ KEPT = (
 """Metrics whose values are kept window by window."""
 
 Columns = dict[str, tuple[str, float]]
-"""By metric: its heading, and what turns metres into centimetres or shares into per cent."""
+"""The heading of every metric, and what turns metres into centimetres or shares into per cent."""
 
 
 @dataclass(frozen=True)
@@ -50,12 +50,12 @@ class Fitted:
     contacts: Float[Tensor, "clips time 22"] | None = None
     """Probability of contact; None where the method says nothing of it."""
     points: Float[Tensor, "clips time points 3"] | None = None
-    """Where it has the observation's points."""
+    """Places that it gives the observation's points."""
     seconds: float | None = None
-    """Of one processor, for one clip."""
+    """CPU time of one processor for one clip."""
 
     def without_contacts(self) -> "Fitted":
-        """As of a method that says nothing of contacts."""
+        """The fit as that of a method that says nothing of contacts."""
         return replace(self, contacts=None)
 
     def frames(self, start: int, stop: int) -> "Fitted":
@@ -206,7 +206,7 @@ def by_subject(windows: Windows, clips: list[Row]) -> Rows:
 
 
 def rounded(value: float | None) -> float | None:
-    """To six digits, which intervals do not notice."""
+    """The value rounded to six digits, which intervals do not notice."""
     return None if value is None else float(f"{value:.6g}")
 
 

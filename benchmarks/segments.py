@@ -69,7 +69,7 @@ class Row:
     """Evaluations of the last stage."""
     ended: str
     objective: float | None = None
-    """In squares of the noise; None of collocation, which has another."""
+    """Value of the objective in squares of the noise; None for collocation, which has another."""
     terms: dict[str, float] = field(default_factory=dict, repr=False)
     """Its parts, likewise."""
     defect: float | None = None
@@ -85,7 +85,7 @@ class Part:
     which: slice
 
     def stages(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
-        """Those."""
+        """The stages that were given."""
         return self.method.stages(data)[self.which]
 
 

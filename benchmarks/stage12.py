@@ -87,7 +87,7 @@ Smoother = Callable[[Tensor], Tensor]
 
 
 def tune_smoothers(tuning: Windows, body: BodyModel) -> dict[str, tuple[Smoother, float]]:
-    """Both smoothers at their best setting on validation, and the filter at 2, 2.5 and 3 Hz."""
+    """Smoothers at their best setting on validation, and the filter at 2, 2.5 and 3 Hz."""
     seen = noisy_joints(tuning.truth, body, SEED + 1).positions
     truth = body.pose(tuning.truth).joints
 

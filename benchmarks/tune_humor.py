@@ -57,7 +57,7 @@ def main() -> None:
 
 
 def scaled(weights: CollocationWeights, name: str, factor: float) -> CollocationWeights:
-    """With one weight multiplied; names that begin with "pose" are of `weights.pose`."""
+    """Weights with one of them multiplied; names that begin with "pose" are of `weights.pose`."""
     if name in NAMES:
         return dataclasses.replace(weights, **{name: factor * getattr(weights, name)})
     name = name.removeprefix("pose ")

@@ -167,7 +167,7 @@ def judged(windows: Windows, clip: int, film: Film, prior: str, body: BodyModel)
 def _with_ground(
     judged: Judged, fit: ClipFit, found: Deviations, T_world_recording: Float[Tensor, "4 4"]
 ) -> Judged:
-    """With the errors of the ground, where the fit found it and says how well."""
+    """The clip with the errors of the ground, where the fit found it and says how well."""
     if found.ground is None:
         return judged
     T = fit.T_world_recording[0].to(T_world_recording)

@@ -22,7 +22,7 @@ from recon.metrics.evaluation import nearest_labels
 
 FPS = 30.0
 FRAMES = 60
-"""Of a listed window, where nothing else is said."""
+"""Frames of a listed window, where nothing else is said."""
 
 BONE_ERROR = 0.005
 """Metres: how well a skeleton recording tells the length of a bone."""
@@ -34,7 +34,7 @@ class Windows:
 
     truth: Motion
     contacts: Bool[Tensor, "clips time 22"]
-    """As labelled at the recordings' own rates."""
+    """Contacts as labelled at the recordings' own rates."""
     subjects: tuple[str, ...]
     names: tuple[str, ...]
     """Clip and start, for the report."""
@@ -200,7 +200,7 @@ def noisy_joints(
 
 
 def with_gap(observed: Joints3D, gap: slice) -> Joints3D:
-    """The same with nothing seen in some frames: in-betweening."""
+    """Joints of which nothing is seen in some frames: in-betweening."""
     positions, visible = observed.positions.clone(), observed.visible.clone()
     positions[:, gap], visible[:, gap] = 0.0, False
     return observed.replace(positions=positions, visible=visible)

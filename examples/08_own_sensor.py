@@ -57,7 +57,7 @@ class Imus(SensorRecord):
 
     @classmethod
     def of(cls, orientations: Tensor, bones: tuple[int, ...], fps: float) -> "Imus":
-        """From rotation matrices R_world_bone, axes (moments, units, 3, 3)."""
+        """The sensor of rotation matrices R_world_bone, axes (moments, units, 3, 3)."""
         axes = orientations.mT.flatten(-3, -2)
         return cls(axes, torch.ones(axes.shape[:-1], dtype=torch.bool), bones, fps)
 

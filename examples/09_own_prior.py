@@ -47,7 +47,7 @@ class NearPoses:
 
     @classmethod
     def load(cls, weights: str, body: recon.BodyModel) -> "NearPoses":
-        """Of a motion file, or `open` for the bundled walk."""
+        """The prior of a motion file's poses, or with `open` of the bundled walk's."""
         if weights != "open":
             return cls.of(recon.load_motion(weights).motion)
         with resources.as_file(resources.files("recon") / "assets" / "demo.npz") as path:

@@ -153,7 +153,7 @@ def check(template: np.ndarray, faces: np.ndarray) -> None:
 
 
 def provenance(count: int, seed: int) -> dict[str, object]:
-    """Where the numbers come from, for the asset itself."""
+    """The origin of the numbers, for the asset itself."""
     return {
         "name": "recon-adult",
         "version": VERSION,

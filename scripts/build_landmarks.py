@@ -40,7 +40,7 @@ class Mesh:
     twin: np.ndarray
 
     def exit(self, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
-        """Where a ray that starts inside the body first leaves it (Moeller-Trumbore)."""
+        """The point where a ray that starts inside the body first leaves it (Moeller-Trumbore)."""
         direction = direction / np.linalg.norm(direction)
         corner, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
         edge1, edge2 = b - corner, c - corner
@@ -228,7 +228,7 @@ def leg(mesh: Mesh) -> dict[str, int]:
         return start + fraction * (stop - start)
 
     def inside_foot(fraction: float) -> np.ndarray:
-        """On the foot's middle line, a fraction of the way from the heel to the ball."""
+        """A point on the foot's middle line, a fraction of the way from the heel to the ball."""
         return along(mesh.vertices[heel], ball, fraction) * [1, 0, 1] + offset(
             0.0, sole + 0.02, 0.0
         )

@@ -18,7 +18,7 @@ _CODE = re.compile(r"(^ *```.*?^ *```|`[^`\n]+`)", re.S | re.M)
 
 
 def places() -> dict[str, str]:
-    """Where each file of the repository that is not in docs/ has its page in the site."""
+    """Pages in the site of the repository's files that are not in docs/."""
     cards = {
         **{f"priors/weights/{p.name}": f"cards/{p.name}" for p in _sorted("priors/weights/*.md")},
         **{f"weights-nc/{p.name}": f"cards/nc-{p.name}" for p in _sorted("weights-nc/*.md")},

@@ -32,7 +32,7 @@ def turned_segments(motion: Motion, body: BodyModel) -> dict[str, np.ndarray]:
 
 
 def segment_sizes(motion: Motion, body: BodyModel) -> dict[str, list[float]]:
-    """Where every segment begins in its parent's axes, metres."""
+    """Places where segments begin in their parents' axes, metres."""
     axes = opensim_axes(body, motion.shape)
     rest = body.rest_joints(motion.shape).numpy()
 

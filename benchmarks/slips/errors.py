@@ -25,14 +25,14 @@ def error(
     counted: Counted,
     clip: int = 0,
 ) -> float:
-    """Of one clip of a fit: metres, or for speeds the factor by which they are wrong."""
+    """Error of one clip of a fit: metres, or for speeds the factor by which they are wrong."""
     return motion_error(_in_true_world(found, recording, clip), recording, measure, counted)
 
 
 def motion_error(
     motion: Motion, recording: Recording, measure: Measure, counted: Counted
 ) -> float:
-    """The same of a motion in the true world, one clip without batch axis."""
+    """Error of a motion in the true world, one clip without batch axis."""
     own, true = (recording.body.pose(m).joints for m in (motion, recording.truth))
     if measure == "speed":
         ratio = _speed(own, motion.fps) / _speed(true, recording.truth.fps)
@@ -56,7 +56,7 @@ def spoiled_samples(slip: Slip, frames: int) -> Counted:
 
 
 def claimed_samples(slip: Slip, observed: Bool[np.ndarray, "time 22"], frames: int) -> Counted:
-    """Those samples that the fit does not declare to be inferred.
+    """Samples that the fit does not declare to be inferred.
 
     Where it declares most of what the slip spoils to be inferred, the rest of the body is judged,
     and the whole body where it declares most of that.

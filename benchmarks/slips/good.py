@@ -91,13 +91,13 @@ class GoodWindow:
     source: str
     """Name of a listed window, or path of a real recording."""
     variant: str = ""
-    """Of a listed window: which of `VARIANTS`' names and sensor, `sensor: name`."""
+    """The variant of a listed window: its sensor and its name in `VARIANTS`, `sensor: name`."""
     start: float = 0.0
-    """Of a real recording: seconds from its first frame."""
+    """Beginning in a real recording, seconds from its first frame."""
 
     @property
     def name(self) -> str:
-        """For people."""
+        """The window's name for people."""
         return f"{self.source} {self.variant}" if self.variant else f"{self.source}@{self.start:g}"
 
     @property
@@ -116,13 +116,13 @@ def listed(part: Part) -> tuple[GoodWindow, ...]:
 
 
 def alarms(window: GoodWindow, findings: Sequence[Finding]) -> tuple[Finding, ...]:
-    """Those of the findings that are not so."""
+    """Findings that are not so."""
     return tuple(finding for finding in findings if finding.code not in window.allowed)
 
 
 @dataclass(frozen=True)
 class GoodWindows:
-    """Where windows are loaded from."""
+    """The folders that windows are loaded from."""
 
     windows: Windows
     """All that are listed of a part."""
@@ -219,7 +219,7 @@ def recorded_windows(observations: Path, part: Part, body: BodyModel) -> list[Go
 
 
 def some_of(windows: Sequence[GoodWindow], count: int) -> list[GoodWindow]:
-    """So many windows of a list."""
+    """Some windows of a list, so many, evenly spread."""
     step = max(len(windows) / count, 1.0)
     return [windows[int(k * step)] for k in range(min(count, len(windows)))]
 

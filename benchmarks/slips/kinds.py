@@ -40,13 +40,13 @@ class Slip:
     sensor: Sensor
     spoil: m.Spoil
     sizes: tuple[float, ...]
-    """That are tried, from small to large."""
+    """Sizes to try, from small to large."""
     unit: str
     codes: tuple[Code, ...]
     """Names of the cause that are right, the plainest first."""
     measure: Measure = "world"
     joints: tuple[str, ...] = ()
-    """That it spoils, whose error is taken; empty is all."""
+    """Joints that it spoils, whose error is taken; empty is all."""
 
     @property
     def key(self) -> str:

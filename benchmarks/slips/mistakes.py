@@ -48,7 +48,7 @@ def exchange(first: str, second: str) -> Spoil:
 
 
 def somebody_else(recording: Recording, distance: float) -> tuple[Seen, ...]:
-    """From mid clip on another person, so many metres beside the first at that moment."""
+    """Another person from mid clip on, so many metres beside the first at that moment."""
     frame = recording.truth.frames // 2
     other = recording.of(beside(recording, distance, frame), recording.seed + 1)
     return tuple(
@@ -98,7 +98,7 @@ def offset(point: str, axis: int) -> Spoil:
 
 
 def rate(recording: Recording, factor: float) -> tuple[Seen, ...]:
-    """So many times the true number of frames per second is declared."""
+    """A declared rate that is so many times the true one."""
     return tuple(seen.derived(fps=seen.fps * factor) for seen in recording.clean)
 
 

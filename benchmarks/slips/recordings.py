@@ -46,11 +46,11 @@ class Recording:
     """Somebody else's clip of the same length, wherever it was recorded."""
     body: BodyModel
     cameras: tuple[Camera, ...]
-    """As they truly stand; none for points in space."""
+    """Cameras as they truly stand; none for points in space."""
     corruption: Corruption
     seed: int
     clean: tuple[Seen, ...]
-    """With a leading axis of one clip."""
+    """What was seen without the mistake, with a leading axis of one clip."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -60,7 +60,7 @@ class Recording:
         return tuple(f"view{k + 1}" for k in range(len(self.clean)))
 
     def of(self, motion: Motion, seed: int) -> tuple[Seen, ...]:
-        """The same sensors before another motion."""
+        """What the sensors see of another motion."""
         return observed(self.sensor, motion, self.body, self.cameras, self.corruption, seed)
 
     @property

@@ -34,7 +34,7 @@ ADDED = 0.05
 MULTIPLIED = 2.0
 SPEEDS = 1.5
 _SHARE = 2 / 3
-"""Of the clips that a size must spoil."""
+"""Share of the clips that a size must spoil."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Tried:
 
     size: float
     errors: tuple[float, ...]
-    """By clip, as the slip's measure has them."""
+    """Errors by clip, as the slip's measure has them."""
     spoiled: float
     """Share of the clips."""
 

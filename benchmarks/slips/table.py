@@ -26,10 +26,10 @@ class Judged:
     size: float
     verdicts: tuple[Verdict, ...]
     seconds: float
-    """Of one processor, for one clip."""
+    """CPU time of one processor for one clip."""
 
     def report(self) -> dict[str, Any]:
-        """As it stands in a result file."""
+        """The row as it stands in a result file."""
         clips = [asdict(verdict) for verdict in self.verdicts]
         return {
             "size": self.size, "unit": self.slip.unit, "seconds": self.seconds, "clips": clips
@@ -37,7 +37,7 @@ class Judged:
 
     @classmethod
     def of(cls, slip: Slip, row: dict[str, Any]) -> "Judged":
-        """From a result file."""
+        """The row of a result file."""
         verdicts = tuple(Verdict.of(clip) for clip in row["clips"])
         return cls(slip, row["size"], verdicts, row["seconds"])
 
@@ -137,7 +137,7 @@ def totals(table: Sequence[Judged]) -> dict[str, int]:
 
 
 def summary(table: Sequence[Judged]) -> str:
-    """The same in a sentence."""
+    """A summary of the table in a sentence."""
     found = totals(table)
     share = {key: _share(found[key], found["with_cause"]) for key in ("named", "named_first")}
     return (

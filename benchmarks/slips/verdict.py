@@ -15,7 +15,7 @@ CONSEQUENCES = frozenset({"unseen", "gap"})
 
 @dataclass(frozen=True)
 class Verdict:
-    """Of one slipped clip."""
+    """What became of one slipped clip."""
 
     clip: str
     clean: float

@@ -39,7 +39,7 @@ _OF_TRUTH = ("penetration_freq", "slip_speed", "feet_balanced")
 """Columns that mean something for the truth itself; it has no errors."""
 _LATER = "*To be measured: version 0.1.0 kept nothing of this.*"
 Columns = Mapping[str, tuple[str, float, int]]
-"""By metric: heading, factor and digits."""
+"""Heading, factor and digits of every metric."""
 
 NOISY: Columns = {
     "joints_all": ("joints cm", 100, 2), "joints_legs": ("legs cm", 100, 2),

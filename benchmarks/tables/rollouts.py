@@ -10,7 +10,10 @@ from benchmarks.tables.values import markdown, result, source
 METHODS = ("collocation", "rollout", "shooting")
 ACROBATIC = "49"
 """Subject whose recordings are acrobatics: jumps, handsprings, cartwheels."""
-FILES = ("rollout_fits", "rollout_fits_hidden", "rollout_camera")
+FILES = (
+    "rollout_fits", "rollout_fits_hidden", "rollout_gap", "rollout_half", "rollout_camera",
+    "rollout_views", "rollout_depth",
+)  # fmt: skip
 HEADINGS = ["on the same windows", "method", "joints cm", "unseen cm", "by thirds cm",
             "network's own cm", "CPU s", "by tolerance"]  # fmt: skip
 _TOLERANCE = ("converged", "gradient")

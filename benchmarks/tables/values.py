@@ -24,7 +24,7 @@ def result(name: str) -> dict[str, Any]:
 
 
 def present(names: Iterable[str]) -> list[str]:
-    """Those of some result files that have been made."""
+    """Result files that have been made, out of some."""
     return [name for name in names if (RESULTS / f"{name}.json").is_file()]
 
 
@@ -95,7 +95,7 @@ def _counted(
 
 
 def source(*names: str) -> str:
-    """Where the numbers of a table are from, a paragraph under it."""
+    """A paragraph under a table that says where its numbers are from."""
     return "\n".join(["", "", *(_said(name) for name in names)])
 
 

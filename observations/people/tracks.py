@@ -177,7 +177,7 @@ def _size(detections: Detections, a: int, b: int) -> float:
 
 
 def _distance(detections: Detections, a: int, b: int) -> float:
-    """Between the centres of two detections, over the keypoints both show, in body sizes."""
+    """Distance of the centres of two detections, over the keypoints both show, in body sizes."""
     seen_a, seen_b = detections.confidence[a] > 0, detections.confidence[b] > 0
     both = seen_a & seen_b
     if both.sum() >= FEWEST_KEYPOINTS:

@@ -47,7 +47,7 @@ _WORDS = {
     "heavy": ("weight", Lean.MORE), "slim": ("weight", Lean.LESS),
 }  # fmt: skip
 _LIMITS = {"height": (1.0, 2.5, "metres"), "weight": (20.0, 250.0, "kilograms")}
-"""Beyond these a unit is wrong."""
+"""Least and greatest values; beyond them a unit is wrong."""
 _STEPS = 60
 _CLOSE = 1e-5
 """Metres and kilograms."""

