@@ -51,10 +51,10 @@ def quick_fits(versions: Sequence[Points], body: BodyModel) -> list[QuickFit]:
     as its noise allows, no other can be clearly better, and none is fitted. Of a long recording
     only the version of the least cost is fitted whole, and only that one is returned.
     """
-    first, noise = versions[0], estimate_noise(versions[0].positions, versions[0].visible)
-    excerpts, method = [_excerpt(one) for one in versions], _Quick(first)
+    first, method = versions[0], _Quick.of(versions[0])
+    excerpts = [_excerpt(one) for one in versions]
     fits = _fitted(excerpts[:1], method, body)
-    if len(versions) > 1 and fits[0].cost > _AT_NOISE * 1.5 * float(noise) ** 2:
+    if len(versions) > 1 and fits[0].cost > _AT_NOISE * 1.5 * method.noise**2:
         fits += _fitted(excerpts[1:], method, body)
     if excerpts[0] is first:
         return fits
@@ -88,7 +88,7 @@ def pursued(fit: QuickFit, body: BodyModel) -> QuickFit:
     """
     if _excerpt(fit.points) is not fit.points:
         return fit
-    method, start = _Quick(fit.points), fit.estimate.motion
+    method, start = _Quick.of(fit.points), fit.estimate.motion
     reached = solve([fit.points.replace(kernel=squared)], method, body, start=start).motion
     robust = fit.points.replace(kernel=partial(geman_mcclure, sigma=ROBUST_SCALE))
     result = solve([robust], method, body, start=reached.detach())
@@ -106,12 +106,17 @@ def _cost(fit: QuickFit) -> float:
 class _Quick:
     """The pose prior's stages with few iterations: a centimetre more or less decides nothing."""
 
-    points: Points
+    noise: float
+    """Standard deviation of a coordinate, metres."""
+
+    @classmethod
+    def of(cls, points: Points) -> "_Quick":
+        """The method for these points."""
+        return cls(float(estimate_noise(points.positions, points.visible)))
 
     def stages(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
         """Root, then poses."""
-        noise = estimate_noise(self.points.positions, self.points.visible)
-        weights = replace(PoseWeights.for_noise(noise), shape=_SHAPE)
+        weights = replace(PoseWeights.for_noise(self.noise), shape=_SHAPE)
         prior = PosePrior.load(weights=weights)
         return tuple(
             replace(stage, minimiser=LBFGS(max_iterations=most, tolerance_decrease=1e-3))
