@@ -12,6 +12,7 @@ the next, and that of the truth; a seam would make it larger.
 
 import resource
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -46,6 +47,7 @@ def main() -> None:
     parser.add_argument("--clips", type=int, default=8, help="so many subjects")
     parser.add_argument("--seconds", type=float, default=6.0, help="of every clip")
     parser.add_argument("--minutes", type=float, default=2.0, help="of the long stream")
+    parser.add_argument("--priors", choices=PRIORS, nargs="+", default=list(PRIORS))
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     body = BodyModel.load()
@@ -56,11 +58,11 @@ def main() -> None:
     for clip in chosen:
         motion = load_motion(files[clip]).motion.resample(FPS)
         truth = motion.window(0, min(motion.frames, round(arguments.seconds * FPS)))
-        rows[clip] = measured(truth.replace(start_time=0.0), body)
+        rows[clip] = measured(truth.replace(start_time=0.0), body, arguments.priors)
         Console().print(shown(clip, rows[clip]))
     first = load_motion(files[chosen[0]]).motion.resample(FPS)
     whole = there_and_back(first, 60 * arguments.minutes)
-    minutes = {f"{prior}, lag 15": for_minutes(whole, body, prior) for prior in PRIORS}
+    minutes = {f"{prior}, lag 15": for_minutes(whole, body, prior) for prior in arguments.priors}
     Console().print(shown(f"{arguments.minutes:g} minutes", minutes))
     if arguments.json is not None:
         write(
@@ -81,14 +83,14 @@ def longest(files: dict[str, Path], splits: Splits, part: str, count: int) -> li
     return list(of_subject.values())[:count]
 
 
-def measured(truth: Motion, body: BodyModel) -> dict[str, Row]:
+def measured(truth: Motion, body: BodyModel, priors: Sequence[str]) -> dict[str, Row]:
     """One clip: every lag, and both offline fits."""
     seen = noisy_joints(truth.map(lambda tensor: tensor[None]), body, SEED, NOISE)
     true = body.pose(truth).joints
     rows = {
-        f"{prior}, lag {lag}": streamed(seen, true, lag, prior) for prior in PRIORS for lag in LAGS
+        f"{prior}, lag {lag}": streamed(seen, true, lag, prior) for prior in priors for lag in LAGS
     }
-    for prior in PRIORS:
+    for prior in priors:
         began = time.process_time()
         motion = solve([seen], method_of(FitOptions(prior=prior), NOISE, body), body).clip(0)
         spent = (time.process_time() - began) / truth.frames
@@ -120,21 +122,23 @@ def for_minutes(truth: Motion, body: BodyModel, prior: str) -> Row:
     """A long stream of lag 15, and how the memory of the process grows."""
     seen = noisy_joints(truth.map(lambda tensor: tensor[None]), body, SEED, NOISE)
     half = seen.moments // 2
+    true = body.pose(truth).joints
     stream, spent, sizes = Stream(prior, lag=15), [], [0.0, 0.0]
-    found: list[Tensor] = []
+    # its memory is there from the beginning, so that what grows is the stream's
+    found, count = torch.zeros_like(true), 0
     for moment in range(seen.moments):
         one = seen[0].window(moment / FPS, moment / FPS)
         began = time.process_time()
         estimate = stream.push(one, moment / FPS)
         spent.append(1000 * (time.process_time() - began))
-        found += [] if estimate is None else [each.joints for each in estimate.every]
+        for each in () if estimate is None else estimate.every:
+            found[count], count = each.joints, count + 1
         if moment in (half, seen.moments - 1):
             sizes[moment != half] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    true = body.pose(truth).joints[: len(found)]
     return {
         "median_ms": float(np.median(spent)), "p95_ms": float(np.quantile(spent, 0.95)),
         "longest_ms": max(spent), "mb_at_half": sizes[0], "mb_at_end": sizes[1],
-    } | compared(torch.stack(found), true)  # fmt: skip
+    } | compared(found[:count], true[:count])  # fmt: skip
 
 
 def compared(joints: Tensor, true: Tensor) -> Row:
