@@ -11,23 +11,20 @@ from torch import Tensor
 
 from observations.checks import checked_clock, checked_positions, checked_view
 from observations.records.sensor import SensorRecord
+from observations.records.surfaces import to_discs, tukey, tukey_scale, within
 from observations.start.depth import depth_start
+from observations.start.labelled import labelled_start
 from observations.surfels import Surfels
 from observations.timing import at_observation_times, moment_numbers, moments_between, padded
+from priors.labels.record import PointLabels
 from recon.body.model import BodyModel
 from recon.core.arrays import Numbers
 from recon.core.camera import Camera, transform
+from recon.core.errors import ObservationError
 from recon.core.geometry.nearest import nearest
+from recon.core.geometry.visible import facing
 from recon.core.motion import Motion
 from recon.core.residuals import Noise, Residuals, Unit
-from recon.core.robust import (
-    NORMAL_MAD,
-    TUNING,
-    bisquare_weights,
-    geman_mcclure,
-    lower_median,
-    mad_scale,
-)
 from recon.method.protocols import REFERENCE_FPS, Estimate
 
 _FEW_POINTS, _FEW_SURFELS = 96, 500
@@ -38,87 +35,6 @@ CLOUD_NOISE = 0.01
 CLOUD_WORTH = 16
 """Points that know their place on the body, as which the cloud of a frame counts, however many
 points it has: neighbours err alike, and none of them says more than how far the surface is."""
-LEAST_SCALE = 0.005
-"""Metres; surfaces are not taken for nearer to each other than this."""
-
-
-def to_vertices(
-    offset: Float[Tensor, "*shape 3"],
-    normal: Float[Tensor, "*shape 3"],
-    radius: Float[Tensor, "*shape"],
-) -> Float[Tensor, "*shape"]:
-    """Squared distance from the vertex itself, as published (HuMoR section 6.5)."""
-    del normal, radius
-    return offset.square().sum(-1)
-
-
-def to_discs(
-    offset: Float[Tensor, "*shape 3"],
-    normal: Float[Tensor, "*shape 3"],
-    radius: Float[Tensor, "*shape"],
-) -> Float[Tensor, "*shape"]:
-    """Squared distance from a disc: (n·e)² + max(|e - (n·e) n| - radius, 0)².
-
-    Points between vertices are then as near as the surface is; beyond the ends of the body,
-    where a plane would go on, distances grow.
-    """
-    height = (offset * normal).sum(-1)
-    across = (offset - height[..., None] * normal).square().sum(-1)
-    outside = across > radius.square()
-    # the root is taken of what lies outside only: its gradient at zero is infinite
-    beyond = torch.where(outside, across, radius.square().clamp(min=1e-12)).sqrt() - radius
-    return height.square() + torch.where(outside, beyond, 0.0).square()
-
-
-def reweighted(
-    squared: Float[Tensor, "*batch samples"], present: Bool[Tensor, "*batch samples"]
-) -> Float[Tensor, "*batch samples"]:
-    """Squares e² with bisquare weights, constant for gradients: the published energy of a point.
-
-    Its value falls again where points move away beyond half the cut-off, so it suits a line
-    search badly; `tukey` has the same gradient and a value that belongs to it.
-    """
-    residual = squared.detach().sqrt()
-    return bisquare_weights(residual, mad_scale(residual, present)) * squared
-
-
-def tukey(
-    squared: Float[Tensor, "*batch samples"], present: Bool[Tensor, "*batch samples"]
-) -> Float[Tensor, "*batch samples"]:
-    """c²/3 (1 - (1 - e²/c²)³) up to the cut-off c = 4.6851 s, constant beyond; s has no gradient.
-
-    The gradient is that of `reweighted` at equal scale. The scale is median(e) / 0.67449: of
-    distances, which are zero at best, it is the deviation from zero that matters. At least half
-    of the points always pull, also those of a body that is off as a whole, which deviations
-    from the median cut off altogether.
-    """
-    return within(squared, tukey_scale(squared, present))
-
-
-def tukey_scale(
-    squared: Float[Tensor, "*batch samples"], present: Bool[Tensor, "*batch samples"]
-) -> Float[Tensor, "*batch"]:
-    """Robust standard deviation of distances about zero, metres; no gradient."""
-    residual = squared.detach().sqrt()
-    return (lower_median(residual, present) / NORMAL_MAD).clamp(min=LEAST_SCALE)
-
-
-def within(
-    squared: Float[Tensor, "*batch samples"], scale: Float[Tensor, "*batch"]
-) -> Float[Tensor, "*batch samples"]:
-    """Tukey's c²/3 (1 - (1 - e²/c²)³), constant beyond c = 4.6851 scale."""
-    cutoff = (TUNING * scale).square()[..., None]
-    return cutoff / 3 * (1 - (1 - (squared / cutoff).clamp(max=1)) ** 3)
-
-
-def bounded(
-    squared: Float[Tensor, "*batch samples"],
-    present: Bool[Tensor, "*batch samples"],
-    sigma: float = 0.1,
-) -> Float[Tensor, "*batch samples"]:
-    """Geman-McClure with a fixed scale in metres: a misfit that no scale moves."""
-    del present
-    return geman_mcclure(squared, sigma)
 
 
 @dataclass(frozen=True, init=False)
@@ -158,6 +74,8 @@ class PointCloud(SensorRecord):
     finds the nearest in every evaluation."""
     scale: Float[Tensor, "*batch"] | None = None
     """Scale of `tukey` in metres, while correspondences are fixed; None estimates it."""
+    labels: PointLabels | None = None
+    """What is believed of every point, if a network or somebody has looked at the cloud."""
 
     def __init__(
         self,
@@ -173,6 +91,7 @@ class PointCloud(SensorRecord):
         ground_seen: bool = False,
         pairs: Int[Tensor, "*batch moments points"] | None = None,
         scale: Float[Tensor, "*batch"] | None = None,
+        labels: PointLabels | None = None,
     ) -> None:
         """Arrays of numpy become tensors in single precision; what is not present becomes zero.
 
@@ -184,10 +103,15 @@ class PointCloud(SensorRecord):
         points, present = checked_positions("PointCloud", "points", points, "present", present)
         fps, start_time = checked_clock("PointCloud", fps, start_time)
         view = None if camera is None else checked_view("PointCloud", camera, points)
+        if labels is not None and labels.present.shape != present.shape:
+            raise ObservationError(
+                f"PointCloud: expected labels of {tuple(present.shape)} points, as they are "
+                f"present, got {tuple(labels.present.shape)}"
+            )
         self._settle(
             points=points, present=present, surfels=surfels, fps=fps, start_time=start_time,
             camera=view, distance=distance, kernel=kernel, ground_known=ground_known,
-            ground_seen=ground_seen, pairs=pairs, scale=scale,
+            ground_seen=ground_seen, pairs=pairs, scale=scale, labels=labels,
         )  # fmt: skip
 
     @property
@@ -312,9 +236,14 @@ class PointCloud(SensorRecord):
     def _nearest(
         self, middles: Tensor, normals: Tensor, seen: slice
     ) -> Int[Tensor, "*batch seen points"]:
-        """The nearest disc of every point, among those that face the sensor."""
-        allowed = self._facing(middles.detach(), normals.detach(), seen)
-        return nearest(self.points[..., seen, :, :], self.present[..., seen, :], middles, allowed)
+        """The nearest disc of every point, among those that the sensor could see."""
+        points, present = self.points[..., seen, :, :], self.present[..., seen, :]
+        allowed = torch.ones_like(middles[..., 0], dtype=torch.bool)
+        if self.camera is not None:
+            eye = self.camera.at(range(seen.start, seen.stop)).T_world_camera[..., :3, 3]
+            eye = eye.expand(*middles.shape[:-2], 3)
+            allowed = facing(middles.detach(), normals.detach(), eye)
+        return nearest(points, present, middles, allowed)
 
     def _surface(self, estimate: Estimate) -> tuple[Tensor, Tensor, slice]:
         """Middles and normals of the discs in the recording, at the moments that are covered."""
@@ -328,21 +257,23 @@ class PointCloud(SensorRecord):
         )
         return middles, normals, seen
 
-    def _facing(self, middles: Tensor, normals: Tensor, seen: slice) -> Tensor:
-        """Discs turned towards the sensor; those without a normal are turned everywhere."""
-        if self.camera is None:
-            return torch.ones_like(middles[..., 0], dtype=torch.bool)
-        way = (
-            self.camera.at(range(seen.start, seen.stop)).T_world_camera[..., None, :3, 3] - middles
-        )
-        return (way * normals).sum(-1) >= 0
-
     def window(self, start: float, stop: float) -> "PointCloud":
         """What was seen from one time to another, both included, seconds; the clock goes on."""
         clock = {"fps": self.fps, "start_time": self.start_time, "start": start, "stop": stop}
         points, present, first = moments_between(self.points, self.present, **clock)
-        camera = None if self.camera is None else self.camera.at(moment_numbers(**clock))
-        return self.derived(points=points, present=present, camera=camera, start_time=first)
+        numbers = moment_numbers(**clock)
+        camera = None if self.camera is None else self.camera.at(numbers)
+        found = self.derived(points=points, present=present, camera=camera, start_time=first)
+        if self.labels is None:
+            return found
+        there = torch.tensor(numbers).clamp(0, self.moments - 1)
+        labels = self._labels(lambda one: one.index_select(self.present.ndim - 2, there))
+        return found.derived(labels=labels.derived(present=present))
+
+    def _labels(self, function: Callable[[Tensor], Tensor]) -> PointLabels:
+        """The labels with a function applied to each of their tensors."""
+        assert self.labels is not None
+        return self.labels.map(function)
 
     def transformed(self, T_new_old: Float[np.ndarray, "4 4"]) -> "PointCloud":
         """Points and sensor after a rigid transform of the frame that they live in."""
@@ -356,7 +287,24 @@ class PointCloud(SensorRecord):
         if self.points.shape[-2] <= most:
             return self
         number = torch.linspace(0, self.points.shape[-2] - 1, most).long()
-        return self.derived(points=self.points[..., number, :], present=self.present[..., number])
+        return self._few(number, slice(None))
+
+    def _few(self, number: Tensor, every: slice) -> "PointCloud":
+        """Some of the points of some of the moments."""
+        axis, moments = self.present.ndim - 1, range(self.moments)[every]
+
+        def taken(values: Tensor) -> Tensor:
+            there = torch.tensor(moments, device=values.device)
+            some = values.index_select(axis - 1, there)
+            return some.index_select(axis, number.to(values.device))
+
+        camera = None if self.camera is None else self.camera.at(moments)
+        return self.derived(
+            points=taken(self.points),
+            present=taken(self.present),
+            labels=None if self.labels is None else self._labels(taken),
+            camera=camera,
+        )
 
     def coarse(self, body: BodyModel, step: int = 2) -> "PointCloud":
         """Every `step`-th moment, few points, a rough surface: enough to tell headings apart.
@@ -367,25 +315,20 @@ class PointCloud(SensorRecord):
             step = 1
         last = self.points.shape[-2] - 1
         number = torch.linspace(0, last, min(_FEW_POINTS, last + 1)).long()
-        every = slice(None, None, step)
-        moments = range(0, self.points.shape[-3], step)
-        camera = None if self.camera is None else self.camera.at(moments)
-        return self.derived(
-            points=self.points[..., every, :, :][..., number, :],
-            present=self.present[..., every, :][..., number],
-            surfels=Surfels.of(body, _FEW_SURFELS),
-            camera=camera,
-            fps=self.fps / step,
+        return self._few(number, slice(None, None, step)).derived(
+            surfels=Surfels.of(body, _FEW_SURFELS), fps=self.fps / step
         )
 
     def start(self, body: BodyModel) -> Motion:
-        """The rest pose upright in the recording where the cloud suggests; see `depth_start`."""
+        """Poses that the labels tell, or without labels a plain posture where the cloud suggests.
+
+        See `labelled_start` and `depth_start`.
+        """
         eye = None
         if self.camera is not None:
-            moments = self.points.shape[-3]
-            eye = self.camera.at(range(moments)).T_world_camera[..., :3, 3]
+            eye = self.camera.at(range(self.moments)).T_world_camera[..., :3, 3]
             eye = eye.expand(*self.points.shape[:-2], 3)
-        return depth_start(
-            body, self.surfels, self.points, self.present, eye,
-            fps=self.fps, start_time=self.start_time,
-        )  # fmt: skip
+        clock = {"fps": self.fps, "start_time": self.start_time}
+        if self.labels is not None:
+            return labelled_start(body, self.points, self.present, self.labels, eye, **clock)
+        return depth_start(body, self.surfels, self.points, self.present, eye, **clock)

@@ -56,6 +56,8 @@ def first_guess(observations: Sequence[Sensor], body: BodyModel) -> FirstGuess:
         return FirstGuess(_posed_like(clouds[0].start(body), stretched), True, (stretched,))
     if clouds:
         motion = clouds[0].start(body)
+        if clouds[0].labels is not None:  # headings were compared already
+            return FirstGuess(motion, True)
         return FirstGuess(motion, True, tuple(_turned(motion, angle) for angle in _OTHER_HEADINGS))
     return FirstGuess(views[0].start(body), False)
 

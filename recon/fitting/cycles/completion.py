@@ -7,8 +7,9 @@ from typing import Any
 
 import torch
 
-from observations.depth import CLOUD_NOISE, CLOUD_WORTH, PointCloud, bounded
+from observations.depth import CLOUD_NOISE, CLOUD_WORTH, PointCloud
 from observations.noise import weights_of
+from observations.records.surfaces import bounded
 from observations.together import kinds
 from observations.together.kinds import InSpace
 from recon.body.model import BodyModel

@@ -1,0 +1,302 @@
+"""Poses of single moments from points whose places on the body are known, roughly.
+
+Every point belongs to a bone and has a place on it, so what it asks of a pose is linear in the
+pose [O_b | p_b] of that bone. The points of a bone enter by their moments alone (sums of places,
+of targets and of their products), and a Gauss-Newton step costs the same for any number of them.
+All moments, and all hypotheses about them, step at once.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from priors.pose.density import COORDINATES, ROTATIONS, PoseDensity
+from recon.body.derivatives import turned_by
+from recon.body.kinematics import forward_kinematics
+from recon.core import rotations as so3
+from recon.core.skeleton import JOINTS, descendants
+from recon.core.struct import TensorStruct
+
+_BONES = len(JOINTS)
+_LONGEST = 0.6
+"""Radians, of any joint, that one step turns at most."""
+_SHIFT = 0.5
+"""Metres that one step moves the body at most."""
+
+
+@dataclass(frozen=True)
+class BoneTargets(TensorStruct):
+    """Points seen at some moments, each with its place on a bone."""
+
+    points: Float[Tensor, "rows points 3"]
+    """Positions that were seen, metres."""
+    weight: Float[Tensor, "rows points"]
+    """Inverse variance of a coordinate, 1 / metres²; zero for rows without a point."""
+    bone: Int[Tensor, "rows points"]
+    place: Float[Tensor, "rows points 3"]
+    """Vector from the joint of the bone, in the bone's frame, metres."""
+
+    def away(self, state: "BonePoses") -> Float[Tensor, "rows points 3"]:
+        """Predicted minus seen places, metres."""
+        pick = self.bone[..., None, None].expand(*self.bone.shape, 3, 4)
+        placed = state.bones.gather(1, pick)
+        predicted = (placed[..., :3] @ self.place[..., None])[..., 0] + placed[..., 3]
+        return predicted - self.points
+
+
+@dataclass(frozen=True)
+class BonePoses(TensorStruct):
+    """Poses of moments and what follows from them."""
+
+    translation: Float[Tensor, "rows 3"]
+    """The translation of `Motion`, which does not turn the rest pelvis."""
+    root: Float[Tensor, "rows 3 3"]
+    coordinates: Float[Tensor, "rows 63"]
+    """Coordinates z of the other joints; see `PoseDensity`."""
+    rotations: Float[Tensor, "rows 22 3 3"]
+    bones: Float[Tensor, "rows 22 3 4"]
+    """Orientation and joint of every bone, [O_b | p_b], world."""
+
+    @classmethod
+    def of(
+        cls,
+        translation: Float[Tensor, "rows 3"],
+        root: Float[Tensor, "rows 3 3"],
+        coordinates: Float[Tensor, "rows 63"],
+        body: "PoseSolver",
+    ) -> "BonePoses":
+        """Poses of a skeleton."""
+        rotations = torch.cat((root[:, None], body.density.rotations(coordinates)), 1)
+        orientations, joints = forward_kinematics(rotations, body.rest)
+        joints = joints + translation[:, None]
+        bones = torch.cat((orientations, joints[..., None]), -1)
+        return cls(translation, root, coordinates, rotations, bones)
+
+    @property
+    def joints(self) -> Float[Tensor, "rows 22 3"]:
+        """Places of the joints, metres."""
+        return self.bones[..., 3]
+
+
+@dataclass(frozen=True)
+class PoseSolver(TensorStruct):
+    """Finds poses of a body at rest under a density of poses."""
+
+    rest: Float[Tensor, "22 3"]
+    """Joints of the unposed body, metres."""
+    density: PoseDensity
+
+    def minimised(
+        self,
+        state: BonePoses,
+        targets: BoneTargets,
+        sigmas: tuple[float, ...],
+        ties: "Springs | None",
+    ) -> BonePoses:
+        """The poses after one damped step for every scale of the robust kernel.
+
+        The energy of a moment is ½ Σ w ρ(|predicted - seen|²) + ½ |z|², with Geman and McClure's
+        kernel ρ, whose scale shrinks from step to step: what is far away counts at first and not
+        in the end.
+
+        Args:
+            state: where to begin.
+            targets: the points.
+            sigmas: scales of the kernel, metres, one for each step.
+            ties: what holds neighbouring moments together; None leaves them independent.
+        """
+        for sigma in sigmas:
+            state = self._stepped(state, targets, sigma, ties)
+        return state
+
+    def _stepped(
+        self, state: BonePoses, targets: BoneTargets, sigma: float, ties: "Springs | None"
+    ) -> BonePoses:
+        away = targets.away(state)
+        share = sigma**2 / (sigma**2 + away.square().sum(-1))
+        force, stiffness = _moments(targets, away, targets.weight * share.square())
+        gradient, hessian = _by_coordinates(state, force, stiffness, self.density)
+        gradient[:, 6:] += state.coordinates
+        diagonal = hessian.diagonal(dim1=1, dim2=2)
+        diagonal[:, 6:] += 1
+        diagonal += 1e-3 * diagonal + 1.0
+        if ties is not None:
+            steps = ties.solved(hessian, gradient, state)
+        else:
+            factor = torch.linalg.cholesky_ex(hessian).L
+            steps = -torch.cholesky_solve(gradient[..., None], factor)[..., 0]
+        return self._moved(state, steps.nan_to_num(0.0))
+
+    def _moved(self, state: BonePoses, steps: Float[Tensor, "rows 69"]) -> BonePoses:
+        turns = torch.cat((steps[:, None, 3:6], self._turns(steps[:, 6:])), 1).norm(dim=-1)
+        long = turns.amax(-1) / _LONGEST
+        far = steps[:, :3].norm(dim=-1) / _SHIFT
+        steps = steps / torch.maximum(long, far).clamp(min=1)[:, None]
+        return BonePoses.of(
+            state.translation + steps[:, :3],
+            so3.exp(steps[:, 3:6]) @ state.root,
+            state.coordinates + steps[:, 6:],
+            self,
+        )
+
+    def _turns(self, steps: Float[Tensor, "rows 63"]) -> Float[Tensor, "rows 21 3"]:
+        return (steps @ self.density.basis.mT).unflatten(-1, (ROTATIONS, 3))
+
+
+@dataclass(frozen=True)
+class Springs:
+    """Springs between moments and the next ones: of places, of the root and of coordinates."""
+
+    linked: Bool[Tensor, " between"]
+    place: float
+    """Inverse variance of the step of a coordinate of the pelvis, 1 / metres²."""
+    turn: float
+    """Inverse variance of the root's turn, 1 / radians²."""
+    coordinates: float
+    """Inverse variance of the change of a coordinate z."""
+
+    def solved(
+        self,
+        hessian: Float[Tensor, "rows n n"],
+        gradient: Float[Tensor, "rows n"],
+        state: BonePoses,
+    ) -> Float[Tensor, "rows n"]:
+        """Steps of all moments: the block tridiagonal system, from the first to the last."""
+        like = gradient
+        springs = torch.cat((
+            like.new_full((3,), self.place),
+            like.new_full((3,), self.turn),
+            like.new_full((COORDINATES,), self.coordinates),
+        ))  # fmt: skip
+        weight = self.linked.to(like)[:, None] * springs
+        between = torch.cat((
+            state.translation.diff(dim=0),
+            so3.log(state.root[1:] @ state.root[:-1].mT),
+            state.coordinates.diff(dim=0),
+        ), -1)  # fmt: skip
+        pull = weight * between
+        gradient = gradient.clone()
+        gradient[:-1] -= pull
+        gradient[1:] += pull
+        diagonal = hessian.diagonal(dim1=1, dim2=2)
+        diagonal[:-1] += weight
+        diagonal[1:] += weight
+        factors, rights = [torch.linalg.cholesky_ex(hessian[0]).L], [-gradient[0]]
+        for row in range(1, len(hessian)):
+            inner = torch.diag(weight[row - 1])
+            solved = torch.cholesky_solve(torch.cat((inner, rights[-1][:, None]), -1), factors[-1])
+            block = hessian[row] - inner @ solved[:, :-1]
+            factors.append(torch.linalg.cholesky_ex(block).L)
+            rights.append(-gradient[row] + weight[row - 1] * solved[:, -1])
+        steps = [torch.cholesky_solve(rights[-1][:, None], factors[-1])[:, 0]]
+        for row in range(len(hessian) - 2, -1, -1):
+            right = rights[row] + weight[row] * steps[-1]
+            steps.append(torch.cholesky_solve(right[:, None], factors[row])[:, 0])
+        return torch.stack(steps[::-1])
+
+
+def placed_rigidly(
+    targets: BoneTargets,
+    rest: Float[Tensor, "22 3"],
+    trunk: Bool[Tensor, "rows points"],
+    sigmas: tuple[float, ...],
+) -> tuple[Float[Tensor, "rows 3"], Float[Tensor, "rows 3 3"]]:
+    """Pelvis and root of the rest body laid on the points of the trunk, in any tilt.
+
+    Procrustes' problem with the weights of Geman and McClure's kernel, whose scale shrinks.
+    Moments with fewer than three such points are laid on all of theirs.
+
+    Args:
+        targets: the points.
+        rest: joints of the unposed body, metres.
+        trunk: which of the points are of it.
+        sigmas: scales of the kernel, metres.
+    """
+    few = ((targets.weight > 0) & trunk).sum(-1) < 3
+    weight = targets.weight * (trunk | few[:, None])
+    model = rest[targets.bone] + targets.place - rest[0]
+    place, turn = _laid(targets.points, model, weight)
+    for sigma in sigmas:
+        away = model @ turn.mT + place[:, None] - targets.points
+        share = (sigma**2 / (sigma**2 + away.square().sum(-1))).square()
+        place, turn = _laid(targets.points, model, weight * share)
+    return place, turn
+
+
+def _laid(
+    points: Float[Tensor, "rows points 3"],
+    model: Float[Tensor, "rows points 3"],
+    weight: Float[Tensor, "rows points"],
+) -> tuple[Float[Tensor, "rows 3"], Float[Tensor, "rows 3 3"]]:
+    """The rigid transform that brings the model nearest to the points, least squares."""
+    total = weight.sum(-1).clamp(min=1e-9)[:, None]
+    there = (weight[..., None] * points).sum(1) / total
+    here = (weight[..., None] * model).sum(1) / total
+    away = points - there[:, None], model - here[:, None]
+    spread = torch.einsum("rn,rni,rnj->rij", weight, *away)
+    turn = so3.nearest(spread.double()).to(model)
+    return there - (turn @ here[..., None])[..., 0], turn
+
+
+def _moments(
+    targets: BoneTargets,
+    away: Float[Tensor, "rows points 3"],
+    weight: Float[Tensor, "rows points"],
+) -> tuple[Float[Tensor, "rows 22 3 4"], Float[Tensor, "rows 22 4 4"]]:
+    """Derivatives of the energy by the poses of bones, and second moments of their points."""
+    column = torch.cat((targets.place, torch.ones_like(targets.place[..., :1])), -1)
+    counted = column * weight[..., None]
+    products = torch.cat((
+        (away[..., :, None] * counted[..., None, :]).flatten(-2),
+        (column[..., :, None] * counted[..., None, :]).flatten(-2),
+    ), -1)  # fmt: skip
+    own = torch.nn.functional.one_hot(targets.bone, _BONES).to(products)
+    sums = own.mT @ products
+    return sums[..., :12].unflatten(-1, (3, 4)), sums[..., 12:].unflatten(-1, (4, 4))
+
+
+def _by_coordinates(
+    state: BonePoses,
+    force: Float[Tensor, "rows 22 3 4"],
+    stiffness: Float[Tensor, "rows 22 4 4"],
+    density: PoseDensity,
+) -> tuple[Float[Tensor, "rows 69"], Float[Tensor, "rows 69 69"]]:
+    """Gradient and Gauss-Newton Hessian by translation, turn of the root (world) and z."""
+    rows = len(force)
+    bones = state.bones
+    # [O_b | p_b - p_a] of every bone b below joint a: what a turn about joint a carries
+    carried = bones[:, :, None].expand(-1, -1, _BONES, -1, -1).clone()
+    carried[..., 3] -= bones[:, None, :, :, 3]
+    carried = carried * _BELOW.to(bones).mT[..., None, None]
+    turned = bones.new_zeros(rows, _BONES, 3, 4, 3 + 3 * _BONES)
+    for axis in range(3):
+        turned[:, :, axis, 3, axis] = 1
+    by_turn = turned[..., 3:].unflatten(-1, (_BONES, 3))
+    for axis in range(3):
+        after, last = (axis + 1) % 3, (axis + 2) % 3
+        by_turn[:, :, after, :, :, axis] = -carried[..., last, :].transpose(2, 3)
+        by_turn[:, :, last, :, :, axis] = carried[..., after, :].transpose(2, 3)
+    flat = turned.flatten(1, 3)
+    gradient = (force.flatten(1)[:, None] @ flat)[:, 0]
+    weighed = (stiffness[:, :, None] @ turned).flatten(1, 3)
+    hessian = flat.mT @ weighed
+    steps = (state.coordinates @ density.basis.mT).unflatten(-1, (ROTATIONS, 3))
+    bent = bones[:, 1:, :, :3] @ turned_by(steps)
+    chain = (bent @ density.basis.unflatten(0, (ROTATIONS, 3))).flatten(1, 2)
+    whole = bones.new_zeros(rows, 3 + 3 * _BONES, 6 + COORDINATES)
+    whole[:, :6, :6] = torch.eye(6)
+    whole[:, 6:, 6:] = chain
+    return (gradient[:, None] @ whole)[:, 0], whole.mT @ hessian @ whole
+
+
+def _below() -> Float[Tensor, "22 22"]:
+    """Row a: 1 for joint a and all bones that hang from it."""
+    below = torch.zeros(_BONES, _BONES)
+    for joint in range(_BONES):
+        below[joint, list(descendants(joint))] = 1.0
+    return below
+
+
+_BELOW = _below()

@@ -1,0 +1,316 @@
+"""A first guess from labelled points: any posture, tilt and heading, tracked through time.
+
+A cloud's labels say of every point where on the body it lies, roughly. So a pose follows as it
+does from markers. What labels get wrong, they get wrong for a whole moment: left for right, the
+front for the back. Therefore every moment is posed under each of these readings, and the readings
+of all moments are chosen together, by what the sensor saw and by how fast people turn.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from observations.start.bone_poses import (
+    BonePoses,
+    BoneTargets,
+    PoseSolver,
+    Springs,
+    placed_rigidly,
+)
+from observations.start.evidence import evidence
+from observations.surfels import Surfels
+from priors.labels.record import PointLabels
+from priors.labels.regions import MIRRORED_REGIONS, REGION_OF_JOINT, REGIONS
+from priors.pose.prior import PosePrior
+from recon.body.model import BodyModel
+from recon.core import rotations as so3
+from recon.core.motion import Motion
+
+RATE = 10.0
+"""Moments per second that are posed; the others lie between them."""
+_POINTS = 160
+"""Points of a moment that are posed with."""
+_COVER = 400
+"""Surfels on which points are placed, and by which poses are judged."""
+_LEAST_POINTS = 20
+_WORTH = 40.0
+"""Points that err independently of each other, as which the points of a moment count."""
+_LEAST_STD = 0.03
+"""Metres: no label is taken for more exact, as the body is taken for the average one."""
+_ELSEWHERE = 0.3
+"""Metres that a surfel of another region counts as farther away."""
+_TRUNK = frozenset(REGIONS.index(name) for name in ("head", "chest", "belly", "pelvis"))
+_READINGS = ((1, 1, 1), (-1, 1, 1), (-1, 1, -1))
+"""Signs of the labels' places: as they are, left and right exchanged, turned about the long axis
+of the body (left and right, front and back)."""
+_RIGID = (0.5, 0.3, 0.2, 0.15)
+_POSED = (0.6, 0.6, 0.4, 0.3, 0.2, 0.15, 0.12)
+_TRACKED = (0.25, 0.15, 0.12, 0.1)
+"""Scales of the robust kernel from step to step, metres."""
+_AGAINST, _LABELS = 0.5, 0.4
+"""Weights beside the misfit: of the surface that the sensor looked through, and of labels that a
+pose disagrees with."""
+_SPIN, _SPREAD = 8.0, 4.0
+"""Radians per second that the trunk turns, and metres per second that joints move about it, beyond
+which a change is one of the reading rather than of the body."""
+_CHANGE, _MOST = 0.1, 1.0
+"""What such a change costs, and what any change costs at most."""
+
+
+@dataclass(frozen=True)
+class _Moments:
+    """The moments that are posed, one clip."""
+
+    number: Int[Tensor, " rows"]
+    points: Float[Tensor, "rows points 3"]
+    present: Bool[Tensor, "rows points"]
+    labels: PointLabels
+    eye: Float[Tensor, "rows 3"] | None
+    seconds: Float[Tensor, " between"]
+    """Time from each moment to the next."""
+
+
+def labelled_start(
+    body: BodyModel,
+    points: Float[Tensor, "*batch moments points 3"],
+    present: Bool[Tensor, "*batch moments points"],
+    labels: PointLabels,
+    eye: Float[Tensor, "*batch moments 3"] | None,
+    *,
+    fps: float,
+    start_time: float,
+) -> Motion:
+    """The average body in the poses that labels and points tell, about ten times a second.
+
+    Moments that show too little take the pose that lies between their neighbours'.
+
+    Args:
+        body: whose motion it is.
+        points: metres, in the frame of the recording.
+        present: which of them exist.
+        labels: of the points.
+        eye: where the sensor is; None for scans from all sides.
+        fps: moments per second.
+        start_time: of the first moment, seconds.
+    """
+    batch = points.shape[:-3]
+    axes = len(batch)
+
+    def rows(values: Tensor) -> Tensor:
+        return values[None].flatten(0, axes)
+
+    eyes = [None] * rows(present).shape[0] if eye is None else list(rows(eye).cpu())
+    known, tracker = labels.to(device="cpu").map(rows), _Tracker.of(body)
+    seen = zip(rows(points).cpu(), rows(present).cpu(), eyes, strict=True)
+    clips = [
+        tracker.tracked(cloud, here, known[k], at, fps) for k, (cloud, here, at) in enumerate(seen)
+    ]
+
+    def joined(values: list[Tensor]) -> Tensor:
+        return torch.stack(values).to(points).reshape(*batch, *values[0].shape)
+
+    return Motion(
+        translation=joined([place for place, _ in clips]),
+        rotations=joined([turn for _, turn in clips]),
+        shape=points.new_zeros(*batch, body.shape_size),
+        valid=torch.ones_like(present[..., 0]),
+        fps=fps,
+        start_time=start_time,
+    )
+
+
+@dataclass(frozen=True)
+class _Tracker:
+    """What is known of the body, in single precision."""
+
+    body: BodyModel
+    solver: PoseSolver
+    cover: Surfels
+    place: Float[Tensor, "surfels 3"]
+    """Places of the surfels on the unposed body, metres."""
+    bone: Int[Tensor, " surfels"]
+    region: Int[Tensor, " surfels"]
+
+    @classmethod
+    def of(cls, body: BodyModel) -> "_Tracker":
+        body = body.to(device="cpu", dtype=torch.float32)
+        cover = Surfels.of(body, _COVER)
+        index = torch.from_numpy(cover.vertices)
+        bone = body.weights[index].argmax(-1)
+        region = torch.tensor(REGION_OF_JOINT)[bone]
+        density = PosePrior.load().density.to(dtype=torch.float32)
+        solver = PoseSolver(body.joint_template, density)
+        return cls(body, solver, cover, body.template[index], bone, region)
+
+    def tracked(
+        self,
+        points: Float[Tensor, "moments points 3"],
+        present: Bool[Tensor, "moments points"],
+        labels: PointLabels,
+        eye: Float[Tensor, "moments 3"] | None,
+        fps: float,
+    ) -> tuple[Float[Tensor, "moments 3"], Float[Tensor, "moments 22 3 3"]]:
+        """Translations and rotations of one clip at every moment."""
+        count = len(points)
+        moments = _chosen(points, present, labels, eye, fps)
+        if moments is None:
+            turn = so3.exp(torch.tensor([torch.pi / 2, 0.0, 0.0]))
+            upright = torch.cat((turn[None], torch.eye(3).expand(21, 3, 3)))
+            return torch.zeros(count, 3), upright.expand(count, 22, 3, 3)
+        readings = [self._targets(moments, signs) for signs in _READINGS]
+        targets = _joined(readings)
+        posed = self._posed(targets)
+        path = self._path(moments, posed, readings[0])
+        rows = path * len(moments.number) + torch.arange(len(path))
+        ties = Springs(
+            torch.ones(len(path) - 1, dtype=torch.bool),
+            place=(0.1 * RATE / 10) ** -2, turn=0.5**-2, coordinates=0.7**-2,
+        )  # fmt: skip
+        found = self.solver.minimised(posed[rows], targets[rows], _TRACKED, ties)
+        return _between(found, moments.number, count)
+
+    def _targets(self, moments: _Moments, signs: tuple[int, int, int]) -> BoneTargets:
+        """The points on the bones that a reading of their labels puts them on."""
+        labels = moments.labels
+        place = labels.places * labels.places.new_tensor(signs)
+        region = labels.region.clamp(min=0)
+        if signs[0] < 0:
+            region = torch.tensor(MIRRORED_REGIONS)[region]
+        away = torch.cdist(place, self.place)
+        away = away + _ELSEWHERE * (region[..., None] != self.region)
+        bone = self.bone[away.argmin(-1)]
+        variance = labels.std.square().clamp(min=_LEAST_STD**2)
+        weight = (labels.on_body / variance).where(moments.present, 0.0)
+        usual = float(moments.present.sum(-1).float().median())
+        return BoneTargets(
+            moments.points,
+            weight * min(_WORTH / max(usual, 1.0), 1.0),
+            bone,
+            place - self.solver.rest[bone],
+        )
+
+    def _posed(self, targets: BoneTargets) -> BonePoses:
+        """Poses of all moments under all readings, independent of each other."""
+        region = torch.tensor(REGION_OF_JOINT)[targets.bone]
+        trunk = torch.isin(region, torch.tensor(sorted(_TRUNK)))
+        place, turn = placed_rigidly(targets, self.solver.rest, trunk, _RIGID)
+        start = BonePoses.of(
+            place - self.solver.rest[0],
+            turn,
+            place.new_zeros(len(place), 63),
+            self.solver,
+        )
+        return self.solver.minimised(start, targets, _POSED, None)
+
+    def _path(
+        self, moments: _Moments, posed: BonePoses, found: BoneTargets
+    ) -> Int[Tensor, " rows"]:
+        """The reading of every moment (Viterbi's algorithm)."""
+        rows, readings = len(moments.number), len(_READINGS)
+        motion = Motion.create(
+            posed.translation, posed.rotations, self.body.template.new_zeros(self.body.shape_size),
+            fps=RATE,
+        )  # fmt: skip
+        repeated = (readings, 1, 1)
+        eye = None if moments.eye is None else moments.eye.repeat(readings, 1)
+        seen = evidence(
+            motion, self.body, self.cover, moments.points.repeat(repeated),
+            moments.present.repeat(readings, 1), eye,
+        )  # fmt: skip
+        labels = _joined([found] * readings)
+        away = labels.away(posed).square().sum(-1)
+        share = (away / (away + 0.15**2) * labels.weight).sum(-1)
+        share = share / labels.weight.sum(-1).clamp(min=1e-9)
+        cost = seen.misfit + _AGAINST * seen.contradicted + _LABELS * share
+        cost = cost.view(readings, rows).mT
+        change = _changes(posed, readings, moments.seconds)
+        return _viterbi(cost, change)
+
+
+def _chosen(
+    points: Tensor, present: Tensor, labels: PointLabels, eye: Tensor | None, fps: float
+) -> _Moments | None:
+    """About ten moments a second that show enough, with few of their points; None without any."""
+    enough = (present & (labels.on_body > 0)).sum(-1) >= _LEAST_POINTS
+    number = enough.nonzero()[:, 0]
+    if len(number) == 0:
+        return None
+    stride = max(1, round(fps / RATE))
+    kept = [int(number[0])]
+    for k in number[1:].tolist():
+        if k - kept[-1] >= stride or k == int(number[-1]):
+            kept.append(k)
+    number = torch.tensor(kept)
+    # present points first, in an order that is that of no scan line
+    order = (
+        present[number].float()
+        + torch.rand(present.shape[-1], generator=torch.Generator().manual_seed(0)) / 2
+    )
+    pick = order.argsort(-1, descending=True)[:, :_POINTS]
+
+    def taken(values: Tensor) -> Tensor:
+        some = values[number]
+        index = pick if some.ndim == 2 else pick[..., None].expand(*pick.shape, some.shape[-1])
+        return some.gather(1, index)
+
+    return _Moments(
+        number,
+        taken(points).float(),
+        taken(present),
+        labels.map(taken),
+        None if eye is None else eye[number].float(),
+        number.diff() / fps,
+    )
+
+
+def _joined(parts: list[BoneTargets]) -> BoneTargets:
+    return BoneTargets(*(torch.cat(values) for values in zip(
+        *(part.tensors().values() for part in parts), strict=True)))  # fmt: skip
+
+
+def _changes(
+    posed: BonePoses, readings: int, seconds: Float[Tensor, " between"]
+) -> Float[Tensor, "between readings readings"]:
+    """What it costs to go from every reading of a moment to every one of the next."""
+    root = posed.root.unflatten(0, (readings, -1)).transpose(0, 1)
+    joints = posed.joints.unflatten(0, (readings, -1)).transpose(0, 1)
+    joints = joints - joints[..., :1, :]
+    before, after = root[:-1, :, None], root[1:, None]
+    spin = so3.geodesic(*torch.broadcast_tensors(before, after)) / seconds[:, None, None]
+    moved = (joints[:-1, :, None] - joints[1:, None]).norm(dim=-1).mean(-1)
+    speed = moved / seconds[:, None, None]
+    cost = _CHANGE * ((spin / _SPIN).square() + (speed / _SPREAD).square())
+    return cost.clamp(max=_MOST)
+
+
+def _viterbi(
+    cost: Float[Tensor, "rows readings"], change: Float[Tensor, "between readings readings"]
+) -> Int[Tensor, " rows"]:
+    """The sequence that costs least in all."""
+    total, back = cost[0], list[Tensor]()
+    for own, between in zip(cost[1:], change, strict=True):
+        reached = (total[:, None] + between).min(0)
+        back.append(reached.indices)
+        total = reached.values + own
+    path = [int(total.argmin())]
+    for came in reversed(back):
+        path.append(int(came[path[-1]]))
+    return torch.tensor(path[::-1])
+
+
+def _between(
+    found: BonePoses, number: Int[Tensor, " rows"], count: int
+) -> tuple[Float[Tensor, "moments 3"], Float[Tensor, "moments 22 3 3"]]:
+    """Translations and rotations at all moments from those at some; constant beyond the ends."""
+    place = torch.arange(count)
+    after = torch.searchsorted(number, place).clamp(max=len(number) - 1)
+    before = (after - (number[after] > place).long()).clamp(min=0)
+    span = (number[after] - number[before]).clamp(min=1)
+    share = ((place - number[before]) / span).clamp(0, 1).to(found.translation)
+    translation = found.translation[before].lerp(found.translation[after], share[:, None])
+    rotations = so3.interpolate(
+        found.rotations[before], found.rotations[after], share[:, None].expand(count, 22)
+    )
+    return translation, rotations
