@@ -38,7 +38,7 @@ def cameras_around(
         raise ReconError(f"views: expected one camera or more, got {film.views}")
     lens = full_hd_camera() if lens is None else lens
     if film.camera in _PRESETS:
-        first = _heading(truth) + _PRESETS[film.camera]
+        first = mean_heading(truth) + _PRESETS[film.camera]
         placed = dome(truth, body, lens.to(dtype=truth.translation.dtype), film.views, first=first)
         cameras = {f"cam{k}": camera for k, camera in enumerate(placed, 1)}
     else:
@@ -65,7 +65,7 @@ def _calibrated(path: Path, truth: Motion, body: BodyModel, views: int) -> dict[
         if arrays.T_camera_world is None:
             if len(found) > 1:
                 raise ReconError(f"{path}: camera {name} has no pose, so it cannot be placed")
-            camera = dome(truth, body, camera, 1, first=_heading(truth))[0]
+            camera = dome(truth, body, camera, 1, first=mean_heading(truth))[0]
         elif camera.T_camera_world.ndim == 3 and len(camera.T_camera_world) < truth.frames:
             raise ReconError(
                 f"{path}: camera {name} has {len(camera.T_camera_world)} poses, the motion "
@@ -91,7 +91,7 @@ def _camera(arrays: CameraArrays, truth: Motion) -> Camera:
     ).to(dtype=truth.translation.dtype)
 
 
-def _heading(truth: Motion) -> float:
+def mean_heading(truth: Motion) -> float:
     """The mean heading of the body, radians from the world's x axis."""
     x, y, _ = truth.rotations[:, 0, :, 2].mean(0).tolist()
     return math.atan2(y, x)

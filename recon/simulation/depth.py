@@ -1,4 +1,4 @@
-"""A known motion as a depth sensor would have seen it: noise, holes, things before it.
+"""A known motion as a depth sensor would have seen it: noise, holes, things around it.
 
 Depths come from the rasteriser that draws our pictures, so what hides what is exact to a pixel.
 """
@@ -16,6 +16,7 @@ from recon.core.errors import ReconError
 from recon.core.geometry.raster import rasterise
 from recon.core.motion import Motion
 from recon.formats.observations import PointsFile
+from recon.simulation.furniture import FurnitureMesh
 from recon.simulation.images import camera_arrays, in_sight
 from recon.simulation.points import Corner, Corruption
 
@@ -29,6 +30,7 @@ class Surface(IntEnum):
     BODY = 1
     BOX = 2
     GROUND = 3
+    FURNITURE = 4
 
 
 @dataclass(frozen=True)
@@ -74,6 +76,7 @@ def depth_points(
     sensor: DepthSensor | None = None,
     points: int = POINTS,
     surfaces: tuple[Surface, ...] = (Surface.BODY,),
+    furniture: FurnitureMesh | None = None,
 ) -> PointsFile:
     """Points of one clip (no batch axis) that a depth sensor sees, in the world.
 
@@ -92,6 +95,7 @@ def depth_points(
         sensor: how it errs.
         points: most points of a frame.
         surfaces: what a segmentation leaves: the body alone, or what is around it as well.
+        furniture: what stands in the room and hides what is behind it, metres.
 
     Raises:
         ValueError: when the camera sees none of it in any frame.
@@ -109,7 +113,7 @@ def depth_points(
         cloud = np.zeros((0, 3))
         if there[k]:
             box = corruption.hide_box if active[k] else None
-            true, surface = depth_image(vertices[k], faces, view, box)
+            true, surface = depth_image(vertices[k], faces, view, box, furniture)
             depth = measured(true, view, sensor, random)
             kept = np.isin(surface, surfaces) & (depth > 0)
             if active[k] and corruption.hide_below is not None:
@@ -153,15 +157,11 @@ def depth_image(
     faces: Int[np.ndarray, "faces 3"],
     camera: Camera,
     box: tuple[Corner, Corner] | None,
+    furniture: FurnitureMesh | None = None,
 ) -> tuple[Float[np.ndarray, "height width"], Int[np.ndarray, "height width"]]:
-    """Depths of body, box and ground (0 where there is nothing), metres, and which it is."""
+    """Depths (0 where there is nothing), metres, and the `Surface` that every pixel sees."""
     width, height = camera.image_size
-    projected = camera.project(vertices)
-    in_front = projected.in_front.numpy()
-    drawn = faces[in_front[faces].all(1)]
-    pixels = projected.pixels.double().numpy()
-    raster = rasterise(pixels, projected.depth.double().numpy(), drawn, camera.image_size)
-    layers = [np.full((height, width), np.inf), raster.depth.astype(np.float64)]
+    layers = [np.full((height, width), np.inf), _drawn(vertices, faces, camera)]
     # world points one metre deep along every pixel's ray
     u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
     pixels = torch.from_numpy(np.stack([u, v], -1).reshape(-1, 2)).to(vertices)
@@ -171,9 +171,22 @@ def depth_image(
     layers.append(_to_box(origin, ray, box).reshape(height, width))
     ground = -origin[2] / ray[:, 2]
     layers.append(np.where(ground > NEAREST, ground, np.inf).reshape(height, width))
+    if furniture is not None:
+        corners = torch.from_numpy(furniture.vertices).to(vertices)
+        layers.append(_drawn(corners, furniture.faces, camera))
     surface = np.stack(layers).argmin(0)
     depth = np.take_along_axis(np.stack(layers), surface[None], 0)[0]
     return np.where(np.isfinite(depth), depth, 0.0), surface
+
+
+def _drawn(
+    vertices: torch.Tensor, faces: Int[np.ndarray, "faces 3"], camera: Camera
+) -> Float[np.ndarray, "height width"]:
+    """Depths of a mesh, infinity where a pixel sees none of it; faces behind are left out."""
+    projected = camera.project(vertices)
+    drawn = faces[projected.in_front.numpy()[faces].all(1)]
+    pixels, depth = projected.pixels.double().numpy(), projected.depth.double().numpy()
+    return rasterise(pixels, depth, drawn, camera.image_size).depth.astype(np.float64)
 
 
 def heights(

@@ -17,9 +17,10 @@ from recon.formats.observations import (
     PointsFile,
     PositionsFile,
 )
-from recon.simulation.cameras import cameras_around
+from recon.simulation.cameras import cameras_around, mean_heading
 from recon.simulation.clothes import clothed
-from recon.simulation.depth import DepthSensor, depth_points, without_pose
+from recon.simulation.depth import DepthSensor, Surface, depth_points, without_pose
+from recon.simulation.furniture import FurnitureMesh, furnished
 from recon.simulation.images import keypoints2d
 from recon.simulation.points import Corruption, joints3d, landmarks3d, markers3d, visible_joints
 from recon.simulation.scans import scan_points
@@ -79,7 +80,12 @@ def check_apply(
     """Refuse options that would have no effect."""
     if kind not in ("keypoints2d", "depth") and film != FILM_DEFAULTS:
         raise ReconError(f"camera, views, orbit and layout do not apply to {kind}")
-    clouds = replace(surface, skin_offset=SURFACE_DEFAULTS.skin_offset)
+    bare = {"furniture": (), "left_over": ()}
+    if kind != "depth" and replace(surface, **bare) != surface:
+        raise ReconError(f"furniture and left_over are of depth, not of {kind}")
+    if "furniture" in surface.left_over and not surface.furniture:
+        raise ReconError("left_over: no furniture is there to be left; name some, or leave it out")
+    clouds = replace(surface, skin_offset=SURFACE_DEFAULTS.skin_offset, **bare)
     if kind not in ("depth", "scans") and clouds != SURFACE_DEFAULTS:
         raise ReconError(f"points and clothed are of depth and scans, not of {kind}")
     hides = corruption.hide_below is not None or corruption.hide_box is not None
@@ -159,6 +165,8 @@ def _filmed(
             file = depth_points(
                 truth, _dressed(body, surface), camera, quiet, own,
                 sensor=sensor, points=surface.points,
+                surfaces=(Surface.BODY, *(_LEFT[name] for name in surface.left_over)),
+                furniture=_around(truth, body, surface),
             )  # fmt: skip
         else:
             file = keypoints2d(truth, body, camera, corruption, own, film.layout)
@@ -166,6 +174,17 @@ def _filmed(
                 raise ReconError(f"camera {name} sees nothing of the motion in any frame")
         files[name] = _lost(file) if unknown_ground else file
     return files
+
+
+_LEFT = {"ground": Surface.GROUND, "furniture": Surface.FURNITURE}
+
+
+def _around(truth: Motion, body: BodyModel, surface: SurfaceSettings) -> FurnitureMesh | None:
+    """The furniture around the middle of a motion, turned as the body is on average."""
+    if len(surface.furniture) == 0:
+        return None
+    middle = body.pose(truth).joints.flatten(0, -2).mean(0).double().numpy()
+    return furnished(surface.furniture, middle, mean_heading(truth))
 
 
 def _lost(file: KeypointsFile | PointsFile) -> KeypointsFile | PointsFile:

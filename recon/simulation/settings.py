@@ -8,6 +8,12 @@ SensorKind = Literal["joints3d", "markers3d", "landmarks", "keypoints2d", "depth
 keypoints in images, points that a depth camera sees, points all over the skin."""
 
 
+FurnitureName = Literal["chair", "table", "box", "board"]
+"""What can stand around a person in the view of a simulated depth sensor."""
+LeftOver = Literal["ground", "furniture"]
+"""What a segmentation of a depth image may leave beside the body."""
+
+
 @dataclass(frozen=True)
 class FilmSettings:
     """How simulated cameras look at a motion; for keypoints2d and depth."""
@@ -27,7 +33,7 @@ FILM_DEFAULTS = FilmSettings()
 
 @dataclass(frozen=True)
 class SurfaceSettings:
-    """What simulated sensors see of the surface; for landmarks, depth and scans."""
+    """What simulated sensors see of the surface and around it; for landmarks, depth and scans."""
 
     points: int = 4096
     """Most points of a frame of depth and scans."""
@@ -36,6 +42,11 @@ class SurfaceSettings:
     skin_offset: float = 0.01
     """Standard deviation per axis of how far landmarks are placed from where they should be,
     metres."""
+    furniture: tuple[FurnitureName, ...] = ()
+    """Furniture around the person that a depth sensor sees: a chair behind, a table at the left, a
+    box at the right, a board before the shins."""
+    left_over: tuple[LeftOver, ...] = ()
+    """What remains in the clouds of a depth sensor beside the body: `ground`, `furniture`."""
 
 
 SURFACE_DEFAULTS = SurfaceSettings()

@@ -9,7 +9,13 @@ from recon.core.arrays import positive
 from recon.core.errors import ReconError
 from recon.simulation.points import Corner, Corruption
 from recon.simulation.sensors import seen_by
-from recon.simulation.settings import FilmSettings, SensorKind, SurfaceSettings
+from recon.simulation.settings import (
+    FilmSettings,
+    FurnitureName,
+    LeftOver,
+    SensorKind,
+    SurfaceSettings,
+)
 
 _BUNDLED_ONLY = "sensors are simulated of motions of the bundled body only, such as fits of it"
 """What to do about a motion of another body."""
@@ -33,6 +39,8 @@ def simulate(
     points: int = 4096,
     clothed: int | None = None,
     skin_offset: float = 0.01,
+    furniture: tuple[FurnitureName, ...] = (),
+    left_over: tuple[LeftOver, ...] = (),
     frames: tuple[int, int] | None = None,
     fps: float | None = None,
     unknown_ground: bool = False,
@@ -66,6 +74,9 @@ def simulate(
         clothed: seed of the clothes that depth and scans see; None is bare skin.
         skin_offset: standard deviation per axis of how far landmarks are placed from where they
             should be, metres.
+        furniture: what stands around the body in the view of a depth sensor: `chair` (behind),
+            `table` (at the left), `box` (at the right), `board` (before the shins).
+        left_over: what remains in clouds of depth beside the body: `ground`, `furniture`.
         frames: part of the motion, from which frame up to which, in its own frames.
         fps: rate of the sensor, frames per second; None is that of the motion.
         unknown_ground: leave out where the ground is and where the camera stands.
@@ -80,7 +91,7 @@ def simulate(
         noise, hide_below, hide_box, during, missing_points, missing_frames, outliers
     )
     film = FilmSettings(str(camera), views, orbit, layout)
-    surface = SurfaceSettings(points, clothed, skin_offset)
+    surface = SurfaceSettings(points, clothed, skin_offset, furniture, left_over)
     body = BodyModel.load()
     given = motion_given(motion, body, remedy=_BUNDLED_ONLY)
     truth = given.motion
