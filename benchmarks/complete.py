@@ -98,7 +98,9 @@ def completed(weights: str, body: BodyModel, kind: type[AnchorFit] = AnchorFit) 
     """The anchor-frame prior."""
 
     def run(observations: list[InSpace]) -> list[Motion]:
-        result = complete(observations, FitOptions(weights=weights), body, kind=kind).result
+        result = complete(
+            observations, FitOptions(prior="anchor", weights=weights), body, kind=kind
+        ).result
         return [result.clip(k).detach() for k in range(len(result.motion.shape))]
 
     return run
@@ -152,13 +154,18 @@ def listed(result: Path, corpus: Path, splits: Splits, part: Part) -> list[Found
     return [found[name] for name in sorted(found)]
 
 
-def judged(motion: Motion, scanned: ScannedCycle, body: BodyModel) -> dict[str, float]:
-    """Chamfer distance to the full scans, the truth's own, and vertex error, mm."""
+def judged(
+    motion: Motion, scanned: ScannedCycle, body: BodyModel, step: int = _JUDGED
+) -> dict[str, float]:
+    """Chamfer distance to the full scans, the truth's own, and vertex error, mm.
+
+    Every `step`-th frame is compared.
+    """
     last = min(motion.times[-1].item(), scanned.truth.times[-1].item()) + 1e-6
     scans = scanned.scans
-    kept = (scans.frame % _JUDGED == 0) & (scans.frame / scans.fps <= last)
+    kept = (scans.frame % step == 0) & (scans.frame / scans.fps <= last)
     scans = replace(scans, points=scans.points[kept], frame=scans.frame[kept])
-    times = scanned.truth.times[scanned.truth.times <= last][::_JUDGED]
+    times = scanned.truth.times[scanned.truth.times <= last][::step]
     pair = [body.pose(m.at(times, scans.fps)).vertices for m in (motion, scanned.truth)]
     return {
         "chamfer": 1000 * chamfer_of_clip(motion, body, scans),

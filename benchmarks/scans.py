@@ -61,10 +61,17 @@ def scanned_cycle(
     seconds = (cycle.frames - 1) / cycle.fps
     if not SHORTEST - 1e-6 <= seconds <= LONGEST + 1e-6:
         raise ValueError(f"{name}: a cycle lasts {SHORTEST} to {LONGEST} s, got {seconds:.2f} s")
+    return scanned(name, subject, cycle, body, seed)
+
+
+def scanned(
+    name: str, subject: str, motion: Motion, body: BodyModel, seed: int = 0, points: int = POINTS
+) -> ScannedCycle:
+    """Any motion as scanned, with so many points a frame; see `scanned_cycle`."""
     random = np.random.default_rng([seed, *name.encode()])
-    drawn = torch.from_numpy(random.standard_normal(body.shape_size)).to(cycle.shape)
+    drawn = torch.from_numpy(random.standard_normal(body.shape_size)).to(motion.shape)
     clothes, scanner, markers = random.integers(2**31, size=3).tolist()
-    truth = with_shape(cycle.replace(start_time=0.0).resample(FPS), body, drawn)
+    truth = with_shape(motion.replace(start_time=0.0).resample(FPS), body, drawn)
     placed = Corruption(noise=MARKER_NOISE)
     seen = landmarks3d(truth, body, placed, markers, skin_offset=SKIN_OFFSET)
     return ScannedCycle(
@@ -72,7 +79,7 @@ def scanned_cycle(
         subject=subject,
         truth=truth,
         scans=scan_points(
-            truth, clothed(body, clothes), Corruption(noise=NOISE), scanner, points=POINTS
+            truth, clothed(body, clothes), Corruption(noise=NOISE), scanner, points=points
         ),
         landmarks=PositionsFile(
             kind="markers3d",

@@ -18,6 +18,7 @@ class AnchorNetworks(nn.Module):
     The published layers are unknown. Ours start as principal component analysis: codes are the
     first coefficients of a `CycleBasis`, and residual networks learn the rest. From a thousand
     cycles, networks without the linear part learned to reconstruct the training people only.
+    Untrained and without hidden units they are the principal components themselves.
     """
 
     def __init__(
@@ -29,7 +30,7 @@ class AnchorNetworks(nn.Module):
             basis: of cycles; not learned.
             latent: size of z.
             shape: coefficients of the body that the decoder sees.
-            width: units of the hidden layers.
+            width: units of the hidden layers; 0 has no hidden layers, what is learned is linear.
             dropout: share of the hidden units left out while training.
         """
         super().__init__()
@@ -83,8 +84,10 @@ class _Block(nn.Module):
 
 def _residual(inputs: int, width: int, outputs: int, dropout: float) -> nn.Sequential:
     """Layers whose output is zero before training."""
-    last = nn.Linear(width, outputs)
+    last = nn.Linear(width or inputs, outputs)
     nn.init.zeros_(last.weight)
     nn.init.zeros_(last.bias)
+    if width == 0:
+        return nn.Sequential(last)
     blocks = [_Block(width, dropout), _Block(width, dropout)]
     return nn.Sequential(nn.Linear(inputs, width), *blocks, last)

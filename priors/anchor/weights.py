@@ -91,7 +91,8 @@ def load_weights(path: str | Path) -> AnchorWeights:
     sizes = [found.settings.get(name) for name in _SETTINGS]
     known = {alignment.value for alignment in Alignment}
     if found.settings.get("alignment") not in known or not all(
-        isinstance(size, int) and size > 0 for size in sizes
+        isinstance(size, int) and size >= (0 if name == "width" else 1)
+        for name, size in zip(_SETTINGS, sizes, strict=True)
     ):
         raise WeightsError(
             f"{found.path}: expected the settings {', '.join(_SETTINGS)} (whole numbers) and "

@@ -49,12 +49,17 @@ def export_learned(
     model = AnchorNetworks(basis, settings.latent, shape, settings.width)
     model.load_state_dict(found["networks"])
     model.eval().requires_grad_(False)
-    random = torch.Generator().manual_seed(settings.seed)
-    drawn = learned.draw(settings.basis_from // 2, _SPREAD, settings.alignment, random)
-    mean, log_variance = model.posterior(drawn.anchors.pack())
-    typical = min(TYPICAL, len(learned.shape))
-    spread = CodeSpread.fit(mean, log_variance.exp(), typical, settings.seed)
+    spread = spread_of(settings, model, learned)
     weights = AnchorWeights(model, spread, settings.alignment)
     save_weights(path, weights, told_settings(settings) | {"step": found["step"]})
     _LOG.info("wrote the networks of step %d as %s", found["step"], path)
     return path
+
+
+def spread_of(settings: AnchorTraining, model: AnchorNetworks, learned: CycleCorpus) -> CodeSpread:
+    """How codes of varied training cycles are spread, and which are typical."""
+    random = torch.Generator().manual_seed(settings.seed)
+    drawn = learned.draw(settings.basis_from // 2, _SPREAD, settings.alignment, random)
+    mean, log_variance = model.posterior(drawn.anchors.pack())
+    typical = min(TYPICAL, len(learned.shape))
+    return CodeSpread.fit(mean, log_variance.exp(), typical, settings.seed)

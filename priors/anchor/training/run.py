@@ -89,7 +89,9 @@ class AnchorRun(Run[AnchorNetworks]):
         random = torch.Generator().manual_seed(settings.seed)
         torch.manual_seed(settings.seed)
         state = read_state(settings.out / CHECKPOINT)
-        basis = _basis(settings, corpus, random) if state is None else CycleBasis(**state["basis"])
+        basis = (
+            basis_of(settings, corpus, random) if state is None else CycleBasis(**state["basis"])
+        )
         networks = AnchorNetworks(
             basis, settings.latent, corpus.shape.shape[1], settings.width, settings.dropout
         )
@@ -138,7 +140,8 @@ class AnchorRun(Run[AnchorNetworks]):
         )
 
 
-def _basis(settings: AnchorTraining, corpus: CycleCorpus, random: torch.Generator) -> CycleBasis:
+def basis_of(settings: AnchorTraining, corpus: CycleCorpus, random: torch.Generator) -> CycleBasis:
+    """Principal directions of varied training cycles."""
     rows = [
         corpus.draw(256, settings.variation, settings.alignment, random).anchors.pack()
         for _ in range(-(-settings.basis_from // 256))
