@@ -23,6 +23,7 @@ from recon.diagnosis.fits.domain import cycle_report
 from recon.diagnosis.fits.summaries import ResidualSummary
 from recon.diagnosis.motions.treadmill import in_room, path_of_belt
 from recon.fitting.clip_files import Clip
+from recon.fitting.cycles.recording import RecordingFit, Stretch
 from recon.method.laplace.grounds import GroundDeviation
 from recon.method.reconstruction import Reconstruction
 
@@ -42,6 +43,12 @@ class Result(MotionResult):
     of recorded cycles."""
     arguments: Mapping[str, Any]
     """What `recon.fit` was called with, in plain values."""
+
+    @property
+    def stretches(self) -> tuple[Stretch, ...]:
+        """By what every part of a recording was completed; empty for other fits."""
+        found = self.examined.fit
+        return found.stretches if isinstance(found, RecordingFit) else ()
 
     @property
     def T_world_camera(self) -> Float[Tensor, "4 4"] | None:
@@ -141,6 +148,8 @@ class Result(MotionResult):
             report["alternatives"] = [one.report() for one in self.alternatives]
         if self.cycle is not None:
             report["cycle"] = self.cycle
+        if self.stretches:
+            report["stretches"] = [one.report() for one in self.stretches]
         return report | {
             "diagnosis": [finding.report() for finding in self.diagnosis],
             "repairs": [finding.report() for finding in self.repairs],
@@ -174,7 +183,7 @@ def result_of(
         clip: what was fitted.
         body: whose motion it is, on the processor.
         fps: rate of the result; None is that of the first observation.
-        completes: whether a gait cycle was completed.
+        completes: whether a gait cycle or a recording was completed.
         arguments: of the fit, in plain values.
         stopped: why the fit was ended early, if it was.
     """
@@ -197,7 +206,8 @@ def result_of(
         T_recording_camera = unposed_camera(found.observations)
     if T_recording_camera is not None:
         T_world_camera = (T @ torch.from_numpy(T_recording_camera)).float()
-    cycle = cycle_report(found, examined.residuals) if completes else None
+    one_cycle = completes and not isinstance(found, RecordingFit)
+    cycle = cycle_report(found, examined.residuals) if one_cycle else None
     belt = None
     if examined.belt is not None:
         belt = path_of_belt(motion, examined.belt)

@@ -10,8 +10,8 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "recon fit views/ --camera calibration.toml --frame-rate 30 --out motion.npz",
     ),
     "complete": (
-        "recon complete scans/ --frame-rate 12 --out cycle.npz",
-        "recon complete landmarks.npz --between 1.0 2.2 --out cycle.npz",
+        "recon complete scans/ --frame-rate 5 --out motion.npz",
+        "recon complete landmarks.npz --prior anchor --between 1.0 2.2 --out cycle.npz",
     ),
     "batch": (
         "recon batch clips.jsonl --out results",

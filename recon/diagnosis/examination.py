@@ -29,7 +29,9 @@ from recon.diagnosis.points.screening import screen_points
 from recon.diagnosis.views.screening import screen_views
 from recon.fitting.clip import ClipFit, fit_clip
 from recon.fitting.cycles.completion import complete
+from recon.fitting.cycles.recording import WholeRecording, complete_recording
 from recon.fitting.options import FitOptions
+from recon.fitting.priors import loaded
 from recon.method.laplace.deviations import Deviations
 from recon.method.protocols import Estimate, Sensor
 from recon.method.stages import Watch
@@ -121,12 +123,22 @@ def fit_examined(
         raise ValueError("gait cycles are searched from many starts: leave `start` out")
     screened = screen(observations, names, options, body)
     if options.completes:
-        found = complete(screened.observations, options, body, watch)
+        found = _completed(screened.observations, options, body, watch)
     else:
         if screened.belt is not None and start is not None:
             start = on_belt(start, screened.belt)
         found = fit_clip(screened.observations, options, body, watch, start)
     return examine(found, names, screened)
+
+
+def _completed(
+    observations: Sequence[Sensor], options: FitOptions, body: BodyModel, watch: Watch | None
+) -> ClipFit:
+    """One cycle by a prior of cycles, or a whole recording."""
+    prior = loaded(options.prior, options.weights, body)
+    if isinstance(prior, WholeRecording):
+        return complete_recording(observations, prior, options, body, watch)
+    return complete(observations, replace(options, prior=prior), body, watch)
 
 
 @dataclass(frozen=True)

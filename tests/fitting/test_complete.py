@@ -91,7 +91,8 @@ def error(out: Path) -> float:
 
 def test_landmarks_are_completed_from_the_command_line(settings, tmp_path, capsys):
     seen, out = markers(tmp_path / "seen.npz"), tmp_path / "out.npz"
-    line = ["complete", str(seen), "--out", str(out), "--weights", settings.weights, "--json"]
+    line = ["complete", str(seen), "--out", str(out), "--prior", "anchor"]
+    line += ["--weights", settings.weights, "--json"]
     assert cli.run(line) == cli.OK
     report = json.loads(capsys.readouterr().out)
     written = json.loads((tmp_path / "out.npz.json").read_text())
@@ -104,8 +105,10 @@ def test_landmarks_are_completed_from_the_command_line(settings, tmp_path, capsy
     assert not cycle["details"]
     assert report["warnings"] == []
     assert load_motion(out).motion.fps == 30
-    assert cli.run([*line[:-1], "--prior", "pose"]) == cli.BAD_INPUT
+    assert cli.run([*line[:4], "--prior", "pose"]) == cli.BAD_INPUT
     assert "recon fit --prior pose" in capsys.readouterr().err
+    assert cli.run([*line[:4], "--weights", settings.weights, "--overwrite"]) == cli.BAD_INPUT
+    assert "--prior anchor" in capsys.readouterr().err
 
 
 def test_a_folder_of_few_scans_at_odd_times_named_in_any_order(settings, scans, tmp_path):

@@ -1,4 +1,4 @@
-"""`recon.complete`: one cycle of gait from sparse scans, landmarks or few frames."""
+"""`recon.complete`: a recording of which little was seen: sparse scans, landmarks, few frames."""
 
 from collections.abc import Sequence
 
@@ -6,13 +6,14 @@ from recon.api.fit import fit
 from recon.api.given import BodyLike
 from recon.api.observations import GroundChoice, ObservationsLike
 from recon.api.result import Result
+from recon.fitting.cycles.recording import WholeRecording
 from recon.fitting.priors import PriorObject
 from recon.method.stages import Watch
 
 
 def complete(
     observations: ObservationsLike,
-    prior: str | PriorObject = "anchor",
+    prior: str | PriorObject | None = None,
     *,
     weights: str = "open",
     body: BodyLike = None,
@@ -25,35 +26,43 @@ def complete(
     max_seconds: float | None = None,
     repair: bool = True,
 ) -> Result:
-    """One cycle of gait (0.3 to 3 s) of which little was seen.
+    """A recording of which little was seen, of any length and any motion.
 
-    Few points of every frame, a few landmarks, few frames, or all of these. Several observations
-    of one clip add up; keypoints in images are not taken. It is `recon.fit` with the prior of
-    whole cycles, of which many are tried, so that there is no `start`; the shape is estimated.
-    What is no cycle of gait is completed all the same, with a warning. `Result.cycle` has its
-    duration in seconds, and how far its code is from those of recorded cycles.
+    Few points of every frame, a few landmarks, few frames at odd times, or all of these; several
+    observations of one clip add up. HuMoR's steps explain the whole, by windows, with one shape.
+    Where few moments were seen, cycles of gait that explain the data join them, and one motion is
+    fitted to all. `Result.stretches` says what was used when.
+
+    With the prior `anchor` it is one whole cycle of gait (0.3 to 3 s) as one code, of which many
+    are tried, so that there is no `start`. What is no cycle of gait is then completed all the
+    same, with a warning; keypoints in images are not taken. `Result.cycle` has its duration in
+    seconds, and how far its code is from those of recorded cycles.
 
     Args:
         observations: as of `recon.fit`: observations of one clip, or files and folders.
-        prior: `anchor`, or a loaded `AnchorFrames`.
-        weights: of the prior given by its name: `open`, `nc` (not for commercial use) or a file.
+        prior: None for a whole recording; `anchor`, or a loaded `AnchorFrames`, for one cycle; or
+            a `WholeRecording` with other priors.
+        weights: of a prior that is not loaded: `open` or `nc` (not for commercial use), and for
+            one cycle a file.
         body: a body, a SMPL-family file, or None for the bundled body.
         noise: standard deviation of every coordinate, metres: one number, or one per observation.
         ground: as of `recon.fit`.
         between: times from which and up to which to complete, seconds of the observations'
-            clock; None takes all, which must last 0.3 to 3 s.
+            clock; None takes all, which for one cycle must last 0.3 to 3 s.
         fps: rate of the result, frames per second; None is the first observation's, or the
-            prior's where that is too slow to show a motion.
+            fit's where that is too slow to show a motion.
         device: where to compute, `cpu` or `cuda`.
         callback: called as callback(stage, progress) after every iteration; True ends the fit.
         max_seconds: time after which the fit is ended with its last estimate.
         repair: whether what is surely wrong with the data is repaired before the fit.
 
     Raises:
-        ReconError: when nothing tells where the body is, what was seen does not last as long as a
-            cycle, or the prior knows no cycles.
+        ReconError: when nothing tells where the body is, at most one moment shows anything, or,
+            for one cycle, what was seen does not last as long as one.
         FileNotFoundError: when there is no such file, body or weights.
     """
+    if prior is None:
+        prior, weights = WholeRecording.load(weights), "open"
     return fit(
         observations, prior, weights=weights, body=body, noise=noise, ground=ground,
         between=between, fps=fps, device=device, callback=callback, max_seconds=max_seconds,

@@ -1,4 +1,4 @@
-"""`recon complete`: one cycle of gait from sparse scans, landmarks or few frames."""
+"""`recon complete`: a recording of which little was seen: sparse scans, landmarks, few frames."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +10,12 @@ from recon.cli.places import Overwrite, Place, Quiet, writes
 from recon.cli.verbs.fit import fit_and_say
 from recon.fitting.settings import DEFAULTS, FitSettings
 
-_DEFAULTS = replace(DEFAULTS, prior="anchor")
+_DEFAULTS = replace(DEFAULTS, prior="recording")
+_PRIORS = {
+    "recording": "recon.fitting.cycles.recording:WholeRecording",
+    "anchor": "anchor",
+}
+"""What --prior may be here, and where it is."""
 
 
 @writes(Place("out"))
@@ -22,14 +27,16 @@ def complete(
     overwrite: Overwrite = False,
     quiet: Quiet = False,
 ) -> None:
-    """Complete one cycle of gait (0.3 to 3 s) of which little was seen.
+    """Complete a recording of which little was seen, of any length and any motion.
 
-    Few points of every frame, a few landmarks, few frames, or all of these: a folder of
-    scans (.ply, .pcd) with times.csv or --frame-rate, or observation files (.npz) of points,
-    3D markers or joints. Several of one clip add up. The same as `recon fit --prior anchor`.
+    Few points of every frame, a few landmarks, few frames at odd times, or all of these: a folder
+    of scans (.ply, .pcd) with times.csv or --frame-rate, or observation files (.npz) of points,
+    3D markers or joints. Several of one clip add up. HuMoR explains the whole, with one shape;
+    where few moments were seen, cycles of gait that explain the data join them. The report says
+    what was used when.
 
-    A longer recording is cut to one cycle with --between. What is no cycle of gait is
-    completed all the same, with a warning.
+    With --prior anchor, one cycle of gait (0.3 to 3 s, cut out with --between) is completed as
+    one code, and what is no cycle as well, with a warning.
 
     Writes OUT (AMASS .npz with joints, contacts and ground) and OUT.json (what happened).
 
@@ -42,9 +49,10 @@ def complete(
         quiet: say nothing but errors and, last, where the result is.
     """
     del quiet  # heeded by `writes`
-    if settings.prior != "anchor":
+    if settings.prior not in _PRIORS:
         raise ValueError(
-            f"`complete` is `fit` with the prior anchor; for {settings.prior}, run `recon fit "
-            f"--prior {settings.prior}`"
+            f"`complete` has the priors {' and '.join(_PRIORS)}; for {settings.prior}, run `recon "
+            f"fit --prior {settings.prior}`"
         )
+    settings = replace(settings, prior=_PRIORS[settings.prior])
     fit_and_say(observations, out, settings, json=json, overwrite=overwrite)

@@ -99,6 +99,12 @@ def tell(report: dict[str, Any], out: Path, *, json: bool) -> None:
             f"code distance {cycle['code_distance']:.2f}, "
             f"residual {residuals} mm"
         )
+    for one in report.get("stretches", ()):
+        console.say(
+            f"{one['start']:7.2f} s to {one['stop']:7.2f} s: {one['prior']}, seen at "
+            f"{one['moments_seen']} moments"
+            + (f", {one['joined']} of {one['cycles']} cycles of gait" if one["cycles"] else "")
+        )
     console.findings(report)
     console.last(str(out))
     if json:

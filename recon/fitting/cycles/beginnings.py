@@ -19,14 +19,13 @@ from recon.core import rotations as so3
 from recon.core.errors import ObservationError
 from recon.core.scene import Scene
 from recon.core.struct import concatenate
+from recon.fitting.cycles.clock import completion_rate
 from recon.method.priors import CyclePrior
 from recon.method.running import Hypotheses
 from recon.method.unknowns import Unknowns
 
 HEADINGS = 8
 """Directions in which typical cycles are tried."""
-RATES = (30.0, 60.0)
-"""Frames per second that cycles are decoded at, at least and at most."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +43,7 @@ class CycleClock:
         Raises:
             ObservationError: when a clip shows one moment only, or lasts too short or too long.
         """
-        fps, start = _rate(observations[0].fps), min(o.start_time for o in observations)
+        fps, start = completion_rate(observations[0].fps), min(o.start_time for o in observations)
         ends = [seen_from_to(o) for o in observations]
         first, last = (torch.stack(one) for one in zip(*ends, strict=True))
         if not bool((last.amax(0) > first.amin(0)).all()):
@@ -131,10 +130,3 @@ def _seen_path(
         total.index_add_(1, frame, middle.nan_to_num(0.0))
         count.index_add_(1, frame, there[..., None].to(count))
     return total / count.clamp(min=1), count[..., 0] > 0
-
-
-def _rate(fps: float) -> float:
-    """A rate between `RATES`, of which the observation's is a multiple or part."""
-    if fps < RATES[0]:
-        return fps * math.ceil(RATES[0] / fps)
-    return fps / math.ceil(fps / RATES[1] - 1e-6)

@@ -87,7 +87,7 @@ def complete(
     if not isinstance(prior, CyclePrior):
         raise ReconError(f"expected a prior of cycles, got a {type(prior).__name__}")
     seen, rows = _with_offsets(tuple(o.thinned(FITTED) for o in seen))
-    noises = tuple(_noise(o, options.noise_of(row)) for row, o in enumerate(seen))
+    noises = tuple(cycle_noise(o, options.noise_of(row)) for row, o in enumerate(seen))
     dense = any(_fullest(o) >= DENSE for o in kinds.clouds(seen))
     noise = min(one.metres for one in noises)
     method = (
@@ -180,7 +180,7 @@ def _fullest(cloud: PointCloud) -> int:
     return int(cloud.present.sum(-1).max())
 
 
-def _noise(one: InSpace, told: float | None) -> Noise:
+def cycle_noise(one: InSpace, told: float | None) -> Noise:
     """A frame's cloud is worth some points that know their place; few frames count one each.
 
     Energies are sums over all frames of the clock, empty or not, taken at 30 Hz.

@@ -1,0 +1,231 @@
+"""Whole recordings of which little was seen: any motion first, then gait by its cycles.
+
+A fit by a prior of any motion explains the whole recording, by windows, with one shape. Where few
+moments were seen, what happens in between is a guess of that prior, and in gait a cycle knows more
+of it. So every cycle that the hips of the first fit tell is completed from its data; those that
+explain them join the data of a second fit of the whole. It follows the data where there are any,
+cycles in between, fades from one into the next and is smooth everywhere, with one shape.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, ClassVar
+
+import torch
+
+from observations.together import kinds
+from observations.together.kinds import InSpace
+from recon.body.cycles import find_cycles
+from recon.body.model import BodyModel
+from recon.core.errors import ObservationError, WeightsError
+from recon.core.motion import Motion
+from recon.fitting.clip import ClipFit, fit_clip
+from recon.fitting.cycles.clock import moments_per_second, on_fast_clock, seen_times
+from recon.fitting.cycles.completion import FITTED, NAMED_NOISE, cycle_noise
+from recon.fitting.cycles.gait import CompletedCycle, CycleData, stretches, told_by_cycles
+from recon.fitting.options import FitOptions
+from recon.fitting.priors import loaded
+from recon.method.priors import CyclePrior, NoisyPrior, Traits
+from recon.method.protocols import Sensor
+from recon.method.reconstruction import Method
+from recon.method.stages import Watch
+
+FEW = 12.0
+"""Moments per second below which cycles of gait tell something of what happens in between."""
+_LEAST = 0.05
+"""Seconds of a stretch that is worth a line."""
+
+
+@dataclass(frozen=True)
+class WholeRecording:
+    """What completes a recording: a prior of any motion, and one of cycles of gait."""
+
+    traits: ClassVar[Traits] = Traits(completes=True)
+    steps: str = "humor"
+    """Prior of any motion, by its name."""
+    cycles: str | None = "anchor"
+    """Prior of cycles, by its name; None does without."""
+    weights: str = "open"
+    """Of the prior of any motion."""
+    cycle_weights: str = "open"
+    """Of the prior of cycles."""
+
+    @classmethod
+    def load(cls, weights: str, body: BodyModel | None = None) -> "WholeRecording":
+        """The usual priors with weights of one name.
+
+        Raises:
+            WeightsError: when it is neither `open` nor `nc`.
+        """
+        del body
+        if weights not in ("open", "nc"):
+            raise WeightsError(
+                f"weights: two priors complete a recording, expected open or nc for both, got "
+                f"{weights}; give a file with --prior anchor, or a WholeRecording"
+            )
+        return cls(weights=weights, cycle_weights=weights)
+
+    def method(self, noise: float, body: BodyModel) -> Method:
+        """How any motion is fitted."""
+        prior = loaded(self.steps, self.weights, body)
+        assert isinstance(prior, NoisyPrior)
+        return prior.method(noise, body)
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """A part of a recording, and by what it was completed."""
+
+    start: float
+    """Seconds of the recording's clock."""
+    stop: float
+    prior: str
+    """`humor`, or `anchor` where cycles of gait joined."""
+    moments: int
+    """Moments in it that show anything."""
+    cycles: int = 0
+    """Cycles of gait that the hips tell."""
+    joined: int = 0
+    """Those that explain their data as well as the first fit, which joined the second."""
+    energy: float | None = None
+    """Of the data under the completed cycles, ½ Σ residual² / noise²; None where none was."""
+    first: float | None = None
+    """The same under the first fit, by which it was decided."""
+
+    def report(self) -> dict[str, Any]:
+        """The stretch in plain values."""
+        told = {"start": self.start, "stop": self.stop, "prior": self.prior}
+        told |= {"moments_seen": self.moments, "cycles": self.cycles, "joined": self.joined}
+        if self.energy is not None:
+            told |= {"energy_of_cycles": self.energy, "energy_of_first_fit": self.first}
+        return told
+
+
+@dataclass(frozen=True)
+class RecordingFit(ClipFit):
+    """A recording that was completed, and by what in which stretch."""
+
+    stretches: tuple[Stretch, ...] = field(default=(), kw_only=True)
+
+
+def complete_recording(
+    observations: Sequence[Sensor],
+    prior: WholeRecording,
+    options: FitOptions,
+    body: BodyModel,
+    watch: Watch | None = None,
+) -> RecordingFit:
+    """One motion of a whole recording: any length, any motion, scans at any times.
+
+    Args:
+        observations: of one clip.
+        prior: of any motion, and of cycles.
+        options: of the fit; its prior is not looked at.
+        body: whose motion it is.
+        watch: told about every iteration.
+
+    Raises:
+        ObservationError: when at most one moment shows anything.
+    """
+    placed = kinds.in_space(observations)
+    if placed and moments_per_second(placed) == 0 and len(placed) == len(observations):
+        raise ObservationError(
+            "at most one moment shows anything, which tells no motion; give two or more"
+        )
+    seen = [
+        on_fast_clock(one.thinned(FITTED)) if isinstance(one, InSpace) else one
+        for one in observations
+    ]
+    few = bool(placed) and moments_per_second(placed) < FEW
+    noise = tuple(_told(one, options.noise_of(row), few) for row, one in enumerate(seen))
+    any_motion = replace(options, prior=prior.steps, weights=prior.weights, noise=noise)
+    first = fit_clip(seen, any_motion, body, watch)
+    motion = first.result.clip(0).detach()
+    gait = _gait(first, prior, options, body, motion) if few and first.ground_known else []
+    told = _stretches(gait, kinds.in_space(first.observations), motion, prior)
+    kept = [one for cycles in gait for one in cycles if one.explains]
+    if not kept:
+        return _as_recording(first, told)
+    joints = told_by_cycles(kept, motion, body).to(device=body.template.device)
+    begun = motion.map(lambda tensor: tensor[None])
+    again = replace(any_motion, noise=(*noise, None))
+    second = fit_clip([*seen, joints], again, body, watch, start=begun)
+    reports = (*first.result.reports, *second.result.reports)
+    whole = replace(
+        second,
+        result=replace(second.result, reports=reports),
+        noises=second.noises[:-1],
+        observations=second.observations[:-1],
+        guesses=first.guesses,
+    )
+    return _as_recording(whole, told)
+
+
+def _told(one: Sensor, given: float | None, few: bool) -> float | None:
+    """The noise that is given; few moments tell none, so named points then have the usual one."""
+    if given is None and few and kinds.tracked([one]):
+        return NAMED_NOISE
+    return given
+
+
+def _gait(
+    first: ClipFit,
+    prior: WholeRecording,
+    options: FitOptions,
+    body: BodyModel,
+    motion: Motion,
+) -> list[list[CompletedCycle]]:
+    """The cycles of every stretch of gait of a first fit, completed from the data."""
+    if prior.cycles is None or not (found := find_cycles(motion.to(device="cpu"))):
+        return []
+    cycles = loaded(prior.cycles, prior.cycle_weights, body)
+    if not isinstance(cycles, CyclePrior):
+        raise ObservationError(f"expected a prior of cycles, got a {type(cycles).__name__}")
+    seen = kinds.in_space(first.observations)
+    noises = tuple(cycle_noise(one, options.noise_of(row)) for row, one in enumerate(seen))
+    data = CycleData(cycles, seen, noises, body)
+    made = [[data.completed(motion, one) for one in stretch] for stretch in stretches(found)]
+    return [own for rows in made if (own := [one for one in rows if one is not None])]
+
+
+def _stretches(
+    gait: Sequence[Sequence[CompletedCycle]],
+    seen: Sequence[InSpace],
+    motion: Motion,
+    prior: WholeRecording,
+) -> tuple[Stretch, ...]:
+    """All of the recording, stretches of gait and what is between them."""
+    times = torch.cat([seen_times(one) for one in seen]).unique() if seen else torch.zeros(0)
+
+    def moments(start: float, stop: float) -> int:
+        return int(((times >= start - 1e-6) & (times <= stop + 1e-6)).sum())
+
+    told: list[Stretch] = []
+    at = motion.start_time
+    for cycles in gait:
+        start, stop = cycles[0].cycle.start, max(one.cycle.stop for one in cycles)
+        if start - at > _LEAST:
+            told.append(Stretch(at, start, prior.steps, moments(at, start)))
+        joined = sum(one.explains for one in cycles)
+        told.append(
+            Stretch(
+                start,
+                stop,
+                f"{prior.steps} and {prior.cycles}" if joined else prior.steps,
+                moments(start, stop),
+                len(cycles),
+                joined,
+                sum(one.energy for one in cycles),
+                sum(one.first for one in cycles),
+            )
+        )
+        at = stop
+    end = float(motion.times[-1])
+    if end - at > _LEAST or not told:
+        told.append(Stretch(at, end, prior.steps, moments(at, end)))
+    return tuple(told)
+
+
+def _as_recording(fit: ClipFit, told: tuple[Stretch, ...]) -> RecordingFit:
+    known = {one.name: getattr(fit, one.name) for one in fields(ClipFit)}
+    return RecordingFit(**known, stretches=told)

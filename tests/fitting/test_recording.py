@@ -1,0 +1,126 @@
+"""Whole recordings from few moments: one motion, gait told by cycles where they explain it."""
+
+import json
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import torch
+
+import recon
+from observations import Joints3D, Markers3D
+from observations.depth import PointCloud
+from observations.surfels import Surfels
+from recon.body.cycles import Cycle
+from recon.body.landmarks import LANDMARKS_16, landmark
+from recon.body.model import BodyModel
+from recon.core.motion import Motion
+from recon.fitting.cycles import gait
+from recon.fitting.cycles.clock import moments_per_second, on_fast_clock
+from recon.fitting.cycles.gait import CompletedCycle, stretches, told_by_cycles
+from recon.fitting.cycles.recording import WholeRecording
+from recon.simulation.points import Corruption, landmarks3d
+from tests.walk_prior import walk
+
+BODY = BodyModel.load()
+RATE = 6.0
+"""Moments a second."""
+
+
+def seen(motion: Motion, fps: float = RATE) -> Markers3D:
+    """Sixteen landmarks, few times a second."""
+    every = landmarks3d(motion.resample(fps), BODY, Corruption(), 0)
+    vertices = tuple(landmark(name) for name in LANDMARKS_16)
+    return Markers3D(every.positions[None], every.visible[None], vertices, fps)
+
+
+def error(found: Motion, truth: Motion) -> float:
+    """Mean distance of joints, metres."""
+    times = found.times.clamp(max=float(truth.times[-1]))
+    pair = [BODY.pose(one.at(times, 30.0)).joints for one in (found, truth)]
+    return float((pair[0] - pair[1]).norm(dim=-1).mean())
+
+
+@pytest.fixture(scope="module")
+def truth() -> Motion:
+    """A cycle of the bundled walk, and half a second around it."""
+    motion, cycle = walk()
+    count = int((cycle.duration + 1.0) * 60)
+    times = cycle.start - 0.5 + torch.arange(count + 1, dtype=torch.float64) / 60
+    return motion.at(times, 60.0).replace(start_time=0.0)
+
+
+@pytest.mark.numerics
+def test_a_walk_of_few_moments_is_one_motion_with_its_stretches_told(truth, tmp_path):
+    result = recon.complete(seen(truth), WholeRecording(steps="pose"))
+    assert result.motion.fps >= 30
+    assert error(result.motion, truth) < 0.035  # metres
+    told = result.stretches
+    assert told[0].start == pytest.approx(0)
+    assert told[-1].stop == pytest.approx(float(result.motion.times[-1]), abs=0.06)
+    assert all(a.stop == pytest.approx(b.start) for a, b in pairwise(told))
+    assert any(one.joined > 0 and one.prior == "pose and anchor" for one in told)
+    result.save(tmp_path / "motion.npz")
+    report = json.loads((tmp_path / "motion.npz.json").read_text())
+    assert [one["prior"] for one in report["stretches"]] == [one.prior for one in told]
+
+
+@pytest.mark.numerics
+def test_what_cycles_do_not_explain_stays_with_the_first_fit(truth, monkeypatch):
+    monkeypatch.setattr(gait, "_COUNTED", -1e9)  # no cycle is as good as that
+    told = recon.complete(seen(truth), WholeRecording(steps="pose")).stretches
+    assert {one.prior for one in told} == {"pose"}
+    assert any(one.cycles > 0 for one in told)
+
+
+def test_one_moment_is_refused(truth):
+    with pytest.raises(ValueError, match="one moment"):
+        recon.complete(seen(truth.window(0, 1)))
+
+
+def test_a_slow_clock_becomes_fast_and_shows_the_same(truth):
+    """At 5 Hz a motion of poses could not move as people do, and every scan counted for six."""
+    markers = on_fast_clock(seen(truth, 5.0))
+    assert markers.fps == 30
+    assert moments_per_second([markers]) == pytest.approx(5.0)
+    vertices = BODY.pose(truth.resample(5.0)).vertices[:, ::40]
+    present = torch.ones(vertices.shape[:2], dtype=torch.bool)
+    cloud = PointCloud(vertices[None], present[None], Surfels.of(BODY, 500), 5.0)
+    fast = on_fast_clock(cloud)
+    assert isinstance(fast, PointCloud)
+    assert fast.fps == 30
+    assert torch.equal(fast.points[:, ::6], cloud.points)
+    assert int(fast.present.any(-1).sum()) == vertices.shape[0]
+    assert on_fast_clock(seen(truth, 30.0)).fps == 30
+
+
+def test_cycles_that_overlap_or_follow_are_one_stretch():
+    spans = ((0.0, 1.0), (0.5, 1.5), (1.55, 2.5), (4.0, 5.0))
+    cycles = [Cycle(start, stop, "left", 0.0) for start, stop in spans]
+    assert [len(one) for one in stretches(cycles)] == [3, 1]
+
+
+def test_cycles_fade_into_each_other_and_out(truth):
+    """Cycles that differ by a step meet without one: what they tell has no jump anywhere."""
+    motion = truth.window(0, 121)
+    moved = motion.replace(translation=motion.translation + 0.1)
+    cycles = [
+        CompletedCycle(Cycle(0.2, 1.2, "left", 0.0), motion.at(_times(0.2, 1.2), 60.0), 0, 0, 0),
+        CompletedCycle(Cycle(0.7, 1.7, "right", 0.0), moved.at(_times(0.7, 1.7), 60.0), 0, 0, 0),
+    ]
+    told = told_by_cycles(cycles, motion, BODY)
+    assert isinstance(told, Joints3D)
+    assert told.std is not None
+    there = told.visible[0, :, 0]
+    assert bool(there[30:90].all())
+    assert not bool(there[:12].any())
+    assert float(told.std[0, 13:15].min()) > float(told.std[0, 42].min())  # ends are less sure
+    away = (told.positions[0] - BODY.pose(motion).joints)[there]
+    steps = away.diff(dim=0).norm(dim=-1)
+    assert float(away.norm(dim=-1).max()) == pytest.approx(0.1 * 3**0.5, abs=1e-3)
+    assert float(steps.max()) < 0.1 * 3**0.5 / 8
+
+
+def _times(start: float, stop: float) -> torch.Tensor:
+    count = round((stop - start) * 60)
+    return torch.from_numpy(start + np.arange(count + 1) / 60)
