@@ -83,7 +83,7 @@ def observe(scanned: ScannedCycle, column: Column, body: BodyModel) -> list[InSp
     if column.points != 0:
         most = min(column.points or READ, READ)
         thin = thinned_points(scans, most, 0)
-        found.append(_cloud(thin.points, thin.frame, scanned.truth.frames, most, body))
+        found.append(cloud_from(thin.points, thin.frame, scanned.truth.frames, most, body))
     if column.landmarks:
         found.append(positions_of(landmarks, scanned.name, body))
     return found
@@ -174,9 +174,10 @@ def judged(
     }
 
 
-def _cloud(
+def cloud_from(
     points: np.ndarray, frame: np.ndarray, frames: int, most: int, body: BodyModel
 ) -> PointCloud:
+    """Points with the numbers of their frames, at most so many of each, as scans at 50 Hz."""
     padded, present = np.zeros((1, frames, most, 3)), np.zeros((1, frames, most), np.bool_)
     for k in range(frames):
         own = points[frame == k]

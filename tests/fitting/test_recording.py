@@ -105,8 +105,12 @@ def test_cycles_fade_into_each_other_and_out(truth):
     motion = truth.window(0, 121)
     moved = motion.replace(translation=motion.translation + 0.1)
     cycles = [
-        CompletedCycle(Cycle(0.2, 1.2, "left", 0.0), motion.at(_times(0.2, 1.2), 60.0), 0, 0, 0),
-        CompletedCycle(Cycle(0.7, 1.7, "right", 0.0), moved.at(_times(0.7, 1.7), 60.0), 0, 0, 0),
+        CompletedCycle(
+            Cycle(0.2, 1.2, "left", 0.0), motion.at(_times(0.2, 1.2), 60.0), 0.0, 0.0, 0.0
+        ),
+        CompletedCycle(
+            Cycle(0.7, 1.7, "right", 0.0), moved.at(_times(0.7, 1.7), 60.0), 0.0, 0.0, 0.0
+        ),
     ]
     told = told_by_cycles(cycles, motion, BODY)
     assert isinstance(told, Joints3D)
