@@ -106,8 +106,8 @@ def by_command(scanned: list[ScannedCycle], weights: str) -> Spent:
         began = getrusage(RUSAGE_CHILDREN), perf_counter()
         for path in paths:
             subprocess.run(
-                [sys.executable, "-m", "recon", "complete", str(path), "--weights", weights,
-                 "--out", str(path.with_suffix(".motion.npz"))],
+                [sys.executable, "-m", "recon", "complete", str(path), "--prior", "anchor",
+                 "--weights", weights, "--out", str(path.with_suffix(".motion.npz"))],
                 check=True, capture_output=True,
             )  # fmt: skip
         ended = getrusage(RUSAGE_CHILDREN), perf_counter()

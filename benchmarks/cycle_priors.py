@@ -76,19 +76,19 @@ def told_noise(prior: str, body: BodyModel) -> Fitter:
 def compared(rows: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     """Errors of every method of a column, and their differences from those of the network, mm.
 
-    Intervals are over clips within subjects; the seeds of a cycle are of its clip.
+    Intervals are over clips of all people together; the seeds of a cycle are of its clip.
     """
     found: dict[str, Any] = {}
     for name, row in rows.items():
         keys = sorted(set(row["cycles"]) & set(rows[REFERENCE]["cycles"]))
         clips = [key.split("@")[0] for key in keys]
-        subjects = [row["cycles"][key]["subject"] for key in keys]
+        alike = ["all"] * len(keys)
         of: dict[str, Any] = {"fits": len(keys), "seconds": row["seconds"]}
         for metric in ("chamfer", "vertices"):
             values, others = (
                 [one["cycles"][key][metric] for key in keys] for one in (row, rows[REFERENCE])
             )
-            own, less = interval(values, clips, subjects), paired(values, others, clips, subjects)
+            own, less = interval(values, clips, alike), paired(values, others, clips, alike)
             of[metric] = [own.mean, own.low, own.high]
             of[f"{metric} less"] = [less.mean, less.low, less.high]
         found[name] = of

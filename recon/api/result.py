@@ -46,7 +46,7 @@ class Result(MotionResult):
 
     @property
     def stretches(self) -> tuple[Stretch, ...]:
-        """By what every part of a recording was completed; empty for other fits."""
+        """Parts of a recording and the prior that completed each; empty for other fits."""
         found = self.examined.fit
         return found.stretches if isinstance(found, RecordingFit) else ()
 

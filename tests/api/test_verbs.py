@@ -95,11 +95,11 @@ def test_a_simulation_is_fitted_and_written(tmp_path):
 
 def test_cycles_are_completed_from_what_was_simulated():
     seen = recon.simulate(walk(30), "landmarks", fps=10.0)
-    result = recon.complete(seen, callback=lambda *_: True)
+    result = recon.complete(seen, "anchor", callback=lambda *_: True)
     assert result.cycle is not None
     assert result.arguments["prior"] == "anchor"
     with pytest.raises(recon.ReconError, match="2D keypoints"):
-        recon.complete(recon.simulate(walk(30), "keypoints2d"))
+        recon.complete(recon.simulate(walk(30), "keypoints2d"), "anchor")
 
 
 def test_samples_are_a_row_of_motions(tmp_path):

@@ -118,7 +118,7 @@ def test_cycles_fade_into_each_other_and_out(truth):
     there = told.visible[0, :, 0]
     assert bool(there[30:90].all())
     assert not bool(there[:12].any())
-    assert float(told.std[0, 13:15].min()) > float(told.std[0, 42].min())  # ends are less sure
+    assert float(told.std[0, 20].min()) > float(told.std[0, 42].min())  # ends are less sure
     away = (told.positions[0] - BODY.pose(motion).joints)[there]
     steps = away.diff(dim=0).norm(dim=-1)
     assert float(away.norm(dim=-1).max()) == pytest.approx(0.1 * 3**0.5, abs=1e-3)

@@ -30,7 +30,7 @@ _SHARP = -10.0
 
 
 def components(settings: AnchorTraining, learned: CycleCorpus) -> AnchorWeights:
-    """As many principal components as the settings have numbers of a code.
+    """Principal components of training cycles, as many as a code has numbers in the settings.
 
     Args:
         settings: of which the size of the code, what is aligned, how cycles vary and the seed

@@ -6,14 +6,13 @@ from recon.api.fit import fit
 from recon.api.given import BodyLike
 from recon.api.observations import GroundChoice, ObservationsLike
 from recon.api.result import Result
-from recon.fitting.cycles.recording import WholeRecording
 from recon.fitting.priors import PriorObject
 from recon.method.stages import Watch
 
 
 def complete(
     observations: ObservationsLike,
-    prior: str | PriorObject | None = None,
+    prior: str | PriorObject = "recording",
     *,
     weights: str = "open",
     body: BodyLike = None,
@@ -40,9 +39,9 @@ def complete(
 
     Args:
         observations: as of `recon.fit`: observations of one clip, or files and folders.
-        prior: None for a whole recording; `anchor`, or a loaded `AnchorFrames`, for one cycle; or
-            a `WholeRecording` with other priors.
-        weights: of a prior that is not loaded: `open` or `nc` (not for commercial use), and for
+        prior: `recording`, or a `WholeRecording` with other priors; for one cycle `anchor`, or a
+            loaded `AnchorFrames`.
+        weights: of the prior given by its name: `open` or `nc` (not for commercial use), and for
             one cycle a file.
         body: a body, a SMPL-family file, or None for the bundled body.
         noise: standard deviation of every coordinate, metres: one number, or one per observation.
@@ -61,8 +60,6 @@ def complete(
             for one cycle, what was seen does not last as long as one.
         FileNotFoundError: when there is no such file, body or weights.
     """
-    if prior is None:
-        prior, weights = WholeRecording.load(weights), "open"
     return fit(
         observations, prior, weights=weights, body=body, noise=noise, ground=ground,
         between=between, fps=fps, device=device, callback=callback, max_seconds=max_seconds,

@@ -11,11 +11,6 @@ from recon.cli.verbs.fit import fit_and_say
 from recon.fitting.settings import DEFAULTS, FitSettings
 
 _DEFAULTS = replace(DEFAULTS, prior="recording")
-_PRIORS = {
-    "recording": "recon.fitting.cycles.recording:WholeRecording",
-    "anchor": "anchor",
-}
-"""What --prior may be here, and where it is."""
 
 
 @writes(Place("out"))
@@ -49,10 +44,9 @@ def complete(
         quiet: say nothing but errors and, last, where the result is.
     """
     del quiet  # heeded by `writes`
-    if settings.prior not in _PRIORS:
+    if settings.prior not in ("recording", "anchor"):
         raise ValueError(
-            f"`complete` has the priors {' and '.join(_PRIORS)}; for {settings.prior}, run `recon "
-            f"fit --prior {settings.prior}`"
+            f"`complete` is `fit` with the priors recording and anchor; for {settings.prior}, run "
+            f"`recon fit --prior {settings.prior}`"
         )
-    settings = replace(settings, prior=_PRIORS[settings.prior])
     fit_and_say(observations, out, settings, json=json, overwrite=overwrite)
