@@ -57,7 +57,7 @@ _JUDGED = 9
 REFERENCE = "network"
 """The method from which the others are told to differ."""
 Cells = dict[str, dict[str, dict[str, Any]]]
-"""By column and method: errors of every cycle, and CPU seconds of one."""
+"""Columns, methods, and of each: errors of every cycle, and CPU seconds of one."""
 
 
 def told_noise(prior: str, body: BodyModel) -> Fitter:

@@ -41,11 +41,11 @@ class CompletedCycle:
     motion: Motion
     """From the cycle's start to its end; no batch axis."""
     energy: float
-    """Of the data under the completed cycle: ½ Σ residual² / noise²."""
+    """Energy of the data under the completed cycle: ½ Σ residual² / noise²."""
     first: float
     """The same under the first fit."""
     noise: float
-    """What of it noise alone would leave."""
+    """What noise alone would leave of it."""
 
     @property
     def explains(self) -> bool:

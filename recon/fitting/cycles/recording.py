@@ -46,9 +46,9 @@ class WholeRecording:
     cycles: str | None = "anchor"
     """Prior of cycles, by its name; None does without."""
     weights: str = "open"
-    """Of the prior of any motion."""
+    """Weights of the prior of any motion."""
     cycle_weights: str = "open"
-    """Of the prior of cycles."""
+    """Weights of the prior of cycles."""
 
     @classmethod
     def load(cls, weights: str, body: BodyModel | None = None) -> "WholeRecording":
@@ -86,9 +86,9 @@ class Stretch:
     cycles: int = 0
     """Cycles of gait that the hips tell."""
     joined: int = 0
-    """Those that explain their data as well as the first fit, which joined the second."""
+    """Cycles that explain their data as well as the first fit, which joined the second."""
     energy: float | None = None
-    """Of the data under the completed cycles, ½ Σ residual² / noise²; None where none was."""
+    """Energy of the data under the completed cycles, ½ Σ residual² / noise²; None where none was."""
     first: float | None = None
     """The same under the first fit, by which it was decided."""
 
