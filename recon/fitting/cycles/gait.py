@@ -39,11 +39,11 @@ class CompletedCycle:
 
     cycle: Cycle
     motion: Motion
-    """From the cycle's start to its end; no batch axis."""
+    """Motion from the cycle's start to its end; no batch axis."""
     energy: float
     """Energy of the data under the completed cycle: ½ Σ residual² / noise²."""
     first: float
-    """The same under the first fit."""
+    """Energy of the data under the first fit."""
     noise: float
     """What noise alone would leave of it."""
 

@@ -90,7 +90,7 @@ class Stretch:
     energy: float | None = None
     """Energy of the data under the completed cycles, ½ Σ residual² / noise²; None where none was."""
     first: float | None = None
-    """The same under the first fit, by which it was decided."""
+    """Energy of the data under the first fit, by which it was decided."""
 
     def report(self) -> dict[str, Any]:
         """The stretch in plain values."""
