@@ -12,7 +12,8 @@ def prior_of(given: Any, weights: str, method: str | None = None) -> str | Prior
 
     Args:
         given: a registered name (ours are humor, pose, anchor, humos and recording), a place
-            "package.module:Class", or an object: a loaded prior, or anything with `stages(data)`, a method.
+            "package.module:Class", or an object: a loaded prior, or anything with `stages(data)`,
+            a method.
         weights: of a prior that is given by its name or place.
         method: the way to fit it, one of its `methods`; None is the usual one.
 

@@ -88,7 +88,7 @@ class Stretch:
     joined: int = 0
     """Cycles that explain their data as well as the first fit, which joined the second."""
     energy: float | None = None
-    """Energy of the data under the completed cycles, ½ Σ residual² / noise²; None where none was."""
+    """Energy of the data under the completed cycles, ½ Σ residual² / noise²; None without any."""
     first: float | None = None
     """Energy of the data under the first fit, by which it was decided."""
 
