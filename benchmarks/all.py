@@ -50,6 +50,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "phone": ("phone", "CORPUS", "--part", "validation", "--only", "5", "--cases", "focal"),
     "phone_track": ("phone", "CORPUS", "--part", "validation", "--only", "2", "--cases",
                     "track"),
+    "crossings": ("crossings", "CORPUS"),
     "slip_sizes": ("slips.sizes", "CORPUS"),
     "slips": ("slips", "CORPUS", "--prior", "pose", "--good", "300", "--observations",
               "OBSERVATIONS"),

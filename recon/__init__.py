@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from recon.api.result import Result as Result
     from recon.api.results.laboratory import LaboratoryReport as LaboratoryReport
     from recon.api.results.motion import MotionResult as MotionResult
+    from recon.api.results.people import People as People
     from recon.api.shapes import Shape as Shape
     from recon.api.verbs.angles import joint_angles as joint_angles
     from recon.api.verbs.complete import complete as complete
@@ -31,6 +32,8 @@ if TYPE_CHECKING:
     from recon.api.verbs.generate import predict as predict
     from recon.api.verbs.generate import sample as sample
     from recon.api.verbs.interpolate import interpolate as interpolate
+    from recon.api.verbs.people import fit_people as fit_people
+    from recon.api.verbs.people import load_people as load_people
     from recon.api.verbs.refine import refine as refine
     from recon.api.verbs.report import report as report
     from recon.api.verbs.retarget import retarget as retarget
@@ -58,6 +61,9 @@ _HOMES = {
     "fit": "recon.api.fit",
     "load_observation": "recon.api.load",
     "fit_clips": "recon.api.many",
+    "fit_people": "recon.api.verbs.people",
+    "load_people": "recon.api.verbs.people",
+    "People": "recon.api.results.people",
     "Stream": "recon.api.live.stream",
     "LiveEstimate": "recon.api.live.estimate",
     "Result": "recon.api.result",

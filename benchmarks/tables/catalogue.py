@@ -64,6 +64,7 @@ TABLES: Mapping[str, Table] = {
     "doors-projects": doors.projects,
     "phone-focal": phone.focal,
     "phone-track": phone.track,
+    "crossings": phone.crossings,
     "cycles": gait.cycles,
     "anchor-reconstruction": gait.reconstruction,
     "anchor-study": gait.study,

@@ -38,3 +38,26 @@ def track() -> str:
         ])  # fmt: skip
     headings = ["phone", "about the pelvis cm", "length of the path over the true one", "CPU s"]
     return markdown(headings, rows) + source("phone_track")
+
+
+def crossings() -> str:
+    """Two people who pass each other."""
+    scenes = result("crossings")["scenes"]
+    rows = []
+    for kind in (*dict.fromkeys(one["kind"] for one in scenes), "all"):
+        own = [one for one in scenes if kind in ("all", one["kind"])]
+        rows.append([
+            kind, str(len(own)), str(sum(one["followed"] >= 0.95 for one in own)),
+            number(min(one["followed"] for one in own), 100, 0),
+            str(sum(one["exchanged"] > 0 for one in own)),
+            str(sum(one["said"] > 0 for one in own)),
+        ])  # fmt: skip
+    headings = [
+        "directions",
+        "pairs",
+        "both followed",
+        "least followed %",
+        "exchanged",
+        "said to be lost",
+    ]
+    return markdown(headings, rows) + source("crossings")

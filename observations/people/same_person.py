@@ -77,6 +77,52 @@ def across_views(
     return _described(views, best, error)
 
 
+def everybody_across_views(
+    views: Sequence[TrackedView], *, up_given: bool
+) -> tuple[list[tuple[int, list[Track | None]]], list[str]]:
+    """Everybody who is found in two views or more, by their number in the first that shows them.
+
+    Args:
+        views: as of `across_views`.
+        up_given: as of `across_views`.
+
+    Returns:
+        The tracks of every person, one per view or None, and who was left out.
+
+    Raises:
+        ValueError: when nobody is found in two views, or somebody has no human size or does not
+            stand along z.
+    """
+    pairs = _Pairs(views)
+    taken: set[tuple[int, int]] = set()
+    found: list[tuple[int, list[Track | None]]] = []
+    notes: list[str] = []
+    for v, a in _seeds(views):
+        if (v, a) in taken:
+            continue
+        group = pairs.group(v, a)
+        members = {(w, b) for w, own in group.items() for b in own}
+        if len(group) < 2 or members & taken:
+            notes.append(
+                f"left out, found in no other view: {views[v].name}: {views[v].tracks[a]}"
+            )
+            continue
+        taken |= members
+        pairs.check_body(group, up_given=up_given)
+        tracks = [
+            _joined([view.tracks[k] for k in group[w]]) if w in group else None
+            for w, view in enumerate(views)
+        ]
+        first = min(group)
+        found.append((views[first].tracks[group[first][0]].number, tracks))
+    if len(found) == 0:
+        raise ObservationError(
+            "no person found in one view is found in another; does each view have its own camera? "
+            f"There are {_listed(views)}"
+        )
+    return found, notes
+
+
 def _described(
     views: Sequence[TrackedView], group: Mapping[int, tuple[int, ...]], error: float
 ) -> tuple[list[Track | None], tuple[str, ...]]:

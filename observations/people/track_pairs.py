@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from observations.people.tracks import Track, body_size
+from observations.people.places import body_size
+from observations.people.tracks import Track
 from recon.core.errors import ObservationError
 from recon.core.layouts import keypoint_names
 from recon.formats.observations import CameraArrays

@@ -79,6 +79,26 @@ def load_views(
         ValueError: when something is missing, damaged, ambiguous or does not fit together; the
             message says what was expected and which option decides.
     """
+    seen = read_views(
+        paths, calibration, fps=fps, layout=layout, names=names, camera_unit=camera_unit,
+        camera_up=camera_up, image_size=image_size, track=track,
+    )  # fmt: skip
+    return seen.of(*_one_person(seen, person))
+
+
+def read_views(
+    paths: Sequence[str | Path],
+    calibration: str | Path | Calibration | None,
+    *,
+    fps: float | None,
+    layout: str | None = None,
+    names: Sequence[str] | None = None,
+    camera_unit: CameraUnit | None = None,
+    camera_up: Axis | None = None,
+    image_size: tuple[int, int] | None = None,
+    track: Path | None = None,
+) -> "SeenViews":
+    """Everybody's 2D keypoints in one or more views; arguments and errors as of `load_views`."""
     folders, notes = expand([Path(path) for path in paths])
     if calibration is None and len(folders) > 1:
         raise ObservationError(
@@ -123,19 +143,18 @@ def load_views(
             replace(camera, T_camera_world=None, path=CameraPath(poses, path.metric, path.level))
             for camera in cameras
         ]
-    seen = _Seen(tuple(found), tuple(matched), tuple(cameras), first)
-    tracks, who = _one_person(seen, person, up_given=camera_up is not None)
-    kept = [v for v, track in enumerate(tracks) if track is not None]
-    files = tuple(
-        _observation(found[v], tracks[v], cameras[v], first, frames, fps)  # type: ignore[arg-type]
-        for v in kept
-    )
+    for one, camera in zip(found, cameras, strict=True):
+        _check_pixels(one, camera)
     layouts = [f"{one.name}: {'; '.join(one.decisions)}" for one in found]
-    return Views(
-        files=files,
-        names=tuple(matched[v] for v in kept),
+    return SeenViews(
+        found=tuple(found),
+        names=tuple(matched),
+        cameras=tuple(cameras),
         first_frame=first,
-        decisions=(*notes, *calibration.decisions, *carried, *matching, *layouts, *who),
+        frames=frames,
+        fps=float(fps),
+        up_given=camera_up is not None,
+        decisions=(*notes, *calibration.decisions, *carried, *matching, *layouts),
     )
 
 
@@ -184,39 +203,79 @@ def _said(track: CameraTrack, how: str) -> str:
 
 
 @dataclass(frozen=True)
-class _Seen:
+class SeenViews:
+    """Everybody in all views."""
+
     found: tuple[Detections, ...]
     names: tuple[str, ...]
+    """Names of the cameras."""
     cameras: tuple[CameraArrays, ...]
     first_frame: int
+    """Frame number of the first frame of any view."""
+    frames: int
+    """Number of frames from the first to the last of any view."""
+    fps: float
+    up_given: bool
+    """Whether the caller said which axis of the cameras' world points up."""
+    decisions: tuple[str, ...]
+    """What was decided about files and cameras, and why."""
 
+    def followed(self) -> tuple[TrackedView, ...]:
+        """The tracks of all people in every view.
 
-def _one_person(
-    seen: _Seen, person: int | None, *, up_given: bool
-) -> tuple[list[Track | None], tuple[str, ...]]:
-    """The tracks of one person; several views decide together who it is."""
-    found, names, cameras = seen.found, seen.names, seen.cameras
-    tracks = [follow(one) for one in found]
-    for one, camera, everybody in zip(found, cameras, tracks, strict=True):
-        _check_pixels(one, camera)
-        if len(everybody) == 0:
-            choose(everybody, person, one.name)
-    if len(found) == 1:
-        track = choose(tracks[0], person, found[0].name)
-        who = "the only one" if len(tracks[0]) == 1 else "given" if person is not None else "most"
-        most = max(one.completeness for one in tracks[0])
-        if who == "most" and track.completeness < most:
-            who = "moves; a bystander is as complete"
-        return [track], (f"{names[0]}: {track} ({who} of {len(tracks[0])} tracks)",)
-    if posed := [n for n, c in zip(names, cameras, strict=True) if c.T_camera_world is None]:
-        raise ObservationError(
-            f"several views need the poses of their cameras; {', '.join(posed)} has none"
+        Raises:
+            ValueError: when a view shows nobody.
+        """
+        every = zip(self.names, self.found, self.cameras, strict=True)
+        views = [
+            TrackedView(name, one.layout, camera, follow(one), self.first_frame)
+            for name, one, camera in every
+        ]
+        for view, one in zip(views, self.found, strict=True):
+            if len(view.tracks) == 0:
+                choose((), None, one.name)
+        posed = [one.name for one in views if one.camera.T_camera_world is None]
+        if len(views) > 1 and posed:
+            raise ObservationError(
+                f"several views need the poses of their cameras; {', '.join(posed)} has none"
+            )
+        return tuple(views)
+
+    def of(self, tracks: Sequence[Track | None], who: Sequence[str]) -> Views:
+        """One person's observation in every view that shows them.
+
+        Args:
+            tracks: of the person, one per view or None.
+            who: what was decided about the person.
+        """
+        kept = [(v, track) for v, track in enumerate(tracks) if track is not None]
+        return Views(
+            files=tuple(self._observation(v, track) for v, track in kept),
+            names=tuple(self.names[v] for v, _ in kept),
+            first_frame=self.first_frame,
+            decisions=(*self.decisions, *who),
         )
-    views = [
-        TrackedView(name, one.layout, camera, everybody, seen.first_frame)
-        for name, one, camera, everybody in zip(names, found, cameras, tracks, strict=True)
-    ]
-    return across_views(views, person, up_given=up_given)
+
+    def _observation(self, view: int, track: Track) -> KeypointsFile:
+        shape = (self.frames, track.confidence.shape[1])
+        pixels, confidence = np.zeros((*shape, 2)), np.zeros(shape)
+        pixels[track.frame - self.first_frame] = track.pixels
+        confidence[track.frame - self.first_frame] = track.confidence
+        layout, camera = self.found[view].layout, self.cameras[view]
+        return KeypointsFile(pixels, confidence, layout, self.fps, camera)
+
+
+def _one_person(seen: SeenViews, person: int | None) -> tuple[list[Track | None], tuple[str, ...]]:
+    """The tracks of one person; several views decide together who it is."""
+    views = seen.followed()
+    if len(views) > 1:
+        return across_views(views, person, up_given=seen.up_given)
+    tracks = views[0].tracks
+    track = choose(tracks, person, seen.found[0].name)
+    who = "the only one" if len(tracks) == 1 else "given" if person is not None else "most"
+    if who == "most" and track.completeness < max(one.completeness for one in tracks):
+        who = "moves; a bystander is as complete"
+    return [track], (f"{seen.names[0]}: {track} ({who} of {len(tracks)} tracks)",)
 
 
 def _timed(camera: CameraArrays, first: int, frames: int, name: str) -> CameraArrays:
@@ -293,13 +352,3 @@ def _check_pixels(found: Detections, camera: CameraArrays) -> None:
         f"{found.name}: {outside:.0%} of the keypoints lie outside the image of {width} x "
         f"{height} pixels; {reason}"
     )
-
-
-def _observation(
-    found: Detections, track: Track, camera: CameraArrays, first: int, frames: int, fps: float
-) -> KeypointsFile:
-    shape = (frames, track.confidence.shape[1])
-    pixels, confidence = np.zeros((*shape, 2)), np.zeros(shape)
-    pixels[track.frame - first] = track.pixels
-    confidence[track.frame - first] = track.confidence
-    return KeypointsFile(pixels, confidence, found.layout, float(fps), camera)

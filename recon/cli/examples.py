@@ -1,4 +1,4 @@
-"""Commands to copy, two for every verb, shown at the end of its help."""
+"""Commands to copy, two or three for every verb, shown at the end of its help."""
 
 EXAMPLES: dict[str, tuple[str, ...]] = {
     "demo": (
@@ -8,6 +8,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "fit": (
         "recon fit seen.npz --out motion.npz",
         "recon fit views/ --camera calibration.toml --frame-rate 30 --out motion.npz",
+        "recon fit keypoints.json --frame-rate 30 --person all --out people/",
     ),
     "complete": (
         "recon complete scans/ --frame-rate 5 --out motion.npz",

@@ -11,8 +11,9 @@ from observations.files.clouds import cloud_of
 from observations.files.images import camera_above, keypoints_of
 from observations.files.keypoints3d import settled
 from observations.files.points import positions_of
+from observations.people.everyone import everyone
 from observations.people.masks import load_silhouettes, masked
-from observations.people.views import load_views
+from observations.people.views import load_views, read_views
 from recon.body.model import BodyModel
 from recon.core.errors import FormatError, ObservationError
 from recon.fitting.readers import PlaceMarkers, read_by, readers
@@ -121,6 +122,11 @@ def load_clip(
                 "skeletons of motion capture"
             )
     if detections:
+        if settings.person == "all":
+            raise ObservationError(
+                "one clip is of one person; `recon fit --person all`, in Python recon.load_people "
+                "and recon.fit_people, fit everybody"
+            )
         views = load_views(
             detections, settings.camera, fps=settings.frame_rate, layout=settings.layout,
             person=settings.person, camera_unit=settings.camera_unit, camera_up=settings.camera_up,
@@ -142,6 +148,54 @@ def load_clip(
             stretch = (first / shown[0].fps, (end - 1) / shown[0].fps)
     clip = _together(files, notes, settings, body)
     return clip if stretch is None else window(clip, *stretch)
+
+
+@dataclass(frozen=True)
+class PersonClip:
+    """One of several people in detections."""
+
+    number: int
+    """As `person` takes it."""
+    clip: Clip
+    """What was seen of them, from when they were first seen to when they were last seen."""
+
+
+def load_people(
+    paths: Sequence[Path], settings: FitSettings, body: BodyModel
+) -> tuple[tuple[PersonClip, ...], tuple[str, ...]]:
+    """Everybody in 2D detections, who are left out, and what else was decided.
+
+    Raises:
+        FileNotFoundError: when something is not there.
+        ValueError: when it is something else than detections, cannot be read, or options are
+            missing; says what to do.
+    """
+    for path in paths:
+        if not path.exists():
+            raise FileNotFoundError(f"no observation at {path}")
+    paths, settings, projects = _of_projects(paths, settings)
+    for path in paths:
+        if path.is_file() and path.suffix.lower() not in _DETECTIONS:
+            raise FormatError(
+                f"{path}: several people are told apart in files of 2D detections (.json, .csv, "
+                "or folders of them); give nothing else with --person all"
+            )
+    if settings.masks is not None:
+        raise ObservationError("--masks are of one person; leave them out with --person all")
+    seen = read_views(
+        paths, settings.camera, fps=settings.frame_rate, layout=settings.layout,
+        camera_unit=settings.camera_unit, camera_up=settings.camera_up,
+        image_size=settings.image_size, track=settings.camera_track,
+    )  # fmt: skip
+    found = everyone(seen)
+    people: list[PersonClip] = []
+    for one in found.people:
+        files = list(zip(one.views.names, one.views.files, strict=True))
+        clip = _together(files, [one.note], settings, body)
+        times = np.concatenate([seen_times(view) for view in clip.observations])
+        people.append(PersonClip(one.number, window(clip, times.min(), times.max())))
+    notes = [decision for one in projects for decision in one.decisions]
+    return tuple(people), (*notes, *seen.decisions, *found.decisions)
 
 
 def _of_projects(

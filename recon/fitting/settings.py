@@ -53,8 +53,9 @@ class FitSettings:
     layout: str | None = None
     """Layout of the keypoints, in images or in space, where files do not tell: openpose25,
     coco17, h36m17, ..."""
-    person: int | None = None
-    """Whom to follow where detections show several people: number as the message lists them."""
+    person: int | Literal["all"] | None = None
+    """Whom to follow where detections show several people: number as the message lists them, or
+    `all`, each in a file of the folder OUT."""
     masks: Path | None = None
     """Silhouettes of the person (folder of images, one per frame, or .npz): keypoints outside
     are taken as occluded."""

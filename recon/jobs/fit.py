@@ -1,4 +1,4 @@
-"""Observation files in, a motion file and a report out: what `fit` and `batch` do to one clip."""
+"""Observation files in, motion files and a report out: what `fit` and `batch` do to one clip."""
 
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -11,14 +11,15 @@ from torch import Tensor
 from recon.api.fit import fit
 from recon.api.motion_file import described
 from recon.api.result import Result
+from recon.api.verbs.people import fit_people
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
-from recon.fitting.clip_files import Clip, load_clip
+from recon.fitting.clip_files import Clip, load_clip, load_people
 from recon.fitting.clip_inputs import input_checksums
 from recon.fitting.settings import FitSettings
 from recon.formats.motions import save_motion
 from recon.formats.results.inputs import paths_in
-from recon.formats.results.outputs import Output, check_outputs
+from recon.formats.results.outputs import Kind, Output, check_outputs
 from recon.formats.results.writing import writing_file
 from recon.ingest.markers.observation import seen_markers
 from recon.method.stages import Watch
@@ -55,6 +56,36 @@ def fit_files(
     return report
 
 
+def fit_people_files(
+    paths: Sequence[Path],
+    out: Path,
+    settings: FitSettings,
+    watch: Watch | None = None,
+    *,
+    overwrite: bool = False,
+) -> dict[str, Any]:
+    """Fit everybody in files of 2D detections by `recon.fit_people` and write the folder OUT.
+
+    It holds `person_0.npz` and so on, by the numbers that `--person` takes, and `report.json`.
+    Returns the report.
+
+    Raises:
+        FileNotFoundError, ValueError: for bad input; nothing is written then.
+        FileExistsError: when something is there that recon did not write, unless `overwrite`.
+    """
+    output = Output(out, Kind.FOLDER)
+    check_outputs([output], paths_in((*paths, settings)), overwrite=overwrite)
+    inputs = input_checksums(paths, settings)
+    body = BodyModel.load(settings.body)
+    people, notes = load_people(paths, settings, body)
+    noise = [] if settings.noise_pixels is None else [settings.noise_pixels]
+    arguments = _arguments(settings, body, watch) | {"noise": noise or None}
+    found = fit_people(people, settings.prior, notes=notes, **arguments)
+    report = found.report(inputs, asdict(settings))
+    found.save(out, overwrite=overwrite, report=report)
+    return report
+
+
 def fitted(
     paths: Sequence[Path],
     settings: FitSettings,
@@ -77,19 +108,26 @@ def fitted(
     return fit(
         clip,
         settings.prior,
-        weights=settings.weights,
-        method=settings.method,
-        body=body,
         noise=_noise(clip, settings),
-        physics=settings.physics,
-        ground=None if settings.ground == "none" else "auto",
-        between=settings.between,
-        fps=settings.fps,
-        device=settings.device,
-        callback=watch,
-        repair=settings.repair,
         shape=shape,
+        **_arguments(settings, body, watch),
     )
+
+
+def _arguments(settings: FitSettings, body: BodyModel, watch: Watch | None) -> dict[str, Any]:
+    """What settings say to every fit."""
+    return {
+        "weights": settings.weights,
+        "method": settings.method,
+        "body": body,
+        "physics": settings.physics,
+        "ground": None if settings.ground == "none" else "auto",
+        "between": settings.between,
+        "fps": settings.fps,
+        "device": settings.device,
+        "callback": watch,
+        "repair": settings.repair,
+    }
 
 
 def _noise(clip: Clip, settings: FitSettings) -> list[float | None]:

@@ -6,11 +6,18 @@ from typing import Annotated, Any
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from recon.cli.errors import Failed
-from recon.cli.places import Overwrite, Place, Quiet, writes
+from recon.cli.places import Arguments, Overwrite, Place, Quiet, a_file, folder, writes
 from recon.fitting.settings import DEFAULTS, FitSettings
+from recon.formats.results.outputs import Output
 
 
-@writes(Place("out"))
+def _outputs(path: Path, given: Arguments) -> tuple[Output, ...]:
+    """A folder where everybody is fitted, else a file with its report."""
+    everybody = given["settings"].person == "all"
+    return folder(path, given) if everybody else a_file(path, given)
+
+
+@writes(Place("out", _outputs))
 def fit(
     observations: Positional[tuple[Path, ...]],
     out: Path,
@@ -30,11 +37,13 @@ def fit(
     file per view, or a folder of views); a folder of scans (.ply, .pcd); a folder of 16-bit
     depth images (.png, with --camera).
 
-    Writes OUT (AMASS .npz with joints, contacts and ground) and OUT.json (what happened).
+    Writes OUT (AMASS .npz with joints, contacts and ground) and OUT.json (what happened). With
+    --person all, OUT is a folder with a file for everybody in the detections, all in one world,
+    and report.json.
 
     Args:
         observations: files and folders of one clip.
-        out: motion file to write.
+        out: motion file to write; a folder with --person all.
         settings: how to fit.
         json: print the report as JSON on stdout.
         overwrite: replace files that are there and recon did not write.
@@ -70,8 +79,13 @@ def fit_and_say(
             from recon.cli.looks import refuse_unknown_markers
 
             refuse_unknown_markers(observations, settings.mapping, settings.unit)
-    from recon.jobs.fit import fit_files
+    from recon.jobs.fit import fit_files, fit_people_files
 
+    if settings.person == "all":
+        with console.fitting({}) as watch:
+            report = fit_people_files(observations, out, settings, watch, overwrite=overwrite)
+        tell_people(report, out, json=json)
+        return
     with console.fitting({}) as watch:
         report = fit_files(observations, out, settings, watch, overwrite=overwrite)
     tell(report, out, json=json)
@@ -112,3 +126,22 @@ def tell(report: dict[str, Any], out: Path, *, json: bool) -> None:
     if report["failed"]:
         reasons = "; ".join(s["termination"] for s in report["stages"])
         raise Failed(f"{out}: {reasons}")
+
+
+def tell_people(report: dict[str, Any], out: Path, *, json: bool) -> None:
+    """Tell what a person at the terminal should know about fits of several people.
+
+    Raises:
+        Failed: when a fit met nan or inf.
+    """
+    from recon.cli import console
+
+    for line in report["read"]:
+        console.note(line)
+    console.findings(report)
+    console.table("people", report["summary"])
+    console.last(str(out))
+    if json:
+        console.answer(report)
+    if report["failed"]:
+        raise Failed(f"{out}: a fit met nan or inf")

@@ -1,0 +1,368 @@
+"""Detections of many frames linked to people: the likeliest of several assignments is kept.
+
+Somebody is expected where a constant velocity carries them. Where people overlap, several
+assignments of detections to people are followed side by side, each with the sum of its costs (half
+squared deviations in units of their spread, so that differences are logarithms of likelihood
+ratios), until they differ in names alone: then the better one is kept, and where it is hardly
+better, that is told.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from observations.people.assignments import BEGINS, choices
+from observations.people.places import (
+    FEWEST_KEYPOINTS,
+    gap,
+    middle_of,
+    reshaping,
+    size_of,
+    trunk_of,
+    whole,
+)
+from recon.formats.detections.records import Detections
+
+LOST_AFTER = 60
+"""Frames without a detection after which somebody who comes back is somebody new."""
+_GATE, _GATE_GROWTH, _GATE_LIMIT = 0.35, 0.05, 0.8
+"""How far somebody may be from the expected place, in body sizes, and more for each frame without
+a detection, and at most."""
+_SPREADS = (0.01, 0.05)
+"""Least and largest deviation from frame to frame that is taken as usual, in body sizes."""
+_SPREAD_GROWTH = 0.5
+"""Growth of the usual deviation for each frame without a detection."""
+_LOOSEST = 0.1
+"""Largest deviation of a keypoint from where the body's pose had it, in body sizes."""
+_FARTHEST = 3.0
+"""Deviations beyond which a keypoint costs no more: detectors give somebody the limbs of who is in
+front of them."""
+_TAIL = 6.0
+"""Logarithms of a likelihood at which the place of the whole body begins to count less."""
+_INDEPENDENT = 0.25
+"""Share of the keypoints that err independently of each other."""
+_SAME_PLACE = 0.08
+"""Two detections of a frame so close, keypoint by keypoint, are one person found twice ..."""
+_NEAR_PERSON = 0.25
+"""... unless so near, in body sizes, two people are expected who were seen lately."""
+_LATELY = 10
+"""Frames."""
+_TRUNK_SPREAD, _TRUNK_SHARE = 0.15, 0.2
+"""Spread of the logarithm of the trunk's length in the image, and how much a frame tells of it, as
+neighbouring frames repeat each other."""
+_MEMORY = 0.2
+"""Share of a new frame in velocity and trunk length."""
+_COASTING = 15
+"""Frames after which the velocity of somebody unseen is forgotten."""
+_KEPT, _WORST = 12, 14.0
+"""Most assignments that are followed side by side, and how much more one may cost."""
+_SAME = 5
+"""Frames after which assignments that differ in names alone are compared."""
+CERTAIN = 3.0
+"""Least difference in cost by which one assignment is believed: odds of 20 to 1."""
+
+
+@dataclass(frozen=True)
+class Links:
+    """Who every detection is."""
+
+    labels: Int[np.ndarray, " rows"]
+    """A number per detection; -1 for detections that are pieces of another."""
+    ended: Mapping[int, int]
+    """Frame in which a person's track ends because it may go on as somebody else's."""
+
+
+@dataclass(frozen=True)
+class _Person:
+    """Somebody as they were last seen."""
+
+    label: int
+    rows: tuple[int, ...]
+    """Their last detections."""
+    frame: int
+    pixels: Float[np.ndarray, "points 2"]
+    known: Bool[np.ndarray, " points"]
+    velocity: Float[np.ndarray, "2"]
+    """Pixels per frame."""
+    size: float
+    """Of the body in the image, pixels."""
+    trunk: float
+    """Logarithm of its length in pixels; NaN before it was seen."""
+
+    def expected(self, frame: int) -> Float[np.ndarray, "points 2"]:
+        """Places of the keypoints in a later frame."""
+        return self.pixels + self.coasted(frame) * self.velocity
+
+    def coasted(self, frame: int) -> int:
+        """Frames for which the velocity carries on; 0 once it is forgotten."""
+        gone = frame - self.frame
+        return gone if gone <= _COASTING else 0
+
+
+@dataclass(frozen=True)
+class _Frame:
+    """A frame's links, and those of the frames before it."""
+
+    number: int
+    labels: dict[int, int]
+    """Row to label."""
+    before: "_Frame | None"
+
+
+@dataclass(frozen=True)
+class _Assignment:
+    """One way to link all detections so far."""
+
+    people: tuple[_Person, ...]
+    cost: float
+    frames: _Frame | None
+    fresh: int
+    """The next label."""
+    doubts: tuple[tuple[int, frozenset[int]], ...] = ()
+    """First frame of every doubt, and the labels that it concerns from then on."""
+
+    @property
+    def nameless(self) -> frozenset[tuple[int, ...]]:
+        """The last detections of everybody, without names."""
+        return frozenset(person.rows for person in self.people)
+
+
+def farthest(unseen: int) -> float:
+    """How far somebody may be from the expected place, in body sizes.
+
+    Args:
+        unseen: number of frames without a detection before.
+    """
+    return min(_GATE + _GATE_GROWTH * unseen, _GATE_LIMIT)
+
+
+def linked(detections: Detections, rows: Int[np.ndarray, " rows"]) -> Links:
+    """The people that detections are of.
+
+    Args:
+        detections: of one view.
+        rows: detections that are people, by frame.
+    """
+    found = _Linking(detections, rows)
+    for frame in np.unique(detections.frame[rows]).tolist():
+        found.step(frame)
+    return found.links()
+
+
+class _Linking:
+    """Assignments that are followed side by side."""
+
+    def __init__(self, detections: Detections, rows: Int[np.ndarray, " rows"]) -> None:
+        self.seen = detections
+        self.rows = rows
+        self.sizes = {int(r): size_of(detections, int(r)) for r in rows}
+        self.trunks = {int(r): trunk_of(detections, int(r)) for r in rows}
+        self.spread = self._usual_spread()
+        self.followed = [_Assignment((), 0.0, None, 0)]
+
+    def step(self, frame: int) -> None:
+        """Link the detections of the next frame."""
+        every = self.rows[self.seen.frame[self.rows] == frame].tolist()
+        alive = [_alive(one, frame) for one in self.followed]
+        here = whole(self.seen, every, [p.rows[-1] for p in alive[0].people])
+        here = self._distinct(here, alive[0].people, frame)
+        after: list[_Assignment] = []
+        for one in alive:
+            costs = self._costs(one.people, here, frame)
+            after += [self._extended(one, here, frame, pairs, costs) for pairs in choices(costs)]
+        self.followed = self._compared(after)
+
+    def links(self) -> Links:
+        """The best assignment; tracks that may be exchanged end there and new ones begin."""
+        best, *others = self.followed
+        for other in others:
+            best = _doubted(best, other)
+        labels = dict[int, int]()
+        step = best.frames
+        while step is not None:
+            labels.update(step.labels)
+            step = step.before
+        ended: dict[int, int] = {}
+        fresh = best.fresh
+        for frame, names in sorted(best.doubts, key=lambda doubt: -doubt[0]):
+            for name in sorted(names):
+                own = [row for row, label in labels.items() if label == name]
+                later = [row for row in own if self.seen.frame[row] >= frame]
+                if not 0 < len(later) < len(own):
+                    continue
+                labels.update(dict.fromkeys(later, fresh))
+                if name in ended:
+                    ended[fresh] = ended[name]
+                ended[name] = frame
+                fresh += 1
+        return Links(np.array([labels.get(int(row), -1) for row in self.rows]), ended)
+
+    def _distinct(self, rows: Sequence[int], people: Sequence[_Person], frame: int) -> list[int]:
+        """The best of the detections of one person; as many as there are people at a place."""
+        lately = [
+            p.expected(frame)
+            for p in people
+            if frame - p.frame <= _LATELY and len(p.rows) == _SAME
+        ]
+        kept: list[int] = []
+        for row in sorted(rows, key=lambda r: -float(self.seen.confidence[r].sum())):
+            doubles = sum(gap(self.seen, row, other) < _SAME_PLACE for other in kept)
+            if doubles < max(sum(self._is_near(row, place) for place in lately), 1):
+                kept.append(row)
+        return sorted(kept)
+
+    def _is_near(self, row: int, place: Float[np.ndarray, "points 2"]) -> bool:
+        known = self.seen.confidence[row] > 0
+        away = np.linalg.norm(self.seen.pixels[row, known] - place[known], axis=-1).mean()
+        return bool(away < _NEAR_PERSON * self.sizes[row])
+
+    def _usual_spread(self) -> float:
+        """How much bodies change their pose from frame to frame, in body sizes; the median."""
+        near: list[float] = []
+        by_frame = [
+            self.rows[self.seen.frame[self.rows] == f]
+            for f in np.unique(self.seen.frame[self.rows])
+        ]
+        for one, two in pairwise(by_frame):
+            for a in one.tolist():
+                nearest = min(two.tolist(), key=lambda b, a=a: gap(self.seen, a, b))
+                near.append(reshaping(self.seen, a, nearest))
+        usual = np.median(near) if near else np.inf
+        return float(np.clip(usual, *_SPREADS))
+
+    def _costs(
+        self, people: Sequence[_Person], rows: Sequence[int], frame: int
+    ) -> Float[np.ndarray, "people rows"]:
+        """Costs of links; infinite where somebody cannot have moved so far."""
+        out = np.full((len(people), len(rows)), np.inf)
+        for k, person in enumerate(people):
+            expected, unseen = person.expected(frame), frame - person.frame - 1
+            gate = farthest(unseen)
+            spread = self.spread * (1 + _SPREAD_GROWTH * unseen)
+            for p, row in enumerate(rows):
+                size = max(person.size, self.sizes[row])
+                both = person.known & (self.seen.confidence[row] > 0)
+                if both.sum() >= FEWEST_KEYPOINTS:
+                    away = self.seen.pixels[row, both] - expected[both]
+                    still = self.seen.pixels[row, both] - person.pixels[both]
+                else:
+                    middle = middle_of(self.seen, row)
+                    away = middle - expected[person.known].mean(0, keepdims=True)
+                    still = middle - person.pixels[person.known].mean(0, keepdims=True)
+                least = min(np.linalg.norm(way.mean(0)) for way in (away, still))
+                if least / size > gate:
+                    continue
+                moved = np.median(away, axis=0)
+                apart = np.linalg.norm(away - moved, axis=-1) / (size * min(spread, _LOOSEST))
+                pose = _INDEPENDENT * np.square(np.minimum(apart, _FARTHEST)).sum() / 2
+                far = np.linalg.norm(moved) / (size * spread)
+                place = _TAIL * np.log1p(np.square(far) / (2 * _TAIL))
+                longer = (self.trunks[row] - person.trunk) / _TRUNK_SPREAD
+                trunk = 0.0 if np.isnan(longer) else _TRUNK_SHARE * min(longer**2 / 2, 2.0)
+                out[k, p] = place + pose + trunk
+        return out
+
+    def _extended(
+        self,
+        one: _Assignment,
+        rows: Sequence[int],
+        frame: int,
+        pairs: Mapping[int, int],
+        costs: Float[np.ndarray, "people rows"],
+    ) -> _Assignment:
+        people, fresh, cost, labels = list(one.people), one.fresh, one.cost, dict[int, int]()
+        taken = {p: k for k, p in pairs.items()}
+        for p, row in enumerate(rows):
+            if p in taken:
+                k = taken[p]
+                cost += float(costs[k, p])
+                people[k] = self._seen_again(people[k], row, frame)
+                labels[row] = people[k].label
+            else:
+                cost += BEGINS
+                people.append(self._new(fresh, row, frame))
+                labels[row] = fresh
+                fresh += 1
+        step = _Frame(frame, labels, one.frames)
+        return _Assignment(tuple(people), cost, step, fresh, one.doubts)
+
+    def _new(self, label: int, row: int, frame: int) -> _Person:
+        known = self.seen.confidence[row] > 0
+        return _Person(
+            label, (row,), frame, self.seen.pixels[row], known, np.zeros(2), self.sizes[row],
+            self.trunks[row],
+        )  # fmt: skip
+
+    def _seen_again(self, person: _Person, row: int, frame: int) -> _Person:
+        known, pixels = self.seen.confidence[row] > 0, self.seen.pixels[row]
+        both, frames = person.known & known, frame - person.frame
+        kept = person.velocity if person.coasted(frame) else np.zeros(2)
+        moved = frames * kept
+        if both.sum() >= FEWEST_KEYPOINTS:
+            moved = np.median(pixels[both] - person.pixels[both], axis=0)
+        # the first frames tell the velocity by themselves
+        share = max(_MEMORY, 1 / len(person.rows)) if len(person.rows) < _SAME else _MEMORY
+        trunk = self.trunks[row]
+        if not np.isnan(person.trunk) and not np.isnan(trunk):
+            trunk = person.trunk + share * (trunk - person.trunk)
+        elif np.isnan(trunk):
+            trunk = person.trunk
+        return replace(
+            person,
+            rows=(*person.rows, row)[-_SAME:],
+            frame=frame,
+            pixels=np.where(known[:, None], pixels, person.pixels + moved),
+            known=person.known | known,
+            velocity=kept + share * (moved / frames - kept),
+            size=max(self.sizes[row], 0.9 * person.size),
+            trunk=trunk,
+        )
+
+    def _compared(self, after: list[_Assignment]) -> list[_Assignment]:
+        """The best assignments; of those that differ in names alone, the better one."""
+        after.sort(key=lambda one: one.cost)
+        kept: dict[frozenset[tuple[int, ...]], _Assignment] = {}
+        for one in after:
+            if one.cost > after[0].cost + _WORST:
+                break
+            same = kept.get(one.nameless)
+            if same is None:
+                kept[one.nameless] = one
+            else:
+                kept[one.nameless] = _doubted(same, one)
+        return list(kept.values())[:_KEPT]
+
+
+def _doubted(best: _Assignment, other: _Assignment) -> _Assignment:
+    """The best, with a doubt where another is about as good and calls people otherwise."""
+    if other.cost - best.cost >= CERTAIN:
+        return best
+    names = {person.rows[-1]: person.label for person in other.people}
+    changed = frozenset(
+        person.label
+        for person in best.people
+        if names.get(person.rows[-1], person.label) != person.label
+    )
+    if not changed:
+        return best
+    doubt = _parted(best.frames, other.frames), changed
+    return replace(best, doubts=(*best.doubts, doubt))
+
+
+def _alive(one: _Assignment, frame: int) -> _Assignment:
+    return replace(one, people=tuple(p for p in one.people if frame - p.frame <= LOST_AFTER))
+
+
+def _parted(one: _Frame | None, two: _Frame | None) -> int:
+    """The first frame in which two assignments differ."""
+    first = -1
+    while one is not two:
+        assert one is not None
+        assert two is not None
+        if one.labels != two.labels:
+            first = one.number
+        one, two = one.before, two.before
+    return first

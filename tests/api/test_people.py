@@ -1,0 +1,99 @@
+"""Everybody in the detections of one film: a motion each, in one world."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+import recon
+from recon.core.camera import full_hd_camera, transform
+from recon.core.motion import Motion
+from recon.fitting.clip_files import load_clip
+from recon.fitting.settings import FitSettings
+from recon.jobs.fit import fit_people_files
+from recon.simulation.images import keypoints2d
+from recon.simulation.points import Corruption
+from tests.filmed import bundled, turned, walk
+
+FRAMES = 24
+BESIDE = (-1.5, 1.5)
+"""Metres to the left and right of the camera's axis."""
+
+
+def two_people() -> list[Motion]:
+    """Two walkers side by side, of whom one goes the other way; at 30 Hz."""
+    one, two = walk(FRAMES), turned(walk(FRAMES, 10), 3.0)
+    out = []
+    for motion, x in zip((one, two), BESIDE, strict=True):
+        pelvis = bundled().pose(motion).joints[:, 0].mean(0)
+        shift = torch.tensor([x - float(pelvis[0]), 5.0 - float(pelvis[1]), 0.0])
+        out.append(motion.replace(translation=motion.translation + shift))
+    return out
+
+
+@pytest.fixture(scope="module")
+def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Detections of OpenPose, which names nobody; people change places in its files."""
+    camera = full_hd_camera().placed(torch.tensor([0.0, 0.0, 1.5]), torch.tensor([0.0, 5.0, 1.0]))
+    seen = [
+        keypoints2d(motion, bundled(), camera, Corruption(noise=2.0), k)
+        for k, motion in enumerate(two_people())
+    ]
+    folder = tmp_path_factory.mktemp("film") / "cam"
+    folder.mkdir()
+    for t in range(FRAMES):
+        people = [
+            np.concatenate((one.pixels[t], one.confidence[t][:, None]), 1).ravel().tolist()
+            for one in (seen if t % 3 else seen[::-1])
+        ]
+        record = {"version": 1.3, "people": [{"pose_keypoints_2d": one} for one in people]}
+        (folder / f"cam_{t:012d}_keypoints.json").write_text(json.dumps(record))
+    return folder
+
+
+def test_everybody_is_fitted_in_one_world(film: Path, tmp_path: Path) -> None:
+    """Fits of one person each put their worlds and lenses where each liked best."""
+    settings = FitSettings(prior="pose", frame_rate=30.0, image_size=(1920, 1080), person="all")
+    report = fit_people_files([film], tmp_path / "people", settings)
+    names = ["person_0.npz", "person_1.npz"]
+    assert list(report["people"]) == list(report["summary"]) == names
+    assert report["camera_shared"]
+    assert any("one camera for 2 people" in line for line in report["read"])
+    written = sorted(one.name for one in (tmp_path / "people").iterdir())
+    assert written == [*names, "report.json"]
+    files = [recon.load_motion(tmp_path / "people" / name) for name in names]
+    assert files[0].T_world_camera is not None
+    assert files[1].T_world_camera is not None
+    assert torch.equal(files[0].T_world_camera, files[1].T_world_camera)
+    assert all(one.ground is not None and float(one.ground[3]) == 0 for one in files)
+    camera = torch.linalg.inv(files[0].T_world_camera[0])
+    places = [transform(camera, bundled().pose(one.motion).joints)[:, 0].mean(0) for one in files]
+    across = sorted(float(place[0]) for place in places)
+    assert across[1] - across[0] == pytest.approx(BESIDE[1] - BESIDE[0], rel=0.25)
+    assert abs(float(places[0][2] - places[1][2])) < 0.6
+
+
+def test_people_of_a_recording_are_clips_of_their_own(film: Path) -> None:
+    people = recon.load_people(film, frame_rate=30.0, image_size=(1920, 1080))
+    assert [one.number for one in people] == [0, 1]
+    means = [one.clip.observations[0].shown.sum() for one in people]  # type: ignore[union-attr]
+    assert all(int(count) > 20 * FRAMES for count in means)
+
+
+def test_one_clip_is_of_one_person(film: Path) -> None:
+    settings = FitSettings(frame_rate=30.0, person="all")
+    with pytest.raises(recon.ReconError, match="recon fit --person all"):
+        load_clip([film], settings, bundled())
+
+
+def test_nobody_is_no_recording() -> None:
+    with pytest.raises(recon.ReconError, match="nobody to fit"):
+        recon.fit_people([])
+
+
+def test_masks_are_of_one_person(film: Path, tmp_path: Path) -> None:
+    settings = FitSettings(frame_rate=30.0, person="all", masks=film)
+    with pytest.raises(recon.ReconError, match="--masks"):
+        fit_people_files([film], tmp_path / "people", settings)
