@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from recon.api.result import Result as Result
     from recon.api.results.laboratory import LaboratoryReport as LaboratoryReport
     from recon.api.results.motion import MotionResult as MotionResult
-    from recon.api.results.people import People as People
     from recon.api.shapes import Shape as Shape
     from recon.api.verbs.angles import joint_angles as joint_angles
     from recon.api.verbs.complete import complete as complete
@@ -34,6 +33,7 @@ if TYPE_CHECKING:
     from recon.api.verbs.interpolate import interpolate as interpolate
     from recon.api.verbs.people import fit_people as fit_people
     from recon.api.verbs.people import load_people as load_people
+    from recon.api.verbs.people_results import People as People
     from recon.api.verbs.refine import refine as refine
     from recon.api.verbs.report import report as report
     from recon.api.verbs.retarget import retarget as retarget
@@ -63,7 +63,7 @@ _HOMES = {
     "fit_clips": "recon.api.many",
     "fit_people": "recon.api.verbs.people",
     "load_people": "recon.api.verbs.people",
-    "People": "recon.api.results.people",
+    "People": "recon.api.verbs.people_results",
     "Stream": "recon.api.live.stream",
     "LiveEstimate": "recon.api.live.estimate",
     "Result": "recon.api.result",

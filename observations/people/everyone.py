@@ -14,7 +14,7 @@ _LEAST_SHARE = 0.1
 
 
 @dataclass(frozen=True)
-class Person:
+class SeenPerson:
     """One of several people."""
 
     number: int
@@ -29,7 +29,7 @@ class Person:
 class Everyone:
     """Everybody who was seen for long enough to be fitted."""
 
-    people: tuple[Person, ...]
+    people: tuple[SeenPerson, ...]
     decisions: tuple[str, ...]
     """Who was left out, and why."""
 
@@ -47,14 +47,14 @@ def everyone(seen: SeenViews) -> Everyone:
     else:
         groups, notes = everybody_across_views(views, up_given=seen.up_given)
     best = max((_completeness(tracks) for _, tracks in groups), default=0.0)
-    people: list[Person] = []
+    people: list[SeenPerson] = []
     for number, tracks in groups:
         note = "; ".join(str(track) for track in tracks if track is not None)
         seconds = max(len(track.frame) for track in tracks if track is not None) / seen.fps
         if seconds < _LEAST_SECONDS or _completeness(tracks) < _LEAST_SHARE * best:
             notes.append(f"left out, seen too little: {note}")
             continue
-        people.append(Person(number, seen.of(tracks, [note]), note))
+        people.append(SeenPerson(number, seen.of(tracks, [note]), note))
     if len(people) == 0:
         raise ObservationError(
             f"{', '.join(seen.names)}: nobody is seen for {_LEAST_SECONDS} s; there are "

@@ -78,8 +78,9 @@ def fit_people_files(
     inputs = input_checksums(paths, settings)
     body = BodyModel.load(settings.body)
     people, notes = load_people(paths, settings, body)
-    noise = [] if settings.noise_pixels is None else [settings.noise_pixels]
-    arguments = _arguments(settings, body, watch) | {"noise": noise or None}
+    arguments = _arguments(settings, body, watch)
+    if settings.noise_pixels is not None:
+        arguments["noise"] = settings.noise_pixels
     found = fit_people(people, settings.prior, notes=notes, **arguments)
     report = found.report(inputs, asdict(settings))
     found.save(out, overwrite=overwrite, report=report)

@@ -25,7 +25,7 @@ _PLACES = 20
 
 
 @dataclass(frozen=True)
-class Shared:
+class SharedCamera:
     """A camera in a world whose ground is z = 0."""
 
     matrix: Float[Tensor, "3 3"]
@@ -74,7 +74,7 @@ class _Alone:
         return self.places + np.array([0.0, 0.0, (focal / self.focal - 1) * self.depth])
 
 
-def shared_camera(results: Sequence[Result]) -> Shared:
+def shared_camera(results: Sequence[Result]) -> SharedCamera:
     """The camera that fits everybody best.
 
     Focal lengths are averaged. The ground is the plane to which the places of all people come
@@ -100,7 +100,7 @@ def shared_camera(results: Sequence[Result]) -> Shared:
     zoomed = matrix.clone()
     zoomed[:2, :2] *= focal / alone[0].focal
     tilts = [np.degrees(np.arccos(np.clip(one.up @ normal, -1, 1))) for one in alone]
-    return Shared(
+    return SharedCamera(
         matrix=zoomed.float(),
         T_camera_world=torch.linalg.inv(T).float(),
         starts=starts,

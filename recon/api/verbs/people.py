@@ -12,8 +12,8 @@ from observations.together import kinds
 from recon.api.fit import fit
 from recon.api.given import BodyLike, body_given
 from recon.api.result import Result
-from recon.api.results.people import People
-from recon.api.verbs.one_camera import Shared, shared_camera
+from recon.api.verbs.one_camera import SharedCamera, shared_camera
+from recon.api.verbs.people_results import People
 from recon.body.model import BodyModel
 from recon.core.errors import FormatError, ReconError
 from recon.core.motion import Motion
@@ -118,7 +118,7 @@ def fit_people(
     numbers = tuple(one.number for one in people)
     clips = [one.clip for one in people]
     starts: list[Motion | None] = [None] * len(clips)
-    shared: Shared | None = None
+    shared: SharedCamera | None = None
     if len(clips) > 1 and arguments.get("ground", "auto") in ("auto", "unknown"):
         views = [_only_view(clip) for clip in clips]
         if all(view is not None for view in views):
@@ -167,7 +167,7 @@ def _only_view(clip: Clip) -> Keypoints2D | None:
     return view if fixed and not view.ground_known else None
 
 
-def _before(clip: Clip, shared: Shared) -> Clip:
+def _before(clip: Clip, shared: SharedCamera) -> Clip:
     """The clip as the shared camera saw it, whose pose is known from here on."""
     (view,) = kinds.views(clip.observations)
     camera = view.camera.derived(
