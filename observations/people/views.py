@@ -270,7 +270,7 @@ def _one_person(seen: SeenViews, person: int | None) -> tuple[list[Track | None]
     views = seen.followed()
     if len(views) > 1:
         return across_views(views, person, up_given=seen.up_given)
-    tracks = views[0].tracks
+    tracks = next(iter(views)).tracks
     track = choose(tracks, person, seen.found[0].name)
     who = "the only one" if len(tracks) == 1 else "given" if person is not None else "most"
     if who == "most" and track.completeness < max(one.completeness for one in tracks):
