@@ -67,7 +67,7 @@ class Scene:
     camera: Camera
     detections: Detections
     person: tuple[int, ...]
-    """Whose every detection is."""
+    """The number of the person that every detection is of."""
 
 
 def main() -> None:
@@ -125,7 +125,7 @@ def scene(pair: Sequence[Motion], body: BodyModel, kind: str, seed: int) -> Scen
         for motion, heading, side in zip(pair, headings, (-1, 1), strict=True)
     ]
     if kind == "overtaking":
-        motions[1] = _faster(motions[1], body, headings[1], when)
+        motions[1] = _faster(motions[1], headings[1], when)
     lens = full_hd_camera()
     camera = lens.placed(torch.tensor([0.0, -7.0, 1.5]), torch.tensor([0.0, 0.0, 0.95]))
     detections, person = _detected(motions, body, camera, random)
@@ -144,11 +144,10 @@ def _set(motion: Motion, body: BodyModel, heading: float, when: int, depth: floa
     return motion.carried(T, pelvis)
 
 
-def _faster(motion: Motion, body: BodyModel, heading: float, when: int) -> Motion:
-    """The same steps on ground that moves along at half a metre per second: a faster walker."""
+def _faster(motion: Motion, heading: float, when: int) -> Motion:
+    """A faster walker: the steps are made on ground that moves along by 0.5 m/s."""
     seconds = (torch.arange(motion.frames) - when) / motion.fps
     along = torch.tensor([math.cos(heading), math.sin(heading), 0.0])
-    del body
     return motion.replace(translation=motion.translation + 0.5 * seconds[:, None] * along)
 
 
@@ -240,7 +239,7 @@ def judged(one: Scene) -> dict[str, Any]:
 
 
 def _owners(track: Track, one: Scene) -> np.ndarray:
-    """Whose every detection of a track is."""
+    """Numbers of the people that the detections of a track are of."""
     found: list[int] = []
     for frame, pixels in zip(track.frame, track.pixels, strict=True):
         rows = np.flatnonzero(one.detections.frame == frame)

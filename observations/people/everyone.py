@@ -18,11 +18,11 @@ class SeenPerson:
     """One of several people."""
 
     number: int
-    """As `--person` takes it: by first appearance, in the first view that shows them."""
+    """Their number by first appearance in the first view that shows them, for `--person`."""
     views: Views
     """What was seen of them."""
     note: str
-    """When they were seen, and where."""
+    """Frames in which they were seen, and their place in the image."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Everyone:
 
     people: tuple[SeenPerson, ...]
     decisions: tuple[str, ...]
-    """Who was left out, and why."""
+    """People who were left out, and the reasons."""
 
 
 def everyone(seen: SeenViews) -> Everyone:

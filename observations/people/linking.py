@@ -67,7 +67,7 @@ CERTAIN = 3.0
 
 @dataclass(frozen=True)
 class Links:
-    """Who every detection is."""
+    """The people that detections are of."""
 
     labels: Int[np.ndarray, " rows"]
     """A number per detection; -1 for detections that are pieces of another."""
@@ -88,7 +88,7 @@ class _Person:
     velocity: Float[np.ndarray, "2"]
     """Pixels per frame."""
     size: float
-    """Of the body in the image, pixels."""
+    """Size of the body in the image, pixels."""
     trunk: float
     """Logarithm of its length in pixels; NaN before it was seen."""
 

@@ -55,7 +55,7 @@ def gap(detections: Detections, a: int, b: int) -> float:
 
 
 def reshaping(detections: Detections, a: int, b: int) -> float:
-    """The same without what all keypoints have in common: how much the body changes its pose."""
+    """Change of the pose: the gap without what the ways of all keypoints have in common."""
     both = (detections.confidence[a] > 0) & (detections.confidence[b] > 0)
     if both.sum() < FEWEST_KEYPOINTS:
         return float("inf")

@@ -155,7 +155,7 @@ class PersonClip:
     """One of several people in detections."""
 
     number: int
-    """As `person` takes it."""
+    """Their number as `person` takes it."""
     clip: Clip
     """What was seen of them, from when they were first seen to when they were last seen."""
 

@@ -46,7 +46,7 @@ class _Alone:
     """Mean distance of the pelvis along the viewing axis, metres."""
     up: Float[np.ndarray, "3"]
     places: Float[np.ndarray, "places 3"]
-    """Of the pelvis, brought down to the ground; metres."""
+    """Places of the pelvis, brought down to the ground; metres."""
 
     @classmethod
     def of(cls, result: Result) -> "_Alone":

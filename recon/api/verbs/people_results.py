@@ -21,7 +21,7 @@ class People:
 
     results: tuple[Result, ...]
     numbers: tuple[int, ...]
-    """Of the people, as `--person` takes them."""
+    """Numbers of the people, as `--person` takes them."""
     camera_shared: bool
     """Whether all are in one world, with one camera and one ground that were found together."""
     notes: tuple[str, ...] = ()
@@ -50,7 +50,7 @@ class People:
         return any(one.failed for one in self.results)
 
     def summary(self) -> dict[str, dict[str, Any]]:
-        """By file: seconds of the recording's clock, height, and the median residuals."""
+        """Seconds of the recording's clock, height, and median residuals, by file."""
         out: dict[str, dict[str, Any]] = {}
         for name, one in zip(self._names(), self.results, strict=True):
             motion = one.motion
