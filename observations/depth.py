@@ -18,7 +18,7 @@ from observations.surfels import Surfels
 from observations.timing import at_observation_times, moment_numbers, moments_between, padded
 from priors.labels.record import PointLabels
 from recon.body.model import BodyModel
-from recon.core.arrays import Numbers
+from recon.core.arrays import Numbers, float_tensor
 from recon.core.camera import Camera, transform
 from recon.core.errors import ObservationError
 from recon.core.geometry.nearest import nearest
@@ -32,9 +32,10 @@ _FLESH, _FLESH_POINTS = 0.15, 3
 """Metres from a joint within which this many points of a cloud show it."""
 CLOUD_NOISE = 0.01
 """Metres that depth sensors, clothes and hair put between points and a smooth body."""
-CLOUD_WORTH = 16
-"""Points that know their place on the body, as which the cloud of a frame counts, however many
-points it has: neighbours err alike, and none of them says more than how far the surface is."""
+CLOUD_WORTH = 64
+"""Patches of the surface that err independently of each other, as which the cloud of a frame
+counts, however many points it has: what clothes and a smooth body miss is alike in neighbours.
+Chosen on validation windows among 16, 64 and 128."""
 
 
 @dataclass(frozen=True, init=False)
@@ -76,6 +77,9 @@ class PointCloud(SensorRecord):
     """Scale of `tukey` in metres, while correspondences are fixed; None estimates it."""
     labels: PointLabels | None = None
     """What is believed of every point, if a network or somebody has looked at the cloud."""
+    std: Float[Tensor, "*batch moments"] | None = None
+    """Standard deviation of the sensor's distances at every moment, metres, which errs point by
+    point; None counts all moments alike. The published energy has none."""
 
     def __init__(
         self,
@@ -92,6 +96,7 @@ class PointCloud(SensorRecord):
         pairs: Int[Tensor, "*batch moments points"] | None = None,
         scale: Float[Tensor, "*batch"] | None = None,
         labels: PointLabels | None = None,
+        std: Numbers | None = None,
     ) -> None:
         """Arrays of numpy become tensors in single precision; what is not present becomes zero.
 
@@ -108,10 +113,16 @@ class PointCloud(SensorRecord):
                 f"PointCloud: expected labels of {tuple(present.shape)} points, as they are "
                 f"present, got {tuple(labels.present.shape)}"
             )
+        deviation = None if std is None else float_tensor(std, "PointCloud.std").to(points)
+        if deviation is not None and deviation.shape != present.shape[:-1]:
+            raise ObservationError(
+                f"PointCloud: expected std of {tuple(present.shape[:-1])} moments, metres, got "
+                f"{tuple(deviation.shape)}"
+            )
         self._settle(
             points=points, present=present, surfels=surfels, fps=fps, start_time=start_time,
             camera=view, distance=distance, kernel=kernel, ground_known=ground_known,
-            ground_seen=ground_seen, pairs=pairs, scale=scale, labels=labels,
+            ground_seen=ground_seen, pairs=pairs, scale=scale, labels=labels, std=deviation,
         )  # fmt: skip
 
     @property
@@ -165,6 +176,7 @@ class PointCloud(SensorRecord):
             if self.kernel is not tukey:
                 return self.derived(pairs=pairs, scale=None)
             squared, present = self._between(middles, normals, seen, pairs[..., seen, :])
+            squared = squared / self._relative(seen)[0]
             scale = tukey_scale(squared.flatten(-2), present.flatten(-2))
             return self.derived(pairs=pairs, scale=scale)
 
@@ -175,23 +187,46 @@ class PointCloud(SensorRecord):
         faces the sensor. HuMoR section 6.5, points3d, is `to_vertices` with `reweighted` on all
         vertices. Where no vertex faces the sensor, all of them are searched.
         """
-        squared, present = self.squared_distances(estimate)
-        squared, present = squared.flatten(-2), present.flatten(-2)
+        squared, present, seen = self._squared_distances(estimate)
+        variance, worth = self._relative(seen)
+        relative, present = (squared / variance).flatten(-2), present.flatten(-2)
         held = self.scale
-        counted = self.kernel(squared, present) if held is None else within(squared, held)
-        counted = counted.where(present, 0.0)
+        counted = self.kernel(relative, present) if held is None else within(relative, held)
+        counted = worth.expand(squared.shape).flatten(-2) * counted.where(present, 0.0)
         return 0.5 * counted.sum(-1) * (REFERENCE_FPS / self.fps)
+
+    def _relative(
+        self, seen: slice | Tensor
+    ) -> tuple[Float[Tensor, "*batch seen 1"], Float[Tensor, "*batch seen 1"]]:
+        """Variances of distances in units of `CLOUD_NOISE`², and what such a square is worth.
+
+        What a smooth body misses of a person is alike in a patch of the surface, of which a frame
+        shows `CLOUD_WORTH`; what the sensor adds is another in each of the n points of the frame.
+        So a frame tells as much as CLOUD_WORTH / (CLOUD_NOISE² + std² CLOUD_WORTH / n) does.
+        """
+        if self.std is None:
+            one = self.points.new_ones((*self.present.shape[:-2], 1, 1))
+            return one, one
+        added = (self.std / CLOUD_NOISE).square()[..., seen, None]
+        count = self.present[..., seen, :].sum(-1, keepdim=True).clamp(min=CLOUD_WORTH)
+        return 1 + added, (1 + added) / (1 + added * CLOUD_WORTH / count)
 
     def squared_distances(self, estimate: Estimate) -> tuple[Tensor, Tensor]:
         """Squared distances (*batch, seen, points), metres², and which points are present."""
+        squared, present, _ = self._squared_distances(estimate)
+        return squared, present
+
+    def _squared_distances(self, estimate: Estimate) -> tuple[Tensor, Tensor, slice | Tensor]:
+        """Squared distances, presence, and the moments that they are of."""
         if self.pairs is not None and estimate.body.model.pose_directions is None:
             return self._from_pairs(estimate, self.pairs)
         middles, normals, seen = self._surface(estimate)
         if self.pairs is not None:
-            return self._between(middles, normals, seen, self.pairs[..., seen, :])
+            return *self._between(middles, normals, seen, self.pairs[..., seen, :]), seen
         if self.present[..., seen, :].numel() == 0:
-            return self.points[..., seen, :, :].sum(-1), self.present[..., seen, :]
-        return self._between(middles, normals, seen, self._nearest(middles, normals, seen))
+            return self.points[..., seen, :, :].sum(-1), self.present[..., seen, :], seen
+        index = self._nearest(middles, normals, seen)
+        return *self._between(middles, normals, seen, index), seen
 
     def residuals(self, estimate: Estimate) -> Residuals:
         """Distance of every point from the surface at every moment, metres; one dimension."""
@@ -209,8 +244,8 @@ class PointCloud(SensorRecord):
         pick = index[..., None].expand(*index.shape, 3)
         return self._from_discs(middles.gather(-2, pick), normals.gather(-2, pick), seen, index)
 
-    def _from_pairs(self, estimate: Estimate, pairs: Tensor) -> tuple[Tensor, Tensor]:
-        """Squared distances and presence, where only the discs of these pairs are posed."""
+    def _from_pairs(self, estimate: Estimate, pairs: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Squared distances, presence and moments; only the discs of these pairs are posed."""
         bones, seen = at_observation_times(
             estimate.body.bones.flatten(-3, -2), estimate.motion,
             fps=self.fps, start_time=self.start_time, moments=self.points.shape[-3],
@@ -222,7 +257,7 @@ class PointCloud(SensorRecord):
         middles, normals = self.surfels.at(estimate.body, bones, index)
         scene = estimate.scene
         middles, normals = scene.to_recording(middles), scene.to_recording_directions(normals)
-        return self._from_discs(middles, normals, moments, index)
+        return *self._from_discs(middles, normals, moments, index), moments
 
     def _from_discs(
         self, middles: Tensor, normals: Tensor, seen: slice | Tensor, index: Tensor
@@ -263,17 +298,18 @@ class PointCloud(SensorRecord):
         points, present, first = moments_between(self.points, self.present, **clock)
         numbers = moment_numbers(**clock)
         camera = None if self.camera is None else self.camera.at(numbers)
-        found = self.derived(points=points, present=present, camera=camera, start_time=first)
-        if self.labels is None:
-            return found
         there = torch.tensor(numbers).clamp(0, self.moments - 1)
         labels = self._labels(lambda one: one.index_select(self.present.ndim - 2, there))
-        return found.derived(labels=labels.derived(present=present))
+        if labels is not None:
+            labels = labels.derived(present=present)
+        return self.derived(
+            points=points, present=present, camera=camera, start_time=first, labels=labels,
+            std=None if self.std is None else self.std[..., there],
+        )  # fmt: skip
 
-    def _labels(self, function: Callable[[Tensor], Tensor]) -> PointLabels:
-        """The labels with a function applied to each of their tensors."""
-        assert self.labels is not None
-        return self.labels.map(function)
+    def _labels(self, function: Callable[[Tensor], Tensor]) -> PointLabels | None:
+        """The labels, if there are any, with a function applied to each of their tensors."""
+        return None if self.labels is None else self.labels.map(function)
 
     def transformed(self, T_new_old: Float[np.ndarray, "4 4"]) -> "PointCloud":
         """Points and sensor after a rigid transform of the frame that they live in."""
@@ -302,7 +338,8 @@ class PointCloud(SensorRecord):
         return self.derived(
             points=taken(self.points),
             present=taken(self.present),
-            labels=None if self.labels is None else self._labels(taken),
+            labels=self._labels(taken),
+            std=None if self.std is None else self.std[..., every],
             camera=camera,
         )
 

@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from observations.depth import PointCloud
 from observations.surfels import Surfels
@@ -13,6 +13,7 @@ from recon.body.model import BodyModel
 from recon.core.camera import Camera
 from recon.core.errors import ObservationError
 from recon.core.geometry.planes import FoundGround, above, find_ground, largest_cluster, spacing
+from recon.core.geometry.roughness import depth_noise
 from recon.core.ground import Ground
 from recon.core.limits import FRAMES, PADDED_CLOUD
 from recon.formats.observations import CameraArrays, PointsFile
@@ -122,17 +123,29 @@ def cloud_of(
     present = np.zeros((1, frames, most), np.bool_)
     for k, cloud in enumerate(clouds):
         padded[0, k, : len(cloud)], present[0, k, : len(cloud)] = cloud, True
+    camera = None if file.camera is None else _camera(file.camera, T, body)
     observation = PointCloud(
         points=torch.from_numpy(padded).to(body.template),
         present=torch.from_numpy(present).to(body.template.device),
         surfels=Surfels.of(body),
         fps=file.fps,
         start_time=file.start_time,
-        camera=None if file.camera is None else _camera(file.camera, T, body),
+        camera=camera,
+        std=None if camera is None else _noise(padded, present, camera),
         ground_known=known,
         ground_seen=found.ground is not None,
     )
     return LoadedCloud(observation, found, T)
+
+
+def _noise(
+    points: Float[np.ndarray, "1 moments points 3"],
+    present: Bool[np.ndarray, "1 moments points"],
+    camera: Camera,
+) -> Float[np.ndarray, "1 moments"]:
+    """Standard deviation of the sensor's distances at every moment, metres."""
+    eye = camera.at(range(points.shape[1])).T_world_camera[0, :, :3, 3].double().cpu().numpy()
+    return depth_noise(points[0], present[0], np.broadcast_to(eye, (points.shape[1], 3)))[None]
 
 
 def _frames(file: PointsFile, points: int) -> int:

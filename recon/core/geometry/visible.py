@@ -37,8 +37,8 @@ def unhidden(
         slack: metres behind the nearest disc of a cell up to which another one counts as seen.
     """
     shape = front.shape
-    away = (middles.detach() - eye.detach()[..., None, :]).flatten(0, -3)
-    front = front.flatten(0, -2)
+    away = (middles.detach() - eye.detach()[..., None, :]).reshape(-1, *middles.shape[-2:])
+    front = front.reshape(-1, shape[-1])
     depth = away.norm(dim=-1)
     typical = depth.mean(-1, keepdim=True)
     ahead = torch.nn.functional.normalize(away.mean(-2), dim=-1)

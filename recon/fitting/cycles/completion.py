@@ -7,7 +7,7 @@ from typing import Any
 
 import torch
 
-from observations.depth import CLOUD_NOISE, CLOUD_WORTH, PointCloud
+from observations.depth import CLOUD_NOISE, PointCloud
 from observations.noise import weights_of
 from observations.records.surfaces import bounded
 from observations.together import kinds
@@ -40,6 +40,8 @@ FITTED = 256
 ROUGH_RATE = 15.0
 """Frames per second, about, while first guesses are compared: a code moves all moments
 together."""
+_WORTH = 16
+"""Points that know their place on the body, as which the cloud of a frame counts."""
 _AT_ONCE = 96
 """Beginnings that are looked at together."""
 
@@ -195,7 +197,7 @@ def cycle_noise(one: InSpace, told: float | None) -> Noise:
     named = bool(kinds.tracked([one]))
     usual = NAMED_NOISE if named else CLOUD_NOISE
     noise = usual if told is None else told
-    alike = 1.0 if named else max(typical / CLOUD_WORTH, 1.0)
+    alike = 1.0 if named else max(typical / _WORTH, 1.0)
     return Noise(noise * (alike / worth) ** 0.5, noise)
 
 
