@@ -5,17 +5,18 @@ brings the view back to the noise of the keypoints is sure, and undone. What no 
 back is left out where the other views agree, and warned of otherwise.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
 from observations.noise import estimate_noise
 from recon.diagnosis.findings import Code, Finding, spans, stretches
-from recon.diagnosis.views.explanations import Cause, Explained, Odd, mirrored, shifted
+from recon.diagnosis.views.explanations import Cause, Explained, Odd, mirrored
 from recon.diagnosis.views.images import Images
+from recon.diagnosis.views.outcome import Outcome
 from recon.diagnosis.views.rays import Rays
+from recon.diagnosis.views.rigs.corrections import corrected_rig
+from recon.diagnosis.views.rigs.two_views import Agreement, agreement, common_miss
 
 _FLOOR = 2.2
 """Distance, in standard deviations of the keypoints, by which rays of a good view miss the points
@@ -44,21 +45,6 @@ _CLEARLY = 0.6
 """Mirrored images must fit together with less than this share of the error."""
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """All views after what was sure was undone."""
-
-    images: Images
-    repairs: tuple[Finding, ...] = ()
-    warnings: tuple[Finding, ...] = ()
-
-    def then(self, other: "Outcome") -> "Outcome":
-        """The findings of this outcome before those of another."""
-        return Outcome(
-            other.images, (*self.repairs, *other.repairs), (*self.warnings, *other.warnings)
-        )
-
-
 def noise_of_views(images: Images) -> float:
     """Standard deviation of keypoints at the body, metres: the median over the views."""
     pixels, seen = torch.from_numpy(images.pixels), torch.from_numpy(images.seen)
@@ -70,14 +56,6 @@ def noise_of_views(images: Images) -> float:
     return float(np.median(own)) if own and np.isfinite(own).all() else 0.0
 
 
-def common_miss(images: Images) -> float:
-    """Median distance of all rays from the points that they see in common, metres."""
-    rays = Rays.of(images)
-    points, exists = rays.meet()
-    there = exists & (rays.weight > 0)
-    return float(np.median(rays.miss(points)[there])) if there.any() else 0.0
-
-
 def checked_together(images: Images) -> Outcome:
     """Views of one moment compared: one at odds, one out of step, one mirrored."""
     if len(images.names) < 2:
@@ -85,7 +63,8 @@ def checked_together(images: Images) -> Outcome:
     noise = noise_of_views(images)
     if len(images.names) == 2:
         return _two_views(images, noise)
-    outcome = _one_explained(images, noise, tuple(_CODES))
+    outcome = corrected_rig(images)
+    outcome = outcome.then(_one_explained(outcome.images, noise, tuple(_CODES)))
     return outcome.then(_one_left_out(outcome.images, noise))
 
 
@@ -257,26 +236,38 @@ def lasting(flags: Bool[np.ndarray, " moments"], least: int) -> Bool[np.ndarray,
 
 
 def _two_views(images: Images, noise: float) -> Outcome:
-    """Two views contradict each other; nothing tells which of them is wrong."""
+    """Two views contradict each other: their clocks are told, but not which pose is wrong."""
     given, floor = common_miss(images), _PAIR_FLOOR * noise
     if given <= max(_WORSE * floor, 0.002):
         return Outcome(images)
-    shift, away = _best_shift(images)
     names = " and ".join(images.names)
     said = f"{names} contradict each other: their rays miss by {100 * given:.1f} cm"
-    if shift and away <= floor and away < _CLEARLY * given:
-        late = shift / images.fps
-        by = f"{1000 * abs(late):.0f} ms {'late' if late > 0 else 'early'}"
+    timed = agreement(images, ("clock",))
+    by = _out_of_step(images, timed)
+    if timed.remains <= floor and timed.remains < _CLEARLY * given:
         text = (
-            f"{said}, and by {100 * away:.1f} cm if {images.names[1]} is {by}; its "
-            "keypoints were moved in time. Number the frames of all cameras from the same moment"
+            f"{said}, and by {100 * timed.remains:.1f} cm if {by}; its keypoints were moved in "
+            "time. Number the frames of all cameras from the same moment"
         )
-        done = Finding("views out of step", text, value=late)
-        return Outcome(shifted(images, 1, shift), (done,))
+        done = Finding("views out of step", text, value=timed.late / images.fps)
+        return Outcome(timed.images, (done,))
+    turned = agreement(images, ("pose",))
+    both = agreement(images, ("clock", "pose"))
+    if both.remains < turned.remains / _SIMPLER:
+        turned = both
+    if turned.remains <= floor and turned.remains < _CLEARLY * given:
+        late = f"{_out_of_step(images, turned)} and " if turned.late else ""
+        text = (
+            f"{said}, and by {100 * turned.remains:.1f} cm if {late}one of the cameras is turned "
+            f"by {turned.degrees:.1f} degrees against the calibration. Two views do not tell "
+            "which of them, so nothing was changed. Calibrate anew, see that the frames of both "
+            "are numbered from the same moment, or add a view"
+        )
+        return Outcome(images, warnings=(Finding("view at odds", text, value=given),))
     if given <= _PAIR_AT_ODDS:
         return Outcome(images)
-    if shift and away < _CLEARLY * given:
-        text = f"{said}; one clock seems to be off by {1000 * abs(shift) / images.fps:.0f} ms"
+    if timed.remains < _CLEARLY * given:
+        text = f"{said}; it seems that {by}"
         return Outcome(images, warnings=(Finding("views out of step", text, value=given),))
     text = (
         f"{said}. Check that each has its own camera's calibration, in the image size of its "
@@ -285,10 +276,6 @@ def _two_views(images: Images, noise: float) -> Outcome:
     return Outcome(images, warnings=(Finding("view at odds", text, value=given),))
 
 
-def _best_shift(images: Images) -> tuple[float, float]:
-    """Frames by which the second view is late, and what is then missed by, metres."""
-    most = min(round(0.7 * images.fps), images.pixels.shape[1] // 2)
-    steps: Float[np.ndarray, " steps"] = np.arange(-most, most + 1).astype(float)
-    away = np.array([common_miss(shifted(images, 1, step)) for step in steps])
-    k = int(away.argmin())
-    return float(steps[k]), float(away[k])
+def _out_of_step(images: Images, found: Agreement) -> str:
+    late = found.late / images.fps
+    return f"{images.names[1]} is {1000 * abs(late):.0f} ms {'late' if late > 0 else 'early'}"

@@ -1,0 +1,1 @@
+"""Clock and pose of cameras that do not fit the other views of a rig."""

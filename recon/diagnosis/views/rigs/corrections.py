@@ -1,0 +1,171 @@
+"""Rigs out of step or calibration: clock and pose of one camera of several, found and corrected.
+
+Of three views and more, leaving one out tells which is at fault: the others agree, and the one
+agrees with them after a correction of its clock and pose. Two views tell that something is wrong,
+but not which of them.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float
+
+from observations.noise import estimate_noise
+from recon.diagnosis.findings import Code, Finding
+from recon.diagnosis.views.images import Images
+from recon.diagnosis.views.outcome import Outcome
+from recon.diagnosis.views.rigs.registration import Part, Registration, registered
+
+_LEAST_NOISE = 0.5
+"""Pixels; keypoints are not known better than that."""
+_NOISE = 1.5
+"""Multiple of the noise of keypoints that may remain in a view whose correction is sure."""
+_SURE = 60.0
+"""Squared standard deviations by which a part of a correction must be different from none."""
+_FEWER = 30.0
+"""The same for a part beside another one that is certain."""
+_SMALLEST = 0.4
+"""Least distance, in standard deviations of the keypoints, that a correction moves them by."""
+_TOLD = 25.0
+"""Difference of robust squared residuals that tells two views apart."""
+_SMALLEST_CLOCK = 0.004
+"""Seconds below which a clock is left as it is."""
+_SMALLEST_TURN = 0.08
+"""Degrees below which, with a shift below `_SMALLEST_SHIFT`, a pose is left as it is."""
+_SMALLEST_SHIFT = 0.01
+"""Metres."""
+
+
+def pixel_noise(images: Images) -> Float[np.ndarray, " views"]:
+    """Standard deviation of a pixel coordinate in every view, by its third differences."""
+    pixels, seen = torch.from_numpy(images.pixels), torch.from_numpy(images.seen)
+    return np.array([
+        estimate_noise(pixels[v], seen[v], (_LEAST_NOISE, np.inf)) if seen[v].any() else np.inf
+        for v in range(len(images.names))
+    ])  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Corrections:
+    """What single views must be corrected by, and whether that is decided."""
+
+    images: Images
+    """All views after the corrections."""
+    applied: tuple[Registration, ...] = ()
+    undecided: tuple[Registration, ...] = ()
+    """Corrections of different views of which each would leave nothing but noise."""
+
+
+def corrections(images: Images) -> Corrections:
+    """Clocks and poses put right where that is sure.
+
+    One view after the other, as long as two views remain that need no correction.
+    """
+    applied: tuple[Registration, ...] = ()
+    for _ in range(len(images.names) - 2):
+        found = candidates(images)
+        if not found:
+            break
+        best = found[0]
+        alike = [one for one in found if one.cost - best.cost < _TOLD * best.inflation]
+        if len(alike) > 1:
+            return Corrections(images, applied, tuple(alike))
+        images, applied = best.applied(images), (*applied, best)
+    return Corrections(images, applied)
+
+
+def corrected_rig(images: Images) -> Outcome:
+    """The views after `corrections`, in the words of findings."""
+    found = corrections(images)
+    repairs = tuple(_finding(images, one) for one in found.applied)
+    warnings = (_undecided(images, found.undecided),) if found.undecided else ()
+    return Outcome(found.images, repairs, warnings)
+
+
+def candidates(images: Images) -> list[Registration]:
+    """Corrections of single fixed views that leave nothing but noise, the likeliest first."""
+    noise = pixel_noise(images)
+    if not np.isfinite(noise).all():
+        return []
+    found = [
+        one
+        for v, fixed in enumerate(images.fixed)
+        if fixed and (one := _simplest(images, v, noise)) is not None
+    ]
+    return sorted(found, key=lambda one: one.cost)
+
+
+def _simplest(
+    images: Images, view: int, noise: Float[np.ndarray, " views"]
+) -> Registration | None:
+    """A certain correction of a view by no more than is needed; None where there is none."""
+    both = registered(images, view, noise)
+    if both is None or both.noise > _NOISE or both.moves < _SMALLEST:
+        return None
+    parts: list[Part] = [part for part in ("clock", "pose") if _needed(both, part, images.fps)]
+    if not parts:
+        return None
+    if len(parts) == 2:
+        return both
+    one = registered(images, view, noise, (parts[0],))
+    if one is None or one.noise > _NOISE or one.squared_deviations(parts[0]) < _SURE:
+        return None
+    return one
+
+
+def _needed(found: Registration, part: Part, fps: float) -> bool:
+    if found.squared_deviations(part) < _FEWER:
+        return False
+    if part == "clock":
+        return abs(found.late) / fps >= _SMALLEST_CLOCK
+    return found.degrees >= _SMALLEST_TURN or found.metres >= _SMALLEST_SHIFT
+
+
+def _finding(images: Images, found: Registration) -> Finding:
+    late = found.late / images.fps
+    code: Code = "views out of step" if late else "view at odds"
+    value = late if late else found.degrees
+    return Finding(
+        code,
+        f"{images.names[found.view]} contradicts the other views: {_said(found, images.fps)}. "
+        f"That was corrected. {_advice(found)}",
+        value=value,
+    )
+
+
+def _said(found: Registration, fps: float) -> str:
+    """What is wrong with a view, with standard deviations."""
+    std = np.sqrt(np.diag(found.covariance))
+    out: list[str] = []
+    if found.late:
+        late = found.late / fps
+        out.append(
+            f"its clock is {1000 * abs(late):.0f} ms {'late' if late > 0 else 'early'} "
+            f"(standard deviation {1000 * std[0] / fps:.1f} ms)"
+        )
+    if found.values[1:].any():
+        out.append(
+            f"its camera is turned by {found.degrees:.2f} degrees "
+            f"({np.degrees(std[1:4].max()):.2f}) and shifted by {100 * found.metres:.1f} cm "
+            f"({100 * std[4:].max():.1f}) against the calibration"
+        )
+    return " and ".join(out)
+
+
+def _advice(found: Registration) -> str:
+    clock = "Number the frames of all cameras from the same moment"
+    if not found.values[1:].any():
+        return clock
+    return f"{clock}, and calibrate anew" if found.late else "Calibrate anew"
+
+
+def _undecided(images: Images, alike: Sequence[Registration]) -> Finding:
+    each = "; or ".join(f"{images.names[one.view]}: {_said(one, images.fps)}" for one in alike)
+    return Finding(
+        "view at odds",
+        f"the views contradict each other, and they do not tell which of them is wrong: {each}. "
+        "Nothing was changed. Check the calibration and the clocks, or add a view",
+        value=alike[0].degrees,
+    )

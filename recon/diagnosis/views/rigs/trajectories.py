@@ -1,0 +1,124 @@
+"""Smooth paths of points that several views see, to be had at any time, with their covariance."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from recon.diagnosis.views.images import Images
+from recon.diagnosis.views.rays import Rays
+
+_REACH = 0.07
+"""Seconds to either side over which the path of a point is taken for a parabola."""
+
+
+@dataclass(frozen=True)
+class Trajectories:
+    """Points triangulated from views of one clock; a parabola in time about every moment.
+
+    Position and velocity of a least-squares parabola about its middle have uncorrelated errors.
+    So an offset in time that is found where the residuals of a view are uncorrelated with the
+    velocities of the points is unbiased, which interpolation between noisy points is not.
+    """
+
+    position: Float[np.ndarray, "moments points 3"]
+    """Metres."""
+    velocity: Float[np.ndarray, "moments points 3"]
+    """Metres per frame."""
+    acceleration: Float[np.ndarray, "moments points 3"]
+    """Metres per squared frame."""
+    covariance: Float[np.ndarray, "moments points 3 3"]
+    """Of a position, for the white noise of the keypoints, squared metres."""
+    velocity_noise: float
+    """Variance of a velocity over that of a position, 1 / squared frames."""
+    exists: Bool[np.ndarray, "moments points"]
+    """Whether the point was triangulated at all the moments of its parabola."""
+    disagreement: Float[np.ndarray, "moments points"]
+    """Sum of the squared residuals of the keypoints, in standard deviations; 0 where no point."""
+
+    @classmethod
+    def of(cls, images: Images, noise: Float[np.ndarray, " views"]) -> "Trajectories":
+        """The points that at least two of the views see.
+
+        Args:
+            images: the views.
+            noise: standard deviation of a pixel coordinate in every view.
+        """
+        points, exists = Rays.of(images).meet()
+        local, front = in_camera(images.pose, points[None])
+        seen = images.seen & front & exists
+        slope = derivatives(local, front) * images.focal[:, None, None, None, None]
+        slope = slope @ images.pose[:, :, None, :3, :3] / noise[:, None, None, None, None]
+        slope = np.where(seen[..., None, None], slope, 0.0)
+        information = np.einsum("vtpki,vtpkj->tpij", slope, slope) + 1e-6 * np.eye(3)
+        away = images.pixels - projected(images, local, front)
+        squared = np.square(away / noise[:, None, None, None]).sum(-1)
+        reach = max(1, min(round(_REACH * images.fps), (len(points) - 1) // 2))
+        design = np.arange(-reach, reach + 1)[:, None] ** np.arange(3)
+        solve = np.linalg.pinv(design)
+        whole = _windows(exists, reach).all(-1)
+        parts = np.einsum("kw,tpiw->ktpi", solve, _windows(points, reach))
+        parts = np.where(whole[..., None], parts, 0.0)
+        spread, speed = np.square(solve[:2]).sum(-1).tolist()
+        return cls(
+            position=parts[0],
+            velocity=parts[1],
+            acceleration=2 * parts[2],
+            covariance=spread * np.linalg.inv(information),
+            velocity_noise=speed / spread,
+            exists=whole,
+            disagreement=np.where(seen, squared, 0.0).sum(0),
+        )
+
+    def at(
+        self, frames: Float[np.ndarray, " moments"]
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Positions, velocities and covariances at numbers of frames, and which exist."""
+        nearest = np.rint(frames).astype(int)
+        inside = (nearest >= 0) & (nearest < len(self.position))
+        row = np.clip(nearest, 0, len(self.position) - 1)
+        past = (frames - nearest)[:, None, None]
+        bend = self.acceleration[row]
+        velocity = self.velocity[row] + past * bend
+        position = self.position[row] + past * self.velocity[row] + past**2 / 2 * bend
+        return position, velocity, self.covariance[row], self.exists[row] & inside[:, None]
+
+
+def in_camera(
+    pose: Float[np.ndarray, "*poses 4 4"],
+    points: Float[np.ndarray, "*_ points 3"],
+) -> tuple[np.ndarray, np.ndarray]:
+    """Points in the frame of a camera, metres, and which lie before it."""
+    local = points @ np.swapaxes(pose[..., :3, :3], -1, -2) + pose[..., None, :3, 3]
+    return local, local[..., 2] > 0.05
+
+
+def derivatives(
+    local: Float[np.ndarray, "*samples 3"], front: Bool[np.ndarray, "*samples"]
+) -> Float[np.ndarray, "*samples 2 3"]:
+    """Derivatives of (x / z, y / z) by a point in the frame of the camera; zero behind it."""
+    z = np.where(front, local[..., 2], 1.0)
+    zero = np.zeros_like(z)
+    rows = (
+        np.stack((1 / z, zero, -local[..., 0] / z**2), -1),
+        np.stack((zero, 1 / z, -local[..., 1] / z**2), -1),
+    )
+    return np.where(front[..., None, None], np.stack(rows, -2), 0.0)
+
+
+def projected(
+    images: Images,
+    local: Float[np.ndarray, "views moments points 3"],
+    front: Bool[np.ndarray, "views moments points"],
+) -> Float[np.ndarray, "views moments points 2"]:
+    """Pixels of points in the frames of the cameras; meaningless behind them."""
+    plane = local[..., :2] / np.where(front, local[..., 2], 1.0)[..., None]
+    turned = plane @ np.swapaxes(images.matrix[:, None, :2, :2], -1, -2)
+    return turned + images.matrix[:, None, None, :2, 2]
+
+
+def _windows(values: np.ndarray, reach: int) -> np.ndarray:
+    """The values about every moment, in a new last axis; zero where there are none."""
+    edges = ((reach, reach), *((0, 0),) * (values.ndim - 1))
+    padded = np.pad(values, edges)
+    return np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1, axis=0)
