@@ -16,12 +16,10 @@ from observations.noise import estimate_noise
 from recon.diagnosis.findings import Code, Finding
 from recon.diagnosis.views.images import Images
 from recon.diagnosis.views.outcome import Outcome
-from recon.diagnosis.views.rigs.registration import Part, Registration, registered
+from recon.diagnosis.views.rigs.registration import NOISE, PARTS, Part, Registration, registered
 
 _LEAST_NOISE = 0.5
 """Pixels; keypoints are not known better than that."""
-_NOISE = 1.5
-"""Multiple of the noise of keypoints that may remain in a view whose correction is sure."""
 _SURE = 60.0
 """Squared standard deviations by which a part of a correction must be different from none."""
 _FEWER = 30.0
@@ -66,10 +64,11 @@ def corrections(images: Images) -> Corrections:
     applied: tuple[Registration, ...] = ()
     for _ in range(len(images.names) - 2):
         found = candidates(images)
-        if not found:
+        if not found or not certain(found[0], images.fps):
             break
         best = found[0]
         alike = [one for one in found if one.cost - best.cost < _TOLD * best.inflation]
+        alike = [one for one in alike if certain(one, images.fps)]
         if len(alike) > 1:
             return Corrections(images, applied, tuple(alike))
         images, applied = best.applied(images), (*applied, best)
@@ -85,7 +84,7 @@ def corrected_rig(images: Images) -> Outcome:
 
 
 def candidates(images: Images) -> list[Registration]:
-    """Corrections of single fixed views that leave nothing but noise, the likeliest first."""
+    """What single fixed views would be corrected by, that which leaves least first."""
     noise = pixel_noise(images)
     if not np.isfinite(noise).all():
         return []
@@ -97,26 +96,26 @@ def candidates(images: Images) -> list[Registration]:
     return sorted(found, key=lambda one: one.cost)
 
 
+def certain(found: Registration, fps: float) -> bool:
+    """Whether a correction leaves nothing but noise and is more than noise itself."""
+    if found.noise > NOISE or found.moves < _SMALLEST:
+        return False
+    return any(_needed(found, part, fps, _SURE) for part in PARTS)
+
+
 def _simplest(
     images: Images, view: int, noise: Float[np.ndarray, " views"]
 ) -> Registration | None:
-    """A certain correction of a view by no more than is needed; None where there is none."""
+    """A correction of a view by no more than is needed."""
     both = registered(images, view, noise)
-    if both is None or both.noise > _NOISE or both.moves < _SMALLEST:
+    if both is None:
         return None
-    parts: list[Part] = [part for part in ("clock", "pose") if _needed(both, part, images.fps)]
-    if not parts:
-        return None
-    if len(parts) == 2:
-        return both
-    one = registered(images, view, noise, (parts[0],))
-    if one is None or one.noise > _NOISE or one.squared_deviations(parts[0]) < _SURE:
-        return None
-    return one
+    parts = [part for part in PARTS if _needed(both, part, images.fps, _FEWER)]
+    return both if len(parts) != 1 else registered(images, view, noise, (parts[0],))
 
 
-def _needed(found: Registration, part: Part, fps: float) -> bool:
-    if found.squared_deviations(part) < _FEWER:
+def _needed(found: Registration, part: Part, fps: float, least: float) -> bool:
+    if found.squared_deviations(part) < least:
         return False
     if part == "clock":
         return abs(found.late) / fps >= _SMALLEST_CLOCK

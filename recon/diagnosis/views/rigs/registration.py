@@ -25,9 +25,13 @@ from recon.diagnosis.views.rigs.trajectories import (
 Part = Literal["clock", "pose"]
 """What of a view may be wrong: when its frames were taken, or from where."""
 
+PARTS: tuple[Part, ...] = ("clock", "pose")
+
 SHIFT = 0.01
 """Standard deviation of every coordinate of a shift of the camera, metres: what a tripod that was
 pushed has moved by. A turn of 1 degree moves what is seen at 4 m by 0.07 m."""
+NOISE = 1.5
+"""Multiple of the noise of keypoints that may remain where everything is right."""
 _LATEST = 0.7
 """Seconds by which a clock may be off."""
 _LEAST_OVERLAP = 0.5
@@ -45,9 +49,10 @@ _MEDIAN = 1.386
 """Median of the squared length of a vector whose two coordinates are unit normal."""
 _CLEAN = 30.0
 """Squared standard deviations of the slope of the residuals below which nothing is searched."""
-_CLEAN_NOISE = 1.2
-"""Spread of residuals, in standard deviations, above which a correction is searched at once."""
-_LEAST_MOTION = 0.35
+_CLEAN_COST = 1.85
+"""Mean robust squared residual above which a correction is searched at once; white noise has
+1.6."""
+_LEAST_MOTION = 0.2
 """Share of the squared velocities that must be more than noise for a clock to be told."""
 _CLEARLY = 0.97
 """Share of the residuals at an offset nearer to zero that those at a better one have at most."""
@@ -108,9 +113,12 @@ def registered(
     images: Images,
     view: int,
     noise: Float[np.ndarray, " views"],
-    parts: tuple[Part, ...] = ("clock", "pose"),
+    parts: tuple[Part, ...] = PARTS,
 ) -> Registration | None:
-    """What a fixed camera must be corrected by; None where nothing must be or too little is seen.
+    """What a fixed camera must be corrected by to agree with the other views.
+
+    None where it agrees with them, where they do not agree with each other, and where too little
+    is seen.
 
     Args:
         images: three views or more of one clock.
@@ -121,7 +129,7 @@ def registered(
     rest = [v for v in range(len(images.names)) if v != view]
     paths = Trajectories.of(images.view(rest), noise[rest])
     problem = _Problem.of(images, view, paths, float(noise[view]), parts)
-    if problem.seen.sum() < _FEWEST or not problem.doubted:
+    if paths.noise > NOISE or problem.seen.sum() < _FEWEST or not problem.doubted:
         return None
     return problem.solved()
 
@@ -160,7 +168,7 @@ class _Problem:
     def doubted(self) -> bool:
         """Whether the view as it is given could be better, by a test that needs no search."""
         given = self._residuals(0.0, self.images.pose[0, 0])
-        if given.there.sum() < _FEWEST or given.spread > _CLEAN_NOISE:
+        if given.there.sum() < _FEWEST or robust(given.squared[given.there]) > _CLEAN_COST:
             return True
         normal, slope, _ = given.equations()
         return float(slope @ np.linalg.solve(normal + 1e-9 * np.eye(7), slope)) > _CLEAN
@@ -181,6 +189,7 @@ class _Problem:
             inverse = np.linalg.inv(normal[np.ix_(unknown, unknown)])
             step = np.zeros(7)
             step[unknown] = inverse @ slope[unknown]
+            covariance[np.ix_(unknown, unknown)] = inverse
             step[0] = np.clip(step[0], -2.0, 2.0)
             late += step[0]
             pose = _moved(pose, step[1:4], step[4:])
@@ -188,9 +197,6 @@ class _Problem:
             shift = pose[:3, :3] @ (_centre(pose) - _centre(start))
             values = np.concatenate(([late], rotation_vector(turn), shift))
             found = self._residuals(late, pose)
-            covariance[np.ix_(unknown, unknown)] = np.linalg.inv(
-                found.information(normal)[np.ix_(unknown, unknown)]
-            )
             if (np.abs(step[unknown]) < 0.02 * np.sqrt(np.diag(inverse))).all():
                 break
         if found.there.sum() < _FEWEST:
@@ -267,7 +273,8 @@ class _Problem:
         by_velocity = whiten @ by_point
         blur = self.paths.velocity_noise * (by_velocity @ covariance * by_velocity).sum((-2, -1))
         white = np.where(there[..., None], (whiten @ away[..., None])[..., 0], 0.0)
-        return _Residuals(white, whiten @ jacobian, blur, predicted, there)
+        past = self.frames - late - np.rint(self.frames - late)
+        return _Residuals(white, whiten @ jacobian, blur, past, predicted, there)
 
 
 @dataclass(frozen=True)
@@ -278,6 +285,8 @@ class _Residuals:
     jacobian: Float[np.ndarray, "moments points 2 7"]
     blur: Float[np.ndarray, "moments points"]
     """Expected part of the noise of velocities in the squared derivative by the clock."""
+    past: Float[np.ndarray, " moments"]
+    """Frames from the middle of the parabola that gave the positions."""
     predicted: Float[np.ndarray, "moments points 2"]
     """Pixels."""
     there: Bool[np.ndarray, "moments points"]
@@ -294,6 +303,8 @@ class _Residuals:
     def equations(self) -> tuple[np.ndarray, np.ndarray, float]:
         """Normal equations of a step, and how much variance the residuals have beyond white noise.
 
+        A clock of which the residuals tell nothing, as nobody moves, is left as it is.
+
         Residuals of neighbouring moments are alike where a detector or the smoothing makes them
         so; by as much as that they say the same twice.
         """
@@ -306,24 +317,17 @@ class _Residuals:
         along = float((soft[1:] * soft[:-1])[both].sum() / max((soft[1:][both] ** 2).sum(), 1e-9))
         along = float(np.clip(along, 0.0, 0.95))
         inflation = scale * (1 + along) / (1 - along)
-        normal = np.einsum("n,nki,nkj->ij", counted, j, j, optimize=True) / inflation
-        slope = np.einsum("n,nki,nk->i", counted, j, r, optimize=True) / inflation
-        return normal, slope, inflation
-
-    def information(self, normal: Float[np.ndarray, "7 7"]) -> Float[np.ndarray, "7 7"]:
-        """What the residuals tell of the unknowns, given the matrix of their equations.
-
-        Noise looks like velocity, but tells nothing of the clock: of a person who stands still
-        all that the matrix has is noise.
-        """
-        raw = float(np.square(self.jacobian[self.there][..., 0]).sum())
-        share = 1.0 - float(self.blur[self.there].sum()) / max(raw, 1e-9)
-        share = share if share > _LEAST_MOTION else 0.0
-        out = normal.copy()
-        out[0] *= share
-        out[1:, 0] *= share
-        out[0, 0] = max(out[0, 0] * share, 1e-9)
-        return out
+        normal = np.einsum("n,nki,nkj->ij", counted, j, j, optimize=True)
+        slope = np.einsum("n,nki,nk->i", counted, j, r, optimize=True)
+        # noise of velocities looks like motion, and is in the positions beside the middle, too
+        blur = counted * self.blur[self.there]
+        past = np.broadcast_to(self.past[:, None], self.there.shape)[self.there]
+        slope[0] -= float((blur * past).sum())
+        raw, normal[0, 0] = normal[0, 0], normal[0, 0] - blur.sum()
+        if normal[0, 0] <= _LEAST_MOTION * raw:
+            normal[0], normal[:, 0], slope[0] = 0.0, 0.0, 0.0
+            normal[0, 0] = 1e-9
+        return normal / inflation, slope / inflation, inflation
 
 
 def robust(squared: Float[np.ndarray, " samples"]) -> float:

@@ -16,9 +16,9 @@ _REACH = 0.07
 class Trajectories:
     """Points triangulated from views of one clock; a parabola in time about every moment.
 
-    Position and velocity of a least-squares parabola about its middle have uncorrelated errors.
-    So an offset in time that is found where the residuals of a view are uncorrelated with the
-    velocities of the points is unbiased, which interpolation between noisy points is not.
+    Position and velocity of a least-squares parabola in its middle have uncorrelated errors, and
+    elsewhere such as are known. So an offset in time can be found without bias where the
+    residuals of a view are uncorrelated with the velocities of the points.
     """
 
     position: Float[np.ndarray, "moments points 3"]
@@ -35,6 +35,8 @@ class Trajectories:
     """Whether the point was triangulated at all the moments of its parabola."""
     disagreement: Float[np.ndarray, "moments points"]
     """Sum of the squared residuals of the keypoints, in standard deviations; 0 where no point."""
+    noise: float
+    """Residuals of the keypoints over those of white noise, by their median."""
 
     @classmethod
     def of(cls, images: Images, noise: Float[np.ndarray, " views"]) -> "Trajectories":
@@ -53,10 +55,14 @@ class Trajectories:
         information = np.einsum("vtpki,vtpkj->tpij", slope, slope) + 1e-6 * np.eye(3)
         away = images.pixels - projected(images, local, front)
         squared = np.square(away / noise[:, None, None, None]).sum(-1)
+        squared = np.where(seen, squared, 0.0).sum(0)
+        free = np.maximum(2 * seen.sum(0) - 3, 1)
+        usual = free * (1 - 2 / (9 * free)) ** 3  # median of chi², Wilson and Hilferty 1931
+        beyond = np.median((squared / usual)[exists]) if exists.any() else 0.0
         reach = max(1, min(round(_REACH * images.fps), (len(points) - 1) // 2))
         design = np.arange(-reach, reach + 1)[:, None] ** np.arange(3)
         solve = np.linalg.pinv(design)
-        whole = _windows(exists, reach).all(-1)
+        whole = np.asarray(_windows(exists, reach).all(-1))
         parts = np.einsum("kw,tpiw->ktpi", solve, _windows(points, reach))
         parts = np.where(whole[..., None], parts, 0.0)
         spread, speed = np.square(solve[:2]).sum(-1).tolist()
@@ -67,21 +73,30 @@ class Trajectories:
             covariance=spread * np.linalg.inv(information),
             velocity_noise=speed / spread,
             exists=whole,
-            disagreement=np.where(seen, squared, 0.0).sum(0),
+            disagreement=squared,
+            noise=float(np.sqrt(beyond)),
         )
 
     def at(
         self, frames: Float[np.ndarray, " moments"]
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Positions, velocities and covariances at numbers of frames, and which exist."""
+        """Positions at numbers of frames, velocities and covariances nearby, and which exist.
+
+        The error of a position so many frames from the middle of its parabola is correlated with
+        that of the velocity by as many times its variance.
+        """
         nearest = np.rint(frames).astype(int)
         inside = (nearest >= 0) & (nearest < len(self.position))
         row = np.clip(nearest, 0, len(self.position) - 1)
         past = (frames - nearest)[:, None, None]
         bend = self.acceleration[row]
-        velocity = self.velocity[row] + past * bend
         position = self.position[row] + past * self.velocity[row] + past**2 / 2 * bend
-        return position, velocity, self.covariance[row], self.exists[row] & inside[:, None]
+        return (
+            position,
+            self.velocity[row],
+            self.covariance[row],
+            self.exists[row] & inside[:, None],
+        )
 
 
 def in_camera(
