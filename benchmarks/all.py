@@ -51,6 +51,8 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "phone_track": ("phone", "CORPUS", "--part", "validation", "--only", "2", "--cases",
                     "track"),
     "crossings": ("crossings", "CORPUS"),
+    "rigs": ("rigs", "CORPUS", "--part", "validation", "--only", "12"),
+    "rigs_fit": ("rigs", "CORPUS", "--part", "validation", "--only", "6", "--fit"),
     "slip_sizes": ("slips.sizes", "CORPUS"),
     "slips": ("slips", "CORPUS", "--prior", "pose", "--good", "300", "--observations",
               "OBSERVATIONS"),

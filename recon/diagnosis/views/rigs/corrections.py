@@ -16,14 +16,21 @@ from observations.noise import estimate_noise
 from recon.diagnosis.findings import Code, Finding
 from recon.diagnosis.views.images import Images
 from recon.diagnosis.views.outcome import Outcome
-from recon.diagnosis.views.rigs.registration import NOISE, PARTS, Part, Registration, registered
+from recon.diagnosis.views.rigs.registration import (
+    NOISE,
+    PARTS,
+    Part,
+    Registration,
+    doubted,
+    registered,
+)
 
 _LEAST_NOISE = 0.5
 """Pixels; keypoints are not known better than that."""
 _SURE = 60.0
 """Squared standard deviations by which a part of a correction must be different from none."""
 _FEWER = 30.0
-"""The same for a part beside another one that is certain."""
+"""Squared standard deviations from none of a part that is corrected beside a certain one."""
 _SMALLEST = 0.4
 """Least distance, in standard deviations of the keypoints, that a correction moves them by."""
 _TOLD = 25.0
@@ -84,15 +91,16 @@ def corrected_rig(images: Images) -> Outcome:
 
 
 def candidates(images: Images) -> list[Registration]:
-    """What single fixed views would be corrected by, that which leaves least first."""
+    """What single fixed views would be corrected by, that which leaves least first.
+
+    None where every view agrees with the others.
+    """
     noise = pixel_noise(images)
-    if not np.isfinite(noise).all():
+    fixed = [v for v, still in enumerate(images.fixed) if still]
+    if not np.isfinite(noise).all() or not any(doubted(images, v, noise) for v in fixed):
         return []
-    found = [
-        one
-        for v, fixed in enumerate(images.fixed)
-        if fixed and (one := _simplest(images, v, noise)) is not None
-    ]
+    every = [_simplest(images, v, noise) for v in fixed]
+    found = [one for one in every if one is not None]
     return sorted(found, key=lambda one: one.cost)
 
 
@@ -110,7 +118,7 @@ def _simplest(
     both = registered(images, view, noise)
     if both is None:
         return None
-    parts = [part for part in PARTS if _needed(both, part, images.fps, _FEWER)]
+    parts: list[Part] = [part for part in PARTS if _needed(both, part, images.fps, _FEWER)]
     return both if len(parts) != 1 else registered(images, view, noise, (parts[0],))
 
 

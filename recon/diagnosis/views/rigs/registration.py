@@ -74,7 +74,7 @@ class Registration:
     """Lateness in frames, turn about the camera's own axes in radians, shift of its centre along
     them in metres."""
     covariance: Float[np.ndarray, "7 7"]
-    """Of `values`; zero for what was not corrected."""
+    """Covariance of `values`; zero for what was not corrected."""
     noise: float
     """What remains of the residuals, in standard deviations of white noise: 1 where nothing else
     is wrong."""
@@ -117,8 +117,7 @@ def registered(
 ) -> Registration | None:
     """What a fixed camera must be corrected by to agree with the other views.
 
-    None where it agrees with them, where they do not agree with each other, and where too little
-    is seen.
+    None where they do not agree with each other, and where too little is seen.
 
     Args:
         images: three views or more of one clock.
@@ -126,12 +125,18 @@ def registered(
         noise: standard deviation of a pixel coordinate in every view.
         parts: what is corrected.
     """
-    rest = [v for v in range(len(images.names)) if v != view]
-    paths = Trajectories.of(images.view(rest), noise[rest])
-    problem = _Problem.of(images, view, paths, float(noise[view]), parts)
-    if paths.noise > NOISE or problem.seen.sum() < _FEWEST or not problem.doubted:
+    problem = _Problem.of(images, view, noise, parts)
+    if problem.paths.noise > NOISE or problem.seen.sum() < _FEWEST:
         return None
     return problem.solved()
+
+
+def doubted(images: Images, view: int, noise: Float[np.ndarray, " views"]) -> bool:
+    """Whether a view as it is given could agree better with the others; needs no search."""
+    problem = _Problem.of(images, view, noise, PARTS)
+    if problem.paths.noise > NOISE or problem.seen.sum() < _FEWEST:
+        return False
+    return problem.doubted
 
 
 @dataclass(frozen=True)
@@ -150,10 +155,17 @@ class _Problem:
 
     @classmethod
     def of(
-        cls, images: Images, view: int, paths: Trajectories, sigma: float, parts: tuple[Part, ...]
+        cls,
+        images: Images,
+        view: int,
+        noise: Float[np.ndarray, " views"],
+        parts: tuple[Part, ...],
     ) -> "_Problem":
+        rest = [v for v in range(len(images.names)) if v != view]
+        paths = Trajectories.of(images.view(rest), noise[rest])
         moments = images.pixels.shape[1]
         frames = np.unique(np.linspace(0, moments - 1, min(moments, _MOST)).astype(int))
+        sigma = float(noise[view])
         return cls(images.view([view]), view, paths, sigma, parts, frames.astype(float))
 
     @property

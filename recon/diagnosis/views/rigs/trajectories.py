@@ -28,7 +28,7 @@ class Trajectories:
     acceleration: Float[np.ndarray, "moments points 3"]
     """Metres per squared frame."""
     covariance: Float[np.ndarray, "moments points 3 3"]
-    """Of a position, for the white noise of the keypoints, squared metres."""
+    """Covariance of a position, for white noise of the keypoints, squared metres."""
     velocity_noise: float
     """Variance of a velocity over that of a position, 1 / squared frames."""
     exists: Bool[np.ndarray, "moments points"]

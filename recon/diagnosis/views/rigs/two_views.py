@@ -29,7 +29,7 @@ class Agreement:
     """What would bring two views together."""
 
     images: Images
-    """Both views, the second one corrected."""
+    """The two views, the second one corrected."""
     late: float
     """Frames by which the second view is late against the first."""
     degrees: float
