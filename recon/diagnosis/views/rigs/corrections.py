@@ -33,7 +33,7 @@ _FEWER = 30.0
 """Squared standard deviations from none of a part that is corrected beside a certain one."""
 _SMALLEST = 0.4
 """Least distance, in standard deviations of the keypoints, that a correction moves them by."""
-_TOLD = 25.0
+_TOLD = 60.0
 """Difference of robust squared residuals that tells two views apart."""
 _SMALLEST_CLOCK = 0.004
 """Seconds below which a clock is left as it is."""
@@ -60,7 +60,7 @@ class Corrections:
     """All views after the corrections."""
     applied: tuple[Registration, ...] = ()
     undecided: tuple[Registration, ...] = ()
-    """Corrections of different views of which each would leave nothing but noise."""
+    """Corrections of different views after which the rays fit equally well."""
 
 
 def corrections(images: Images) -> Corrections:
@@ -75,7 +75,6 @@ def corrections(images: Images) -> Corrections:
             break
         best = found[0]
         alike = [one for one in found if one.cost - best.cost < _TOLD * best.inflation]
-        alike = [one for one in alike if certain(one, images.fps)]
         if len(alike) > 1:
             return Corrections(images, applied, tuple(alike))
         images, applied = best.applied(images), (*applied, best)
