@@ -103,6 +103,13 @@ def test_a_fit_is_told_what_was_found() -> None:
     assert screened.observations[0] is rig(0.08, 1.0)[0]
 
 
+def test_a_turned_view_is_not_taken_for_one_of_another_size() -> None:
+    """Keypoints of a good view were made 1 % larger where another one was turned by 1 degree."""
+    for late in (0.08, -0.08):
+        _, repairs, _ = screen_views(rig(late, 1.0), NAMES, bundled())
+        assert ["two contradicts" in found.message for found in repairs] == [True]
+
+
 def test_the_clock_of_a_person_who_stands_still_is_left_as_it_is() -> None:
     """Noise looks like velocity: a clock was corrected by 25 ms where nobody had moved."""
     motion = walk(60)

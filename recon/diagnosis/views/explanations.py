@@ -16,6 +16,8 @@ _LATEST = 0.7
 """Seconds by which a clock may be off; what is further off is another recording."""
 _LEAST_OVERLAP = 0.5
 """Share of the moments that views must share after a shift of the clock."""
+_SAME_SIZE = 1.1
+"""Factor below which an image has the size of its calibration; what else looks so is a turn."""
 _SMOOTHING = 0.15
 """Seconds to either side over which the pose of a camera that moves is averaged."""
 _ROUNDS = 8
@@ -140,6 +142,8 @@ class Odd:
         if len(own) == 0:
             return images, 1.0
         factor = float(np.median((pixels[there] * own).sum(-1) / np.square(own).sum(-1)))
+        if 1 / _SAME_SIZE < factor < _SAME_SIZE:
+            return images, 1.0
         scaled = images.pixels.copy()
         scaled[v] *= factor
         return replace(images, pixels=scaled), 1 / factor if factor > 0 else np.inf
