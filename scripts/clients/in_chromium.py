@@ -83,9 +83,12 @@ class Session:
         self.addresses: list[str] = []
 
     def visit(self, given: argparse.Namespace) -> dict[str, Any]:
+        """Open the page, take the steps, and tell what was found."""
         version = self.ask("Browser.getVersion")["product"]
         target = self.ask("Target.createTarget", url="about:blank")["targetId"]
-        self.session = self.ask("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+        self.session = self.ask("Target.attachToTarget", targetId=target, flatten=True)[
+            "sessionId"
+        ]
         for domain in ("Page", "Runtime", "Network"):
             self.ask(f"{domain}.enable")
         width, height = given.size
@@ -103,6 +106,7 @@ class Session:
         }
 
     def step(self, step: dict[str, Any], out: Path) -> Any:
+        """Take one step; the value of one that has a value."""
         ((kind, what),) = step.items()
         if kind == "run":
             return self.run(what)
@@ -136,6 +140,7 @@ class Session:
         return None
 
     def run(self, script: str) -> Any:
+        """The value of a script."""
         found = self.ask("Runtime.evaluate", expression=script, returnByValue=True,
                          awaitPromise=True)  # fmt: skip
         if "exceptionDetails" in found:
@@ -158,6 +163,7 @@ class Session:
             self.note(answer)
 
     def note(self, event: dict[str, Any]) -> None:
+        """Keep errors and addresses that the page asks for."""
         params = event.get("params", {})
         if event.get("method") == "Runtime.exceptionThrown":
             self.errors.append(params["exceptionDetails"]["exception"].get("description", ""))
