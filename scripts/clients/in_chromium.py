@@ -61,7 +61,7 @@ def found() -> str | None:
 
 
 def address(profile: Path) -> str:
-    """Where the browser listens, as soon as it does."""
+    """Address at which the browser listens, as soon as it does."""
     deadline = time.monotonic() + PATIENCE
     port = profile / "DevToolsActivePort"
     while time.monotonic() < deadline:
@@ -73,7 +73,7 @@ def address(profile: Path) -> str:
 
 
 class Session:
-    """One page, by Chromium's DevTools protocol."""
+    """A visit to one page, by the protocol of Chromium's developer tools."""
 
     def __init__(self, where: str) -> None:
         self.socket: ClientConnection = connect(where, max_size=None)
@@ -106,7 +106,7 @@ class Session:
         }
 
     def step(self, step: dict[str, Any], out: Path) -> Any:
-        """Take one step; the value of one that has a value."""
+        """Value of one step, after it was taken; None of most."""
         ((kind, what),) = step.items()
         if kind == "run":
             return self.run(what)
