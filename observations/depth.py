@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from observations.checks import checked_clock, checked_positions, checked_view
+from observations.records.label_costs import costs_of_points, kinds_of_surfels
 from observations.records.sensor import SensorRecord
 from observations.records.surfaces import to_discs, tukey, tukey_scale, within
 from observations.start.depth import depth_start
@@ -21,6 +22,7 @@ from recon.body.model import BodyModel
 from recon.core.arrays import Numbers, float_tensor
 from recon.core.camera import Camera, transform
 from recon.core.errors import ObservationError
+from recon.core.geometry.alike import nearest_alike
 from recon.core.geometry.nearest import nearest
 from recon.core.geometry.visible import facing
 from recon.core.motion import Motion
@@ -172,7 +174,7 @@ class PointCloud(SensorRecord):
             middles, normals, seen = self._surface(estimate)
             pairs = torch.zeros(self.present.shape, dtype=torch.long, device=self.points.device)
             if self.present[..., seen, :].numel() > 0:
-                pairs[..., seen, :] = self._nearest(middles, normals, seen)
+                pairs[..., seen, :] = self._nearest(estimate.body.model, middles, normals, seen)
             if self.kernel is not tukey:
                 return self.derived(pairs=pairs, scale=None)
             squared, present = self._between(middles, normals, seen, pairs[..., seen, :])
@@ -225,7 +227,7 @@ class PointCloud(SensorRecord):
             return *self._between(middles, normals, seen, self.pairs[..., seen, :]), seen
         if self.present[..., seen, :].numel() == 0:
             return self.points[..., seen, :, :].sum(-1), self.present[..., seen, :], seen
-        index = self._nearest(middles, normals, seen)
+        index = self._nearest(estimate.body.model, middles, normals, seen)
         return *self._between(middles, normals, seen, index), seen
 
     def residuals(self, estimate: Estimate) -> Residuals:
@@ -269,16 +271,28 @@ class PointCloud(SensorRecord):
         return squared.where(present, 0.0), present
 
     def _nearest(
-        self, middles: Tensor, normals: Tensor, seen: slice
+        self, body: BodyModel, middles: Tensor, normals: Tensor, seen: slice
     ) -> Int[Tensor, "*batch seen points"]:
-        """The nearest disc of every point, among those that the sensor could see."""
+        """The nearest disc of every point, among those that face the sensor.
+
+        Labels make discs of other parts of the body farther away. Discs that the estimate itself
+        hides stay allowed: a leg that a wrong posture puts behind the other one would never get
+        its points back.
+        """
         points, present = self.points[..., seen, :, :], self.present[..., seen, :]
         allowed = torch.ones_like(middles[..., 0], dtype=torch.bool)
         if self.camera is not None:
             eye = self.camera.at(range(seen.start, seen.stop)).T_world_camera[..., :3, 3]
             eye = eye.expand(*middles.shape[:-2], 3)
             allowed = facing(middles.detach(), normals.detach(), eye)
-        return nearest(points, present, middles, allowed)
+        if self.labels is None:
+            return nearest(points, present, middles, allowed)
+        costs = costs_of_points(self.labels)[..., seen, :, :]
+        found = nearest_alike(
+            points.flatten(0, -3), present.flatten(0, -2), costs.flatten(0, -3),
+            middles.flatten(0, -3), allowed.flatten(0, -2), kinds_of_surfels(self.surfels, body),
+        )  # fmt: skip
+        return found.unflatten(0, present.shape[:-1])
 
     def _surface(self, estimate: Estimate) -> tuple[Tensor, Tensor, slice]:
         """Middles and normals of the discs in the recording, at the moments that are covered."""

@@ -1,35 +1,27 @@
-"""What a sensor sees of a surface, how noisy it is, and matches of labelled points."""
+"""How noisy what a sensor sees of a surface is, and matches of labelled points."""
 
 import numpy as np
 import pytest
 import torch
 
+from recon.core.geometry.alike import nearest_alike
 from recon.core.geometry.roughness import depth_noise
-from recon.core.geometry.visible import facing, unhidden
 
 
-def sheet(depth: float, count: int = 20, size: float = 0.4) -> torch.Tensor:
-    """Points of a square across the x axis at a distance from the origin, metres."""
-    place = torch.linspace(-size, size, count)
-    y, z = torch.meshgrid(place, place, indexing="ij")
-    return torch.stack((torch.full_like(y, depth), y, z), -1).flatten(0, 1)
-
-
-def test_what_is_behind_something_is_hidden():
-    """A leg behind the other one took its points, as only its normals were looked at."""
-    near, far, beside = sheet(2.0), sheet(2.5, size=0.3), sheet(2.5) + torch.tensor([0, 2.0, 0])
-    middles = torch.cat((near, far, beside))
-    normals = torch.tensor([-1.0, 0.0, 0.0]).expand_as(middles)
-    eye = torch.zeros(3)
-    front = facing(middles, normals, eye)
-    assert front.all()
-    seen = unhidden(middles, front, eye, 0.1)
-    assert seen[:400].all()
-    assert not seen[400:800].any()
-    assert seen[800:].all()
-    assert unhidden(middles, front, eye, 0.6).all()
-    away = facing(middles, -normals, eye)
-    assert not unhidden(middles, away, eye, 0.1).any()
+def test_points_take_the_nearest_of_their_kind():
+    """Points of one leg held the other one, where that was nearer."""
+    g = torch.Generator().manual_seed(0)
+    points, surface = (torch.randn(20, 30, 3, generator=g) for _ in range(2))
+    kinds, of_surface = torch.rand(20, 30, 4, generator=g), torch.rand(30, 4, generator=g)
+    present = torch.rand(20, 30, generator=g) < 0.8
+    allowed = torch.rand(20, 30, generator=g) < 0.5
+    allowed[3] = False  # then all are
+    found = nearest_alike(points, present, kinds, surface, allowed, of_surface)
+    cost = torch.cdist(points, surface).square() + kinds @ of_surface.mT
+    open_ = allowed.clone()
+    open_[3] = True
+    expected = cost.masked_fill(~open_[:, None], torch.inf).argmin(-1)
+    assert torch.equal(found, torch.where(present, expected, 0))
 
 
 @pytest.mark.parametrize("deviation", [0.01, 0.03, 0.07])
