@@ -13,6 +13,7 @@ from jaxtyping import Float
 from observations.depth import PointCloud
 from observations.timing import at_observation_times
 from recon.diagnosis.findings import Finding
+from recon.diagnosis.fits.labels import label_distance
 from recon.diagnosis.fits.summaries import ResidualSummary
 from recon.method.protocols import Estimate
 
@@ -26,6 +27,12 @@ _STICKING_OUT = 0.25
 validation people that are right have 1 %, those whose lower half is hidden 47 %."""
 _FAR_POINTS = 0.06
 """Metres that the farthest tenth of the points may be away from the body; right fits have 2 cm."""
+_NOISY = 2.0
+"""Multiple of the sensor's standard deviation that the farthest tenth may be away besides; a tenth
+of normal deviations is larger than 1.6."""
+_ELSEWHERE = 0.15
+"""Metres that most points may lie away from the places that their labels name; right fits have 5
+to 8 cm where a fifth of the labels is wrong, those of another heading 20 cm and more."""
 
 
 def basin_findings(
@@ -35,16 +42,28 @@ def basin_findings(
     if summary.quantiles is None:
         return []
     outside, far = share_outside(cloud, estimate) or 0.0, summary.quantiles[1]
-    if far < _FAR_POINTS and outside < _STICKING_OUT:
+    labelled = label_distance(cloud, estimate) or 0.0
+    noise = 0.0 if cloud.std is None else float(cloud.std[0].median())
+    reasons = {
+        f"a tenth of the points is more than {100 * far:.0f} cm away from it": (
+            far > math.hypot(_FAR_POINTS, _NOISY * noise)
+        ),
+        f"{100 * outside:.0f} % of its surface lies where the sensor saw no body": (
+            outside > _STICKING_OUT
+        ),
+        f"half of the points lie more than {100 * labelled:.0f} cm from the part of it that their "
+        "labels name": labelled > _ELSEWHERE,
+    }
+    said = [reason for reason, holds in reasons.items() if holds]
+    if not said:
         return []
     return [
         Finding(
             "wrong basin",
-            f"{name}: the fitted body does not fill what the sensor saw: a tenth of the points is "
-            f"more than {100 * far:.0f} cm away from it, and {100 * outside:.0f} % of its surface "
-            "lies where the sensor saw no body. The posture or the heading may be a wrong one, or "
-            "much is hidden; look at the result (recon view --obs), or add 2D keypoints",
-            value=max(far, outside),
+            f"{name}: the fitted body does not agree with what the sensor saw: "
+            f"{', and '.join(said)}. The posture or the heading may be a wrong one, or much is "
+            "hidden; look at the result (recon view --obs), or add 2D keypoints",
+            value=max(far, outside, labelled),
         )
     ]
 
