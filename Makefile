@@ -3,7 +3,8 @@
 # make mutants: small faults in some modules, and which of them their tests notice.
 # make docs: the documentation site, in site/.
 # make tables: the tables of README.md and docs/ from benchmarks/results.
-# make clients: our files in Blender, three.js, OpenSim, OpenUSD and glTF's validator (1 GB of them).
+# make clients: our files in Blender, three.js, OpenSim, OpenUSD and glTF's validator (1 GB of them),
+# and the page in Chromium where there is one.
 # make bench: those result files themselves (needs RECON_DATA; many hours).
 PYTHON ?= python3
 BIN := .venv/bin
@@ -48,6 +49,7 @@ clients: .venv/developed
 	$(BIN)/python -m benchmarks.clients --python $(OUT)/clients/opensim/bin/python \
 		--blender $(OUT)/clients/blender/bin/python --node $(OUT)/clients/node/node_modules \
 		--json benchmarks/results/clients.json
+	$(BIN)/pytest -q -rs tests/view/test_page.py
 
 bench: .venv/developed
 	mkdir -p $(OUT)

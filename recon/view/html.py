@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import torch
-import trimesh
 from jaxtyping import Float, Shaped
 from torch import Tensor
 from viser import SceneApi, ViserServer
@@ -18,10 +17,21 @@ from recon.core import rotations as so3
 from recon.core.skeleton import CONTACT_JOINTS
 from recon.formats.files.opening import replacing
 from recon.view.drawing.stage import Plane
-from recon.view.show.colours import CAMERA, CERTAINTY, CLOUD, CONTACT, MISSING, VISIBLE, Colour
+from recon.view.layers import camera_node, legend, node_of
+from recon.view.show.colours import (
+    CAMERA,
+    CERTAINTY,
+    CLOUD,
+    CONTACT,
+    GROUND,
+    MISSING,
+    VISIBLE,
+    Colour,
+)
 from recon.view.show.scene import Figure, Points, Show
-from recon.view.show.viewpoint import Viewpoint, viewpoints
+from recon.view.show.viewpoint import Viewpoint, follow, viewpoints
 from recon.view.show.views import View
+from recon.view.spheres import Spheres
 
 logger = logging.getLogger(__name__)
 
@@ -60,7 +70,7 @@ def write_html(path: str | Path, show: Show) -> None:
             server.stop()
         title = f"<title>{html.escape(show.title)}</title>"
         page = page.replace("<title>Viser</title>", title, 1)
-        page = page.replace("</body>", _caption(show) + "</body>", 1)
+        page = page.replace("</body>", legend(show, follows=_follows(show)) + "</body>", 1)
         scratch.write_text(page, encoding="utf-8")
     logger.info("wrote %s: %d frames, %.1f MB", path, show.frames, len(page) / 1e6)
 
@@ -105,9 +115,13 @@ def _record(server: ViserServer, show: Show) -> str:
 
 
 def _stage(server: ViserServer, show: Show) -> Layer:
-    """The ground and a first view; the world glides so that the person stays in it."""
+    """The ground and a first view; the world glides so that the person stays in it.
+
+    Where cameras are shown, the world stands still until the page is told to follow.
+    """
     views = viewpoints([show], (1280, 800))
-    glide = np.stack([views[0].target - view.target for view in views])
+    path = follow(show.figures, (1280, 800))
+    glide = np.stack([path[0].target - view.target for view in path])
     world = server.scene.add_frame("/world", show_axes=False)
     reach = float(np.abs(glide).max())
     wxyz, position = _floor(show, views[0])
@@ -118,7 +132,7 @@ def _stage(server: ViserServer, show: Show) -> Layer:
         cell_size=0.5,
         section_size=1.0,
         cell_color=(216, 220, 226),
-        section_color=(188, 194, 203),
+        section_color=GROUND,
         plane_color=(244, 245, 248),
         plane_opacity=1.0,
         shadow_opacity=0.25,
@@ -135,6 +149,11 @@ def _stage(server: ViserServer, show: Show) -> Layer:
     return show_frame
 
 
+def _follows(show: Show) -> bool:
+    """Whether the page follows the person before it is told to."""
+    return len(show.cameras) == 0
+
+
 def _floor(show: Show, view: Viewpoint) -> tuple[np.ndarray, np.ndarray]:
     """The ground's turn (w, x, y, z), and a point of it, a little sunk, near what is looked at."""
     plane = Plane.of(show.ground)
@@ -149,13 +168,15 @@ def _body(scene: SceneApi, figure: Figure, opacity: float) -> Layer:
     turns = so3.to_quaternion(figure.posed.orientations).roll(1, -1).numpy()
     joints = figure.posed.joints.numpy()
     mesh = scene.add_mesh_skinned(
-        f"/world/{_node(figure)}/body",
+        node_of(figure, "body"),
         figure.posed.model.rest_vertices(shape).numpy(),
         figure.body.faces.cpu().numpy(),
         bone_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (joints.shape[1], 1)),
         bone_positions=figure.posed.rest.numpy(),
         skin_weights=prune_weights(figure.body.weights.cpu().double().numpy()),
         color=_deep(figure.colour),
+        # two skins at one place would fight for the same depth
+        wireframe=figure.opacity < 1,
         opacity=None if opacity == 1 else opacity,
     )
 
@@ -170,16 +191,15 @@ def _contacts(scene: SceneApi, figure: Figure) -> Layer:
     carrying = list(CONTACT_JOINTS)
     joints = figure.posed.joints[:, carrying]
     touching = figure.touching[:, carrying]
-    return _spheres(
-        scene, f"/world/{_node(figure)}/contacts", joints, touching, CONTACT_RADIUS, CONTACT
-    )
+    name = node_of(figure, "contacts")
+    return _spheres(scene, name, joints, touching, CONTACT_RADIUS, CONTACT)
 
 
 def _certainty(
     scene: SceneApi, figure: Figure, joint_std: Float[Tensor, "time 22"], *, shown: bool
 ) -> Layer:
     """Spheres of one standard deviation around the joints."""
-    name = f"/world/{_node(figure)}/standard deviation"
+    name = node_of(figure, "standard deviation")
     joints = figure.posed.joints
     return _spheres(
         scene, name, joints, joint_std, 1.0, CERTAINTY, opacity=HALO_OPACITY, shown=shown
@@ -208,30 +228,10 @@ def _spheres(
     shown: bool = True,
 ) -> Layer:
     """Spheres of one colour, `scales` times as large as the radius; zero leaves one out."""
-    ball = trimesh.creation.icosphere(subdivisions=2, radius=radius)
-    places = centres.detach().cpu().float().numpy()
-    sizes = scales.detach().cpu().float().numpy()
-    handle = scene.add_batched_meshes_simple(
-        name,
-        np.asarray(ball.vertices),
-        np.asarray(ball.faces),
-        batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (places.shape[1], 1)),
-        batched_positions=places[0],
-        batched_scales=sizes[0],
-        batched_colors=_deep(colour),
-        opacity=opacity,
-        visible=shown,
-        lod="off",
-        cast_shadow=False,
-        receive_shadow=False,
+    places, sizes = (values.detach().cpu().float().numpy() for values in (centres, scales))
+    return Spheres(
+        scene, name, places, radius * sizes, _deep(colour), opacity=opacity, shown=shown
     )
-
-    def show(frame: int) -> None:
-        handle.batched_positions = places[frame]
-        if frame == 0 or not np.array_equal(sizes[frame], sizes[frame - 1]):
-            handle.batched_scales = sizes[frame]
-
-    return show
 
 
 def _scan(scene: SceneApi, cloud: tuple[Tensor, ...]) -> Layer:
@@ -254,7 +254,7 @@ def _frustum(scene: SceneApi, view: View) -> Layer:
     camera, moving = view.at(0), view.camera.T_camera_world.ndim == 3
     width, height = camera.image_size
     handle = scene.add_camera_frustum(
-        f"/world/cameras/{_node(view)}",
+        camera_node(view),
         fov=float(2 * torch.atan(height / 2 / camera.camera_matrix[1, 1])),
         aspect=width / height,
         scale=0.3,
@@ -272,26 +272,6 @@ def _frustum(scene: SceneApi, view: View) -> Layer:
     return show
 
 
-def _node(layer: Figure | View) -> str:
-    """Name of a layer; a slash would open a new level of the tree."""
-    return layer.name.replace("/", "-").strip() or "unnamed"
-
-
 def _deep(colour: Colour) -> Colour:
     red, green, blue = (round(DEEPEN * part) for part in colour)
     return red, green, blue
-
-
-def _caption(show: Show) -> str:
-    """Title and legend, laid over the page's upper left corner."""
-    disc = "display:inline-block;width:.7em;height:.7em;border-radius:50%;margin-right:.5em;"
-    rows = "".join(
-        f'<div><span style="{disc}background:rgb{colour}"></span>{html.escape(word)}</div>'
-        for word, colour in show.legend
-    )
-    box = (
-        "position:fixed;left:16px;top:14px;z-index:10;pointer-events:none;"
-        "font:14px/1.7 system-ui,sans-serif;color:#52565e"
-    )
-    head = '<div style="font-size:20px;font-weight:650;color:#262a32;margin-bottom:2px">'
-    return f'<div style="{box}">{head}{html.escape(show.title)}</div>{rows}</div>'

@@ -1,4 +1,4 @@
-"""The file for robots, read as GMR's loader reads it, on a stand-in for a SMPL-X file."""
+"""The file for robots, read as three loaders read it, on a stand-in for a SMPL-X file."""
 
 from pathlib import Path
 
@@ -75,6 +75,35 @@ def test_the_loader_of_gmr_gets_our_motion(written, smplx):
     assert np.quantile(away, 0.95) < 0.04  # m
     assert orientations.shape == (len(truth), 22, 4)
     assert 1.0 < height < 2.3
+
+
+def test_protomotions_gets_our_motion(written, smplx):
+    """By the steps of data/scripts/convert_amass_to_proto.py for SMPL-X."""
+    data = np.load(written)
+    poses, trans = data["poses"], data["trans"]
+    assert poses.shape == (len(trans), 165)
+    rate = data["mocap_framerate" if "mocap_framerate" in data else "mocap_frame_rate"]
+    assert np.round(rate).astype(int) == 30
+    cut = np.concatenate((poses[:, :66], poses[:, 75:]), axis=-1)  # without jaw and eyes
+    turns = cut.reshape(len(trans), 52, 3)
+    assert np.array_equal(turns[:, 0], data["root_orient"])
+    assert np.array_equal(turns[:, 1:22].reshape(len(trans), 63), data["pose_body"])
+    assert not turns[:, 22:].any()
+    joints, orientations, _, _ = as_gmr_reads(written, BodyModel.load(smplx))
+    assert orientations.shape == (len(joints), 22, 4)
+
+
+def test_holosoma_gets_our_joints(written, smplx):
+    """By the steps of robot_retarget.load_motion_data for `smplx`."""
+    human = np.load(written)
+    joints, height = human["global_joint_positions"], human["height"]
+    truth, _, _, _ = as_gmr_reads(written, BodyModel.load(smplx))
+    assert np.abs(joints - truth).max() < 1e-4  # m
+    scale = 1.32 / height
+    assert 0.7 < scale < 0.9
+    toes = [JOINTS.index("left_foot"), JOINTS.index("right_foot")]
+    assert 0 < joints[:, toes, 2].min() < 0.1  # m; a mat begins there
+    assert set(human) >= {"num_betas", "pose_hand", "pose_jaw", "pose_eye", "gender"}
 
 
 def test_soles_stand_on_the_floor_and_contacts_are_beside(written, smplx):

@@ -82,7 +82,7 @@ def test_page_is_self_contained_and_small(body: BodyModel, tmp_path: Path, capsy
     recording = embedded(page)
     assert recording["durationSeconds"] == pytest.approx(3.0, abs=1e-6)  # seconds
     kinds = [message["type"] for _, message in recording["messages"]]
-    assert kinds.count("SkinnedMeshMessage") == 1
+    assert kinds.count("SkinnedMeshMessage") == 4  # the body, contacts, points seen and missing
     assert kinds.count("SetBoneOrientationMessage") > 90
     assert capsys.readouterr().out == ""
     assert [file.name for file in tmp_path.iterdir()] == ["show.html"]

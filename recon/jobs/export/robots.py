@@ -1,9 +1,16 @@
-"""Motions for robots: the SMPL-X file that GMR and its relatives take, on a SMPL-X body.
+"""Motions for robots: one SMPL-X file for GMR, ProtoMotions and holosoma, on a SMPL-X body.
 
 The loader of GMR (YanjieZe/GMR, general_motion_retargeting/utils/smpl.py) reads `betas`,
 `gender`, `root_orient`, `pose_body`, `trans` and `mocap_frame_rate`, and poses the SMPL-X file of
 that gender with them. Betas of our body mean nothing there: the motion is brought onto that file
 first, with 16 betas of its own, as many as the package smplx takes.
+
+ProtoMotions (NVlabs/ProtoMotions, data/scripts/convert_amass_to_proto.py) reads `trans`, `poses`
+of 55 joints (of which it leaves jaw and eyes out) and the rate, and its own robot's shape.
+holosoma (amazon-far/holosoma, holosoma_retargeting/examples/robot_retarget.py, `smplx`) reads
+positions of SMPL-X's 22 joints as `global_joint_positions` and the person's `height`; what makes
+such files of AMASS (data_utils/prep_amass_smplx_for_rt.py) reads the poses of hands, jaw and eyes
+and `num_betas` besides.
 """
 
 from dataclasses import dataclass
@@ -85,15 +92,24 @@ def write_robot(path: Path, motion: Motion, body: BodyModel, smplx: Path) -> Non
         )
     target = BodyModel.load(smplx)
     found = on_body(motion, body, target)
-    poses = so3.log(found.motion.rotations.double()).float().numpy()
+    poses = so3.log(found.motion.rotations.double()).float().numpy().reshape(-1, 3 * len(JOINTS))
+    rest = np.zeros((len(poses), 3 * (_SMPLX_JOINTS - len(JOINTS))), dtype=np.float32)
+    standing = target.rest_vertices(found.motion.shape)[:, 1]
     arrays = {
         "gender": np.array(gender),
         "surface_model_type": np.array("smplx"),
         "mocap_frame_rate": np.array(FPS),
         "betas": found.motion.shape.numpy(),
         "trans": found.motion.translation.numpy(),
-        "root_orient": poses[:, 0],
-        "pose_body": poses[:, 1:].reshape(len(poses), -1),
+        "num_betas": np.array(len(found.motion.shape)),
+        "root_orient": poses[:, :3],
+        "pose_body": poses[:, 3:],
+        "pose_jaw": rest[:, :3],
+        "pose_eye": rest[:, :6],
+        "pose_hand": rest[:, :90],
+        "poses": np.concatenate((poses, rest), 1),
+        "global_joint_positions": found.joints.numpy(),
+        "height": np.array(float(standing.max() - standing.min())),
         "contacts": found.contacts.numpy(),
         "joints": found.joints.numpy(),
         "joint_names": np.array(JOINTS),

@@ -17,6 +17,8 @@ CERTAINTY: Colour = (160, 60, 205)
 """Spheres of one standard deviation around joints."""
 CLOUD: Colour = (92, 98, 110)
 CAMERA: Colour = (108, 88, 178)
+GROUND: Colour = (188, 194, 203)
+"""Lines of the grid on the ground."""
 INK: Colour = (38, 42, 50)
 FAINT: Colour = (112, 118, 128)
 WHITE: Colour = (255, 255, 255)
