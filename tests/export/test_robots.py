@@ -95,7 +95,7 @@ def test_protomotions_gets_our_motion(written, smplx):
 
 def test_holosoma_gets_our_joints(written, smplx):
     """By the steps of robot_retarget.load_motion_data for `smplx`."""
-    human = np.load(written)
+    human = dict(np.load(written))
     joints, height = human["global_joint_positions"], human["height"]
     truth, _, _, _ = as_gmr_reads(written, BodyModel.load(smplx))
     assert np.abs(joints - truth).max() < 1e-4  # m
