@@ -10,10 +10,10 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from observations.checks import checked_clock, checked_positions, checked_view
-from observations.records.label_costs import costs_of_points, kinds_of_surfels
 from observations.records.sensor import SensorRecord
 from observations.records.surfaces import to_discs, tukey, tukey_scale, within
 from observations.start.depth import depth_start
+from observations.start.label_costs import costs_of_points, kinds_of_surfels
 from observations.start.labelled import labelled_start
 from observations.surfels import Surfels
 from observations.timing import at_observation_times, moment_numbers, moments_between, padded

@@ -20,6 +20,7 @@ from observations.start.bone_poses import (
     placed_rigidly,
 )
 from observations.start.evidence import evidence
+from observations.start.surface_steps import SeenSurface
 from observations.surfels import Surfels
 from priors.labels.record import PointLabels
 from priors.labels.regions import MIRRORED_REGIONS, REGION_OF_JOINT, REGIONS
@@ -27,6 +28,7 @@ from priors.pose.prior import PosePrior
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion
+from recon.core.struct import concatenate
 
 RATE = 10.0
 """Moments per second that are posed; the others lie between them."""
@@ -47,8 +49,10 @@ _READINGS = ((1, 1, 1), (-1, 1, 1), (-1, 1, -1))
 of the body (left and right, front and back)."""
 _RIGID = (0.5, 0.3, 0.2, 0.15)
 _POSED = (0.6, 0.6, 0.4, 0.3, 0.2, 0.15, 0.12)
-_TRACKED = (0.25, 0.15, 0.12, 0.1)
 """Scales of the robust kernel from step to step, metres."""
+_NEARED = (0.3, 0.2, 0.2, 0.15)
+_HELD = (0.2, 0.2, 0.2, 0.15, 0.15, 0.15, 0.1, 0.1, 0.1)
+"""Scales of the steps towards the surface, of every reading and of the chosen ones."""
 _AGAINST, _LABELS = 0.5, 0.4
 """Weights beside the misfit: of the surface that the sensor looked through, and of labels that a
 pose disagrees with."""
@@ -161,23 +165,25 @@ class _Tracker:
             return torch.zeros(count, 3), upright.expand(count, 22, 3, 3)
         readings = [self._targets(moments, signs) for signs in _READINGS]
         targets = _joined(readings)
+        eyes = None if moments.eye is None else moments.eye.repeat(len(_READINGS), 1)
+        read = [_read(moments.labels, signs) for signs in _READINGS]
+        surface = SeenSurface.of(self.body, self.cover, targets.points, concatenate(read), eyes)
         posed = self._posed(targets)
+        posed = surface.approached(posed, self.solver, targets, _NEARED, None)
         path = self._path(moments, posed, readings[0])
         rows = path * len(moments.number) + torch.arange(len(path))
         ties = Springs(
             torch.ones(len(path) - 1, dtype=torch.bool),
             place=(0.1 * RATE / 10) ** -2, turn=0.5**-2, coordinates=0.7**-2,
         )  # fmt: skip
-        found = self.solver.minimised(posed[rows], targets[rows], _TRACKED, ties)
+        held = surface.rows(rows)
+        found = held.approached(posed[rows], self.solver, targets[rows], _HELD, ties)
         return _between(found, moments.number, count)
 
     def _targets(self, moments: _Moments, signs: tuple[int, int, int]) -> BoneTargets:
         """The points on the bones that a reading of their labels puts them on."""
-        labels = moments.labels
-        place = labels.places * labels.places.new_tensor(signs)
-        region = labels.region.clamp(min=0)
-        if signs[0] < 0:
-            region = torch.tensor(MIRRORED_REGIONS)[region]
+        labels = _read(moments.labels, signs)
+        place, region = labels.places, labels.region.clamp(min=0)
         away = torch.cdist(place, self.place)
         away = away + _ELSEWHERE * (region[..., None] != self.region)
         bone = self.bone[away.argmin(-1)]
@@ -263,6 +269,15 @@ def _chosen(
         None if eye is None else eye[number].float(),
         number.diff() / fps,
     )
+
+
+def _read(labels: PointLabels, signs: tuple[int, int, int]) -> PointLabels:
+    """The labels in a reading."""
+    regions = labels.regions
+    if signs[0] < 0:
+        regions = regions[..., list(MIRRORED_REGIONS)]
+    place = labels.places * labels.places.new_tensor(signs)
+    return labels.derived(places=place, regions=regions)
 
 
 def _joined(parts: list[BoneTargets]) -> BoneTargets:

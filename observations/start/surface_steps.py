@@ -1,0 +1,120 @@
+"""Poses that labels tell roughly, brought to the surface that was seen by closest points.
+
+Labels are off by centimetres to decimetres, and the points themselves by millimetres. So a pose is
+drawn to both: to the places that labels name, as far as they are believed, and to the surface of
+the part that is near.
+"""
+
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from observations.start.bone_poses import BonePoses, BoneTargets, PoseSolver, Springs
+from observations.start.label_costs import costs_of_points, kinds_of_surfels
+from observations.surfels import Surfels
+from priors.labels.record import PointLabels
+from recon.body.model import BodyModel
+from recon.core.geometry.alike import nearest_alike
+from recon.core.geometry.visible import facing
+from recon.core.motion import Motion
+
+_STD = 0.04
+"""Metres that a point may be away from the middle of the nearest of few surfels."""
+_WORTH = 60.0
+"""Points that err independently of each other, as which the surface of a moment counts."""
+_ALONG = 0.2
+"""Share of the way along the surface that a point draws a surfel, beside all the way to it."""
+
+
+@dataclass(frozen=True)
+class SeenSurface:
+    """Labelled points of some rows, and where they were seen from."""
+
+    body: BodyModel
+    cover: Surfels
+    points: Float[Tensor, "rows points 3"]
+    present: Bool[Tensor, "rows points"]
+    costs: Float[Tensor, "rows points 16"]
+    kinds: Float[Tensor, "surfels 16"]
+    eye: Float[Tensor, "rows 3"] | None
+
+    @classmethod
+    def of(
+        cls,
+        body: BodyModel,
+        cover: Surfels,
+        points: Float[Tensor, "rows points 3"],
+        labels: PointLabels,
+        eye: Float[Tensor, "rows 3"] | None,
+    ) -> "SeenSurface":
+        """The points with what it costs to take them for other parts than their labels say."""
+        kinds = kinds_of_surfels(cover, body)
+        return cls(body, cover, points, labels.present, costs_of_points(labels), kinds, eye)
+
+    def rows(self, index: Int[Tensor, " some"]) -> "SeenSurface":
+        """Some of the rows."""
+        eye = None if self.eye is None else self.eye[index]
+        return replace(
+            self, points=self.points[index], present=self.present[index],
+            costs=self.costs[index], eye=eye,
+        )  # fmt: skip
+
+    def approached(
+        self,
+        state: BonePoses,
+        solver: PoseSolver,
+        labelled: BoneTargets,
+        sigmas: tuple[float, ...],
+        springs: Springs | None,
+    ) -> BonePoses:
+        """The poses after a step for every scale of the robust kernel, with points matched anew.
+
+        Args:
+            state: where to begin.
+            solver: of the body.
+            labelled: what the labels ask.
+            sigmas: scales, metres.
+            springs: between neighbouring moments; None leaves them independent.
+        """
+        for sigma in sigmas:
+            both = _together(labelled, self._targets(state))
+            state = solver.minimised(state, both, (sigma,), springs)
+        return state
+
+    def _targets(self, state: BonePoses) -> BoneTargets:
+        """The nearest surfels of the points, on the bones that move them most."""
+        middles, normals = self.cover.posed(self.body.pose(_motion(state, self.body)))
+        allowed = torch.ones_like(middles[..., 0], dtype=torch.bool)
+        if self.eye is not None:
+            allowed = facing(middles, normals, self.eye)
+        found = nearest_alike(self.points, self.present, self.costs, middles, allowed, self.kinds)
+        pick = found[..., None].expand(*found.shape, 3)
+        middle, normal = middles.gather(1, pick), normals.gather(1, pick)
+        away = self.points - middle
+        height = (away * normal).sum(-1, keepdim=True) * normal
+        bone = self._bones[found]
+        # where the surfel is on its bone as it is posed now, with all that blends into it
+        placed = state.bones[torch.arange(len(bone))[:, None], bone]
+        place = (placed[..., :3].mT @ (middle - placed[..., 3])[..., None])[..., 0]
+        count = self.present.sum(-1, keepdim=True).clamp(min=1)
+        weight = self.present.to(place) * (_WORTH / count).clamp(max=1) / _STD**2
+        return BoneTargets(middle + height + _ALONG * (away - height), weight, bone, place)
+
+    @property
+    def _bones(self) -> Int[Tensor, " surfels"]:
+        index = torch.from_numpy(self.cover.vertices)
+        return self.body.weights[index].argmax(-1)
+
+
+def _motion(state: BonePoses, body: BodyModel) -> Motion:
+    """The rows as frames of one motion of the average body."""
+    shape = state.translation.new_zeros(body.shape_size)
+    return Motion.create(state.translation, state.rotations, shape, fps=30.0)
+
+
+def _together(one: BoneTargets, other: BoneTargets) -> BoneTargets:
+    """The targets of both, row by row."""
+    mine, theirs = one.tensors(), other.tensors()
+    return BoneTargets(*(torch.cat((mine[name], theirs[name]), 1) for name in mine))
