@@ -13,8 +13,9 @@ from recon import cli
 from recon.body.cycles import find_cycles
 from recon.body.landmarks import LANDMARKS_16
 from recon.body.model import BodyModel
-from recon.diagnosis.fits.domain import SWING, swing_difference
+from recon.diagnosis.fits.domain import swing_difference
 from recon.fitting.cycles import completion
+from recon.fitting.cycles.recording import SWING
 from recon.fitting.methods import method_of
 from recon.fitting.options import FitOptions
 from recon.fitting.settings import FitSettings

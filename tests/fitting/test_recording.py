@@ -20,7 +20,7 @@ from recon.fitting.cycles.clock import moments_per_second, on_fast_clock
 from recon.fitting.cycles.gait import CompletedCycle, stretches, told_by_cycles
 from recon.fitting.cycles.recording import WholeRecording
 from recon.simulation.points import Corruption, landmarks3d
-from tests.walk_prior import walk
+from tests.walk_prior import one_cycle, tiny_weights, walk
 
 BODY = BodyModel.load()
 RATE = 6.0
@@ -71,6 +71,16 @@ def test_what_cycles_do_not_explain_stays_with_the_first_fit(truth, monkeypatch)
     told = recon.complete(seen(truth), WholeRecording(steps="pose")).stretches
     assert {one.prior for one in told} == {"pose"}
     assert any(one.cycles > 0 for one in told)
+
+
+def test_one_cycle_at_few_moments_is_one_code(tmp_path):
+    """HuMoR and the pose prior guess what is before the first of few moments."""
+    path = tiny_weights(tmp_path / "anchor.safetensors")
+    cycle = one_cycle(60.0)
+    few = seen(cycle)
+    result = recon.complete(few, WholeRecording(steps="pose", cycle_weights=str(path)))
+    assert [one.prior for one in result.stretches] == ["anchor"]
+    assert error(result.motion, cycle) < 0.04  # metres
 
 
 def test_one_moment_is_refused(truth):

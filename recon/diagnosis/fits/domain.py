@@ -17,12 +17,9 @@ from recon.diagnosis.findings import Finding
 from recon.diagnosis.fits.summaries import ResidualSummary
 from recon.fitting.clip import ClipFit
 from recon.fitting.clip_files import seen_times
+from recon.fitting.cycles.recording import SWING
 from recon.method.priors import CyclePrior
 
-SWING = 0.3
-"""Largest difference of a completed cycle's hips from those of gait, as `find_cycles` measures it.
-Of the cycles that it finds in the validation motions, 96 % are below, and the others are people
-who stand; all completions of motions without cycles were above."""
 _COVERED = 0.75
 """Share of the completed motion that this cycle must be."""
 _ANYTHING = 2.0
