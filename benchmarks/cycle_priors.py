@@ -1,11 +1,11 @@
 """The prior of whole cycles beside what else completes them: one table, paired intervals.
 
-    python -m benchmarks.cycle_priors CORPUS --components FILE ...
+    python -m benchmarks.cycle_priors CORPUS --network FILE --components FILE ...
         --json benchmarks/results/cycle_priors.json
 
 Columns as in `benchmarks.complete`: p points of every frame, or f of 100 frames with all points,
-with the 16 landmarks or without. Methods: the anchor-frame VAE (`network`), as many principal
-components of the same cycles with their Gaussian in the same optimiser (`components`, made by
+with the 16 landmarks or without. Methods: the anchor-frame VAE (`network`, made by `recon train
+anchor`), principal components of the same cycles with their Gaussian in the same optimiser (by
 `python -m priors.anchor.training.components`), the pose prior with its smoothness (`pose`) and
 HuMoR (`humor`), which are told the same noise. Seeds draw other people, clothes, offsets of
 landmarks and noise for the same cycles.
@@ -98,6 +98,7 @@ def compared(rows: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
 def main() -> None:
     parser = over_windows(__doc__)
     parser.set_defaults(part="validation")
+    parser.add_argument("--network", default="open", help="weights of the VAE")
     parser.add_argument("--components", type=Path, nargs="*", default=[], help="their weights")
     parser.add_argument("--columns", nargs="*", choices=COLUMNS, default=USUAL)
     parser.add_argument("--seeds", type=int, default=3)
@@ -107,7 +108,7 @@ def main() -> None:
     torch.set_num_threads(1)
     began = perf_counter()
     body = BodyModel.load()
-    fitters = {"network": partial(completed, "open", body)}
+    fitters = {"network": partial(completed, given.network, body)}
     for path in given.components:
         size = AnchorFrames.load(str(path), body).code_size
         fitters[f"{size} components"] = partial(completed, str(path), body)
