@@ -17,8 +17,9 @@ from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.fitting.cycles import gait
 from recon.fitting.cycles.clock import moments_per_second, on_fast_clock
+from recon.fitting.cycles.completion import NAMED_NOISE
 from recon.fitting.cycles.gait import CompletedCycle, stretches, told_by_cycles
-from recon.fitting.cycles.recording import WholeRecording
+from recon.fitting.cycles.recording import WholeRecording, noise_told
 from recon.simulation.points import Corruption, landmarks3d
 from tests.walk_prior import one_cycle, tiny_weights, walk
 
@@ -102,6 +103,19 @@ def test_a_slow_clock_becomes_fast_and_shows_the_same(truth):
     assert torch.equal(fast.points[:, ::6], cloud.points)
     assert int(fast.present.any(-1).sum()) == vertices.shape[0]
     assert on_fast_clock(seen(truth, 30.0)).fps == 30
+
+
+def test_scans_at_odd_times_count_as_much_on_a_fast_clock(truth):
+    """On the clock of 200 Hz that scans at odd times need, each counted 0.15 of a moment."""
+    slow, fast = on_fast_clock(seen(truth, 5.0)), seen(truth, 200.0)
+    shown = torch.zeros_like(fast.visible)
+    shown[:, ::40] = fast.visible[:, ::40]
+    odd = Markers3D(fast.positions, shown, fast.vertices, 200.0)
+    noises = [noise_told(one, None, few=True) for one in (slow, odd)]
+    assert noises[0] == pytest.approx(NAMED_NOISE)
+    assert noises[1] == pytest.approx(NAMED_NOISE * 0.15**0.5)
+    assert noise_told(odd, 0.02, few=True) == pytest.approx(0.02 * 0.15**0.5)
+    assert noise_told(fast, None, few=False) is None
 
 
 def test_cycles_that_overlap_or_follow_are_one_stretch():

@@ -14,6 +14,7 @@ from typing import Any, ClassVar
 
 import torch
 
+from observations.depth import CLOUD_NOISE
 from observations.together import kinds
 from observations.together.kinds import InSpace
 from recon.body.cycles import LONGEST_CYCLE, SHORTEST_CYCLE, find_cycles
@@ -21,7 +22,7 @@ from recon.body.model import BodyModel
 from recon.core.errors import ObservationError, WeightsError
 from recon.core.motion import Motion
 from recon.fitting.clip import ClipFit, fit_clip
-from recon.fitting.cycles.clock import moments_per_second, on_fast_clock, seen_times
+from recon.fitting.cycles.clock import RATES, moments_per_second, on_fast_clock, seen_times
 from recon.fitting.cycles.completion import FITTED, NAMED_NOISE, complete, cycle_noise
 from recon.fitting.cycles.gait import CompletedCycle, CycleData, stretches, told_by_cycles
 from recon.fitting.options import FitOptions
@@ -146,7 +147,7 @@ def complete_recording(
     few = bool(placed) and moments_per_second(placed) < FEW
     if few and (one := _one_cycle(observations, prior, options, body, watch)) is not None:
         return one
-    noise = tuple(_told(one, options.noise_of(row), few) for row, one in enumerate(seen))
+    noise = tuple(noise_told(one, options.noise_of(row), few) for row, one in enumerate(seen))
     any_motion = replace(options, prior=prior.steps, weights=prior.weights, noise=noise)
     first = fit_clip(seen, any_motion, body, watch)
     motion = first.result.clip(0).detach()
@@ -199,11 +200,18 @@ def _one_cycle(
     return _as_recording(fit, (Stretch(start, stop, prior.cycles, len(times), 1, 1),))
 
 
-def _told(one: Sensor, given: float | None, few: bool) -> float | None:
-    """The noise that is given; few moments tell none, so named points then have the usual one."""
-    if given is None and few and kinds.tracked([one]):
-        return NAMED_NOISE
-    return given
+def noise_told(one: Sensor, given: float | None, few: bool) -> float | None:
+    """The noise of an observation as its energies need it; None where the data tell it.
+
+    Few moments tell no noise, so it is the usual one unless it is given. Energies are taken at
+    30 Hz whatever the clock: where few moments lie on a fast one, each would count for less than
+    a moment, which a smaller noise makes up for.
+    """
+    if not few or not isinstance(one, InSpace):
+        return given
+    usual = NAMED_NOISE if kinds.tracked([one]) else CLOUD_NOISE
+    often = max(moments_per_second([one]), RATES[0])
+    return (usual if given is None else given) * (often / max(one.fps, often)) ** 0.5
 
 
 def _gait(
