@@ -24,7 +24,8 @@ VERBS = {
 TOOLS = {
     "recon/api/live/beginning.py", "recon/api/live/objective.py", "recon/api/live/smoother.py",
     "recon/api/live/stream.py", "recon/api/live/tracking.py", "recon/api/live/window.py",
-    "recon/diagnosis/points/quick.py", "recon/fitting/settling.py", "recon/ingest/markers/rest.py",
+    "recon/diagnosis/points/quick.py", "recon/fitting/settling.py",
+    "recon/ingest/markers/poses.py",
 }  # fmt: skip
 """Files that use the pose prior for a step of their own, not for the fit that was asked for."""
 DEFAULTS = {

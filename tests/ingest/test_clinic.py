@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-from importlib import resources
 from pathlib import Path
 
 import numpy as np
@@ -15,14 +14,12 @@ from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.skeleton import ARMS, FEET, LEGS, joint_index
 from recon.formats.mocap.recording import MarkerRecording
-from recon.formats.motions import load_motion
 from recon.ingest import convert
 from recon.ingest.markers.coverage import full_body_markers
 from recon.ingest.markers.fit import fit_markers
 from recon.ingest.markers.observation import seen_markers
 from recon.method.protocols import Estimate
-from tests.ingest.test_ingest import MARKERS
-from tests.ingest.test_markers import recorded
+from tests.ingest.walker import MARKERS
 
 LEG_MARKERS = [
     label for label, name in MARKERS.items()
@@ -33,22 +30,9 @@ UPPER_MARKERS = [label for label in MARKERS if label not in LEG_MARKERS]
 
 
 @pytest.fixture(scope="module")
-def single() -> BodyModel:
-    torch.set_num_threads(1)
-    return BodyModel.load()
-
-
-@pytest.fixture(scope="module")
-def walk() -> Motion:
-    """The first second of the demo's walk."""
-    motion = load_motion(Path(str(resources.files("recon") / "assets" / "demo.npz"))).motion
-    return motion.window(0, 30)
-
-
-@pytest.fixture(scope="module")
-def markers(walk: Motion, single: BodyModel) -> MarkerRecording:
+def markers(markers: MarkerRecording) -> MarkerRecording:
     """What markers on the skin of the walker show, from 2 s of the recording's clock on."""
-    return dataclasses.replace(recorded(walk, single), start_time=2.0)
+    return dataclasses.replace(markers, start_time=2.0)
 
 
 def test_legs_alone_are_converted_and_the_rest_is_inferred(

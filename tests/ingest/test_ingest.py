@@ -27,6 +27,7 @@ from recon.jobs.export.bvh import skeleton_of, write_bvh
 from recon.jobs.many.collection import SourceClip, collections, read_clips, skeleton_key
 from recon.jobs.many.corpus import config_hash, convert_corpus
 from recon.jobs.many.corpus_jobs import split
+from tests.ingest.walker import MARKERS
 
 FPS = 60.0
 FRAMES = 66
@@ -264,20 +265,6 @@ def test_a_corpus_is_resumed(recording: SkeletonRecording, tmp_path: Path) -> No
 def test_settings_have_a_hash(bundled: BodyModel) -> None:
     other = dataclasses.replace(bundled, checksum="another")
     assert config_hash(bundled) != config_hash(other)
-
-
-MARKERS = {
-    "LASI": "left_asis", "RASI": "right_asis", "LPSI": "left_psis", "RPSI": "right_psis",
-    "LKNE": "left_knee_lateral", "RKNE": "right_knee_lateral", "LTHI": "left_thigh_lateral",
-    "RTHI": "right_thigh_lateral", "LTIB": "left_shank_lateral", "RTIB": "right_shank_lateral",
-    "LANK": "left_ankle_lateral", "RANK": "right_ankle_lateral", "LHEE": "left_heel",
-    "RHEE": "right_heel", "LTOE": "left_toe2_base", "RTOE": "right_toe2_base", "C7": "c7",
-    "T10": "t10", "CLAV": "sternal_notch", "STRN": "xiphoid", "LSHO": "left_acromion",
-    "RSHO": "right_acromion", "LELB": "left_elbow_lateral", "RELB": "right_elbow_lateral",
-    "LWRA": "left_wrist_radial", "LWRB": "left_wrist_ulnar", "RWRA": "right_wrist_radial",
-    "RWRB": "right_wrist_ulnar", "LFHD": "left_front_head", "RFHD": "right_front_head",
-    "LBHD": "left_back_head", "RBHD": "right_back_head",
-}  # fmt: skip
 
 
 def marker_recording(planted: Motion, body: BodyModel) -> tuple[MarkerRecording, Tensor]:

@@ -11,13 +11,7 @@ from recon.formats.detections.deeplabcut import normalised
 from recon.formats.motions import load_motion
 from recon.ingest import convert
 from recon.ingest.markers.joint_centres import are_keypoints, keypoint_of, keypoint_places
-from tests.ingest.test_ingest import MARKERS
-
-
-@pytest.fixture(scope="module")
-def single() -> BodyModel:
-    torch.set_num_threads(1)
-    return BodyModel.load()
+from tests.ingest.walker import MARKERS
 
 
 @pytest.mark.parametrize("label", ["RHip", "LKnee", "Nose", "CHip", "Neck", "left_big_toe", "Hip"])

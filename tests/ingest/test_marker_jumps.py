@@ -1,9 +1,5 @@
 """Steps that no marker makes: found, solved again, and spread where they remain."""
 
-from importlib import resources
-from pathlib import Path
-
-import pytest
 import torch
 
 from recon.body.landmarks import landmark
@@ -12,29 +8,10 @@ from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.skeleton import joint_index
 from recon.formats.mocap.recording import MarkerRecording
-from recon.formats.motions import load_motion
 from recon.ingest.markers.coverage import STANDOFF
 from recon.ingest.markers.jumps import eased, jump_findings, mended, unmade_steps
-from tests.ingest.test_ingest import MARKERS
-from tests.ingest.test_markers import codes, recorded
-
-
-@pytest.fixture(scope="module")
-def single() -> BodyModel:
-    return BodyModel.load()
-
-
-@pytest.fixture(scope="module")
-def walk() -> Motion:
-    """The first second of the demo's walk."""
-    motion = load_motion(Path(str(resources.files("recon") / "assets" / "demo.npz"))).motion
-    return motion.window(0, 30)
-
-
-@pytest.fixture(scope="module")
-def markers(walk: Motion, single: BodyModel) -> MarkerRecording:
-    """What markers on the skin of the walker show, without noise."""
-    return recorded(walk, single)
+from tests.ingest.test_markers import codes
+from tests.ingest.walker import MARKERS
 
 
 def test_a_body_that_leaves_its_markers_is_solved_again(

@@ -23,8 +23,7 @@ from recon.ingest.markers.calibration import Calibrated, SubjectEnergies
 from recon.ingest.markers.coverage import full_body_markers, nominal_offsets
 from recon.ingest.markers.fit import OUTLIER, MarkerWeights, fit_markers
 from recon.ingest.markers.points import Poses, SkinPoints
-from recon.ingest.markers.poses import PoseEnergies
-from recon.ingest.markers.rest import natural_pose
+from recon.ingest.markers.poses import PoseEnergies, natural_pose
 from recon.method import terms
 from recon.method.free import FreeMotion
 from recon.method.protocols import REFERENCE_FPS, Decoded, Estimate
@@ -33,7 +32,7 @@ from recon.method.stages import Stage
 from recon.method.terms import Term
 from recon.solver.lbfgs import LBFGS
 from recon.solver.levenberg_marquardt import LevenbergMarquardt, minimise_frames
-from tests.ingest.test_ingest import MARKERS
+from tests.ingest.walker import MARKERS
 
 STEP = 1e-6
 FRAMES = 4
@@ -88,8 +87,8 @@ def energies_of(
         positions=seen.positions[0].mT,
         visible=seen.visible[0].to(shape),
         linked=torch.ones(seen.moments - 1, dtype=torch.bool),
-        natural=natural_pose().to(shape),
-        pull=WEIGHTS.rest,
+        natural=natural_pose().to(shape)[None],
+        pull=shape.new_full((1,), WEIGHTS.rest),
         ground=WEIGHTS.ground,
         turning=torch.full((22,), WEIGHTS.turning / rate).to(shape),
         weight=rate,

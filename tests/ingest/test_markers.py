@@ -19,7 +19,7 @@ from recon.formats.mocap.recording import MarkerRecording
 from recon.formats.motions import load_motion
 from recon.ingest import Conversion, convert
 from recon.ingest.conversion import floored
-from recon.ingest.markers.coverage import full_body_markers, nominal_offsets
+from recon.ingest.markers.coverage import full_body_markers
 from recon.ingest.markers.exchanges import (
     exchanged_throughout,
     mirrored,
@@ -27,48 +27,11 @@ from recon.ingest.markers.exchanges import (
     steady_labels,
 )
 from recon.ingest.markers.gaps import bridged, gap_findings, observed_joints, placed_frames
-from recon.ingest.markers.rest import natural_pose
+from recon.ingest.markers.poses import natural_pose
 from recon.jobs.convert import ConversionSettings, convert_file
-from tests.ingest.test_ingest import MARKERS
+from tests.ingest.walker import LABELS
 
-LABELS = tuple(MARKERS)
 ARM = [LABELS.index(label) for label in ("LELB", "LWRA", "LWRB")]
-
-
-@pytest.fixture(scope="module")
-def single() -> BodyModel:
-    torch.set_num_threads(1)
-    return BodyModel.load()
-
-
-@pytest.fixture(scope="module")
-def walk() -> Motion:
-    """The first second of the demo's walk."""
-    motion = load_motion(Path(str(resources.files("recon") / "assets" / "demo.npz"))).motion
-    return motion.window(0, 30)
-
-
-@pytest.fixture(scope="module")
-def markers(walk: Motion, single: BodyModel) -> MarkerRecording:
-    """What markers on the skin of the walker show, without noise."""
-    return recorded(walk, single)
-
-
-def recorded(motion: Motion, body: BodyModel) -> MarkerRecording:
-    vertices = [landmark(name) for name in MARKERS.values()]
-    posed = body.pose(motion)
-    bones = body.weights[vertices].argmax(-1)
-    offsets = nominal_offsets(body, vertices)
-    points = posed.points(torch.tensor(vertices))
-    points = points + (posed.orientations[:, bones] @ offsets[..., None])[..., 0]
-    return MarkerRecording(
-        name="made-up",
-        marker_names=LABELS,
-        positions=points.double().numpy(),
-        visible=np.ones(points.shape[:2], dtype=bool),
-        fps=motion.fps,
-        decisions=(),
-    )
 
 
 def hidden(

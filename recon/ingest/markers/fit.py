@@ -4,7 +4,9 @@ Loper, Mahmood and Black, MoSh, 2014: a marker sits a little off the skin and no
 name says; where exactly is found together with the body's shape from a few frames, and held.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import torch
@@ -28,9 +30,9 @@ from recon.ingest.markers.gaps import (
     placed_frames,
     turned_joints,
 )
+from recon.ingest.markers.neighbours import frames_about_gaps, joined_in_time
 from recon.ingest.markers.points import Poses, SkinPoints
-from recon.ingest.markers.poses import PoseEnergies
-from recon.ingest.markers.rest import natural_pose, with_natural_pose
+from recon.ingest.markers.poses import PoseEnergies, natural_pose, with_natural_pose
 from recon.ingest.markers.stages import mended_frames, solved_apart, solved_in_turn
 from recon.method.protocols import REFERENCE_FPS
 
@@ -122,6 +124,13 @@ def fit_markers(
         step = max(1, round(recording.fps / _KEY_RATE))
         keys = torch.unique(torch.cat((placed[::step], placed[-1:])))
         motion = solved_apart(energies, keys, between(motion, chosen, keys))
+        about = frames_about_gaps(data.visible, data.fps) & shown
+        if bool(about.any()):
+            joined = joined_in_time(
+                energies, data.points(subject), subject.offsets, data.bones, motion, keys, about
+            )
+            energies, motion, keys = joined.energies, joined.motion, joined.frames
+            subject = subject.replace(offsets=joined.offsets)
         energies = energies.frames(placed)
         motion = solved_in_turn(energies, between(motion, keys, placed))
         motion, changed, unmade = mended_frames(
@@ -181,18 +190,22 @@ class _Data:
         """Some of the frames."""
         return replace(self, positions=self.positions[index], visible=self.visible[index])
 
+    def points(self, subject: MarkerSubject) -> Callable[[Tensor], SkinPoints]:
+        """The markers on a subject, by their offsets from the skin."""
+        return partial(SkinPoints.of, self.body, subject.shape, self.vertices)
+
     def energies(self, subject: MarkerSubject) -> PoseEnergies:
         """The energies of poses of a known subject, at 30 Hz."""
         rate, under = REFERENCE_FPS / self.fps, self.under
         return PoseEnergies(
             rest=self.body.rest_joints(subject.shape),
-            markers=SkinPoints.of(self.body, subject.shape, self.vertices, subject.offsets),
+            markers=self.points(subject)(subject.offsets),
             soles=None if under is None else SkinPoints.of(self.body, subject.shape, under),
             positions=self.positions.mT.contiguous(),
             visible=self.visible.to(self.positions),
             linked=torch.ones(len(self.visible) - 1, dtype=torch.bool),
-            natural=natural_pose(),
-            pull=self.weights.rest,
+            natural=natural_pose()[None],
+            pull=self.positions.new_full((1,), self.weights.rest),
             ground=self.weights.ground,
             turning=torch.full((len(JOINTS),), self.weights.turning / rate),
             weight=rate,

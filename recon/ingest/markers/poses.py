@@ -1,15 +1,33 @@
 """The energies of poses that are to meet markers, with their first and second derivatives."""
 
 from dataclasses import dataclass, replace
+from functools import cache
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn.functional import pad
 
+from priors.pose.prior import PosePrior
 from recon.body.levers import COORDINATES, world_turns
 from recon.core import rotations as so3
 from recon.ingest.markers.points import Poses, SkinPoints
+
+
+@cache
+def natural_pose() -> Float[Tensor, "21 3 3"]:
+    """How people stand on average, arms hanging: what joints take that no marker ever shows.
+
+    It is the mean rotation of every body joint over the motions that the bundled pose prior
+    learned.
+    """
+    return PosePrior.load().density.mean.float()
+
+
+def with_natural_pose(rotations: Float[Tensor, "*batch 22 3 3"]) -> Float[Tensor, "*batch 22 3 3"]:
+    """Poses with the same root rotations, and all other joints at rest."""
+    pose = natural_pose().to(rotations).expand(*rotations.shape[:-3], 21, 3, 3)
+    return torch.cat((rotations[..., :1, :, :], pose), -3)
 
 
 @dataclass(frozen=True)
@@ -31,10 +49,10 @@ class PoseEnergies:
     """1 where a marker is visible, 0 elsewhere."""
     linked: Bool[Tensor, " between"]
     """Whether a frame is tied to the next one."""
-    natural: Float[Tensor, "21 3 3"]
-    """Rotations that joints are drawn to."""
-    pull: float
-    """Weight of the distance from them."""
+    natural: Float[Tensor, "#frames 21 3 3"]
+    """Rotations that joints are drawn to: the same in all frames, or frame by frame."""
+    pull: Float[Tensor, "#frames"]
+    """Weight of the distance from them, likewise."""
     ground: float
     """Weight of the soles."""
     turning: Float[Tensor, " 22"]
@@ -54,8 +72,14 @@ class PoseEnergies:
         apart = (~self.linked).cumsum(0)
         run = pad(apart, (1, 0))[index]
         linked = (index.diff() == 1) & (run.diff() == 0)
-        positions, visible = self.positions[index], self.visible[index]
-        return replace(self, positions=positions, visible=visible, linked=linked)
+        return replace(
+            self,
+            positions=self.positions[index],
+            visible=self.visible[index],
+            linked=linked,
+            natural=_of_frames(self.natural, index),
+            pull=_of_frames(self.pull, index),
+        )
 
     def untied(self) -> "PoseEnergies":
         """The energies of frames that are independent of each other."""
@@ -76,9 +100,10 @@ class PoseEnergies:
         gradient = self.markers.pull(some, away * slope[:, None])
         value = 0.5 * value.sum(-1)
         drawn = some.rotations[:, 1:]
-        value = value + self.pull / 4 * (drawn - self.natural).square().sum((1, 2, 3))
-        bent = pad(so3.axis_sine(self.natural.mT @ drawn), (0, 0, 1, 0))
-        gradient[:, 3:] += self.pull * world_turns(bent, some.orientations)
+        natural, pull = _of_frames(self.natural, rows), _of_frames(self.pull, rows)
+        value = value + pull / 4 * (drawn - natural).square().sum((1, 2, 3))
+        bent = pad(so3.axis_sine(natural.mT @ drawn), (0, 0, 1, 0))
+        gradient[:, 3:] += pull[:, None] * world_turns(bent, some.orientations)
         if self.soles is not None:
             depth, weight = self.depths(some)
             value = value + 0.5 * (weight * depth.square()).sum(-1)
@@ -91,7 +116,7 @@ class PoseEnergies:
         _, slope, _ = self._residuals(some, rows)
         out = self.markers.levers.stiffness(some.bones, slope)
         diagonal = out.diagonal(dim1=1, dim2=2)[:, 3:].unflatten(-1, (3, -1))
-        diagonal[..., 1:] += self.pull
+        diagonal[..., 1:] += _of_frames(self.pull, rows)[:, None, None]
         if self.soles is not None:
             _, weight = self.depths(some)
             touching = weight.any(-1).nonzero()[:, 0]
@@ -159,6 +184,11 @@ def _upwards(force: Float[Tensor, "frames points"]) -> Float[Tensor, "frames 3 p
 def _rows(state: Poses, rows: Tensor) -> Poses:
     # indexing copies, so all frames are taken as they are
     return state if len(rows) == len(state.translation) else state[rows]
+
+
+def _of_frames(values: Tensor, rows: Tensor) -> Tensor:
+    # one value belongs to all frames
+    return values if len(values) == 1 else _some(values, rows)
 
 
 def _some(values: Tensor, rows: Tensor) -> Tensor:

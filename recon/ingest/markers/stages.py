@@ -37,7 +37,13 @@ def solved_apart(energies: PoseEnergies, frames: Int[Tensor, " frames"], start: 
     apart = energies.frames(frames).untied()
     wide = replace(apart, sigma=_WIDE)
     rough = minimise_frames(wide, _poses(start, energies), _settings(energies, _ROUGH)).state
-    return _motion(minimise_frames(apart, rough, _settings(energies, _NEAR)).state, start)
+    return solved_near(apart, _motion(rough, start))
+
+
+def solved_near(energies: PoseEnergies, start: Motion) -> Motion:
+    """Poses of some frames, roughly, from a good guess."""
+    near = _settings(energies, _NEAR)
+    return _motion(minimise_frames(energies, _poses(start, energies), near).state, start)
 
 
 def solved_in_turn(energies: PoseEnergies, start: Motion) -> Motion:
