@@ -239,7 +239,8 @@ def _points_3d(
             return markers
         raw, unit, up = from_recording(recording), None, None
     elif holds_points_3d(path, images=settings.camera is not None):
-        raw, unit, up = read_points_3d(path), settings.unit, settings.up
+        person = None if settings.person == "all" else settings.person
+        raw, unit, up = read_points_3d(path, person=person), settings.unit, settings.up
     else:
         return None
     return settled(raw, body, fps=settings.frame_rate, unit=unit, up=up, layout=settings.layout)

@@ -5,13 +5,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from recon.core.errors import FormatError
 from recon.core.limits import FRAMES
 from recon.formats.files.json_files import as_floats, listed_frames, read_json
+from recon.formats.keypoints3d.people import followed, taken
 from recon.formats.keypoints3d.records import Points3D, rate_of
 
 _WORLD = ("pose_world_landmarks", "world_landmarks", "poseWorldLandmarks", "worldLandmarks")
+_IMAGE = ("pose_landmarks", "poseLandmarks", "landmarks")
 _NAMES = ("joint_names", "keypoint_names", "names", "labels", "keypoints_names")
 _FRAMES = ("frames", "data", "positions", "keypoints3d", "keypoints_3d", "joints3d")
 _LANDMARKS = 33
@@ -25,12 +28,13 @@ def is_points_3d(value: Any) -> bool:
     return _is_world(value) or _is_azure(value) or _is_named(value)
 
 
-def read_json_points(path: Path, value: Any = None) -> Points3D:
+def read_json_points(path: Path, value: Any = None, person: int | None = None) -> Points3D:
     """3D keypoints of one person.
 
     Args:
         path: of the file, for messages, and to read it where `value` is None.
         value: what the file holds, where it was read already.
+        person: whom to take where there are several, from 0 on; None takes who is seen longest.
 
     Raises:
         FileNotFoundError: when there is no such file.
@@ -38,9 +42,9 @@ def read_json_points(path: Path, value: Any = None) -> Points3D:
     """
     value = read_json(path) if value is None else value
     if _is_world(value):
-        return _world(_entries(value), path.name)
+        return _world(_entries(value), path.name, person)
     if _is_azure(value):
-        return _azure(value, path.name)
+        return _azure(value, path.name, person)
     if _is_named(value):
         return _named(value, path.name)
     raise FormatError(
@@ -82,36 +86,59 @@ def _names(value: dict[str, Any]) -> tuple[str, ...] | None:
     return None
 
 
-def _world(entries: list[Any], name: str) -> Points3D:
+def _world(entries: list[Any], name: str, person: int | None) -> Points3D:
     """Metres about the middle of the hips; x right, y down, z away, as the camera sees."""
     frames = listed_frames(entries, name)
     first, last = frames[0][0], frames[-1][0]
     FRAMES.check(last - first + 1, name)
+    seen = [
+        (number, _landmarks(entry, _WORLD, f"{name}, frame {number}")) for number, entry in frames
+    ]
+    found = [people for _, people in seen]
+    shown = [_landmarks(entry, _IMAGE, f"{name}, frame {number}") for number, entry in frames]
+    beside = all(len(a) == len(b) for a, b in zip(found, shown, strict=True))
+    known = found
+    if beside:  # where somebody stands in the image, too
+        known = [
+            [np.concatenate((w, i[:, :2]), 1) for w, i in zip(a, b, strict=True)]
+            for a, b in zip(found, shown, strict=True)
+        ]
+    tracks = followed(known)
+    if not tracks:
+        raise FormatError(f"{name}: expected world landmarks, but all frames are empty")
+    chosen, said = taken([len(one) for one in tracks], len(frames), person, name)
     positions = np.full((last - first + 1, _LANDMARKS, 3), np.nan)
-    several = False
-    for number, entry in frames:
-        found = next((entry[key] for key in _WORLD if key in entry), None) if entry else None
-        if not found:
-            continue
-        if isinstance(found, list) and isinstance(found[0], list):  # a list of people
-            several |= len(found) > 1
-            found = found[0]
-        place = f"{name}, frame {number}"
-        if not isinstance(found, list) or len(found) != _LANDMARKS:
-            raise FormatError(f"{place}: expected {_LANDMARKS} world landmarks")
-        if not all(isinstance(one, dict) and {"x", "y", "z"} <= one.keys() for one in found):
-            raise FormatError(f"{place}: expected x, y and z of every landmark")
-        rows = [[p["x"], p["y"], p["z"], p.get("visibility", 1.0)] for p in found]
-        values = as_floats(rows, place)
-        shown = np.nan_to_num(values[:, 3], nan=1.0) >= _SEEN
-        positions[number - first] = np.where(shown[:, None], values[:, :3], np.nan)
-    said = ("layout mediapipe33: MediaPipe's world landmarks",)
-    if several:
-        said = (*said, "several people: the first of each frame was taken")
-    return Points3D(name, positions, layout="mediapipe33", unit="m", decisions=said)
+    for k, place in tracks[chosen].items():
+        positions[seen[k][0] - first] = found[k][place]
+    told = ("layout mediapipe33: MediaPipe's world landmarks", *said)
+    return Points3D(name, positions, layout="mediapipe33", unit="m", decisions=told)
 
 
-def _azure(value: dict[str, Any], name: str) -> Points3D:
+def _landmarks(
+    entry: Any, keys: tuple[str, ...], place: str
+) -> list[Float[np.ndarray, "landmarks 3"]]:
+    """Everybody's landmarks in one frame; NaN where not seen."""
+    found = next((entry[key] for key in keys if key in entry), None) if entry else None
+    if not found:
+        return []
+    if not isinstance(found, list):
+        raise FormatError(f"{place}: expected lists of landmarks")
+    people = found if isinstance(found[0], list) else [found]
+    return [_person(one, place) for one in people if one]
+
+
+def _person(landmarks: Any, place: str) -> Float[np.ndarray, "landmarks 3"]:
+    if not isinstance(landmarks, list) or len(landmarks) != _LANDMARKS:
+        raise FormatError(f"{place}: expected {_LANDMARKS} world landmarks")
+    if not all(isinstance(one, dict) and {"x", "y", "z"} <= one.keys() for one in landmarks):
+        raise FormatError(f"{place}: expected x, y and z of every landmark")
+    rows = [[p["x"], p["y"], p["z"], p.get("visibility", 1.0)] for p in landmarks]
+    values = as_floats(rows, place)
+    shown = np.nan_to_num(values[:, 3], nan=1.0) >= _SEEN
+    return np.where(shown[:, None], values[:, :3], np.nan)
+
+
+def _azure(value: dict[str, Any], name: str, person: int | None) -> Points3D:
     """Millimetres in the frame of the depth camera: x right, y down, z forward."""
     frames = [one for one in value["frames"] if isinstance(one, dict)]
     names = _names(value)
@@ -121,7 +148,9 @@ def _azure(value: dict[str, Any], name: str) -> Points3D:
     seen = Counter(str(body.get("body_id", 0)) for some in bodies for body in some)
     if not seen:
         raise FormatError(f"{name}: expected bodies, but all {len(frames)} frames are empty")
-    who, often = seen.most_common(1)[0]
+    ids = [who for who, _ in seen.most_common()]
+    often, several = taken([seen[who] for who in ids], len(frames), person, name)
+    who = ids[often]
     chosen = [
         next((body for body in some if str(body.get("body_id", 0)) == who), None)
         for some in bodies
@@ -140,7 +169,8 @@ def _azure(value: dict[str, Any], name: str) -> Points3D:
         raise FormatError(f"{name}: {len(names)} joint_names, but {size[0]} joint_positions")
     empty = np.full(size, np.nan)
     positions = np.stack([empty if row is None else row for row in rows])
-    said = ["unit mm: Azure Kinect's", f"body {who}: seen in {often} of {len(frames)} frames"]
+    said = ["unit mm: Azure Kinect's", f"body {who}: seen in {seen[who]} of {len(frames)} frames"]
+    said += several
     stamps = [frame.get("timestamp_usec") for frame in frames]
     timing = None
     if all(isinstance(stamp, int | float) for stamp in stamps):

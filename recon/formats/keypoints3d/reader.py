@@ -59,13 +59,16 @@ def holds_points_3d(path: Path, *, images: bool = False) -> bool:
     return False
 
 
-def read_points_3d(path: Path, *, unit: str | None = None, up: Up | None = None) -> Points3D:
+def read_points_3d(
+    path: Path, *, unit: str | None = None, up: Up | None = None, person: int | None = None
+) -> Points3D:
     """Read 3D keypoints: FreeMoCap, MediaPipe, Anipose, Azure Kinect, arrays, tables, TRC, C3D.
 
     Args:
         path: of the file or session folder.
         unit: of a recording (.trc, .c3d), where the file is wrong about it.
         up: axis of a recording that points up, where it cannot be told.
+        person: whom to take of several people (.json), from 0 on; None takes who is seen longest.
 
     Raises:
         FileNotFoundError: when there is nothing there.
@@ -81,7 +84,7 @@ def read_points_3d(path: Path, *, unit: str | None = None, up: Up | None = None)
     if ending == ".csv":
         return checked(read_table(path))
     if ending == ".json":
-        return checked(read_json_points(path))
+        return checked(read_json_points(path, person=person))
     if ending in RECORDINGS:
         return from_recording(marker_recording(path, unit, up))
     raise FormatError(
