@@ -26,7 +26,7 @@ def _weights(out: Path, given: Arguments) -> tuple[Output, ...]:
 
 @writes(Place("out", _weights))
 def train(
-    prior: Positional[Literal["pose", "humor", "anchor", "humos"]],
+    prior: Positional[Literal["pose", "humor", "anchor", "humos", "labels"]],
     corpus: Positional[Path],
     out: Path,
     data: Literal["open", "nc"] = "open",
@@ -41,8 +41,9 @@ def train(
 
     `pose` is a density of single poses, takes seconds and has no steps. `humor` is the transition
     network: hours on two cores. `anchor` is the anchor-frame VAE of gait cycles: minutes on two
-    cores. `humos` is the decoder that sees the body: an hour on one core. A run that was cut goes
-    on from its checkpoint.
+    cores. `humos` is the decoder that sees the body: an hour on one core. `labels` tells which
+    part of a body a point of a cloud shows: an hour on one core, and the clouds that it draws
+    first a quarter of one. A run that was cut goes on from its checkpoint.
 
     Args:
         prior: which one.
@@ -52,7 +53,8 @@ def train(
             non-commercial licence.
         steps: of the optimiser; for `anchor` of its first phase, on parameters; for `humos` of
             its second part, from body to body. Default: 20,000 for `humor`; 1,000 for `anchor`,
-            followed by 2,500 on the surface; 1,200 for `humos`, after 1,500 of its auto-encoder.
+            followed by 2,500 on the surface; 1,200 for `humos`, after 1,500 of its auto-encoder;
+            6,000 for `labels`.
         latent: size of the code of `anchor` (default: 256) and of `humos` (default: 96 for every
             0.4 s).
         device: where to compute.
@@ -65,7 +67,7 @@ def train(
 
     asked = {"steps": steps, "latent": latent}
     asked = {name: value for name, value in asked.items() if value is not None}
-    if prior in ("anchor", "humos") and device != "cpu":
+    if prior in ("anchor", "humos", "labels") and device != "cpu":
         raise ValueError(f"{prior} is trained on the processor: give --device cpu")
 
     from recon.formats.results.reports import versions
@@ -83,7 +85,8 @@ def train(
         console.last(str(out))
         return
     ask = {"corpus": corpus, "out": out.with_suffix(""), "data": data, "seed": seed, **asked}
-    export = {"anchor": _anchor, "humos": _humos, "humor": _humor}[prior](ask, device)
+    kinds = {"anchor": _anchor, "humos": _humos, "humor": _humor, "labels": _labels}
+    export = kinds[prior](ask, device)
     with writing_file(out, report, overwrite=overwrite) as made:
         export(made)
     console.last(str(out))
@@ -110,6 +113,18 @@ def _humos(ask: dict[str, Any], _: str) -> Export:
 
     run = HumosTraining(**ask)
     train_humos(run)
+    return partial(export_weights, run)
+
+
+def _labels(ask: dict[str, Any], _: str) -> Export:
+    from priors.labels.training.run import LabelTraining, export_weights
+    from priors.labels.training.train import train as train_labels
+    from recon.simulation.labelled.shards import make_training_clouds
+
+    corpus, data, out = ask.pop("corpus"), ask.pop("data"), ask["out"]
+    learned, checked = make_training_clouds(corpus, out / "clouds", data, ask["seed"])
+    run = LabelTraining(corpus=learned, checked=checked, **ask)
+    train_labels(run)
     return partial(export_weights, run)
 
 

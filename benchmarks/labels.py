@@ -1,0 +1,244 @@
+"""Labels of the points of clouds, on people and motions that the network has not seen.
+
+    python -m benchmarks.people PEOPLE.npz            # needs the group `bench`
+    python -m benchmarks.labels CORPUS PEOPLE.npz --json labels.json
+
+Every listed window of 90 frames is seen by a depth sensor at a place drawn for it, in a room with
+furniture, at ten moments 0.3 s apart, which is as far apart as the network looks. Its person is
+one of MakeHuman's (`benchmarks.people`) in drawn clothes, and our body in a drawn shape. Columns:
+the whole cloud; half of its points on the body hidden by a plane in a drawn direction; the cloud
+and its sensor turned in any way, without a word on where gravity points; what a coarse
+segmentation leaves around the body; scans from all sides. Intervals are those of
+`benchmarks.intervals`.
+"""
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
+
+from benchmarks.arguments import over_windows
+from benchmarks.intervals import interval
+from benchmarks.people import People
+from benchmarks.results import corpus_source, write
+from benchmarks.windows import Windows, load_windows
+from priors.labels.looking import CloudLabeller
+from priors.labels.record import PointLabels
+from priors.labels.regions import Regions
+from priors.training.dataset import Splits
+from recon.body.model import BodyModel
+from recon.core.geometry.normals import vertex_normals
+from recon.simulation.clothes import Clothing, clothed, offsets
+from recon.simulation.labelled.people import drawn_shape
+from recon.simulation.labelled.postures import SPACING
+from recon.simulation.labelled.rooms import Glimpse, all_around, drawn_room, glimpse
+
+POINTS = 512
+FRAMES = 90
+CASES = ("whole", "half hidden", "any tilt", "coarse segmentation", "scans from all sides")
+BODIES = ("MakeHuman", "our body")
+
+
+@dataclass(frozen=True)
+class Clouds:
+    """Clouds of one window with their truth; metres."""
+
+    points: Float[np.ndarray, "moments points 3"]
+    regions: Int[np.ndarray, "moments points"]
+    """Number of the region, -1 off the body, -2 where there is no point."""
+    places: Float[np.ndarray, "moments points 3"]
+    eye: Float[np.ndarray, "3"] | None
+    level: bool
+
+
+def main() -> None:
+    parser = over_windows(__doc__)
+    parser.add_argument("people", type=Path, help="file that benchmarks.people wrote")
+    parser.add_argument("--weights", type=Path, default=None)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", type=int, default=None, help="first windows")
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    body, people = BodyModel.load(), People.load(options.people)
+    windows = load_windows(
+        options.corpus, Splits.load(options.splits), options.part, body, 0, FRAMES
+    )
+    if options.only is not None:
+        windows = windows.take(list(range(min(options.only, len(windows.names)))))
+    labeller = CloudLabeller.load(options.weights)
+    rows: dict[str, Any] = {
+        f"{who}, {case}": scores(labeller, windows, body, people, who, case, options.seed)
+        for who in BODIES
+        for case in CASES
+    }
+    for name, row in rows.items():
+        means = ", ".join(f"{key} {value['mean']:.3g}" for key, value in row["means"].items())
+        print(f"{name:<34} {means}")
+    seconds = seconds_of_a_clip(labeller)
+    print(f"90 moments of 512 points: {seconds:.2f} CPU s")
+    if options.json is not None:
+        write(
+            options.json,
+            options.seed,
+            corpus_source(options.corpus, windows.files),
+            windows=windows.about,
+            points=POINTS,
+            seconds=seconds,
+            rows=rows,
+            correspondence_mm=1e3 * float(np.median(people.apart)),
+        )
+
+
+def scores(
+    labeller: CloudLabeller,
+    windows: Windows,
+    body: BodyModel,
+    people: People,
+    who: str,
+    case: str,
+    seed: int,
+) -> dict[str, object]:
+    """Means over subjects with intervals, and the values of every window."""
+    values = [
+        errors(labeller, clouds_of(windows, row, body, people, who, case, seed))
+        for row in range(len(windows.names))
+    ]
+    counted = [i for i, own in enumerate(windows.subjects) if own in windows.counted]
+    clips, subjects = (
+        [column[i] for i in counted] for column in (windows.clips, windows.subjects)
+    )
+    means = {
+        key: vars(interval([values[i][key] for i in counted], clips, subjects))
+        for key in values[0]
+    }
+    columns = {key: [value[key] for value in values] for key in values[0]}
+    return {"means": means, "windows": columns}
+
+
+def clouds_of(
+    windows: Windows,
+    row: int,
+    body: BodyModel,
+    people: People,
+    who: str,
+    case: str,
+    seed: int,
+) -> Clouds:
+    """One window as its sensor saw it; the same draw for all cases but what they change."""
+    random = np.random.default_rng([seed, *windows.names[row].encode()])
+    motion = windows.truth[row]
+    frames = np.rint(np.arange(0, motion.frames / motion.fps, SPACING) * motion.fps).astype(int)
+    person, number = row % len(people.vertices), int(random.integers(2**31))
+    clothing = Clothing(loose=random.uniform(0.005, 0.02))
+    shape = drawn_shape(body, random) / 1.3
+    if who == "our body":
+        worn = clothed(body, number, clothing)
+        posed = worn.pose(motion.replace(shape=shape.to(motion.shape)))
+        vertices = posed.vertices[frames].double().numpy()
+        faces, places = body.faces.numpy(), body.template.double().numpy()
+    else:
+        posed = body.pose(motion)
+        vertices, _, _ = people.posed(
+            person,
+            posed.orientations[frames].double().numpy(),
+            posed.joints[frames, 0].double().numpy(),
+            curl=random.uniform(0.0, 1.2),
+            offset=_worn(people, person, body, number, clothing),
+        )
+        faces, places = people.faces, people.places
+    vertices[..., 2] -= vertices[..., 2].min()
+    if case == "scans from all sides":
+        seen = [all_around(each, faces, places, POINTS, random) for each in vertices]
+        return _clouds(seen, body, None, case, random)
+    room = drawn_room(vertices, random)
+    left_over = "box" if case == "coarse segmentation" else "nothing"
+    seen = [glimpse(each, faces, places, room, left_over, random) for each in vertices]
+    return _clouds(seen, body, room.eye, case, random)
+
+
+def errors(labeller: CloudLabeller, clouds: Clouds) -> dict[str, float | None]:
+    """Shares of points that are labelled rightly, and errors of places, of one window."""
+    said: PointLabels = labeller(
+        torch.from_numpy(clouds.points).float(),
+        torch.from_numpy(clouds.regions > -2),
+        1 / SPACING,
+        None if clouds.eye is None else torch.from_numpy(clouds.eye).float().expand(1, 3),
+        level=clouds.level,
+    )
+    on = clouds.regions >= 0
+    if not on.any():
+        return dict.fromkeys(("accuracy", "place_cm", "place_median_cm", "stray", "covered"))
+    away = np.linalg.norm(said.places.numpy() - clouds.places, axis=-1)
+    told = (said.on_body.numpy() > 0.5) == on
+    # 1.53 deviations hold half of a Laplace distribution of three coordinates or more
+    within = away < 2.0 * said.std.numpy()
+    return {
+        "accuracy": 100 * float((said.region.numpy() == clouds.regions)[on].mean()),
+        "place_cm": 100 * float(away[on].mean()),
+        "place_median_cm": 100 * float(np.median(away[on])),
+        "stray": 100 * float(told[clouds.regions > -2].mean()),
+        "covered": 100 * float(within[on].mean()),
+    }
+
+
+def seconds_of_a_clip(labeller: CloudLabeller, moments: int = 90) -> float:
+    """CPU seconds of one thread for a clip of 512 points a moment, the best of three."""
+    points = torch.randn(moments, POINTS, 3, generator=torch.Generator().manual_seed(0)) * 0.3
+    present = torch.ones(moments, POINTS, dtype=torch.bool)
+    times = []
+    for _ in range(3):
+        began = time.process_time()
+        labeller(points, present, 30.0, torch.tensor([[3.0, 0.0, 0.0]]))
+        times.append(time.process_time() - began)
+    return min(times)
+
+
+def _clouds(
+    seen: list[Glimpse],
+    body: BodyModel,
+    eye: np.ndarray | None,
+    case: str,
+    random: np.random.Generator,
+) -> Clouds:
+    """Clouds of equally many rows, with regions of their places, hidden or turned as asked."""
+    of_vertex = Regions.of(body).of_vertex.numpy()
+    tree = KDTree(body.template.numpy())
+    every = np.concatenate([each.points[each.on_body > 0] for each in seen])
+    normal = random.normal(size=3)
+    cut = np.median(every @ normal) if len(every) else 0.0
+    points = np.zeros((len(seen), POINTS, 3))
+    places, regions = np.zeros_like(points), np.full((len(seen), POINTS), -2)
+    for moment, each in enumerate(seen):
+        kept = np.arange(len(each.points))
+        if case == "half hidden":
+            kept = kept[each.points @ normal < cut]
+        kept = random.permutation(kept)[:POINTS]
+        points[moment, : len(kept)] = each.points[kept]
+        places[moment, : len(kept)] = each.places[kept]
+        own = of_vertex[tree.query(each.places[kept])[1]] if len(kept) else kept
+        regions[moment, : len(kept)] = np.where(each.on_body[kept] > 0, own, -1)
+    if case != "any tilt":
+        return Clouds(points, regions, places, eye, level=True)
+    turn = Rotation.from_quat(random.normal(size=4)).as_matrix()
+    turned = points @ turn.T * (regions > -2)[..., None]
+    return Clouds(turned, regions, places, None if eye is None else turn @ eye, level=False)
+
+
+def _worn(
+    people: People, person: int, body: BodyModel, number: int, clothing: Clothing
+) -> Float[np.ndarray, "vertices 3"]:
+    """Clothes of one person, as they stand off the skin in the resting pose."""
+    weights = torch.from_numpy(people.joint_weights).float()
+    mannequin = body.replace(template=torch.from_numpy(people.unposed).float(), weights=weights)
+    away = offsets(mannequin, number, clothing).double().numpy()
+    return away[:, None] * vertex_normals(people.vertices[person], people.faces)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""The training of labels on clouds whose points know where on a body they lie."""

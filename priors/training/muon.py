@@ -1,0 +1,75 @@
+"""Muon: descent whose steps of matrices are orthogonal, so that all directions learn alike.
+
+A gradient of a matrix has few large singular values; Adam follows these. Muon (Jordan et al. 2024)
+replaces the momentum M = U S Vᵀ by about U Vᵀ, scaled as in Liu et al. 2025 so that learning rates
+are those of AdamW, which takes care of all that is no matrix.
+"""
+
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+_QUINTIC = (3.4445, -4.7750, 2.0315)
+"""Coefficients of the iteration X <- a X + b (X Xᵀ) X + c (X Xᵀ)² X, published."""
+_ITERATIONS, _MOMENTUM, _SCALE = 5, 0.95, 0.2
+_BETAS, _EPS = (0.9, 0.99), 1e-8
+
+
+class Muon(torch.optim.Optimizer):
+    """Muon for some matrices and AdamW for other parameters, at one learning rate."""
+
+    def __init__(
+        self, matrices: Iterable[Tensor], others: Iterable[Tensor], lr: float, weight_decay: float
+    ) -> None:
+        """Without momentum at first."""
+        groups = [
+            {"params": list(matrices), "orthogonal": True},
+            {"params": list(others), "orthogonal": False},
+        ]
+        super().__init__(groups, {"lr": lr, "weight_decay": weight_decay})
+
+    @torch.no_grad()
+    def step(self, closure: Callable[[], Any] | None = None) -> None:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """One step against the gradients that are there."""
+        del closure
+        for group in self.param_groups:
+            for parameter in group["params"]:
+                if parameter.grad is None:
+                    continue
+                state = self.state[parameter]
+                update = _orthogonal if group["orthogonal"] else _adaptive
+                parameter.mul_(1 - group["lr"] * group["weight_decay"])
+                parameter.add_(update(parameter.grad, state), alpha=-group["lr"])
+
+
+def orthogonalised(matrix: Float[Tensor, "rows columns"]) -> Float[Tensor, "rows columns"]:
+    """About the nearest matrix with orthonormal rows or columns: singular values 0.7 to 1.2."""
+    a, b, c = _QUINTIC
+    wide = matrix if matrix.shape[0] <= matrix.shape[1] else matrix.mT
+    x = wide / wide.norm().clamp(min=1e-12)
+    for _ in range(_ITERATIONS):
+        gram = x @ x.mT
+        x = a * x + (b * gram + c * gram @ gram) @ x
+    return x if wide is matrix else x.mT
+
+
+def _orthogonal(gradient: Tensor, state: dict[str, Any]) -> Tensor:
+    """Step of a matrix, for a learning rate of one."""
+    momentum = state.setdefault("momentum", torch.zeros_like(gradient))
+    momentum.lerp_(gradient, 1 - _MOMENTUM)
+    ahead = gradient.lerp(momentum, _MOMENTUM)
+    return _SCALE * max(gradient.shape) ** 0.5 * orthogonalised(ahead)
+
+
+def _adaptive(gradient: Tensor, state: dict[str, Any]) -> Tensor:
+    """Step of Adam, for a learning rate of one."""
+    first = state.setdefault("first", torch.zeros_like(gradient))
+    second = state.setdefault("second", torch.zeros_like(gradient))
+    count = state["count"] = state.get("count", 0) + 1
+    first.lerp_(gradient, 1 - _BETAS[0])
+    second.lerp_(gradient.square(), 1 - _BETAS[1])
+    scale = (second / (1 - _BETAS[1] ** count)).sqrt() + _EPS
+    return first / (1 - _BETAS[0] ** count) / scale

@@ -1,0 +1,92 @@
+"""Labelled clouds: points lie where their labels say, in rooms, on people in any posture."""
+
+import numpy as np
+import pytest
+import torch
+
+from priors.labels.training.clouds import NOT_BODY
+from recon.body.model import BodyModel
+from recon.core import rotations as so3
+from recon.simulation.labelled.people import drawn_shape, wardrobe, with_hair
+from recon.simulation.labelled.postures import Postures, made_up, turned_over
+from recon.simulation.labelled.rooms import all_around, drawn_room, glimpse
+from recon.simulation.labelled.shards import Source, draw_shard
+
+
+@pytest.fixture(scope="module")
+def people():
+    return wardrobe(BodyModel.load(), 3, 0)
+
+
+def a_source(people):
+    turns = so3.exp(0.2 * torch.randn(40, 22, 3, generator=torch.Generator().manual_seed(0)))
+    return Source(Postures.of([("anna", turns), ("ben", turns[:9])], 30.0), people, people[0])
+
+
+def test_points_lie_where_their_labels_say(people):
+    """A point of a bare body at rest is its own place, up to the noise of the sensor."""
+    body = people[0]
+    random = np.random.default_rng(0)
+    places = body.template.double().numpy()
+    upright = places[:, [2, 0, 1]] + [0.0, 0.0, 1.3]
+    room = drawn_room(upright[None], random)
+    for left_over in ("nothing", "ball", "box"):
+        seen = glimpse(upright, body.faces.numpy(), places, room, left_over, random)
+        on = seen.on_body > 0
+        assert on.sum() > 200
+        away = np.linalg.norm(
+            seen.points[on] - seen.places[on][:, [2, 0, 1]] - [0, 0, 1.3], axis=1
+        )
+        # noise lies along the view, and grows with the distance
+        assert np.median(away) < 0.04
+        assert np.abs(seen.places[~on]).max(initial=0) == 0
+        if left_over == "box":
+            assert (~on).sum() > 10
+    scanned = all_around(upright, body.faces.numpy(), places, 500, random)
+    on = scanned.on_body > 0
+    gap = scanned.points[on] - scanned.places[on][:, [2, 0, 1]] - [0.0, 0.0, 1.3]
+    assert np.abs(gap).max() < 0.06
+
+
+def test_windows_have_points_regions_and_eyes(people):
+    shard = draw_shard(a_source(people), 3, np.random.default_rng(5))
+    assert (shard.counts.sum(1) > 180).all()
+    for window in range(3):
+        count = shard.counts[window, 0]
+        regions = shard.regions[window, 0, :count]
+        assert len(np.unique(regions[regions != NOT_BODY])) >= 3
+        assert (shard.regions[window, 0, count:] == NOT_BODY).all()
+    again = draw_shard(a_source(people), 3, np.random.default_rng(5))
+    assert np.array_equal(shard.points, again.points)
+
+
+def test_made_up_limbs_bend_as_joints_do():
+    """Knees bend backwards and elbows forwards, which mirrored signs would break."""
+    body = BodyModel.load()
+    random = np.random.default_rng(0)
+    for _ in range(20):
+        turns = torch.from_numpy(made_up(1, random))
+        rest = body.joint_template
+        for side, knee, ankle, hip in (("left", 4, 7, 1), ("right", 5, 8, 2)):
+            shank = turns[0, knee] @ (rest[ankle] - rest[knee])
+            assert shank[2] < 0.05, side
+            assert turns[0, hip].isfinite().all()
+        for elbow, wrist in ((18, 20), (19, 21)):
+            forearm = turns[0, elbow] @ (rest[wrist] - rest[elbow])
+            assert forearm[2] > -0.05
+
+
+def test_people_are_turned_over_at_times():
+    random = np.random.default_rng(0)
+    up = np.array([turned_over(random)[2, 2] for _ in range(300)])
+    assert 0.5 < (up > 0.99).mean() < 0.8
+    assert (up < -0.5).mean() > 0.02
+
+
+def test_hair_grows_on_heads_only():
+    body = BodyModel.load()
+    grown = [with_hair(body, seed).template - body.template for seed in range(6)]
+    away = torch.stack([each.norm(dim=-1) for each in grown])
+    assert away.max() > 0.01
+    assert away[:, body.weights[:, 15] < 0.01].max() < 1e-3
+    assert drawn_shape(body, np.random.default_rng(0)).abs().max() <= 3.5
