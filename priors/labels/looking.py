@@ -10,6 +10,7 @@ from torch import Tensor
 from priors.checkpoints import named_checkpoint
 from priors.labels.networks import SPACING, STEPS, LabelNetwork, RawLabels
 from priors.labels.record import PointLabels
+from priors.labels.regions import MIRRORED_REGIONS, mirrored_places
 from priors.labels.standard import standard
 from recon.core.struct import concatenate, stack
 
@@ -113,12 +114,16 @@ def around(
 
 
 def believed(raw: RawLabels, present: Bool[Tensor, "moments points"]) -> PointLabels:
-    """Probabilities of what the network says."""
+    """Probabilities of what the network says, left and right exchanged where that is likelier."""
     there = present[..., None]
+    as_said = raw.sides.sigmoid()[:, None, None]
+    regions = raw.regions.softmax(-1)
+    regions = as_said * regions + (1 - as_said) * regions[..., list(MIRRORED_REGIONS)]
+    places = torch.where(as_said < 0.5, mirrored_places(raw.places), raw.places)
     return PointLabels(
         present=present,
-        regions=raw.regions.softmax(-1).where(there, 0.0),
+        regions=regions.where(there, 0.0),
         on_body=raw.on_body.sigmoid().where(present, 0.0),
-        places=raw.places.where(there, 0.0),
+        places=places.where(there, 0.0),
         log_std=raw.log_std.where(present, 0.0),
     )

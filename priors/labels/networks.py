@@ -2,7 +2,8 @@
 
 64 points far from each other look at the points around them; a transformer lets these centres look
 at each other and, through one token for each moment, at other moments; then every point takes
-what the centres around it found out.
+what the centres around it found out. Which of two alike sides is the left one, all points of a
+moment have in common: it is said apart, by the moment's token.
 """
 
 from dataclasses import dataclass
@@ -72,6 +73,8 @@ class RawLabels(TensorStruct):
     """Places on the unposed average body, metres."""
     log_std: Float[Tensor, "moments points"]
     """Logarithm of the standard deviation of each coordinate of a place, metres."""
+    sides: Float[Tensor, " moments"]
+    """Logarithm of the odds that left and right are not exchanged, in regions and places."""
 
 
 class Layer(nn.Module):
@@ -123,6 +126,7 @@ class LabelNetwork(nn.Module):
         self.step = nn.Parameter(0.02 * torch.randn(STEPS, _TOKEN))
         self.moments = Layer(_TOKEN)
         self.learned = nn.Linear(_TOKEN, _TOKEN)
+        self.sides = nn.Sequential(nn.LayerNorm(_TOKEN), nn.Linear(_TOKEN, 1))
         self.own = nn.Linear(_POINT + 14, _TOKEN)
         self.joined = nn.Sequential(
             nn.LayerNorm(_TOKEN), nn.Linear(_TOKEN, _TOKEN), nn.GELU(), nn.Linear(_TOKEN, _TOKEN)
@@ -178,7 +182,8 @@ class LabelNetwork(nn.Module):
         said = self.out(joined).float()
         regions, on_body, places, log_std = said.split((len(REGIONS), 1, 3, 1), -1)
         log_std = (log_std[..., 0] - 3).clamp(_LEAST_STD, _MOST_STD)
-        return RawLabels(regions, on_body[..., 0], places, log_std)
+        sides = self.sides(tokens[:, 0]).float()[..., 0]
+        return RawLabels(regions, on_body[..., 0], places, log_std, sides)
 
     def _together(self, tokens: Tensor, neighbours: Tensor, known: Tensor) -> Tensor:
         """Tokens of moments that have seen the moments around them."""

@@ -44,6 +44,11 @@ REGION_OF_JOINT = tuple(_region_of(name) for name in JOINTS)
 """Number of the region that each of the 22 joints moves."""
 
 
+def mirrored_places(places: Float[Tensor, "*shape 3"]) -> Float[Tensor, "*shape 3"]:
+    """Places on the other side of the body, metres."""
+    return places * places.new_tensor([-1.0, 1.0, 1.0])
+
+
 @dataclass(frozen=True)
 class Regions(TensorStruct):
     """The region and the place of every vertex of a body."""

@@ -6,12 +6,14 @@ import torch
 from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits, cross_entropy
 
+from priors.labels.looking import believed
 from priors.labels.networks import STEPS, LabelNetwork, RawLabels
+from priors.labels.regions import MIRRORED_REGIONS, mirrored_places
 from priors.labels.standard import standard
 from priors.labels.training.clouds import LabelledClouds
 
-_PLACES, _ON_BODY = 0.3, 0.5
-"""Weights of the losses of places and of on or off the body, beside that of regions."""
+_PLACES, _ON_BODY, _SIDES = 0.3, 0.5, 0.3
+"""Weights of the losses of places, on or off the body, and sides, beside that of regions."""
 
 
 def said_of(network: LabelNetwork, clouds: LabelledClouds) -> RawLabels:
@@ -37,28 +39,61 @@ def losses(raw: RawLabels, clouds: LabelledClouds) -> dict[str, Tensor]:
     """Cross entropies, and the negative log-density of places; `total` is their weighted sum.
 
     Errors of the coordinates of a place are Laplace-distributed with standard deviation s:
-    -log p = |e| √2 / s + log(√2 s).
+    -log p = |e| √2 / s + log(√2 s). The points of a moment may have left and right exchanged, all
+    of them or none, whichever costs less; which one it was, is learned apart. Otherwise a network
+    that cannot tell yet calls some points of an arm left and others right.
     """
     region, present = clouds.regions.flatten(0, 1), clouds.present.flatten(0, 1)
-    on_body = region >= 0
-    found = cross_entropy(raw.regions[on_body], region[on_body], label_smoothing=0.01)
+    place, on_body = clouds.places.flatten(0, 1), region >= 0
+    mirrored = torch.tensor([*MIRRORED_REGIONS, -1])[region]
+    costs = [
+        _costs(raw, regions, places, on_body)
+        for regions, places in ((region, place), (mirrored, mirrored_places(place)))
+    ]
+    sums = [(found + _PLACES * away).sum(-1).detach() for found, away in costs]
+    as_said = sums[0] <= sums[1]
+    shown = on_body.any(-1)
+    sides = binary_cross_entropy_with_logits(raw.sides[shown], as_said[shown].float())
+    count = on_body.sum().clamp(min=1)
+    found, away = (
+        torch.where(as_said[:, None], one, other).sum() / count
+        for one, other in zip(*costs, strict=True)
+    )
     stray = binary_cross_entropy_with_logits(raw.on_body[present], on_body[present].float())
-    error = (raw.places - clouds.places.flatten(0, 1)).abs()[on_body]
-    log_std = raw.log_std[on_body][:, None]
-    place = (error * 2**0.5 * (-log_std).exp() + log_std).mean()
-    total = found + _ON_BODY * stray + _PLACES * place
-    return {"total": total, "regions": found, "on_body": stray, "places": place}
+    total = found + _ON_BODY * stray + _PLACES * away + _SIDES * sides
+    return {"total": total, "regions": found, "on_body": stray, "places": away, "sides": sides}
+
+
+def _costs(
+    raw: RawLabels, regions: Tensor, places: Tensor, on_body: Tensor
+) -> tuple[Tensor, Tensor]:
+    """What every point costs by its region and by its place; zero off the body."""
+    found = cross_entropy(
+        raw.regions.mT, regions, ignore_index=-1, reduction="none", label_smoothing=0.01
+    )
+    error = (raw.places - places).abs().mean(-1)
+    away = error * 2**0.5 * (-raw.log_std).exp() + raw.log_std
+    return found.where(on_body, 0.0), away.where(on_body, 0.0)
 
 
 def errors(raw: RawLabels, clouds: LabelledClouds) -> Mapping[str, float]:
-    """Share of points of wrong regions, mean and median errors of places (cm), strays not told."""
+    """Shares of points of wrong regions and of strays not told, errors of places (cm).
+
+    `sided` is the share of points that are wrong as well with left and right of the whole moment
+    exchanged where that is better.
+    """
+    labels = believed(raw, clouds.present.flatten(0, 1))
     region, present = clouds.regions.flatten(0, 1), clouds.present.flatten(0, 1)
     on_body = region >= 0
-    right = raw.regions[on_body].argmax(-1) == region[on_body]
-    away = (raw.places - clouds.places.flatten(0, 1)).norm(dim=-1)[on_body]
+    said = labels.regions.argmax(-1)
+    right = (said == region) & on_body
+    exchanged = (torch.tensor(MIRRORED_REGIONS)[said] == region) & on_body
+    either = torch.maximum(right.sum(-1), exchanged.sum(-1)).sum() / on_body.sum()
+    away = (labels.places - clouds.places.flatten(0, 1)).norm(dim=-1)[on_body]
     told = (raw.on_body > 0)[present] == on_body[present]
     return {
-        "wrong": 1 - float(right.float().mean()),
+        "wrong": 1 - float(right.sum() / on_body.sum()),
+        "sided": 1 - float(either),
         "place_cm": 100 * float(away.mean()),
         "place_median_cm": 100 * float(away.median()),
         "stray_wrong": 1 - float(told.float().mean()),

@@ -69,7 +69,7 @@ def training_step(run: LabelRun, learned: CloudCorpus) -> dict[str, float]:
 
 
 def held_out_clouds(checked: CloudCorpus) -> dict[str, LabelledClouds]:
-    """The same windows as they are, with half of their points hidden, and turned over."""
+    """Windows as they are, the same with half of their points hidden, and turned over."""
     random = torch.Generator().manual_seed(0)
     windows = torch.arange(0, len(checked), max(1, len(checked) // _HELD_OUT))[:_HELD_OUT]
     plain = checked.take(windows, _POINTS, None)
