@@ -24,7 +24,7 @@ class Muon(torch.optim.Optimizer):
     def __init__(
         self, matrices: Iterable[Tensor], others: Iterable[Tensor], lr: float, weight_decay: float
     ) -> None:
-        """Without momentum at first."""
+        """Settings alone: momentum comes with the first step."""
         groups = [
             {"params": list(matrices), "orthogonal": True},
             {"params": list(others), "orthogonal": False},
