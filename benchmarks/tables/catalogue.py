@@ -74,6 +74,8 @@ TABLES: Mapping[str, Table] = {
     "anchor-structure": gait.structure,
     "anchor-interpolation": gait.interpolation,
     "anchor-morphology": gait.morphology,
+    "cycle-priors": gait.priors,
+    "recordings": gait.recordings,
     "completion": gait.completion,
     "completion-beside": gait.completion_beside,
     "completion-real": gait.real_markers,

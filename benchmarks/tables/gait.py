@@ -217,3 +217,39 @@ def speed() -> str:
         [f"each of a batch of {result('anchor_speed')['batch']}", number(one["batch_s"], 1, 1)],
     ]  # fmt: skip
     return markdown(["landmarks alone", "CPU s"], rows) + source("anchor_speed")
+
+
+def priors() -> str:
+    """The network, components, and priors of poses and steps, paired by cycle."""
+    found = result("cycle_priors")["tables"]
+    rows = [
+        [f"{_SEEN.get(column, column)}: {name}", str(row["fits"]), _three(row["chamfer"]),
+         _three(row["chamfer less"]), _three(row["vertices"]), number(row["seconds"], 1, 1)]
+        for column, every in found.items()
+        for name, row in every.items()
+    ]  # fmt: skip
+    headings = ["seen: method", "fits", "Chamfer mm", "less the network's", "vertices mm",
+                "CPU s"]  # fmt: skip
+    return markdown(headings, rows) + source("cycle_priors")
+
+
+def recordings() -> str:
+    """Whole recordings, with cycles of gait and without."""
+    found = result("recordings")["tables"]
+    rows = [
+        [f"{case}, {'no cycles' if name == 'none' else 'cycles of gait'}", str(row["clips"]),
+         number(row["vertices"][0], 1, 1), number(row["vertices less"][0], 1, 1),
+         number(row["worst_tenth"], 1, 1),
+         number(row["jump"], 1, 2), number(row["jump_truth"], 1, 2),
+         number(row["seconds"], 1, 0)]
+        for case, every in found.items()
+        for name, row in every.items()
+        if row
+    ]  # fmt: skip
+    headings = ["seen", "clips", "vertices mm", "less those without", "worst tenth of moments",
+                "largest jump m/s", "true one", "CPU s"]  # fmt: skip
+    return markdown(headings, rows) + source("recordings")
+
+
+def _three(numbers: list[float]) -> str:
+    return "{:.1f} ({:.1f} to {:.1f})".format(*numbers)
