@@ -21,6 +21,7 @@ def described(
     joint_std: Float[Tensor, "time 22"] | None = None,
     ground_std: Float[Tensor, "2"] | None = None,
     contact_probability: Float[Tensor, "time 22"] | None = None,
+    angle_std: Float[Tensor, "time 42"] | None = None,
 ) -> MotionFile:
     """A motion with its joints, contacts and ground; without a ground no contacts are told.
 
@@ -37,6 +38,7 @@ def described(
         joint_std: standard deviation of a coordinate of every joint, metres.
         ground_std: standard deviations of a ground that was found; see `MotionFile`.
         contact_probability: what a motion prior says of contacts.
+        angle_std: standard deviations of joint angles; see `MotionFile`.
     """
     joints = body.pose(motion).joints
     contacts = None
@@ -56,6 +58,7 @@ def described(
         ground_std=None if ground is None else ground_std,
         contact_probability=None if ground is None else contact_probability,
         joint_std=joint_std,
+        angle_std=angle_std,
         observed=observed,
         T_world_camera=None if T_world_camera is None else T_world_camera[None],
         in_camera=None if T_world_camera is None else in_camera(motion, T_world_camera, body),

@@ -226,6 +226,7 @@ def result_of(
             examined.joint_std_at(motion),
             examined.ground_std,
             probability,
+            examined.angle_std_at(motion),
         ),
         body=body,
         examined=examined,

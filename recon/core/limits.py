@@ -141,6 +141,10 @@ DEVIATION = Limit(
     "standard deviation", 0.0, 100.0, "m",
     "what is known no better than that is not known",
 )  # fmt: skip
+ANGLE_DEVIATION = Limit(
+    "standard deviation of an angle", 0.0, 180.0, "degrees",
+    "what is known no better than that is not known",
+)  # fmt: skip
 POINT_DEVIATION = Limit(
     "standard deviation of a measured point", 1e-6, 100.0, "m",
     "nothing measures people to a micrometre, and what is known no better than 100 m is not known",

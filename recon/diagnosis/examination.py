@@ -14,6 +14,7 @@ from recon.core.motion import Motion
 from recon.diagnosis.findings import Finding
 from recon.diagnosis.fits.agreement import agreement_warnings
 from recon.diagnosis.fits.alternatives import Alternative, alternatives
+from recon.diagnosis.fits.angles import MOST
 from recon.diagnosis.fits.certainty import certainty
 from recon.diagnosis.fits.doubts import guessed_findings, undecided_findings
 from recon.diagnosis.fits.lens import lens_doubtful, lens_finding
@@ -74,6 +75,13 @@ class Examined:
             return None
         joints = self.deviations.joints
         return joints[torch.from_numpy(self._frames(motion, len(joints)))].float().cpu()
+
+    def angle_std_at(self, motion: Motion) -> Float[Tensor, "time angles"] | None:
+        """Standard deviations of ISB angles at the frames of that motion, degrees."""
+        if self.deviations is None or self.deviations.measures is None:
+            return None
+        angles = self.deviations.measures.clamp(max=MOST)
+        return angles[torch.from_numpy(self._frames(motion, len(angles)))].float().cpu()
 
     def contact_probability_at(self, motion: Motion) -> Float[Tensor, "time 22"] | None:
         """What the prior says of contacts at the frames of that motion; None where it does not."""

@@ -49,6 +49,9 @@ class MotionFile:
     radians, and of its height below the origin of the recording's frame, metres."""
     joint_std: Float[Tensor, "time 22"] | None = None
     """Standard deviation of every joint, metres."""
+    angle_std: Float[Tensor, "time 42"] | None = None
+    """Standard deviations of joint angles after the ISB, degrees, in the order of
+    `recon.body.angles.isb.ISB_ANGLES`."""
     observed: Bool[Tensor, "time 22"] | None = None
     """False where a joint was inferred rather than seen."""
     truth_visible: Bool[Tensor, "time 22"] | None = None
@@ -68,6 +71,7 @@ _EXTRA = {
     "ground": (4,),
     "ground_std": (2,),
     "joint_std": ("time", 22),
+    "angle_std": ("time", 42),
     "observed": ("time", 22),
     "truth_visible": ("time", 22),
     "T_world_camera": ("poses", 4, 4),
@@ -83,6 +87,7 @@ _RANGES: dict[str, Limit] = {
     "contact_probability": limits.PROBABILITY,
     "ground_std": limits.DEVIATION,
     "joint_std": limits.DEVIATION,
+    "angle_std": limits.ANGLE_DEVIATION,
     "truth_visible": limits.PROBABILITY,
     "observed": limits.PROBABILITY,
 }

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 
+import numpy as np
 import pytest
 import torch
 
@@ -9,6 +10,9 @@ import recon
 from observations.files.clouds import cloud_of
 from observations.joints3d import Joints3D
 from priors.pose.prior import PosePrior, PoseWeights
+from recon import cli
+from recon.body.angles.isb import ISB_ANGLES, isb_angles
+from recon.core import rotations as so3
 from recon.core.camera import depth_camera
 from recon.core.residuals import Noise
 from recon.core.scene import UnknownGround
@@ -135,6 +139,43 @@ def test_a_result_says_how_sure_its_ground_is(tmp_path):
         result.ground_std.height
     )
     assert recon.fit(seen()[0], "pose").ground_std is None
+
+
+def test_the_root_s_rotation_as_a_measure_is_as_sure_as_the_root():
+    """The covariance of a frame goes into what is measured of it, correlations and all."""
+
+    def root(clips):
+        turn = clips.rotations[:1, :, 0].mT @ clips.rotations[:, :, 0]
+        return so3.log(turn)
+
+    one = deviations(at_truth(), [seen()], [Noise(0.02, 0.02)], belief(), None, root)
+    assert one.measures is not None
+    assert torch.allclose(one.measures.square().mean(-1).sqrt(), one.root, rtol=1e-3)
+
+
+def test_angles_are_as_sure_as_the_fit_is_of_the_pose(tmp_path):
+    """Only flexions had standard deviations, of joints taken as independent of each other."""
+    result = recon.fit(seen()[0], prior="pose")
+    result.save(tmp_path / "out.npz")
+    file = recon.load_motion(tmp_path / "out.npz")
+    assert file.angle_std is not None
+    assert file.angle_std.shape == (FRAMES, len(ISB_ANGLES))
+    ours, true = (isb_angles(motion, bundled()) for motion in (result.motion, walk(FRAMES)))
+    away = np.stack([ours[name] - true[name] for name in ISB_ANGLES], -1)
+    away = np.abs((away + 180) % 360 - 180)
+    within = (away < 1.645 * file.angle_std.numpy()).mean()
+    assert 0.8 < within <= 1.0
+    median = dict(zip(ISB_ANGLES, np.median(file.angle_std.numpy(), 0).tolist(), strict=True))
+    assert 0.3 < median["knee_flexion_l"] < 6
+    assert median["forearm_pronation_l"] > 2 * median["elbow_flexion_l"]
+    table = tmp_path / "angles.csv"
+    assert cli.run(["export", str(tmp_path / "out.npz"), "--angles", str(table)]) == cli.OK
+    head, first, *_ = table.read_text().splitlines()
+    row = dict(zip(head.split(","), map(float, first.split(",")), strict=True))
+    known = file.angle_std[0, ISB_ANGLES.index("hip_adduction_r")]
+    assert row["hip_adduction_r_std"] == pytest.approx(float(known), abs=1e-3)
+    gait = recon.report(tmp_path / "out.npz").gait
+    assert np.allclose(gait.angle_std["hip_adduction_r"][0], float(known))
 
 
 @pytest.mark.parametrize("prior", ["pose", "humor"])

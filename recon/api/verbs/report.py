@@ -86,6 +86,7 @@ def _contents(
         ground=None if file.ground is None else float(file.ground[3] / file.ground[2]),
         belt=belt,
         joint_std=file.joint_std,
+        angle_std=file.angle_std,
         observed=file.observed,
     )
     tall, heavy = height(body, motion.shape), weight(body, motion.shape)

@@ -70,6 +70,13 @@ _SIDED = (
 )  # fmt: skip
 
 
+ISB_ANGLES: tuple[str, ...] = (
+    *(name for one in _MIDDLE for name in one.names),
+    *(f"{name}_{end}" for end in ("r", "l") for one in _SIDED for name in one.names),
+)
+"""Names of all angles, in the order of `isb_angles`."""
+
+
 def isb_angles(motion: Motion, body: BodyModel) -> dict[str, Float[np.ndarray, " time"]]:
     """Joint angles of one clip in degrees, by name; `_l` and `_r` end those of a side.
 

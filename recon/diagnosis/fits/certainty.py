@@ -7,6 +7,7 @@ import torch
 
 from recon.core.residuals import Noise, Unit
 from recon.core.skeleton import JOINTS
+from recon.diagnosis.fits.angles import angles_of
 from recon.diagnosis.fits.size import size_is_unknown, with_unknown_size
 from recon.fitting.clip import GROUND_DEVIATION, ClipFit
 from recon.formats.results.certainty import JointCertainty
@@ -44,7 +45,10 @@ def certainty(found: ClipFit) -> Deviations | None:
     least = min(noise.metres for noise in found.noises)
     with torch.no_grad():
         try:
-            known = deviations(estimate, seen, noises, prior.belief(least), _ground(found))
+            body = estimate.body.model.to(device="cpu", dtype=torch.float64)
+            known = deviations(
+                estimate, seen, noises, prior.belief(least), _ground(found), angles_of(body)
+            )
         except RuntimeError:  # a Hessian that is singular to rounding has no inverse
             return None
         return with_unknown_size(known, found) if size_is_unknown(found) else known

@@ -92,7 +92,7 @@ def export_file(
         (bvh, Kind.FILE, lambda path: write_bvh(path, skeleton_of(motion, own, name))),
         (trc, Kind.FILE, tracks),
         (mot, Kind.FILE, lambda path: write_mot(path, motion, own, model)),
-        (angles, Kind.FILE, lambda path: write_angles(path, motion, own)),
+        (angles, Kind.FILE, lambda path: write_angles(path, motion, own, file.angle_std)),
         (joints, Kind.FILE, positions),
         (robot, Kind.FILE, for_robots),
         (smpl, Kind.FILE, for_smpl),

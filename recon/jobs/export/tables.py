@@ -5,8 +5,9 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
+from torch import Tensor
 
-from recon.body.angles.isb import isb_angles
+from recon.body.angles.isb import ISB_ANGLES, isb_angles
 from recon.body.angles.opensim import MODEL_NAMES, OpenSimModel, opensim_coordinates
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
@@ -38,18 +39,28 @@ def write_mot(path: Path, motion: Motion, body: BodyModel, model: OpenSimModel) 
     _write(path, header, motion, columns, "\t")
 
 
-def write_angles(path: Path, motion: Motion, body: BodyModel) -> None:
+def write_angles(
+    path: Path,
+    motion: Motion,
+    body: BodyModel,
+    std: Float[Tensor, "time 42"] | None = None,
+) -> None:
     """Write joint angles after the ISB, a row per frame: `time` in seconds, `NAME_deg` in degrees.
 
     Args:
         path: file to write.
         motion: one clip without a batch axis.
         body: whose motion it is; the bundled one.
+        std: standard deviations of the angles in degrees, columns `NAME_std`; None leaves them
+            out.
 
     Raises:
         ValueError: when the body is another one.
     """
     columns = {f"{name}_deg": values for name, values in isb_angles(motion, body).items()}
+    if std is not None:
+        known = zip(ISB_ANGLES, std.double().cpu().numpy().T, strict=True)
+        columns |= {f"{name}_std": values for name, values in known}
     _write(path, [",".join(("time", *columns))], motion, columns, ",")
 
 

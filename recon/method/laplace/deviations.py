@@ -11,7 +11,7 @@ shape as a border (`recon.solver.blocks`). Where the ground is unknown, its heig
 the border, too.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol, runtime_checkable
 
@@ -20,6 +20,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from recon.body.model import BodyModel
+from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.residuals import Noise
 from recon.core.scene import Scene
@@ -65,6 +66,12 @@ class Deviations:
     """Standard deviation of every shape coefficient."""
     ground: GroundDeviation | None = None
     """Standard deviations of the ground; None where it is known, and where nothing tells it."""
+    measures: Float[Tensor, "time measures"] | None = None
+    """Standard deviations of what was measured of every frame's pose; None where nothing was."""
+
+
+Measure = Callable[[Motion], Float[Tensor, "rows time measures"]]
+"""Numbers that follow from the rotations of each frame, such as joint angles, of several clips."""
 
 
 def deviations(
@@ -73,6 +80,7 @@ def deviations(
     noises: Sequence[Noise],
     density: Density,
     ground: GroundBelief | None = None,
+    measure: Measure | None = None,
 ) -> Deviations:
     """How far the joints of a fit of one clip may be from the truth.
 
@@ -84,6 +92,7 @@ def deviations(
         noises: standard deviations of the sensors' coordinates.
         density: how likely poses, shapes and accelerations are, without the data.
         ground: what is believed of an unknown ground; None where it is known or not asked for.
+        measure: numbers of every frame's pose whose standard deviations are asked for, too.
     """
     body = estimate.body.model.to(dtype=torch.float64)
     motion = estimate.motion.detach().to(dtype=torch.float64)
@@ -92,20 +101,25 @@ def deviations(
     cuts = _cuts(motion.frames)
     windows = [motion.window(first, stop) for first, stop in cuts]
     parts = [
-        _of_window(one, scene, body, _during(held, one), noises, density, ground)
+        _of_window(one, scene, body, _during(held, one), noises, density, ground, measure)
         for one in windows
     ]
     joints = motion.translation.new_zeros(motion.frames, len(body.joint_template))
     root = motion.translation.new_zeros(motion.frames)
+    measured = parts[0].measures
+    if measured is not None:
+        measured = joints.new_zeros(motion.frames, measured.shape[-1])
     for (first, stop), part in zip(cuts, parts, strict=True):
         skip = _OVERLAP // 2 if first > 0 else 0
         joints[first + skip : stop] = part.joints[skip:]
         root[first + skip : stop] = part.root[skip:]
+        if measured is not None and part.measures is not None:
+            measured[first + skip : stop] = part.measures[skip:]
     least = torch.stack([part.shape for part in parts]).amin(0)
     told = [part.ground for part in parts if part.ground is not None]
     # windows of a long recording share one ground, which the surest of them tells best
     surest = min(told, key=lambda one: one.height) if told else None
-    return Deviations(joints, root, least, surest)
+    return Deviations(joints, root, least, surest, measured)
 
 
 def _cuts(frames: int) -> list[tuple[int, int]]:
@@ -129,6 +143,7 @@ def _of_window(
     noises: Sequence[Noise],
     density: Density,
     ground: GroundBelief | None,
+    measure: Measure | None,
 ) -> Deviations:
     near = Neighbourhood(motion, scene, body, ground)
     h = Accumulated.zero(motion.frames, near.joints.shape[-1], like=motion.translation)
@@ -144,6 +159,9 @@ def _of_window(
     told = ground is not None and add_stance(h, near.translated, near.joints, ground)
     found = inverse(h.bordered())
     marginals = _marginals(found, near.seen(), shapes)
+    if measure is not None:
+        variance = _variances(found, _by_rotations(measure, motion, h.shape.shape[-1]))
+        marginals = replace(marginals, measures=variance.sqrt())
     if ground is None or ground.coordinates == 0 or not told:
         return marginals
     lying = deviation(found.border, near.translated.scene, ground, STEP)
@@ -177,18 +195,50 @@ def _marginals(
 
     Those of the root are given the ground.
     """
-    count = len(joints)
-    blocks = found.within.unflatten(-1, (2, FRAME)).unflatten(-3, (2, FRAME))
-    own = torch.stack((blocks[:, 0, :, 0], blocks[:, 1, :, 1]), 1).flatten(0, 1)[:count]
-    onto = found.onto.unflatten(1, (2, FRAME)).flatten(0, 1)[:count]
-    moved, shaped = joints[..., :FRAME], joints[..., FRAME:]
-    rest = shaped - moved @ onto
-    variance = ((moved @ own) * moved).sum(-1) + ((rest @ found.border) * rest).sum(-1)
+    own, onto = _own_frames(found, len(joints))
+    variance = _variances(found, joints)
     given, onto_shape = _given_rest(found.border, shapes), onto[..., :shapes]
     turned = own + onto_shape @ given @ onto_shape.mT
     root = turned[:, 3:6, 3:6].diagonal(dim1=-2, dim2=-1).mean(-1).sqrt()
     per_joint = variance.unflatten(-1, (-1, 3)).mean(-1).sqrt()
     return Deviations(per_joint, root, found.border.diagonal()[:shapes].sqrt())
+
+
+def _by_rotations(
+    measure: Measure, motion: Motion, border: int
+) -> Float[Tensor, "time measures coordinates"]:
+    """Derivatives of what is measured by the rotation steps; by all else it does not change."""
+    steps = motion.translation.new_zeros(FRAME - 2, 22, 3)
+    steps[1:].flatten(1).diagonal().fill_(STEP)
+    turned = motion.rotations @ so3.exp(steps)[:, None]
+    clips = motion.replace(
+        translation=motion.translation.expand(len(steps), -1, -1),
+        rotations=turned,
+        shape=motion.shape.expand(len(steps), -1),
+        valid=motion.valid.expand(len(steps), -1),
+    )
+    values = measure(clips)
+    slopes = ((values[1:] - values[:1]) / STEP).movedim(0, -1)
+    return torch.nn.functional.pad(slopes, (3, border))
+
+
+def _own_frames(
+    found: Inverse, count: int
+) -> tuple[Float[Tensor, "time n n"], Float[Tensor, "time n m"]]:
+    """Covariance of every frame's coordinates given the border, and how the border moves them."""
+    blocks = found.within.unflatten(-1, (2, FRAME)).unflatten(-3, (2, FRAME))
+    own = torch.stack((blocks[:, 0, :, 0], blocks[:, 1, :, 1]), 1).flatten(0, 1)[:count]
+    return own, found.onto.unflatten(1, (2, FRAME)).flatten(0, 1)[:count]
+
+
+def _variances(
+    found: Inverse, slopes: Float[Tensor, "time values coordinates"]
+) -> Float[Tensor, "time values"]:
+    """Variances of values of every frame, from their derivatives by its coordinates."""
+    own, onto = _own_frames(found, len(slopes))
+    moved, shaped = slopes[..., :FRAME], slopes[..., FRAME:]
+    rest = shaped - moved @ onto
+    return ((moved @ own) * moved).sum(-1) + ((rest @ found.border) * rest).sum(-1)
 
 
 def _given_rest(covariance: Float[Tensor, "m m"], count: int) -> Float[Tensor, "count count"]:

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from recon.body.angles.isb import isb_angles
+from recon.body.angles.isb import ISB_ANGLES, isb_angles
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.metrics.gait.curves import CURVES, GaitCurve, flexion_std, over_cycle
@@ -67,6 +67,7 @@ def analyse(
     ground: float | None = 0.0,
     belt: Float[Tensor, " 2"] | None = None,
     joint_std: Float[Tensor, "time 22"] | None = None,
+    angle_std: Float[Tensor, "time 42"] | None = None,
     observed: Bool[Tensor, "time 22"] | None = None,
 ) -> Gait:
     """Events, cycles, figures and angles of one clip.
@@ -77,6 +78,8 @@ def analyse(
         ground: height of the ground, metres; None where there is none.
         belt: velocity of a treadmill's belt, m/s; None where the ground rests.
         joint_std: standard deviation of a coordinate of every joint, metres; None where unknown.
+        angle_std: standard deviations of the ISB's angles, degrees; without them, those of
+            flexions follow from `joint_std`.
         observed: false where a joint was inferred; None means that all were seen.
 
     Raises:
@@ -93,10 +96,20 @@ def analyse(
         cycles=cycles,
         figures=spatio_temporal(cycles),
         angles=isb_angles(motion, body),
-        angle_std={} if std is None else flexion_std(joints, std),
+        angle_std=_angle_std(angle_std, joints, std),
         unseen={} if observed is None else _unseen(observed),
         belt=None if belt is None else float(belt.norm()),
     )
+
+
+def _angle_std(
+    known: Float[Tensor, "time 42"] | None,
+    joints: Float[np.ndarray, "time 22 3"],
+    std: Float[np.ndarray, "time 22"] | None,
+) -> dict[str, Float[np.ndarray, " time"]]:
+    if known is not None:
+        return dict(zip(ISB_ANGLES, known.double().cpu().numpy().T, strict=True))
+    return {} if std is None else flexion_std(joints, std)
 
 
 def _unseen(observed: Bool[Tensor, "time 22"]) -> dict[str, float]:
