@@ -12,8 +12,10 @@ twentieth the body is turned about. `first` is the mean error of the first guess
 CPU s are of the first guess and of the whole fit.
 """
 
+import json
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -46,6 +48,9 @@ _ON_BODY = 0.08
 """Metres from the body within which a point is one of it."""
 _SIDES, _ABOUT = torch.tensor([-1.0, 1.0, 1.0]), torch.tensor([-1.0, 1.0, -1.0])
 
+METHODS = {"labels": True, "none": False}
+"""Rows, and whether points have labels."""
+
 COLUMNS: Columns = {
     "first": ("first", 100), "root_visible": ("visible", 100), "root_hidden": ("hidden", 100),
     "root_all": ("all", 100), "vertices": ("vertices", 100), "turned": ("turned %", 100),
@@ -56,20 +61,30 @@ COLUMNS: Columns = {
 def main() -> None:
     parser = over_windows(__doc__)
     parser.add_argument("--only", type=int, default=None, help="use so many windows in all")
+    about = "rows of others that the JSON has of the same windows are kept"
+    parser.add_argument("--methods", nargs="+", choices=METHODS, default=list(METHODS), help=about)
     arguments = parser.parse_args()
     body, splits = BodyModel.load(), Splits.load(arguments.splits)
     windows = load_windows(arguments.corpus, splits, arguments.part, body, SEED, FRAMES)
     if arguments.only is not None:
         windows = windows.take(evenly(windows, arguments.only))
-    found: dict[str, dict[str, Rows]] = {"depth": {}}
-    for name, labelled in {"labels": True, "none": False}.items():
-        found["depth"][name] = rows_of(windows, body, labelled=labelled)
+    found: dict[str, dict[str, Rows]] = {"depth": kept(arguments.json, windows)}
+    for name in arguments.methods:
+        found["depth"][name] = rows_of(windows, body, labelled=METHODS[name])
         for shown in tables(f"depth, {arguments.part}", COLUMNS, found["depth"]):
             Console(width=180).print(shown)
         if arguments.json is not None:
-            about = {"part": arguments.part, **windows.about}
-            write(arguments.json, SEED, corpus_source(arguments.corpus, windows.files), **about,
+            which = {"part": arguments.part, **windows.about}
+            write(arguments.json, SEED, corpus_source(arguments.corpus, windows.files), **which,
                   tables=found)  # fmt: skip
+
+
+def kept(json_file: Path | None, windows: Windows) -> dict[str, Rows]:
+    """Rows that the result file has of these windows."""
+    if json_file is None or not json_file.is_file():
+        return {}
+    known = json.loads(json_file.read_text(encoding="utf-8"))
+    return known["tables"]["depth"] if known["names"] == list(windows.names) else {}
 
 
 def rows_of(windows: Windows, body: BodyModel, *, labelled: bool) -> Rows:
