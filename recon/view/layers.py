@@ -21,7 +21,7 @@ from recon.view.show.views import View
 
 
 @dataclass(frozen=True)
-class Layer:
+class LegendLayer:
     """Nodes of the page's scene that are switched together."""
 
     word: str
@@ -33,27 +33,31 @@ class Layer:
     """Whether it is shown at first."""
 
 
-def layers(show: Show) -> tuple[Layer, ...]:
+def layers(show: Show) -> tuple[LegendLayer, ...]:
     """Everything that a page shows, in the order of its legend."""
     figures, points = show.figures, show.points
     touching = [f for f in figures if bool(f.touching.any())]
     sure = [f for f in figures if f.joint_std is not None]
-    found = [Layer(f.name, f.colour, (node_of(f, "body"),)) for f in figures]
+    found = [LegendLayer(f.name, f.colour, (node_of(f, "body"),)) for f in figures]
     if touching:
         nodes = tuple(node_of(figure, "contacts") for figure in touching)
-        found.append(Layer("contact", CONTACT, nodes))
+        found.append(LegendLayer("contact", CONTACT, nodes))
     if sure:
         nodes = tuple(node_of(figure, "standard deviation") for figure in sure)
-        found.append(Layer("one standard deviation", CERTAINTY, nodes, shown=show.certainty))
+        found.append(LegendLayer("one standard deviation", CERTAINTY, nodes, shown=show.certainty))
     if points is not None:
-        found.append(Layer("observed point", VISIBLE, ("/world/points/observed",)))
+        found.append(LegendLayer("observed point", VISIBLE, ("/world/points/observed",)))
         if points.estimated is not None and not bool(points.visible.all()):
-            found.append(Layer("missing point, estimated", MISSING, ("/world/points/missing",)))
+            found.append(
+                LegendLayer("missing point, estimated", MISSING, ("/world/points/missing",))
+            )
     if show.cloud is not None:
-        found.append(Layer("scan", CLOUD, ("/world/scan",)))
+        found.append(LegendLayer("scan", CLOUD, ("/world/scan",)))
     if show.cameras:
-        found.append(Layer("camera", CAMERA, tuple(camera_node(view) for view in show.cameras)))
-    found.append(Layer("ground", GROUND, ("/world/ground",)))
+        found.append(
+            LegendLayer("camera", CAMERA, tuple(camera_node(view) for view in show.cameras))
+        )
+    found.append(LegendLayer("ground", GROUND, ("/world/ground",)))
     return tuple(found)
 
 
