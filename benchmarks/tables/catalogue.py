@@ -68,6 +68,7 @@ TABLES: Mapping[str, Table] = {
     "crossings": phone.crossings,
     "rigs": rigs.found,
     "rigs-fits": rigs.fits,
+    "undeclared": phone.undeclared,
     "cycles": gait.cycles,
     "anchor-reconstruction": gait.reconstruction,
     "anchor-study": gait.study,

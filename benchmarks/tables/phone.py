@@ -1,5 +1,8 @@
 """Tables of films of phones."""
 
+from collections.abc import Mapping, Sequence
+from typing import Any
+
 from benchmarks.tables.values import markdown, number, result, source
 
 _FOCAL = {
@@ -61,3 +64,34 @@ def crossings() -> str:
         "said to be lost",
     ]
     return markdown(headings, rows) + source("crossings")
+
+
+_USUAL = {
+    "in the hand": "in the hand, 0.4°",
+    "slow pan": "panned by 4-12°/s, whatever the person does",
+    "following": "panned with the person",
+    "alongside": "carried beside the person",
+    "around": "carried around the person",
+}
+_HARD = {
+    "steady hand": "in a steady hand, 0.2°",
+    "gimbal": "carried around the person, on a gimbal",
+}
+
+
+def undeclared() -> str:
+    """Cameras that move though nobody says so."""
+    clips = result("undeclared")["clips"]
+    usual = [one for one in clips if one["kind"] in _USUAL]
+    fixed = [one for one in clips if one["kind"] == "fixed"]
+    rows = [_said("fixed", fixed)]
+    for kinds in (_USUAL, _HARD):
+        rows += [_said(label, [c for c in clips if c["kind"] == k]) for k, label in kinds.items()]
+        if kinds is _USUAL:
+            rows.append(_said("moving, all of these", usual))
+    return markdown(["phone", "clips", "said to move", "%"], rows) + source("undeclared")
+
+
+def _said(label: str, clips: Sequence[Mapping[str, Any]]) -> list[str]:
+    said = sum(one["said"] for one in clips)
+    return [label, str(len(clips)), str(said), number(said / len(clips), 100, 0)]

@@ -26,6 +26,8 @@ from recon.diagnosis.motions.pace import rate_finding
 from recon.diagnosis.motions.support import support_findings
 from recon.diagnosis.motions.treadmill import on_belt, with_belt
 from recon.diagnosis.points.screening import screen_points
+from recon.diagnosis.views.images import Images
+from recon.diagnosis.views.rest import moving_finding, rest_of
 from recon.diagnosis.views.screening import screen_views
 from recon.fitting.clip import ClipFit, fit_clip
 from recon.fitting.cycles.completion import complete
@@ -204,7 +206,9 @@ def examine(found: ClipFit, names: Sequence[str], screened: ScreenedClip) -> Exa
     # without a ground, neither gait nor falls nor standing feet tell anything
     free = broken or not found.grounded
     rate = None if free or unmeasured else rate_finding(motion, body, seen)
-    carried = None if free else _carried(names, found.observations, motion, body, seen)
+    carried = None
+    if found.grounded:
+        carried = _carried(names, found.observations, motion, body, None if broken else seen)
     support = support_findings(motion, body, seen) if found.grounded else []
     others, sure = alternatives(found), certainty(found)
     lens = lens_finding(names[0], found)
@@ -246,14 +250,23 @@ def _carried(
     observations: Sequence[Sensor],
     motion: Motion,
     body: BodyModel,
-    observed: Bool[Tensor, "time 22"],
+    observed: Bool[Tensor, "time 22"] | None,
 ) -> Finding | None:
-    """Whether a camera turned that alone has seen the clip, and that is declared fixed."""
+    """Whether a camera moved that alone has seen the clip, and that is declared fixed.
+
+    Joints that were `observed` are None where speeds of the motion mean nothing.
+    """
     views = kinds.views(observations)
-    if len(observations) > 1 or not views:
+    if len(observations) > 1 or not views or views[0].camera.T_camera_world.shape[-3] > 1:
         return None
-    fixed = views[0].camera.T_camera_world.shape[-3] == 1
-    return carried_finding(names[0], motion, body, observed) if fixed else None
+    images = Images.of(views, names, body)
+    rest = rest_of(images)
+    if rest is not None and rest.moves:
+        return moving_finding(names[0], images, rest)
+    if observed is None:
+        return None
+    rests = rest is not None and not rest.may_move
+    return carried_finding(names[0], motion, body, observed, rests=rests)
 
 
 def _of(name: str, finding: Finding) -> Finding:

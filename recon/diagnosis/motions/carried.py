@@ -43,6 +43,8 @@ _LEAST_SHARE = 0.1
 """Share of the robust misfit that must vanish when the plate may turn. Good fits to one camera of
 validation people, at rates above the least, reach 0.09; those to a camera that is carried around
 the person by 20 degrees per second have more in four clips of five."""
+_SURE_SHARE = 0.15
+"""Share that must vanish where feet rest in the image, as they do before a fixed camera."""
 
 
 @dataclass(frozen=True)
@@ -56,11 +58,15 @@ class Plate:
     share: float
     """Share of the robust misfit of a plate that may not turn which vanishes because it may."""
 
-    @property
-    def turns(self) -> bool:
-        """Whether the feet are surely carried by something that turns."""
+    def turns(self, *, rests: bool) -> bool:
+        """Whether the feet are surely carried by something that turns.
+
+        Args:
+            rests: whether some part of a foot rests in the image most of the time.
+        """
         slowest, fastest = np.radians(_RATES)
-        enough = self.gain > _LEAST_GAIN and self.share > _LEAST_SHARE
+        least = _SURE_SHARE if rests else _LEAST_SHARE
+        enough = self.gain > _LEAST_GAIN and self.share > least
         return bool(slowest < abs(self.rate) < fastest) and enough
 
 
@@ -124,7 +130,12 @@ class Standing:
 
 
 def carried_finding(
-    name: str, motion: Motion, body: BodyModel, observed: Bool[Tensor, "time 22"] | None = None
+    name: str,
+    motion: Motion,
+    body: BodyModel,
+    observed: Bool[Tensor, "time 22"] | None = None,
+    *,
+    rests: bool = False,
 ) -> Finding | None:
     """Whether the one camera that a motion was seen by turned, though it is declared fixed.
 
@@ -133,11 +144,12 @@ def carried_finding(
         motion: one clip, z up, without a batch axis.
         body: whose motion it is.
         observed: joints that the data shows; None means all.
+        rests: whether some part of a foot rests in the image most of the time.
     """
     movement = Movement.of(motion, body)
     feet = None if observed is None else _seen_feet(observed.cpu().numpy(), motion.fps)
     plate = Standing.of(movement, feet).plate()
-    if plate is None or not plate.turns:
+    if plate is None or not plate.turns(rests=rests):
         return None
     rate = float(np.degrees(plate.rate))
     return Finding(
@@ -146,7 +158,7 @@ def carried_finding(
         f"second, {abs(rate) * movement.seconds:.0f} degrees in this clip, as nobody's do on firm "
         "ground: the camera seems to have been carried or panned, though it is declared fixed. "
         "Places, headings and contacts of the fit are not to be trusted: film with a fixed "
-        "camera, or give a pose for every frame (T_camera_world, from a camera tracker). "
+        "camera, or give a pose for every frame (T_camera_world), or its track (--camera-track). "
         "Otherwise the person stands on something that turns",
         value=rate,
     )
