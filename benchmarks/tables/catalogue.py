@@ -69,6 +69,7 @@ TABLES: Mapping[str, Table] = {
     "rigs": rigs.found,
     "rigs-fits": rigs.fits,
     "undeclared": phone.undeclared,
+    "shared-camera": phone.shared_camera,
     "cycles": gait.cycles,
     "anchor-reconstruction": gait.reconstruction,
     "anchor-study": gait.study,

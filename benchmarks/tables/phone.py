@@ -95,3 +95,19 @@ def undeclared() -> str:
 def _said(label: str, clips: Sequence[Mapping[str, Any]]) -> list[str]:
     said = sum(one["said"] for one in clips)
     return [label, str(len(clips)), str(said), number(said / len(clips), 100, 0)]
+
+
+def shared_camera() -> str:
+    """Two people of one film, alone and together."""
+    scenes = result("shared_camera")["scenes"]
+    rows = []
+    for how in ("alone", "together"):
+        own = [one for one in scenes if one["how"] == how]
+        means = [sum(one[key] for one in own) / len(own) for key in _SHARED]
+        factors = _SHARED.values()
+        rows.append([how, *(number(m, f, 1) for m, f in zip(means, factors, strict=True))])
+    headings = ["fitted", "about the pelvis cm", "between people cm", "floors apart cm", "CPU s"]
+    return markdown(headings, rows) + source("shared_camera")
+
+
+_SHARED = {"about": 100, "between": 100, "floors": 100, "seconds": 1}
