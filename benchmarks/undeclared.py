@@ -15,7 +15,8 @@ who walks turns it as much again with every step. Root mean squares of the turn 
 Beside these, hard ones: `steady hand`, 0.2 degrees, as optical stabilisation leaves, and `gimbal`,
 carried around as before without any turn by hand. Fixed cameras look from three directions.
 
-Clips of which the image alone does not tell are fitted, by the pose prior, and judged by the fit.
+Clips of which the image alone does not tell, as no part of a foot quite rests, are fitted, by the
+pose prior, and judged by the fit; with `--fit` all are of which the image does not tell.
 """
 
 import math
@@ -65,13 +66,14 @@ def main() -> None:
     parser = over_windows(__doc__)
     parser.add_argument("--each", type=int, default=PER_KIND, help="clips of each kind")
     parser.add_argument("--directions", type=int, default=DIRECTIONS)
+    parser.add_argument("--fit", action="store_true", help="fit clips whose feet rest, too")
     arguments = parser.parse_args()
     body = BodyModel.load()
     windows = load_windows(
         arguments.corpus, Splits.load(arguments.splits), arguments.part, body, SEED, FRAMES
     )
     clips = fixed(windows, body, arguments.directions) + moving(windows, body, arguments.each)
-    rows = judged(clips, body)
+    rows = judged(clips, body, every=arguments.fit)
     Console(width=None if sys.stdout.isatty() else 160).print(_table(rows))
     if arguments.json is not None:
         about = {"part": arguments.part, **windows.about}
@@ -124,10 +126,17 @@ def _filmed(
     return Undeclared(kind, windows.names[k], view, rest_of(Images.of([view], ["phone"], body)))
 
 
-def judged(clips: Sequence[Undeclared], body: BodyModel) -> list[Clip]:
-    """What is said of every clip; those that need a fit are fitted together."""
+def judged(clips: Sequence[Undeclared], body: BodyModel, *, every: bool) -> list[Clip]:
+    """What is said of every clip; those that need a fit are fitted together.
+
+    Args:
+        clips: with what their images tell.
+        body: that is fitted.
+        every: whether clips whose feet rest are fitted, too.
+    """
     said = [clip.rest is not None and clip.rest.moves for clip in clips]
-    rows = [k for k in range(len(clips)) if not said[k]]
+    undecided = [clip.rest is None or clip.rest.may_move or every for clip in clips]
+    rows = [k for k in range(len(clips)) if undecided[k] and not said[k]]
     for begin in range(0, len(rows), _TOGETHER):
         some = rows[begin : begin + _TOGETHER]
         views = concatenate([clips[k].view for k in some])
