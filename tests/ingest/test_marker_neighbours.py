@@ -34,10 +34,14 @@ def with_gaps(recording: MarkerRecording) -> MarkerRecording:
 
 
 def test_gaps_are_filled_by_the_frames_around_them(
-    markers: MarkerRecording, walk: Motion, single: BodyModel
+    markers: MarkerRecording,
+    walk: Motion,
+    single: BodyModel,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Joints whose markers were hidden fell back to the natural pose within two frames: hidden
     markers were 27 mm off, joints 12 mm; with all markers shown, joints are 5.5 mm off."""
+    monkeypatch.setattr("recon.ingest.markers.neighbours._AT_ONCE", 7)  # long recordings: parts
     gappy = with_gaps(markers)
     where = full_body_markers(gappy, single)
     fit = fit_markers(gappy, where, single)

@@ -50,6 +50,8 @@ _SPREAD = 0.3
 _MEAN = 1.0
 """Information about every joint's mean that the natural pose has, 1 / radian²."""
 _LEAST = 1e-6
+_AT_ONCE = 500
+"""Frames whose curvatures are inverted together, for memory's sake."""
 
 
 @dataclass(frozen=True)
@@ -176,20 +178,28 @@ def _information(energies: PoseEnergies, poses: Poses) -> Float[Tensor, "frames 
 
     The other joints are free: two joints that only turn against each other unseen are not known.
     """
-    rows = torch.arange(len(poses.translation))
-    curvature = energies.curvature(poses, rows).double()
-    curvature.diagonal(dim1=1, dim2=2).add_(_LEAST)
-    inverse = torch.cholesky_inverse(torch.linalg.cholesky(curvature))[:, 3:, 3:]
-    # coordinates are axis by axis, and joint by joint within: a block of three for every joint
-    blocks = inverse.unflatten(1, (3, -1)).unflatten(3, (3, -1)).diagonal(dim1=2, dim2=4)
+    rows = torch.arange(len(poses.translation)).split(_AT_ONCE)
+    blocks = torch.cat([_variances(energies, poses, some) for some in rows])
     turns = poses.orientations[:, 1:].double()
-    variance = turns.mT @ blocks.permute(0, 3, 1, 2)[:, 1:] @ turns
+    variance = turns.mT @ blocks @ turns
     away = so3.log(natural_pose().double().mT @ poses.rotations[:, 1:].double())
     jacobian = _inverse_jacobian(away)
     pull = (energies.weight * energies.pull.double())[:, None, None, None]
     share, axes = torch.linalg.eigh(pull * jacobian @ variance @ jacobian.mT)
     share = share.clamp(_LEAST, 1 - _LEAST)[..., None, :]
     return pull * (axes * (1 / share - 1)) @ axes.mT
+
+
+def _variances(
+    energies: PoseEnergies, poses: Poses, rows: Int[Tensor, " rows"]
+) -> Float[Tensor, "rows 21 3 3"]:
+    """Inverse curvatures by the turns of every joint about the axes of the world."""
+    curvature = energies.curvature(poses, rows).double()
+    curvature.diagonal(dim1=1, dim2=2).add_(_LEAST)
+    inverse = torch.cholesky_inverse(torch.linalg.cholesky(curvature))[:, 3:, 3:]
+    # coordinates are axis by axis, and joint by joint within: a block of three for every joint
+    blocks = inverse.unflatten(1, (3, -1)).unflatten(3, (3, -1)).diagonal(dim1=2, dim2=4)
+    return blocks.permute(0, 3, 1, 2)[:, 1:]
 
 
 def _inverse_jacobian(turn: Float[Tensor, "*shape 3"]) -> Float[Tensor, "*shape 3 3"]:
