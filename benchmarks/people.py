@@ -49,7 +49,7 @@ class People:
 
     vertices: Float[np.ndarray, "people vertices 3"]
     heads: Float[np.ndarray, "people bones 3"]
-    """Where every bone begins."""
+    """Beginning of every bone."""
     joints: Float[np.ndarray, "people 22 3"]
     """Our joints in the resting pose."""
     from_zero: Float[np.ndarray, "people 22 3 3"]
