@@ -30,7 +30,8 @@ class PointLabels(TensorStruct):
     """Most likely place on the unposed body of average shape, metres, in the frame of
     `BodyModel.template` (y up, facing z, left +x), given that the point lies on the body."""
     log_std: Float[Tensor, "*batch moments points"]
-    """Natural logarithm of the standard deviation of every coordinate of `places`, metres."""
+    """Natural logarithm of the standard deviation of every coordinate of `places`, metres, given
+    that left and right of the moment are not exchanged."""
 
     @property
     def region(self) -> Int[Tensor, "*batch moments points"]:
