@@ -21,6 +21,7 @@ from recon.fitting.settings import DEFAULTS, FitSettings
 from recon.formats.calibration.cameras import load_cameras
 from recon.formats.clouds.depth_images import read_depth_images
 from recon.formats.clouds.scans import read_scans
+from recon.formats.detections.arrays import holds_detections
 from recon.formats.keypoints3d.labels import are_keypoints
 from recon.formats.keypoints3d.reader import (
     RECORDINGS,
@@ -108,6 +109,8 @@ def load_clip(
             notes += [f"{path}: {decision}" for decision in file.decisions]
             found = positions_of(file, path, body, up="z", robust=settings.robust)
             files.append((str(path), found))
+        elif holds_detections(path):
+            detections.append(path)
         elif path.suffix.lower() == ".npz":
             files.append((str(path), load_observation(path, unit=settings.unit)))
         elif kinds := _inside(path) & (_CLOUDS | _IMAGES):

@@ -55,7 +55,7 @@ def read_deeplabcut(path: Path, *, layout: str | None = None) -> Detections:
             zip(individuals, parts, (c.strip().lower() for c in header["coords"]), strict=False)
         )
     }
-    chosen, unknown = _settle(list(dict.fromkeys(parts)), layout, name)
+    chosen, unknown = settle_parts(list(dict.fromkeys(parts)), layout, name)
     places = {normalised(part): part for part in parts}
     rows: list[Row] = []
     people = list(dict.fromkeys(individuals))
@@ -82,7 +82,7 @@ def normalised(part: str) -> str:
     return "_".join(side + [word for word in words if word not in side])
 
 
-def _settle(parts: list[str], layout: str | None, name: str) -> tuple[str, list[str]]:
+def settle_parts(parts: list[str], layout: str | None, name: str) -> tuple[str, list[str]]:
     """The layout and the parts it does not have."""
     words = {normalised(part): part for part in parts}
     candidates = LAYOUTS if layout is None else {layout: keypoint_names(layout)}

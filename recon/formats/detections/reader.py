@@ -5,12 +5,14 @@ from typing import Any
 
 from recon.core.errors import FormatError
 from recon.formats.detections.alphapose import alphapose_rows, is_alphapose
+from recon.formats.detections.arrays import read_detection_arrays
 from recon.formats.detections.deeplabcut import read_deeplabcut
 from recon.formats.detections.easymocap import easymocap_rows, is_easymocap
 from recon.formats.detections.mediapipe import is_mediapipe, mediapipe_rows
 from recon.formats.detections.mmpose import is_mmpose, mmpose_rows
 from recon.formats.detections.openpose import is_openpose, openpose_rows
 from recon.formats.detections.records import Detections, gather
+from recon.formats.detections.sleap import is_sleap, read_sleap
 from recon.formats.files.json_files import Frames, listed_frames, read_frame_folder, read_json
 from recon.formats.files.opening import existing
 
@@ -25,10 +27,11 @@ _EXPECTED = (
 def read_keypoints(
     path: Path, *, layout: str | None = None, image_size: tuple[int, int] | None = None
 ) -> Detections:
-    """Read a folder with one JSON file per frame, one JSON file of all frames, or a CSV table.
+    """Read a folder with a JSON file per frame, a JSON file of all, a CSV table or arrays.
 
     Args:
-        path: OpenPose, Pose2Sim, EasyMocap, MMPose, rtmlib, AlphaPose, MediaPipe or DeepLabCut.
+        path: OpenPose, Pose2Sim, EasyMocap, MMPose, rtmlib, AlphaPose, MediaPipe, DeepLabCut,
+            SLEAP (.csv), or arrays `keypoints` with `scores` (.npz).
         layout: which keypoints; None to tell it from the file.
         image_size: width and height, pixels; needed for fractions of an image alone.
 
@@ -45,10 +48,14 @@ def read_keypoints(
         return _from_frames(frames, name, layout, image_size)
     existing(path)
     if path.suffix.lower() == ".csv":
-        return read_deeplabcut(path, layout=layout)
+        read = read_sleap if is_sleap(path) else read_deeplabcut
+        return read(path, layout=layout)
+    if path.suffix.lower() == ".npz":
+        return read_detection_arrays(path, layout=layout)
     if path.suffix.lower() != ".json":
         raise FormatError(
-            f"{path}: expected a folder of .json files, a .json file or a .csv table of keypoints"
+            f"{path}: expected a folder of .json files, a .json file, a .csv table or a .npz of "
+            "keypoints"
         )
     value = read_json(path)
     if is_alphapose(value):

@@ -7,6 +7,7 @@ import numpy as np
 
 from recon.core.errors import FormatError
 from recon.core.units import Up
+from recon.formats.detections.arrays import holds_detections
 from recon.formats.files.json_files import read_json
 from recon.formats.files.opening import load_arrays
 from recon.formats.keypoints3d.arrays import holds_points, read_array, read_arrays
@@ -44,6 +45,8 @@ def holds_points_3d(path: Path, *, images: bool = False) -> bool:
     if ending == ".npy":
         return True
     if ending == ".npz":
+        if holds_detections(path):
+            return False
         arrays = load_arrays(path)
         # motions have `joints` besides, which are a result and nothing that was seen
         others = "kind" in arrays or {"trans", "poses"} <= arrays.keys()
