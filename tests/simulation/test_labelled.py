@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 import torch
 
+from priors.labels.looking import CloudLabeller
+from priors.labels.regions import MIRRORED_REGIONS, Regions
 from priors.labels.training.clouds import NOT_BODY
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
@@ -11,6 +13,7 @@ from recon.simulation.labelled.people import drawn_shape, wardrobe, with_hair
 from recon.simulation.labelled.postures import Postures, made_up, turned_over
 from recon.simulation.labelled.rooms import all_around, drawn_room, glimpse
 from recon.simulation.labelled.shards import Source, draw_shard
+from tests.filmed import walk
 
 
 @pytest.fixture(scope="module")
@@ -90,3 +93,32 @@ def test_hair_grows_on_heads_only():
     assert away.max() > 0.01
     assert away[:, body.weights[:, 15] < 0.01].max() < 1e-3
     assert drawn_shape(body, np.random.default_rng(0)).abs().max() <= 3.5
+
+
+@pytest.mark.numerics
+def test_the_bundled_network_tells_the_regions_of_a_walker_but_for_sides():
+    body, random = BodyModel.load(), np.random.default_rng(2)
+    vertices = body.pose(walk(30)).vertices[::9].double().numpy()
+    room = drawn_room(vertices, random)
+    places = body.template.double().numpy()
+    regions = Regions.of(body).of_vertex
+    labeller, right, strays = CloudLabeller.load(), [], []
+    seen = [glimpse(row, body.faces.numpy(), places, room, "nothing", random) for row in vertices]
+    for each in seen:
+        pick = random.permutation(len(each.points))[:512]
+        said = labeller(
+            torch.from_numpy(each.points[pick]).float()[None],
+            torch.ones(1, len(pick), dtype=torch.bool),
+            30.0,
+            torch.from_numpy(room.eye).float()[None],
+        )
+        on = torch.from_numpy(each.on_body[pick]) > 0
+        shown = torch.from_numpy(each.places[pick]).float()
+        true = regions[torch.cdist(shown, body.template).argmin(-1)]
+        region = said.region[0]
+        exchanged = torch.tensor(MIRRORED_REGIONS)[region]
+        shares = [(one == true)[on].float().mean().item() for one in (region, exchanged)]
+        right.append(max(shares))
+        strays.append(((said.on_body[0] > 0.5) == on).float().mean().item())
+    assert np.mean(right) > 0.65
+    assert np.mean(strays) > 0.9
