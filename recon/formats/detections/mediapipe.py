@@ -41,7 +41,7 @@ def mediapipe_rows(frames: Frames, image_size: tuple[int, int] | None, name: str
     if image_size is None:
         raise FormatError(
             f"{name}: MediaPipe's landmarks are fractions of the image, whose size is unknown; "
-            "give a camera with --camera"
+            "give --image-size WIDTH HEIGHT, or a camera with --camera"
         )
     scale = np.array([*image_size, 1.0])
     return [(number, points * scale, identity) for number, points, identity in rows]
