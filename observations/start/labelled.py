@@ -59,7 +59,7 @@ pose disagrees with."""
 _SPIN, _SPREAD = 8.0, 4.0
 """Radians per second that the trunk turns, and metres per second that joints move about it, beyond
 which a change is one of the reading rather than of the body."""
-_CHANGE, _MOST = 0.1, 1.0
+_CHANGE, _MOST = 0.4, 5.0
 """What such a change costs, and what any change costs at most."""
 
 
