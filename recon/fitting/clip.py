@@ -14,6 +14,7 @@ from observations.timing import at_observation_times
 from observations.together import kinds
 from observations.together.camera_paths import with_unit
 from observations.together.first_guess import FirstGuess, first_guess
+from observations.together.labelling import labelled
 from priors.roles import FIRST
 from recon.body.model import BodyModel
 from recon.core.errors import ObservationError
@@ -115,6 +116,8 @@ def fit_clip(
             "some observations know where the ground is and some do not: give every camera its "
             "pose (T_camera_world), or none"
         )
+    if start is None:
+        observations = labelled(observations)
     guess = _first_guess(observations, body, start, options)
     noises = tuple(
         one.noise(guess.motion, body, options.noise_of(row))

@@ -1,0 +1,58 @@
+"""Which clouds the bundled network looks at before a fit."""
+
+import pytest
+import torch
+
+from observations.depth import PointCloud
+from observations.surfels import Surfels
+from observations.together import labelling
+from priors.labels.record import PointLabels
+from recon.core.camera import depth_camera
+from tests.filmed import bundled, cameras, view, walk
+
+
+def cloud() -> PointCloud:
+    motion, body = walk(3)[None], bundled()
+    index = torch.arange(0, len(body.template), 60)
+    points = body.pose(motion).points(index)
+    present = torch.ones(points.shape[:-1], dtype=torch.bool)
+    eye = depth_camera().placed(torch.tensor([0.0, -3.0, 1.0]), torch.tensor([0.0, 0.0, 1.0]))
+    sensor = eye.replace(T_camera_world=eye.T_camera_world[None, None])
+    return PointCloud(points, present, Surfels.of(body, 300), motion.fps, camera=sensor)
+
+
+@pytest.fixture
+def looked(monkeypatch):
+    """What the network is asked, instead of the answers of a trained one."""
+    asked: list[tuple[torch.Size, bool, bool]] = []
+
+    def look(points, present, fps, eyes, *, level):
+        asked.append((points.shape, eyes is not None, level))
+        none = torch.full(present.shape, -1)
+        return PointLabels.known(bundled(), none, present)
+
+    monkeypatch.setattr(labelling, "_labeller", lambda: look)
+    return asked
+
+
+def test_a_cloud_alone_is_looked_at(looked):
+    one = cloud()
+    (found,) = labelling.labelled([one])
+    assert isinstance(found, PointCloud)
+    assert found.labels is not None
+    assert found.labels.present.shape == one.present.shape
+    unknown = one.replace(ground_known=False, camera=None)
+    labelling.labelled([unknown])
+    assert looked == [(one.points.shape, True, True), (one.points.shape, False, False)]
+
+
+def test_labels_that_are_given_and_points_with_names_stay_alone(looked):
+    """Keypoints tell the first guess better than labels of points do."""
+    one = cloud()
+    given = one.replace(labels=PointLabels.known(bundled(), torch.zeros_like(one.present).long(),
+                                                 one.present))  # fmt: skip
+    assert labelling.labelled([given]) == (given,)
+    motion = walk(3)
+    seen = view(motion, cameras(motion)[0])
+    assert labelling.labelled([seen, one]) == (seen, one)
+    assert looked == []
