@@ -54,6 +54,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "rigs": ("rigs", "CORPUS", "--part", "validation", "--only", "12"),
     "rigs_fit": ("rigs", "CORPUS", "--part", "validation", "--only", "6", "--fit"),
     "undeclared": ("undeclared", "CORPUS"),
+    "labelled": ("labelled", "CORPUS", "--part", "validation", "--only", "6"),
     "shared_camera": ("shared_camera", "CORPUS"),
     "slip_sizes": ("slips.sizes", "CORPUS"),
     "slips": ("slips", "CORPUS", "--prior", "pose", "--good", "300", "--observations",

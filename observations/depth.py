@@ -16,7 +16,13 @@ from observations.start.depth import depth_start
 from observations.start.label_costs import costs_of_points, kinds_of_surfels
 from observations.start.labelled import labelled_start
 from observations.surfels import Surfels
-from observations.timing import at_observation_times, moment_numbers, moments_between, padded
+from observations.timing import (
+    at_observation_times,
+    between_moments,
+    moment_numbers,
+    moments_between,
+    padded,
+)  # fmt: skip
 from priors.labels.record import PointLabels
 from recon.body.model import BodyModel
 from recon.core.arrays import Numbers, float_tensor
@@ -358,10 +364,7 @@ class PointCloud(SensorRecord):
         )
 
     def coarse(self, body: BodyModel, step: int = 2) -> "PointCloud":
-        """Every `step`-th moment, few points, a rough surface: enough to tell headings apart.
-
-        Where most moments are empty, all are kept.
-        """
+        """Few points of every `step`-th moment, or of all where most are empty; a rough surface."""
         if 2 * int(self.present.any(-1).sum()) < self.present[..., 0].numel():
             step = 1
         last = self.points.shape[-2] - 1
@@ -370,11 +373,21 @@ class PointCloud(SensorRecord):
             surfels=Surfels.of(body, _FEW_SURFELS), fps=self.fps / step
         )
 
-    def start(self, body: BodyModel) -> Motion:
-        """Poses that the labels tell, or without labels a plain posture where the cloud suggests.
+    def on_faster_clock(self, times: int) -> "PointCloud":
+        """The same points with empty moments in between; a sensor that moves keeps its clock."""
+        if self.camera is not None and self.camera.T_camera_world.shape[-3] > 1:
+            return self
+        axis = self.present.ndim - 2
+        points, present = (between_moments(t, axis, times) for t in (self.points, self.present))
+        std = None if self.std is None else self.std.repeat_interleave(times, -1)
+        return self.derived(
+            points=points, present=present, fps=self.fps * times,
+            labels=self._labels(lambda one: between_moments(one, axis, times)),
+            std=None if std is None else std[..., : present.shape[axis]],
+        )  # fmt: skip
 
-        See `labelled_start` and `depth_start`.
-        """
+    def start(self, body: BodyModel) -> Motion:
+        """Poses that labels tell (`labelled_start`), or without any a posture (`depth_start`)."""
         eye = None
         if self.camera is not None:
             eye = self.camera.at(range(self.moments)).T_world_camera[..., :3, 3]

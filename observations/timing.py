@@ -142,6 +142,17 @@ def _shared(
     return (counted * away).sum(-2, keepdim=True) / counted.sum(-2, keepdim=True).clamp(min=1e-9)
 
 
+def between_moments(values: Tensor, axis: int, times: int) -> Tensor:
+    """Values of moments on a clock that is so many times as fast; zero at those in between."""
+    shape = list(values.shape)
+    shape[axis] = (shape[axis] - 1) * times + 1
+    wide = values.new_zeros(shape)
+    index = [slice(None)] * values.ndim
+    index[axis] = slice(None, None, times)
+    wide[tuple(index)] = values
+    return wide
+
+
 def padded(
     values: Float[Tensor, "*batch seen points dims"],
     weights: Tensor,

@@ -2,13 +2,11 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from observations.depth import PointCloud
 from observations.together.kinds import InSpace
 
 RATES = (30.0, 60.0)
@@ -30,22 +28,7 @@ def on_fast_clock(one: InSpace) -> InSpace:
     keeps its clock, since nobody knows where it is in between.
     """
     times = math.ceil(RATES[0] / one.fps - 1e-6)
-    if times <= 1 or (isinstance(one, PointCloud) and _moves(one)):
-        return one
-
-    def spread(tensor: Tensor) -> Tensor:
-        shape = list(tensor.shape)
-        shape[1] = (shape[1] - 1) * times + 1
-        wide = tensor.new_zeros(shape)
-        wide[:, ::times] = tensor
-        return wide
-
-    fields: dict[str, Any] = {"fps": one.fps * times}
-    if isinstance(one, PointCloud):
-        return one.derived(points=spread(one.points), present=spread(one.present), **fields)
-    std = None if one.std is None else spread(one.std)
-    fields |= {"positions": spread(one.positions), "visible": spread(one.visible), "std": std}
-    return one.derived(**fields)
+    return one if times <= 1 else one.on_faster_clock(times)
 
 
 def moments_per_second(observations: Sequence[InSpace]) -> float:
@@ -60,7 +43,3 @@ def seen_times(one: InSpace) -> Float[Tensor, " moments"]:
     """Times of the moments that show anything in any clip, seconds, to the millisecond."""
     there = one.shown.any(-1).flatten(0, -2).any(0).nonzero()[:, 0].cpu()
     return (one.start_time + there.double() / one.fps).mul(1000).round().div(1000)
-
-
-def _moves(cloud: PointCloud) -> bool:
-    return cloud.camera is not None and cloud.camera.T_camera_world.shape[-3] > 1

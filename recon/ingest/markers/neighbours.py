@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
-from scipy.linalg import solveh_banded
 from torch import Tensor
 
 from recon.core import rotations as so3
@@ -219,6 +218,8 @@ def _smoothed(
     step: float,
 ) -> Float[Tensor, "frames 21 3"]:
     """Means of processes about zero, given values with their information at some moments."""
+    from scipy.linalg import solveh_banded  # loaded by recordings with gaps only
+
     at = moments.numpy()
     time = int(at[-1]) + 1
     process = _precision(time, step)
