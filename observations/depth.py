@@ -364,7 +364,7 @@ class PointCloud(SensorRecord):
         )
 
     def coarse(self, body: BodyModel, step: int = 2) -> "PointCloud":
-        """Few points of every `step`-th moment, or of all where most are empty; a rough surface."""
+        """Few points of every `step`-th moment, of all where most are empty; a rough surface."""
         if 2 * int(self.present.any(-1).sum()) < self.present[..., 0].numel():
             step = 1
         last = self.points.shape[-2] - 1
@@ -374,7 +374,7 @@ class PointCloud(SensorRecord):
         )
 
     def on_faster_clock(self, times: int) -> "PointCloud":
-        """The same points with empty moments in between; a sensor that moves keeps its clock."""
+        """Points with empty moments in between them; a sensor that moves keeps its clock."""
         if self.camera is not None and self.camera.T_camera_world.shape[-3] > 1:
             return self
         axis = self.present.ndim - 2

@@ -182,7 +182,7 @@ class TrackedPoints(SensorRecord):
         return self.derived(fps=self.fps / step, **few)
 
     def on_faster_clock(self: P, times: int) -> P:
-        """The same points on a clock that is so many times as fast: empty moments in between."""
+        """Points on a clock that is so many times as fast, with empty moments in between."""
         axis = self.visible.ndim - 2
 
         def spread(values: Tensor) -> Tensor:
