@@ -13,10 +13,10 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from priors.pose.density import COORDINATES, ROTATIONS, PoseDensity
-from recon.body.derivatives import turned_by
+from recon.body.derivatives import BELOW, turned_by
 from recon.body.kinematics import forward_kinematics
 from recon.core import rotations as so3
-from recon.core.skeleton import JOINTS, descendants
+from recon.core.skeleton import JOINTS
 from recon.core.struct import TensorStruct
 
 _BONES = len(JOINTS)
@@ -269,7 +269,7 @@ def _by_coordinates(
     # [O_b | p_b - p_a] of every bone b below joint a: what a turn about joint a carries
     carried = bones[:, :, None].expand(-1, -1, _BONES, -1, -1).clone()
     carried[..., 3] -= bones[:, None, :, :, 3]
-    carried = carried * _BELOW.to(bones).mT[..., None, None]
+    carried = carried * BELOW.to(bones).mT[..., None, None]
     turned = bones.new_zeros(rows, _BONES, 3, 4, 3 + 3 * _BONES)
     for axis in range(3):
         turned[:, :, axis, 3, axis] = 1
@@ -289,14 +289,3 @@ def _by_coordinates(
     whole[:, :6, :6] = torch.eye(6)
     whole[:, 6:, 6:] = chain
     return (gradient[:, None] @ whole)[:, 0], whole.mT @ hessian @ whole
-
-
-def _below() -> Float[Tensor, "22 22"]:
-    """Row a: 1 for joint a and all bones that hang from it."""
-    below = torch.zeros(_BONES, _BONES)
-    for joint in range(_BONES):
-        below[joint, list(descendants(joint))] = 1.0
-    return below
-
-
-_BELOW = _below()

@@ -12,7 +12,9 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from observations.surfels import Surfels
+from priors.labels.neighbours import squared_distances
 from recon.body.model import BodyModel
+from recon.core.geometry.visible import facing
 from recon.core.motion import Motion
 
 _REACH = 0.1
@@ -52,11 +54,12 @@ def evidence(
         eye: the sensor's place in every row; None where points come from all sides.
     """
     middles, normals = surfels.posed(body.pose(motion))
-    facing = torch.ones_like(present[:, :1]).expand(middles.shape[:2])
+    shown = torch.ones_like(present[:, :1]).expand(middles.shape[:2])
     if eye is not None:
-        facing = ((eye[:, None] - middles) * normals).sum(-1) > 0
-    squared = _squared_distances(points, middles)
-    nearest = squared.masked_fill(~facing[:, None], torch.inf).amin(-1)
+        shown = facing(middles, normals, eye)
+    centre = points.mean(1, keepdim=True)  # far from the origin, products of places lose digits
+    squared = squared_distances(points - centre, middles - centre)
+    nearest = squared.masked_fill(~shown[:, None], torch.inf).amin(-1)
     share = (nearest / (nearest + _REACH**2)).nan_to_num(1.0).where(present, 0.0)
     misfit = share.sum(-1) / present.sum(-1).clamp(min=1)
     if eye is None:
@@ -71,17 +74,6 @@ def evidence(
     best = cosine.max(-1)
     lateral = (2 - 2 * best.values.clamp(max=1)).sqrt() * depth
     before = far.gather(-1, best.indices) - depth > _BEFORE
-    against = facing & ((lateral > _BESIDE) | before)
-    share = against.sum(-1) / facing.sum(-1).clamp(min=1)
+    against = shown & ((lateral > _BESIDE) | before)
+    share = against.sum(-1) / shown.sum(-1).clamp(min=1)
     return Evidence(misfit, share.to(misfit))
-
-
-def _squared_distances(
-    points: Float[Tensor, "rows points 3"], middles: Float[Tensor, "rows surfels 3"]
-) -> Float[Tensor, "rows points surfels"]:
-    """Squared distances by one product, about the middle of the points against rounding."""
-    middle = points.mean(1, keepdim=True)
-    points, middles = points - middle, middles - middle
-    product = points @ middles.mT
-    sizes = points.square().sum(-1)[..., None] + middles.square().sum(-1)[:, None]
-    return (sizes - 2 * product).clamp(min=0)

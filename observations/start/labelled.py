@@ -164,7 +164,7 @@ class _Tracker:
             upright = torch.cat((turn[None], torch.eye(3).expand(21, 3, 3)))
             return torch.zeros(count, 3), upright.expand(count, 22, 3, 3)
         readings = [self._targets(moments, signs) for signs in _READINGS]
-        targets = _joined(readings)
+        targets = concatenate(readings)
         eyes = None if moments.eye is None else moments.eye.repeat(len(_READINGS), 1)
         read = [_read(moments.labels, signs) for signs in _READINGS]
         surface = SeenSurface.of(self.body, self.cover, targets.points, concatenate(read), eyes)
@@ -225,7 +225,7 @@ class _Tracker:
             motion, self.body, self.cover, moments.points.repeat(repeated),
             moments.present.repeat(readings, 1), eye,
         )  # fmt: skip
-        labels = _joined([found] * readings)
+        labels = concatenate([found] * readings)
         away = labels.away(posed).square().sum(-1)
         share = (away / (away + 0.15**2) * labels.weight).sum(-1)
         share = share / labels.weight.sum(-1).clamp(min=1e-9)
@@ -278,11 +278,6 @@ def _read(labels: PointLabels, signs: tuple[int, int, int]) -> PointLabels:
         regions = regions[..., list(MIRRORED_REGIONS)]
     place = labels.places * labels.places.new_tensor(signs)
     return labels.derived(places=place, regions=regions)
-
-
-def _joined(parts: list[BoneTargets]) -> BoneTargets:
-    return BoneTargets(*(torch.cat(values) for values in zip(
-        *(part.tensors().values() for part in parts), strict=True)))  # fmt: skip
 
 
 def _changes(

@@ -19,6 +19,7 @@ from recon.body.model import BodyModel
 from recon.core.geometry.alike import nearest_alike
 from recon.core.geometry.visible import facing
 from recon.core.motion import Motion
+from recon.core.struct import concatenate
 
 _STD = 0.04
 """Metres that a point may be away from the middle of the nearest of few surfels."""
@@ -38,6 +39,8 @@ class SeenSurface:
     present: Bool[Tensor, "rows points"]
     costs: Float[Tensor, "rows points 16"]
     kinds: Float[Tensor, "surfels 16"]
+    bone: Int[Tensor, " surfels"]
+    """The bone that moves each surfel most."""
     eye: Float[Tensor, "rows 3"] | None
 
     @classmethod
@@ -51,7 +54,9 @@ class SeenSurface:
     ) -> "SeenSurface":
         """The points with what it costs to take them for other parts than their labels say."""
         kinds = kinds_of_surfels(cover, body)
-        return cls(body, cover, points, labels.present, costs_of_points(labels), kinds, eye)
+        bone = body.weights[torch.from_numpy(cover.vertices)].argmax(-1)
+        costs = costs_of_points(labels)
+        return cls(body, cover, points, labels.present, costs, kinds, bone, eye)
 
     def rows(self, index: Int[Tensor, " some"]) -> "SeenSurface":
         """Some of the rows."""
@@ -79,7 +84,7 @@ class SeenSurface:
             springs: between neighbouring moments; None leaves them independent.
         """
         for sigma in sigmas:
-            both = _together(labelled, self._targets(state))
+            both = concatenate([labelled, self._targets(state)], dim=1)
             state = solver.minimised(state, both, (sigma,), springs)
         return state
 
@@ -94,7 +99,7 @@ class SeenSurface:
         middle, normal = middles.gather(1, pick), normals.gather(1, pick)
         away = self.points - middle
         height = (away * normal).sum(-1, keepdim=True) * normal
-        bone = self._bones[found]
+        bone = self.bone[found]
         # where the surfel is on its bone as it is posed now, with all that blends into it
         placed = state.bones[torch.arange(len(bone))[:, None], bone]
         place = (placed[..., :3].mT @ (middle - placed[..., 3])[..., None])[..., 0]
@@ -102,19 +107,8 @@ class SeenSurface:
         weight = self.present.to(place) * (_WORTH / count).clamp(max=1) / _STD**2
         return BoneTargets(middle + height + _ALONG * (away - height), weight, bone, place)
 
-    @property
-    def _bones(self) -> Int[Tensor, " surfels"]:
-        index = torch.from_numpy(self.cover.vertices)
-        return self.body.weights[index].argmax(-1)
-
 
 def _motion(state: BonePoses, body: BodyModel) -> Motion:
     """The rows as frames of one motion of the average body."""
     shape = state.translation.new_zeros(body.shape_size)
     return Motion.create(state.translation, state.rotations, shape, fps=30.0)
-
-
-def _together(one: BoneTargets, other: BoneTargets) -> BoneTargets:
-    """The targets of both, row by row."""
-    mine, theirs = one.tensors(), other.tensors()
-    return BoneTargets(*(torch.cat((mine[name], theirs[name]), 1) for name in mine))

@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from recon.body.derivatives import turned_by
+from recon.body.derivatives import logarithm_by
 from recon.body.kinematics import forward_kinematics
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
@@ -51,7 +51,7 @@ class PoseDensity(TensorStruct):
     ) -> Float[Tensor, "*shape 63 63"]:
         """Derivatives of the coordinates by steps R_j Exp(w_j) of the joints, per radian."""
         steps = so3.log(self.mean.mT @ rotations)
-        slopes = torch.linalg.inv(turned_by(steps))
+        slopes = logarithm_by(steps)
         inverse = torch.linalg.inv(self.basis).unflatten(-1, (ROTATIONS, 3))
         return torch.einsum("zja,...jab->...zjb", inverse, slopes).flatten(-2)
 

@@ -85,7 +85,7 @@ class CarriedPoints:
         A step turns all that hangs from joint a about p_a by the world vector O_a d_a.
         """
         parts = _parts(self.place, orientations) + self.share[:, :, None] * joints[:, None]
-        below = _BELOW.to(parts)
+        below = BELOW.to(parts)
         levers = below @ parts - (self.share @ below.mT)[:, :, None] * joints[:, None]
         axes = orientations.mT[:, None]  # (time, 1, joints, axis, 3)
         turned = torch.linalg.cross(axes, levers[..., None, :], dim=-1)
@@ -124,7 +124,7 @@ def joints_by_shape(
     parents = [0, *PARENTS[1:]]
     turned = orientations[:, parents] @ bones
     turned[:, 0] = bones[0]
-    return (_BELOW.to(turned).mT @ turned.flatten(2)).unflatten(2, turned.shape[2:])
+    return (BELOW.to(turned).mT @ turned.flatten(2)).unflatten(2, turned.shape[2:])
 
 
 def turned_by(
@@ -142,6 +142,23 @@ def turned_by(
     return identity - first * cross + second * (cross @ cross)
 
 
+def logarithm_by(
+    steps: Float[Tensor, "*batch joints 3"],
+) -> Float[Tensor, "*batch joints 3 3"]:
+    """The inverse of `turned_by`: Log(Exp(v) Exp(d)) = v + J⁻¹ d to first order.
+
+    J⁻¹ = 1 + ½ [v] + (1/θ² - cot(θ/2) / 2θ) [v]², with θ = |v| up to π.
+    """
+    squared = steps.square().sum(-1)[..., None, None]
+    small = squared < 1e-4
+    safe = torch.where(small, 1.0, squared)
+    half = safe.sqrt() / 2
+    factor = torch.where(small, 1 / 12, 1 / safe - half.cos() / (4 * half * half.sin()))
+    cross = so3.hat(steps)
+    identity = torch.eye(3, dtype=steps.dtype, device=steps.device)
+    return identity + 0.5 * cross + factor * (cross @ cross)
+
+
 def _parts(
     place: Float[Tensor, "points 22 3"], orientations: Float[Tensor, "*batch 22 3 3"]
 ) -> Float[Tensor, "*batch points 22 3"]:
@@ -156,4 +173,5 @@ def _below() -> Float[Tensor, "22 22"]:
     return below
 
 
-_BELOW = _below()
+BELOW = _below()
+"""Row a: 1 for joint a and all joints that hang from it."""

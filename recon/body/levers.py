@@ -17,10 +17,10 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from recon.body.derivatives import CarriedPoints
+from recon.body.derivatives import BELOW, CarriedPoints
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
-from recon.core.skeleton import JOINTS, PARENTS, descendants
+from recon.core.skeleton import JOINTS, PARENTS
 from recon.core.struct import TensorStruct
 
 COORDINATES = 3 + 3 * len(JOINTS)
@@ -53,7 +53,7 @@ def world_turns(
 
 def gathered(values: Float[Tensor, "*batch 22"]) -> Float[Tensor, "*batch 22"]:
     """Sums over every joint and all that hang from it."""
-    return values @ _BELOW.to(values).mT
+    return values @ BELOW.to(values).mT
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class Levers(TensorStruct):
     def of(cls, points: CarriedPoints) -> "Levers":
         """The columns of some points: places c_vj on the bones and shares m_vj of the joints."""
         columns = torch.cat((points.place, points.share[..., None]), -1)
-        below = _BELOW.to(columns)
+        below = BELOW.to(columns)
         arms = columns[:, None] * below[None, :, :, None]
         # p_a itself, as far as the point hangs from joint a
         hung = torch.diag_embed(points.share @ below.mT)
@@ -178,7 +178,7 @@ class ShapeLevers(TensorStruct):
         count = len(points.place_by_shape)
         joints = body.joint_directions[..., :count].to(points.place)
         bones = joints[1:] - joints[list(PARENTS[1:])]
-        hung = points.share @ _BELOW.to(joints).mT
+        hung = points.share @ BELOW.to(joints).mT
         grown = points.place_by_shape.permute(1, 2, 3, 0).clone()
         for child, parent in enumerate(PARENTS[1:], 1):
             grown[:, parent] += hung[:, child, None, None] * bones[child - 1]
@@ -191,14 +191,3 @@ class ShapeLevers(TensorStruct):
         """Derivatives of the points, metres."""
         moved = (pose @ self.columns).unflatten(-1, (-1, self.root.shape[-1]))
         return moved.transpose(1, 2) + self.root
-
-
-def _below() -> Float[Tensor, "22 22"]:
-    """Row a: 1 for joint a and all joints that hang from it."""
-    below = torch.zeros(len(JOINTS), len(JOINTS))
-    for joint in range(len(JOINTS)):
-        below[joint, list(descendants(joint))] = 1.0
-    return below
-
-
-_BELOW = _below()

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from recon.body.derivatives import logarithm_by
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion
@@ -14,7 +15,6 @@ from recon.ingest.markers.coverage import full_body_markers
 from recon.ingest.markers.fit import fit_markers
 from recon.ingest.markers.gaps import observed_joints
 from recon.ingest.markers.neighbours import (
-    _inverse_jacobian,
     _precision,
     _smoothed,
     frames_about_gaps,
@@ -81,8 +81,10 @@ def test_frames_about_gaps_reach_half_a_second() -> None:
 
 
 def test_the_jacobian_of_rotation_vectors() -> None:
-    turns = torch.tensor([[0.0, 0.0, 0.0], [1e-3, 2e-3, 0.0], [0.4, -1.1, 0.8]]).double()
-    found = _inverse_jacobian(turns)
+    turns = torch.tensor(
+        [[0.0, 0.0, 0.0], [1e-3, 2e-3, 0.0], [0.4, -1.1, 0.8], [1.6, 2.2, -1.5]]
+    ).double()
+    found = logarithm_by(turns)
     for axis in range(3):
         step = torch.zeros(3).double()
         step[axis] = 1e-6

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
+from recon.core.robust import NORMAL_MAD
 from recon.diagnosis.findings import Finding
 from recon.diagnosis.views.images import Images
 
@@ -119,7 +120,7 @@ class _Slowest:
         if told.sum() < _LEAST_SECONDS * images.fps:
             return None
         jitter = np.stack(jitters)[which, np.arange(len(which))][told]
-        spread = 1.4826 * float(np.nanmedian(jitter)) / np.sqrt(6)
+        spread = float(np.nanmedian(jitter)) / NORMAL_MAD / np.sqrt(6)
         noise = spread * np.sqrt(2) / lag / float(np.median(images.scale[0]))
         return cls(slowest[told], float(noise))
 

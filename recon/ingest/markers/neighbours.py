@@ -17,6 +17,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from recon.body.derivatives import logarithm_by
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS
@@ -182,7 +183,7 @@ def _information(energies: PoseEnergies, poses: Poses) -> Float[Tensor, "frames 
     turns = poses.orientations[:, 1:].double()
     variance = turns.mT @ blocks @ turns
     away = so3.log(natural_pose().double().mT @ poses.rotations[:, 1:].double())
-    jacobian = _inverse_jacobian(away)
+    jacobian = logarithm_by(away)
     pull = (energies.weight * energies.pull.double())[:, None, None, None]
     share, axes = torch.linalg.eigh(pull * jacobian @ variance @ jacobian.mT)
     share = share.clamp(_LEAST, 1 - _LEAST)[..., None, :]
@@ -199,16 +200,6 @@ def _variances(
     # coordinates are axis by axis, and joint by joint within: a block of three for every joint
     blocks = inverse.unflatten(1, (3, -1)).unflatten(3, (3, -1)).diagonal(dim1=2, dim2=4)
     return blocks.permute(0, 3, 1, 2)[:, 1:]
-
-
-def _inverse_jacobian(turn: Float[Tensor, "*shape 3"]) -> Float[Tensor, "*shape 3 3"]:
-    """Derivative of log(exp(turn) exp(d)) by d at zero."""
-    angle = turn.norm(dim=-1)[..., None, None]
-    small = angle < 1e-2
-    angle = angle.where(~small, 1.0)
-    factor = 1 / angle**2 - (1 + angle.cos()) / (2 * angle * angle.sin().clamp(min=_LEAST))
-    cross = so3.hat(turn)
-    return torch.eye(3).to(turn) + 0.5 * cross + factor.where(~small, 1 / 12) * cross @ cross
 
 
 def _smoothed(
