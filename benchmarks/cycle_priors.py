@@ -14,7 +14,6 @@ What is in the JSON already, of the same commit, is not run again; with `--minut
 ends after the column that is then under way, and goes on when it is run once more.
 """
 
-import json
 from collections.abc import Mapping, Sequence
 from functools import partial
 from itertools import product
@@ -39,7 +38,7 @@ from benchmarks.complete import (
 )
 from benchmarks.cycles import FoundCycle, chosen, found_cycles
 from benchmarks.intervals import interval, paired
-from benchmarks.results import ROOT, commit, corpus_source, write
+from benchmarks.results import corpus_source, earlier, write
 from benchmarks.scans import ScannedCycle, scanned_cycle
 from observations.depth import PointCloud
 from observations.together.kinds import InSpace
@@ -113,7 +112,7 @@ def main() -> None:
         size = AnchorFrames.load(str(path), body).code_size
         fitters[f"{size} components"] = partial(completed, str(path), body)
     fitters |= {name: partial(told_noise, name, body) for name in ("pose", "humor")}
-    cells = _found(given.json)
+    cells = earlier(given.json, "cells")
     cycles = _cycles(given.corpus, Splits.load(given.splits), given)
     for seed in range(given.seeds):
         scanned: list[ScannedCycle] = []
@@ -157,14 +156,6 @@ def _cycles(corpus: Path, splits: Splits, given: Any) -> list[FoundCycle]:
     people = splits.validation if given.part == "validation" else splits.test
     clips = {clip for clip in files if splits.subject(clip) in people}
     return chosen(list(found_cycles(corpus, splits, given.part, clips)), given.each)
-
-
-def _found(path: Path | None) -> Cells:
-    """What an earlier run of this commit left."""
-    if path is None or not path.is_file():
-        return {}
-    found = json.loads(path.read_text(encoding="utf-8"))
-    return found["cells"] if found["about"]["commit"] == commit(ROOT) else {}
 
 
 def _tell(given: Any, column: str, cells: Cells) -> None:

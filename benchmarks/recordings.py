@@ -13,7 +13,6 @@ What is in the JSON already, of the same commit, is not run again; with `--minut
 ends after the fit that is then under way, and goes on when it is run once more.
 """
 
-import json
 from collections.abc import Sequence
 from itertools import product
 from pathlib import Path
@@ -28,7 +27,7 @@ import recon
 from benchmarks.arguments import over_windows
 from benchmarks.complete import cloud_from
 from benchmarks.intervals import interval, paired
-from benchmarks.results import ROOT, commit, corpus_source, write
+from benchmarks.results import corpus_source, earlier, write
 from benchmarks.scans import FPS, ScannedCycle, scanned, thinned_points
 from observations.files.points import positions_of
 from observations.together.kinds import InSpace
@@ -118,7 +117,7 @@ def main() -> None:
     given = parser.parse_args()
     torch.set_num_threads(1)
     began, body = perf_counter(), BodyModel.load()
-    found: dict[str, dict[str, dict[str, dict[str, Any]]]] = _found(given.json)
+    found: dict[str, dict[str, dict[str, dict[str, Any]]]] = earlier(given.json, "rows")
     files, splits = clip_files(given.corpus), Splits.load(given.splits)
     scans: dict[str, ScannedCycle] = {}
     for case, clip, cycles in product(given.cases, given.clips or CLIPS[given.part], given.cycles):
@@ -152,14 +151,6 @@ def _cut(path: Path) -> Motion:
     motion = load_motion(path).motion
     count = min(motion.frames, round(LONGEST * motion.fps) + 1)
     return motion.window(0, count)
-
-
-def _found(path: Path | None) -> dict[str, Any]:
-    """What an earlier run of this commit left."""
-    if path is None or not path.is_file():
-        return {}
-    found = json.loads(path.read_text(encoding="utf-8"))
-    return found["rows"] if found["about"]["commit"] == commit(ROOT) else {}
 
 
 def _tell(given: Any, found: dict[str, dict[str, dict[str, dict[str, Any]]]]) -> None:

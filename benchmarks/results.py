@@ -62,6 +62,14 @@ def recordings_source(folder: Path, names: Iterable[str] = ()) -> Sources:
     return {"OBSERVATIONS": (folder, tuple(file for file in files if file.is_file()))}
 
 
+def earlier(path: Path | None, table: str) -> dict[str, Any]:
+    """A table that an earlier run of this commit left in a result file; empty if none did."""
+    if path is None or not path.is_file():
+        return {}
+    found = json.loads(path.read_text(encoding="utf-8"))
+    return found[table] if found["about"]["commit"] == commit(ROOT) else {}
+
+
 def write(path: Path, seed: int | None, sources: Sources | None = None, **tables: Any) -> None:
     """Write the result of the command that runs, in one step.
 
