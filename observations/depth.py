@@ -237,11 +237,11 @@ class PointCloud(SensorRecord):
         return *self._between(middles, normals, seen, index), seen
 
     def residuals(self, estimate: Estimate) -> Residuals:
-        """Distance of every point from the surface at every moment, metres; one dimension."""
-        free = self.derived(pairs=None, scale=None)
-        clock = {"fps": self.fps, "start_time": self.start_time, "moments": self.points.shape[-3]}
-        _, seen = at_observation_times(estimate.body.joints, estimate.motion, **clock)
-        squared, present = free.squared_distances(estimate)
+        """Distance of every point from the surface at every moment, metres; one dimension.
+
+        Where the cloud is `matched`, from the discs that its points were given.
+        """
+        squared, present, seen = self._squared_distances(estimate)
         away = squared.clamp(min=0).sqrt()[..., None]
         return padded(away, present, seen, self.points.shape[-3])
 

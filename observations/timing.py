@@ -156,7 +156,7 @@ def between_moments(values: Tensor, axis: int, times: int) -> Tensor:
 def padded(
     values: Float[Tensor, "*batch seen points dims"],
     weights: Tensor,
-    seen: slice,
+    seen: slice | Tensor,
     moments: int,
     unit: Unit = "metres",
 ) -> Residuals:

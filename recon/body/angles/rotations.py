@@ -70,6 +70,29 @@ def _continued(
         turned: q1 + way q3, which is known in gimbal lock, too.
         way: 1 or -1.
     """
+    if (unlocked < _LOCKED).any():
+        return _continued_through_lock(first, second, unlocked, turned, way)
+    both = np.stack((first, second))
+    steps = both[None, :, 1:] - both[:, None, :-1]
+    steps = np.abs(steps - 2 * np.pi * np.round(steps / (2 * np.pi))).sum(-1)
+    branch = [0]
+    # the solution that follows each of the two, frame by frame
+    for follows in steps.argmin(1).T.tolist():
+        branch.append(follows[branch[-1]])
+    return np.unwrap(both[branch, np.arange(len(branch))], axis=0)
+
+
+def _continued_through_lock(
+    first: Float[np.ndarray, "time 3"],
+    second: Float[np.ndarray, "time 3"],
+    unlocked: Float[np.ndarray, " time"],
+    turned: Float[np.ndarray, " time"],
+    way: Float[np.ndarray, " time"],
+) -> Float[np.ndarray, "time 3"]:
+    """Solutions without jumps where some frames are in gimbal lock.
+
+    The last angle of such a frame is that of the frame before, so that frames take their turns.
+    """
     found = np.empty_like(first)
     before = np.zeros(3)
     for k in range(len(first)):

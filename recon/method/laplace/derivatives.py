@@ -9,6 +9,7 @@ differentiated numerically, coordinate by coordinate.
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import cast
 
 import torch
 from jaxtyping import Float, Int
@@ -24,6 +25,7 @@ from recon.method.laplace.grounds import GroundBelief, perturbed
 from recon.method.laplace.hessian import FRAME
 from recon.method.newton.hessian import is_pointwise
 from recon.method.protocols import Decoded, Estimate, Sensor
+from recon.method.stages import Matched
 
 STEP = 1e-3
 """Metres, radians and standard deviations of shape over which derivatives are differences."""
@@ -44,6 +46,11 @@ class Neighbourhood:
     def unknown(self) -> int:
         """Coordinates of the ground."""
         return 0 if self.ground is None else self.ground.coordinates
+
+    @cached_property
+    def here(self) -> Estimate:
+        """The motion as it is, for correspondences, which hold for all motions near it."""
+        return Estimate(Decoded(self.motion), self.body.pose(self.motion), self.scene)
 
     @cached_property
     def translated(self) -> Estimate:
@@ -121,7 +128,8 @@ class Neighbourhood:
             frame: of the motion, for every moment of the sensor.
         """
         carries = is_pointwise(one)
-        found = _of(one, self.translated if carries else self.everywhere)
+        held = cast(Sensor, one.matched(self.here)) if isinstance(one, Matched) else one
+        found = _of(held, self.translated if carries else self.everywhere)
         slopes = differences(found.values)
         if carries:
             points = one.carried(self.body, self.motion.shape[0], self.scene.offsets[0])
