@@ -3,7 +3,8 @@
 64 points far from each other look at the points around them; a transformer lets these centres look
 at each other and, through one token for each moment, at other moments; then every point takes
 what the centres around it found out. Which of two alike sides is the left one, all points of a
-moment have in common: it is said apart, by the moment's token.
+moment have in common: it is said apart, by the direction from right to left that the moment's
+token finds (`priors.labels.sides`).
 """
 
 from dataclasses import dataclass
@@ -15,6 +16,7 @@ from torch.nn.functional import gelu, normalize, scaled_dot_product_attention
 
 from priors.labels.neighbours import Patch, kernel, patches, spread_points, squared_distances
 from priors.labels.regions import REGIONS
+from priors.labels.sides import from_right_to_left
 from recon.core.struct import TensorStruct
 
 STEPS = 5
@@ -75,6 +77,9 @@ class RawLabels(TensorStruct):
     """Logarithm of the standard deviation of each coordinate of a place, metres."""
     sides: Float[Tensor, " moments"]
     """Logarithm of the odds that left and right are not exchanged, in regions and places."""
+    across: Float[Tensor, "moments tokens 3"]
+    """Direction from right to left as the moment (first) and every centre expect it; shorter than
+    one where they do not know."""
 
 
 class Layer(nn.Module):
@@ -126,7 +131,8 @@ class LabelNetwork(nn.Module):
         self.step = nn.Parameter(0.02 * torch.randn(STEPS, _TOKEN))
         self.moments = Layer(_TOKEN)
         self.learned = nn.Linear(_TOKEN, _TOKEN)
-        self.sides = nn.Sequential(nn.LayerNorm(_TOKEN), nn.Linear(_TOKEN, 1))
+        self.across = nn.Sequential(nn.LayerNorm(_TOKEN), nn.Linear(_TOKEN, 3))
+        self.sureness = nn.Parameter(torch.tensor(3.0))
         self.own = nn.Linear(_POINT + 14, _TOKEN)
         self.joined = nn.Sequential(
             nn.LayerNorm(_TOKEN), nn.Linear(_TOKEN, _TOKEN), nn.GELU(), nn.Linear(_TOKEN, _TOKEN)
@@ -182,8 +188,11 @@ class LabelNetwork(nn.Module):
         said = self.out(joined).float()
         regions, on_body, places, log_std = said.split((len(REGIONS), 1, 3, 1), -1)
         log_std = (log_std[..., 0] - 3).clamp(_LEAST_STD, _MOST_STD)
-        sides = self.sides(tokens[:, 0]).float()[..., 0]
-        return RawLabels(regions, on_body[..., 0], places, log_std, sides)
+        on_body, across = on_body[..., 0], self.across(tokens).float()
+        weights = on_body.detach().sigmoid() * clouds.present
+        told_so = from_right_to_left(points, places.detach(), weights)
+        sides = self.sureness * (across[:, 0] * told_so).sum(-1)
+        return RawLabels(regions, on_body, places, log_std, sides, across)
 
     def _together(self, tokens: Tensor, neighbours: Tensor, known: Tensor) -> Tensor:
         """Tokens of moments that have seen the moments around them."""

@@ -7,25 +7,32 @@ from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits, cross_entropy
 
 from priors.labels.looking import believed
-from priors.labels.networks import STEPS, LabelNetwork, RawLabels
+from priors.labels.networks import STEPS, LabelNetwork, RawLabels, SeenClouds
 from priors.labels.regions import MIRRORED_REGIONS, mirrored_places
+from priors.labels.sides import from_right_to_left
 from priors.labels.standard import standard
 from priors.labels.training.clouds import LabelledClouds
 
-_PLACES, _ON_BODY, _SIDES = 0.3, 0.5, 0.3
-"""Weights of the losses of places, on or off the body, and sides, beside that of regions."""
+_PLACES, _ON_BODY, _SIDES, _ACROSS = 0.3, 0.5, 0.3, 0.5
+"""Weights of the losses of places, on or off the body, sides, and the direction from right to
+left, beside that of regions."""
 
 
-def said_of(network: LabelNetwork, clouds: LabelledClouds) -> RawLabels:
-    """What a network says of windows, all moments in one row."""
-    windows, moments = clouds.points.shape[:2]
-    seen = standard(
+def seen_of(clouds: LabelledClouds) -> SeenClouds:
+    """Windows as the network takes them, all moments in one row."""
+    moments = clouds.points.shape[1]
+    return standard(
         clouds.points.flatten(0, 1),
         clouds.present.flatten(0, 1),
         clouds.eyes.repeat_interleave(moments, 0),
         clouds.has_eye.repeat_interleave(moments),
         clouds.level.repeat_interleave(moments),
     )
+
+
+def said_of(network: LabelNetwork, seen: SeenClouds, moments: int) -> RawLabels:
+    """What a network says of windows of so many moments each."""
+    windows = len(seen.points) // moments
     asked = torch.arange(moments)[:, None] + torch.arange(STEPS) - STEPS // 2
     inside = (asked >= 0) & (asked < moments)
     index = asked.clamp(0, moments - 1)
@@ -35,13 +42,15 @@ def said_of(network: LabelNetwork, clouds: LabelledClouds) -> RawLabels:
     return network(seen, neighbours, known)
 
 
-def losses(raw: RawLabels, clouds: LabelledClouds) -> dict[str, Tensor]:
+def losses(raw: RawLabels, seen: SeenClouds, clouds: LabelledClouds) -> dict[str, Tensor]:
     """Cross entropies, and the negative log-density of places; `total` is their weighted sum.
 
     Errors of the coordinates of a place are Laplace-distributed with standard deviation s:
     -log p = |e| √2 / s + log(√2 s). The points of a moment may have left and right exchanged, all
     of them or none, whichever costs less; which one it was, is learned apart. Otherwise a network
-    that cannot tell yet calls some points of an arm left and others right.
+    that cannot tell yet calls some points of an arm left and others right. It is learned from the
+    direction from right to left, whose truth does not depend on what the network says of points:
+    the square of its error, of the moment and as the mean over centres.
     """
     region, present = clouds.regions.flatten(0, 1), clouds.present.flatten(0, 1)
     place, on_body = clouds.places.flatten(0, 1), region >= 0
@@ -60,8 +69,14 @@ def losses(raw: RawLabels, clouds: LabelledClouds) -> dict[str, Tensor]:
         for one, other in zip(*costs, strict=True)
     )
     stray = binary_cross_entropy_with_logits(raw.on_body[present], on_body[present].float())
-    total = found + _ON_BODY * stray + _PLACES * away + _SIDES * sides
-    return {"total": total, "regions": found, "on_body": stray, "places": away, "sides": sides}
+    truth = from_right_to_left(seen.points, place, on_body.to(place))[shown]
+    missed = (raw.across[shown] - truth[:, None]).square().sum(-1)
+    across = missed[:, 0].mean() + missed[:, 1:].mean()
+    total = found + _ON_BODY * stray + _PLACES * away + _SIDES * sides + _ACROSS * across
+    return {
+        "total": total, "regions": found, "on_body": stray, "places": away, "sides": sides,
+        "across": across,
+    }  # fmt: skip
 
 
 def _costs(

@@ -27,11 +27,11 @@ class LabelTraining:
     interrupted goes on from its checkpoint."""
     warm: Path | None = None
     """`checkpoint.pt` of another run to begin with."""
-    steps: int = 6000
+    steps: int = 12000
     """Steps of the optimiser."""
     windows: int = 16
     """Windows per step."""
-    rate: float = 1e-3
+    rate: float = 1.5e-3
     """Learning rate of Muon and AdamW; it falls to a hundredth along a cosine."""
     decay: float = 0.01
     """Weight decay."""
@@ -41,7 +41,7 @@ class LabelTraining:
     """Share of the averaged weights kept in every step."""
     variation: CloudVariation = field(default_factory=CloudVariation)
     """Random variations of the windows."""
-    validate_every: int = 250
+    validate_every: int = 500
     """Steps."""
     save_every: float = 120.0
     """Seconds."""
@@ -106,6 +106,7 @@ def export_weights(settings: LabelTraining, path: Path) -> None:
 
 _PANELS = (
     ("train_total",),
+    ("train_sides", "train_across"),
     ("wrong", "half_wrong", "tilted_wrong"),
     ("place_cm", "place_median_cm"),
 )

@@ -13,7 +13,7 @@ from priors.labels.training.clouds import (
     half_hidden,
     varied,
 )
-from priors.labels.training.losses import errors, losses, said_of
+from priors.labels.training.losses import errors, losses, said_of, seen_of
 from priors.labels.training.run import LabelRun, LabelTraining, note, start
 from priors.training.descent import cosine, descend
 from priors.training.logfile import logged_to
@@ -62,7 +62,8 @@ def training_step(run: LabelRun, learned: CloudCorpus) -> dict[str, float]:
     """One step of the optimiser; its losses."""
     settings = run.settings
     clouds = learned.draw(settings.windows, settings.variation, run.random)
-    found = losses(said_of(run.networks.train(), clouds), clouds)
+    seen = seen_of(clouds)
+    found = losses(said_of(run.networks.train(), seen, clouds.points.shape[1]), seen, clouds)
     rate = settings.rate * cosine(run.step / settings.steps) * min(1, (run.step + 1) / _WARM)
     descend(run, found["total"], rate, settings.clip, settings.average)
     return {name: value.item() for name, value in found.items()}
@@ -86,7 +87,7 @@ def validate(run: LabelRun, held_out: dict[str, LabelledClouds]) -> dict[str, fl
     """Errors on other people; `score` is the mean share of wrong regions."""
     row: dict[str, float] = {}
     for name, clouds in held_out.items():
-        found = errors(said_of(run.averaged, clouds), clouds)
+        found = errors(said_of(run.averaged, seen_of(clouds), clouds.points.shape[1]), clouds)
         row |= {name + key: value for key, value in found.items()}
     row["score"] = (row["wrong"] + row["half_wrong"] + row["tilted_wrong"]) / 3
     return row

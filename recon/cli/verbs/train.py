@@ -54,7 +54,7 @@ def train(
         steps: of the optimiser; for `anchor` of its first phase, on parameters; for `humos` of
             its second part, from body to body. Default: 20,000 for `humor`; 1,000 for `anchor`,
             followed by 2,500 on the surface; 1,200 for `humos`, after 1,500 of its auto-encoder;
-            6,000 for `labels`.
+            12,000 for `labels`.
         latent: size of the code of `anchor` (default: 256) and of `humos` (default: 96 for every
             0.4 s).
         device: where to compute.
