@@ -8,11 +8,12 @@ import torch
 from jaxtyping import Bool, Float
 
 from observations.depth import PointCloud
+from observations.files.one_person import Alone, alone
 from observations.surfels import Surfels
 from recon.body.model import BodyModel
 from recon.core.camera import Camera
 from recon.core.errors import ObservationError
-from recon.core.geometry.planes import FoundGround, above, find_ground, largest_cluster, spacing
+from recon.core.geometry.planes import FoundGround, above, find_ground, spacing
 from recon.core.geometry.roughness import depth_noise
 from recon.core.ground import Ground
 from recon.core.limits import FRAMES, PADDED_CLOUD
@@ -48,6 +49,8 @@ class LoadedCloud:
     """The plane seen in the frame of the file, or why there is none."""
     T_recording_file: Float[np.ndarray, "4 4"]
     """Maps points of the file to the frame of the recording (z up), metres."""
+    decisions: tuple[str, ...] = ()
+    """What was left out besides the ground, in words."""
 
 
 def cloud_of(
@@ -63,8 +66,8 @@ def cloud_of(
     A camera without pose does not know where up is: its frame is turned so that the ground that
     RANSAC finds in the points lies at z = 0; where none is found, the camera is taken as held
     level, and the lowest points as being on the ground. `ground_known` is then false. Where a
-    ground is seen, it and what is not the largest thing on it are left out; of scans without a
-    ground as well, if that is much.
+    ground is seen, it and what is not the person on it are left out; of scans without a ground as
+    well, if that is much, and in any case where something of a person's size stands beside.
 
     Args:
         file: as read.
@@ -102,10 +105,10 @@ def cloud_of(
     clouds = [turned[order[first:last]] for first, last in pairwise(ends)]
     if seen:
         clouds = [cloud[above(cloud, _LEVEL)] for cloud in clouds]
-    if seen or file.camera is None:
-        alone = _largest(clouds)
-        left_out = 1 - sum(map(len, alone)) / max(sum(map(len, clouds)), 1)
-        clouds = alone if seen or left_out > _MUCH else clouds
+    one = alone(clouds, _reach(clouds))
+    left_out = 1 - sum(map(len, one.clouds)) / max(sum(map(len, clouds)), 1)
+    if seen or (file.camera is None and left_out > _MUCH) or one.beside > 0:
+        clouds = one.clouds
     clouds = [
         cloud[np.sort(generator.permutation(len(cloud))[:points])]
         if len(cloud) > points
@@ -135,7 +138,18 @@ def cloud_of(
         ground_known=known,
         ground_seen=found.ground is not None,
     )
-    return LoadedCloud(observation, found, T)
+    return LoadedCloud(observation, found, T, _said(one, frames))
+
+
+def _said(one: Alone, frames: int) -> tuple[str, ...]:
+    """Notes on what stands beside the person, for the reader of the report."""
+    if one.beside == 0:
+        return ()
+    return (
+        f"something else of a person's size stands beside the person in {one.beside} of {frames} "
+        "frames and is left out: one thing is followed from frame to frame; if it is the wrong "
+        "one, cut the other out of the scans (--masks for depth images)",
+    )
 
 
 def _noise(
@@ -163,12 +177,10 @@ def _frames(file: PointsFile, points: int) -> int:
     return frames
 
 
-def _largest(clouds: list[np.ndarray]) -> list[np.ndarray]:
-    """The largest thing of every frame; how far its points are apart, all frames tell."""
+def _reach(clouds: list[np.ndarray]) -> float:
+    """Metres of the steps that join points to one thing; all frames tell how sparse they are."""
     shown = [cloud for cloud in clouds if len(cloud) > 1]
-    sparse = spacing(shown[:: max(1, len(shown) // _LOOKED_AT)])
-    reach = max(_REACH, _SPACINGS * sparse)
-    return [cloud[largest_cluster(cloud, reach)] for cloud in clouds]
+    return max(_REACH, _SPACINGS * spacing(shown[:: max(1, len(shown) // _LOOKED_AT)]))
 
 
 def _levelling(

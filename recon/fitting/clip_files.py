@@ -329,6 +329,7 @@ def _together(
             found[k] = loaded.cloud
             seen = "" if loaded.ground.ground is None else "ground: "
             notes.append(f"{name}: {seen}{loaded.ground.reason}")
+            notes += [f"{name}: {decision}" for decision in loaded.decisions]
             if not posed[k]:
                 T = loaded.T_recording_file if T is None else T
     for k, (name, file) in enumerate(files):

@@ -140,10 +140,10 @@ def spacing(clouds: Sequence[np.ndarray]) -> float:
     return float(np.median(np.concatenate(nearest))) if nearest else 0.0
 
 
-def largest_cluster(
+def clusters(
     points: Float[np.ndarray, "points 3"], reach: float = 0.08
-) -> Bool[np.ndarray, " points"]:
-    """The biggest heap of points joined by steps of at most `reach`, metres.
+) -> Int[np.ndarray, " points"]:
+    """The heap that each point is of, joined by steps of at most `reach`, metres; 0 the biggest.
 
     Points are first gathered into cells of that size, so that any number of them is quick.
     """
@@ -152,11 +152,12 @@ def largest_cluster(
     from scipy.spatial import KDTree
 
     if len(points) == 0:
-        return np.zeros(0, np.bool_)
+        return np.zeros(0, np.int64)
     whole = np.floor(points / reach).astype(np.int64)
     cells, member = np.unique(whole, axis=0, return_inverse=True)
     member = member.reshape(-1)
     pairs: Int[np.ndarray, "pairs 2"] = KDTree(cells).query_pairs(1.8, output_type="ndarray")
     links = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(cells), len(cells)))
     label = connected_components(links, directed=False)[1][member]
-    return label == np.bincount(label).argmax()
+    rank = np.argsort(np.argsort(-np.bincount(label), kind="stable"), kind="stable")
+    return rank[label]
