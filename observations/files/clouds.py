@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Bool, Float
 
 from observations.depth import PointCloud
+from observations.files.moving_sensor import movement
 from observations.files.one_person import Alone, alone
 from observations.surfels import Surfels
 from recon.body.model import BodyModel
@@ -50,7 +51,7 @@ class LoadedCloud:
     T_recording_file: Float[np.ndarray, "4 4"]
     """Maps points of the file to the frame of the recording (z up), metres."""
     decisions: tuple[str, ...] = ()
-    """What was left out besides the ground, in words."""
+    """What was left out besides the ground, and whether the sensor seems to move, in words."""
 
 
 def cloud_of(
@@ -78,7 +79,8 @@ def cloud_of(
 
     Raises:
         ValueError: when no frame has enough points of a person, scans show a ground that is not
-            where it should be, or there are more frames than memory for them.
+            where it should be, a fixed sensor moves, or there are more frames than memory for
+            them.
     """
     frames = _frames(file, points)
     known = file.camera is None or file.camera.T_camera_world is not None
@@ -86,7 +88,8 @@ def cloud_of(
     few = file.points
     if len(few) > _SEARCHED:
         few = few[generator.permutation(len(few))[:_SEARCHED]]
-    found = find_ground(few, np.array(_UP_IN_WORLD if known else _UP_IN_CAMERA))
+    up = np.array(_UP_IN_WORLD if known else _UP_IN_CAMERA)
+    moves, found = movement(file, up), find_ground(few, up)
     T = np.eye(4)
     if not known:
         given = T_recording_camera
@@ -138,7 +141,7 @@ def cloud_of(
         ground_known=known,
         ground_seen=found.ground is not None,
     )
-    return LoadedCloud(observation, found, T, _said(one, frames))
+    return LoadedCloud(observation, found, T, (*moves, *_said(one, frames)))
 
 
 def _said(one: Alone, frames: int) -> tuple[str, ...]:

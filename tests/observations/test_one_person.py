@@ -12,7 +12,8 @@ def people(frames: int = 12, apart: float = 1.5):
     for k in range(frames):
         counts = (600, 500) if k % 2 else (500, 600)
         one, other = (
-            random.uniform((-0.2, -0.2, 0.0), (0.2, 0.2, 1.7), (n, 3)) + (x + 0.02 * k, 0, 0)
+            random.uniform((-0.2, -0.2, 0.0), (0.2, 0.2, 1.7), (n, 3))
+            + np.eye(3)[0] * (x + 0.02 * k)
             for n, x in zip(counts, (0.0, apart), strict=True)
         )
         clouds.append(np.concatenate((one, other)))

@@ -1,0 +1,45 @@
+"""Sensors that are said to stand still, or do not know their pose, and move."""
+
+import math
+
+import numpy as np
+import pytest
+
+from observations.files.moving_sensor import movement
+from recon.core.errors import ObservationError
+from recon.formats.observations import CameraArrays, PointsFile
+
+UP = np.array([0.0, -1.0, 0.0])
+
+
+def scans(degrees: float, rise: float = 0.0, frames: int = 20):
+    """A floor 1.2 m below a sensor that is tilted and lifted in the course of the clip."""
+    random = np.random.default_rng(0)
+    clouds = []
+    for k in range(frames):
+        share = k / (frames - 1)
+        angle = math.radians(degrees) * share
+        c, s = math.cos(angle), math.sin(angle)
+        floor = random.uniform((-2, 1.2, 1), (2, 1.2, 4), (800, 3))
+        floor[:, 1] += rise * share
+        floor += random.normal(0, 0.01, floor.shape)
+        clouds.append(floor @ np.array([[1, 0, 0], [0, c, -s], [0, s, c]]).T)
+    camera = CameraArrays(np.array([[365.0, 0, 256], [0, 365.0, 212], [0, 0, 1]]), (512, 424))
+    numbers = np.repeat(np.arange(frames), 800)
+    return PointsFile(np.concatenate(clouds), numbers, fps=30.0, camera=camera)
+
+
+def test_a_sensor_that_stands_still_is_not_said_to_move():
+    assert movement(scans(0.0), UP) == ()
+
+
+@pytest.mark.parametrize(("degrees", "rise"), [(12.0, 0.0), (0.0, 0.4)])
+def test_a_sensor_that_moves_is_refused(degrees, rise):
+    """A body 7 m tall was fitted to what a tilting sensor saw."""
+    with pytest.raises(ObservationError, match="so the sensor moves"):
+        movement(scans(degrees, rise), UP)
+
+
+def test_a_sensor_that_trembles_is_said():
+    (note,) = movement(scans(3.0), UP)
+    assert "seems to move" in note
