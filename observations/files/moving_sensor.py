@@ -71,10 +71,7 @@ def _grounds(file: PointsFile, up: Float[np.ndarray, "3"]) -> list[Ground]:
 
 def _apart(one: Ground, other: Ground, middle: Float[np.ndarray, "3"]) -> tuple[float, float]:
     """Degrees between two planes, and metres between them below the middle of the scene."""
-    normals = [plane.normal.double().numpy() for plane in (one, other)]
-    heights = [
-        normal @ middle - float(plane.offset)
-        for normal, plane in zip(normals, (one, other), strict=True)
-    ]
-    across = float(np.linalg.norm(np.cross(*normals)))
-    return math.degrees(math.asin(min(across, 1.0))), abs(heights[0] - heights[1])
+    a, b = (plane.normal.double().numpy() for plane in (one, other))
+    heights = (a @ middle - float(one.offset), b @ middle - float(other.offset))
+    across = float(np.linalg.norm(np.cross(a, b)))
+    return math.degrees(math.asin(min(across, 1.0))), float(abs(heights[0] - heights[1]))
