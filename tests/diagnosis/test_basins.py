@@ -70,3 +70,20 @@ def test_the_noise_of_a_far_sensor_is_no_wrong_posture():
     assert said(far, motion, body) == []
     near = far.replace(std=torch.full((1, FRAMES), 0.01))
     assert "a tenth of the points" in said(near, motion, body)[0].message
+
+
+def test_labels_that_exchange_the_sides_of_some_moments_are_no_wrong_posture():
+    """Networks tell sides badly: right fits were said to be wrong for it."""
+    cloud, motion, body = scene()
+    assert cloud.labels is not None
+    flipped = cloud.labels.derived(places=cloud.labels.places * torch.tensor([-1.0, 1.0, 1.0]))
+    assert said(cloud.replace(labels=flipped), motion, body) == []
+
+
+def test_points_on_no_body_are_said():
+    """What a sensor saw of a chair and a table was fitted as a person."""
+    cloud, motion, body = scene()
+    assert cloud.labels is not None
+    furniture = cloud.labels.derived(on_body=0.4 * cloud.labels.on_body)
+    (finding,) = said(cloud.replace(labels=furniture), motion, body)
+    assert "no body" in finding.message

@@ -13,6 +13,8 @@ _MOMENTS = 12
 """Moments that are looked at."""
 _SURE = 0.5
 """Confidence of the labels that are asked."""
+_SIDES = torch.tensor([[1.0, 1.0, 1.0], [-1.0, 1.0, 1.0]])
+"""Signs of places as they are labelled, and with left and right exchanged."""
 _LEAST = 10
 """Points of a moment that tell something."""
 
@@ -20,8 +22,9 @@ _LEAST = 10
 def label_distance(cloud: PointCloud, estimate: Estimate) -> float | None:
     """Distance of a sure point from the place that its label names on the fitted body, metres.
 
-    Median over the points of a moment, and over some moments: labels of some parts and of some
-    moments are wrong, but not those of most. None without labels or sure points.
+    Median over the points of a moment, as they are labelled or with left and right exchanged,
+    whichever is nearer, and median over some moments: labels of some parts and of some moments are
+    wrong, but not those of most. None without labels or sure points.
     """
     if cloud.labels is None:
         return None
@@ -38,7 +41,18 @@ def label_distance(cloud: PointCloud, estimate: Estimate) -> float | None:
     found: list[float] = []
     for moment in told[:: max(math.ceil(len(told) / _MOMENTS), 1)]:
         own = sure[0, moment]
-        surfel = torch.cdist(cloud.labels.places[0, moment][own].to(rest), rest).argmin(-1)
-        away = middles[0, moment - seen.start][surfel] - cloud.points[0, moment][own]
-        found.append(float(away.norm(dim=-1).median()))
+        places = cloud.labels.places[0, moment][own].to(rest)
+        here, points = middles[0, moment - seen.start], cloud.points[0, moment][own]
+        read = [
+            (here[torch.cdist(places * sides, rest).argmin(-1)] - points).norm(dim=-1).median()
+            for sides in _SIDES.to(rest)
+        ]
+        found.append(float(torch.stack(read).min()))
     return float(np.median(found)) if found else None
+
+
+def share_on_body(cloud: PointCloud) -> float | None:
+    """Mean probability that a point lies on a body at all; None without labels."""
+    if cloud.labels is None or not bool(cloud.present.any()):
+        return None
+    return float(cloud.labels.on_body[cloud.present].mean())

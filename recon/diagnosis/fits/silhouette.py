@@ -13,7 +13,7 @@ from jaxtyping import Float
 from observations.depth import PointCloud
 from observations.timing import at_observation_times
 from recon.diagnosis.findings import Finding
-from recon.diagnosis.fits.labels import label_distance
+from recon.diagnosis.fits.labels import label_distance, share_on_body
 from recon.diagnosis.fits.summaries import ResidualSummary
 from recon.method.protocols import Estimate
 
@@ -34,6 +34,10 @@ _ELSEWHERE = 0.1
 """Metres, beside the sensor's noise, that most points may lie away from the places that their
 labels name. On validation windows right fits have 5 to 9 cm, fits that are 10 cm wrong 8 to 12."""
 
+_NO_BODY = 0.8
+"""Mean probability of lying on a body below which points are taken to show something else. People
+have 0.99, tables and chairs 0.3 to 0.7; a box of the size of a person passes for one."""
+
 
 def basin_findings(
     name: str, cloud: PointCloud, summary: ResidualSummary, estimate: Estimate
@@ -43,6 +47,7 @@ def basin_findings(
         return []
     outside, far = share_outside(cloud, estimate) or 0.0, summary.quantiles[1]
     labelled = label_distance(cloud, estimate) or 0.0
+    on_body = share_on_body(cloud)
     noise = 0.0 if cloud.std is None else float(cloud.std[0].median())
     reasons = {
         f"a tenth of the points is more than {100 * far:.0f} cm away from it": (
@@ -53,6 +58,9 @@ def basin_findings(
         ),
         f"half of the points lie more than {100 * labelled:.0f} cm from the part of it that their "
         "labels name": labelled > math.hypot(_ELSEWHERE, noise),
+        "the points look like furniture or something else that is no body": (
+            on_body is not None and on_body < _NO_BODY
+        ),
     }
     said = [reason for reason, holds in reasons.items() if holds]
     if not said:
