@@ -43,8 +43,8 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "real": ("real", "OBSERVATIONS"),
     "cameras": ("cameras", "CORPUS", "--only", "24", "--nc", _NC, "--ablations", _RUNS, "--cases",
                 "one camera", "one camera, posed", "moving camera", "three views"),
-    "depth": ("cameras", "CORPUS", "--only", "8", "--cases", "depth", "2D of the sensor",
-              "2D + depth"),
+    "clouds": ("clouds", "CORPUS", "--part", "test", "--methods", "recon", "0.1.0", "--baseline",
+               "BASELINE"),
     "pose2sim": ("pose2sim", "OBSERVATIONS"),
     "doors": ("doors", "OBSERVATIONS"),
     "phone": ("phone", "CORPUS", "--part", "validation", "--only", "5", "--cases", "focal"),
@@ -54,7 +54,6 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "rigs": ("rigs", "CORPUS", "--part", "validation", "--only", "12"),
     "rigs_fit": ("rigs", "CORPUS", "--part", "validation", "--only", "6", "--fit"),
     "undeclared": ("undeclared", "CORPUS"),
-    "labelled": ("labelled", "CORPUS", "--part", "validation", "--only", "6"),
     "shared_camera": ("shared_camera", "CORPUS"),
     "slip_sizes": ("slips.sizes", "CORPUS"),
     "slips": ("slips", "CORPUS", "--prior", "pose", "--good", "300", "--observations",
@@ -131,7 +130,7 @@ def main() -> None:
     run("recon", "convert", "--all", str(data / "mocap"), str(corpus))
     if {"ablations", "cameras"} & set(given.only):
         run("benchmarks.ablations", str(corpus), "--out", str(out / "ablations"))
-    beside_0_1_0 = {"batch", "convert", "pictures", "start"} & set(given.only)
+    beside_0_1_0 = {"batch", "clouds", "convert", "pictures", "start"} & set(given.only)
     if beside_0_1_0 and not (out / "baseline").is_dir():
         commit = ("git", "worktree", "add", "--detach", str(out / "baseline"), _VERSION_0_1_0)
         subprocess.run(commit, check=True)

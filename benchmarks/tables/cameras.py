@@ -7,12 +7,7 @@ _CASES = {
     "one camera, posed": ("cameras", "one camera of known pose"),
     "moving camera": ("cameras", "moving camera of known poses"),
     "three views": ("cameras", "three views"),
-    "depth": ("depth", "depth of one sensor"),
-    "2D of the sensor": ("depth", "2D keypoints of that sensor"),
-    "2D + depth": ("depth", "both"),
 }
-_NOT_HIDDEN = ("depth", "2D + depth")
-"""Cases whose legs version 0.1.0 called hidden and showed to the sensor all the same."""
 _METHODS = {
     "stages 1-2": "stages 1-2",
     "HuMoR": "collocation",
@@ -35,12 +30,8 @@ def cameras() -> str:
             if found is None:
                 continue
             cells = {m: number(mean(found, m), f, d) for m, (_, f, d) in columns.items()}
-            if _void(case, file):
-                cells["root_hidden"] = "void"
             rows.append([f"{name}: {label}", *cells.values()])
-    return markdown(["case", *(h for h, _, _ in columns.values())], rows) + source(
-        "cameras", "depth"
-    )
+    return markdown(["case", *(h for h, _, _ in columns.values())], rows) + source("cameras")
 
 
 def summary() -> str:
@@ -56,14 +47,9 @@ def summary() -> str:
             for metric in ("root_visible", "root_hidden")
         )
         apart = " / ".join(number(row.get(APART, {}).get("root_hidden"), 100, 1) for row in pair)
-        rows.append([name, seen, *(["void", "void"] if _void(case, file) else [unseen, apart])])
+        rows.append([name, seen, unseen, apart])
     headings = ["stages 1-2 / collocation, cm", "visible", "hidden", "16 apart, hidden"]
-    return markdown(headings, rows) + source("cameras", "depth")
-
-
-def _void(case: str, file: str) -> bool:
-    """Whether what the result calls hidden was seen: results without a commit are of 0.1.0."""
-    return case in _NOT_HIDDEN and result(file)["about"].get("commit") is None
+    return markdown(headings, rows) + source("cameras")
 
 
 def ablations() -> str:

@@ -1,8 +1,11 @@
-"""Tables of the network that says what a point of a cloud shows."""
+"""Tables of clouds: the network that says what a point shows, and fits of what depth shows."""
 
 from collections.abc import Mapping
+from typing import Any
 
-from benchmarks.tables.values import markdown, number, result, source
+from benchmarks.cloud_cases import ALONE
+from benchmarks.intervals import interval, paired
+from benchmarks.tables.values import markdown, number, result, source, spread
 
 
 def labels() -> str:
@@ -25,3 +28,105 @@ def labels() -> str:
 def _spread(estimate: Mapping[str, float], digits: int) -> str:
     middle, low, high = (f"{estimate[k]:.{digits}f}" for k in ("mean", "low", "high"))
     return f"{middle} [{low}, {high}]"
+
+
+_NAMES = {
+    "depth": "depth, sensor known", "depth, sensor unknown": "depth, sensor unknown",
+    "2D": "2D of the sensor, unknown", "2D + depth": "2D + depth, sensor unknown",
+    "joints": "joints", "joints + depth": "joints + depth, sensor known",
+}  # fmt: skip
+_COLUMNS = {
+    "root_visible": ("visible cm", 100, 1), "root_hidden": ("hidden cm", 100, 1),
+    "root_all": ("all cm", 100, 1), "vertices_visible": ("vertices seen cm", 100, 1),
+    "vertices": ("vertices cm", 100, 1), "wrong": ("windows wrong %", 100, 0),
+    "first": ("first guess cm", 100, 1), "normal": ("normal °", 1, 1),
+    "height": ("height cm", 100, 1), "first_seconds": ("first CPU s", 1, 1),
+    "seconds": ("CPU s", 1, 1),
+}  # fmt: skip
+_ERRORS = ("root_visible", "root_hidden", "root_all", "vertices_visible", "vertices")
+_WRONG = 0.1
+"""Mean error of joints about the pelvis, metres, from which on a fit should say something."""
+
+
+def depth() -> str:
+    """Depth alone and with other sensors, by version: means over subjects."""
+    found = result("clouds")
+    rows = [
+        [f"{_NAMES[case]}: {method}", str(len(values)), *(
+            number(_mean(found, values, metric), factor, digits)
+            for metric, (_, factor, digits) in _COLUMNS.items()
+        )]
+        for case, methods in found["values"].items()
+        for method, values in methods.items()
+    ]  # fmt: skip
+    headings = ["case", "windows", *(heading for heading, _, _ in _COLUMNS.values())]
+    return markdown(headings, rows) + source("clouds")
+
+
+def depth_compared() -> str:
+    """Paired differences: this version less 0.1.0, and mixtures less the better of their parts."""
+    found = result("clouds")
+    rows: list[list[str]] = []
+    for case, methods in found["values"].items():
+        if "0.1.0" in methods:
+            rows.append([f"{_NAMES[case]}: less 0.1.0",
+                         *_differences(found, methods["recon"], methods["0.1.0"])])  # fmt: skip
+        rows += [
+            [f"{_NAMES[case]}: less {_NAMES[part]}",
+             *_differences(found, methods["recon"], found["values"][part]["recon"])]
+            for part in ALONE.get(case, ())
+        ]  # fmt: skip
+    headings = ["cm, with 95 % intervals", *(_COLUMNS[metric][0] for metric in _ERRORS)]
+    return markdown([h.removesuffix(" cm") for h in headings], rows) + source("clouds")
+
+
+def depth_warned() -> str:
+    """Fits of clouds that are far off and say nothing, and right ones that warn."""
+    found = result("clouds")
+    rows: list[list[str]] = []
+    for method in ("recon", "0.1.0"):
+        every = [
+            one
+            for case, methods in found["values"].items()
+            if "depth" in case
+            for one in methods.get(method, {}).values()
+        ]
+        far = [bool(one["said"]) for one in every if one["root_all"] > _WRONG]
+        near = [bool(one["said"]) for one in every if one["root_all"] <= _WRONG]
+        rows.append([method, f"{len(far)}", f"{far.count(False)}",
+                     f"{len(near)}", f"{near.count(True)}"])  # fmt: skip
+    headings = ["version", "fits more than 10 cm off", "of them silent", "other fits",
+                "of them with a warning"]  # fmt: skip
+    return markdown(headings, rows) + source("clouds")
+
+
+def _mean(found: Mapping[str, Any], values: Mapping[str, Any], metric: str) -> float | None:
+    kept = _counted(found, values)
+    if all(values[name].get(metric) is None for name in kept):
+        return None
+    return interval([values[name].get(metric) for name in kept], *_groups(found, kept)).mean
+
+
+def _differences(
+    found: Mapping[str, Any], ours: Mapping[str, Any], theirs: Mapping[str, Any]
+) -> list[str]:
+    both = [name for name in _counted(found, ours) if name in theirs]
+    return [
+        spread(paired(
+            [ours[name][metric] for name in both], [theirs[name][metric] for name in both],
+            *_groups(found, both),
+        ), 100, 1)
+        for metric in _ERRORS
+    ]  # fmt: skip
+
+
+def _counted(found: Mapping[str, Any], values: Mapping[str, Any]) -> list[str]:
+    """Windows of subjects who count in means."""
+    subject = dict(zip(found["names"], found["subjects"], strict=True))
+    return [name for name in values if name in subject and subject[name] not in found["apart"]]
+
+
+def _groups(found: Mapping[str, Any], names: list[str]) -> tuple[list[str], list[str]]:
+    """Clips and subjects of windows."""
+    subject = dict(zip(found["names"], found["subjects"], strict=True))
+    return [name.rsplit("@", 1)[0] for name in names], [subject[name] for name in names]

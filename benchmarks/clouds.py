@@ -1,0 +1,278 @@
+"""Depth clouds alone and with other sensors, fitted as `recon fit` does, beside version 0.1.0.
+
+    python -m benchmarks.clouds CORPUS --baseline VERSION_0.1.0 --json clouds.json
+    python -m benchmarks.clouds CORPUS --part validation --only 12 --methods recon
+
+VERSION_0.1.0 is a source checkout of that version (commit 0ce0517). Windows of 90 frames, written
+to observation files and fitted with the default prior (HuMoR by collocation). The sensor has 512 x
+424 pixels, noise, holes and flying pixels, and sees body and ground; nothing below 0.9 m is seen
+in the middle third. `depth` knows the pose of its sensor; `depth, sensor unknown`, `2D` and
+`2D + depth` do not, nor where the ground is; 2D keypoints are in the sensor's own image, with one
+pixel of noise; joints have 3 cm. `spoiled` is a fit with labels of the simulation
+(`benchmarks.spoiled_labels`) in place of the network's.
+
+Joints about the pelvis and vertices in the world (by way of the true sensor) are in metres;
+`wrong` is whether at least a fifth of the frames face elsewhere by more than 60 degrees or have
+legs exchanged. `first` is the first guess. CPU s are of the first guess with its labels, and of
+the whole fit of files that were read. Windows that the JSON has already are not fitted again.
+"""
+
+import argparse
+import json
+import math
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from rich.console import Console
+from torch import Tensor
+
+from benchmarks.arguments import over_windows
+from benchmarks.cloud_cases import CASES, Seen, write_files
+from benchmarks.humor import evenly
+from benchmarks.results import corpus_source, write
+from benchmarks.scores import Columns, Row, by_subject, rounded, tables
+from benchmarks.spoiled_labels import spoiled, vertices_of
+from benchmarks.windows import Windows, load_windows
+from observations.depth import PointCloud
+from observations.together.first_guess import first_guess
+from observations.together.labelling import labelled
+from priors.training.dataset import Splits
+from recon.api.fit import fit
+from recon.body.model import BodyModel
+from recon.core import rotations as so3
+from recon.core.motion import Motion
+from recon.core.skeleton import LEGS, MIRROR
+from recon.fitting.clip_files import Clip, load_clip
+from recon.fitting.settings import FitSettings
+from recon.formats.motions import load_motion
+from recon.metrics.evaluation import evaluate, ground_errors
+
+SEED, FRAMES = 0, 90
+_TURNED = math.radians(60)
+_OFTEN = 0.2
+"""Share of the frames from which on a window faces elsewhere or has its legs exchanged."""
+_APART = 0.1
+"""Mean distance of leg joints from the truth, metres, from which on legs may be exchanged."""
+
+METHODS = ("recon", "0.1.0", "spoiled")
+COLUMNS: Columns = {
+    "root_visible": ("visible", 100), "root_hidden": ("hidden", 100), "root_all": ("all", 100),
+    "vertices_visible": ("vertices visible", 100), "vertices": ("vertices", 100),
+    "turned": ("turned %", 100), "exchanged": ("legs exch. %", 100), "wrong": ("wrong %", 100),
+    "first": ("first", 100), "normal": ("normal °", 1), "height": ("height", 100),
+    "said": ("warned %", 100), "first_seconds": ("first CPU s", 1), "seconds": ("CPU s", 1),
+}  # fmt: skip
+
+Found = dict[str, dict[str, dict[str, dict[str, Any]]]]
+"""Values by case, method, window and metric."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """What a version made of a case; motions as they came, poses of the sensor where found."""
+
+    motion: Motion
+    T_world_camera: Float[Tensor, "4 4"] | None
+    first: Motion
+    T_recording_camera: Float[Tensor, "4 4"] | None
+    first_seconds: float
+    seconds: float
+    warnings: tuple[str, ...]
+
+
+def main() -> None:
+    parser = over_windows(__doc__)
+    parser.add_argument("--only", type=int, default=None, help="use so many windows in all")
+    parser.add_argument("--cases", nargs="+", choices=CASES, default=list(CASES))
+    parser.add_argument("--methods", nargs="+", choices=METHODS, default=["recon"])
+    parser.add_argument("--baseline", type=Path, default=None, help="a checkout of version 0.1.0")
+    parser.add_argument("--keep", type=Path, default=None, help="a folder for files and motions")
+    parser.set_defaults(part="validation")
+    given = parser.parse_args()
+    if "0.1.0" in given.methods and given.baseline is None:
+        parser.error("0.1.0 needs --baseline, a source checkout of that version")
+    body, splits = BodyModel.load(), Splits.load(given.splits)
+    windows = load_windows(given.corpus, splits, given.part, body, SEED, FRAMES)
+    chosen = evenly(windows, given.only)
+    some, found = windows.take(chosen), known(given.json)
+    for number, name in zip(chosen, some.names, strict=True):
+        with tempfile.TemporaryDirectory() as folder:
+            seen = Seen(windows.truth[number], body, number)
+            kept = Path(folder) if given.keep is None else given.keep / name
+            kept.mkdir(parents=True, exist_ok=True)
+            compare(seen, name, given, kept, found)
+        if given.json is not None:
+            about = {"part": given.part, **some.about}
+            write(given.json, SEED, corpus_source(given.corpus, windows.files), **about,
+                  values=found)  # fmt: skip
+    for case in given.cases:
+        rows = {method: shown(some, values) for method, values in found.get(case, {}).items()}
+        for table in tables(f"{case}, {given.part}", COLUMNS, rows) if rows else ():
+            Console(width=190).print(table)
+
+
+def known(path: Path | None) -> Found:
+    """Values that the result file has already."""
+    if path is None or not path.is_file():
+        return {}
+    return json.loads(path.read_text(encoding="utf-8"))["values"]
+
+
+def shown(windows: Windows, values: dict[str, dict[str, Any]]) -> dict[str, Row]:
+    """Means over subjects of the windows that a method has fitted."""
+    there = [k for k, name in enumerate(windows.names) if name in values]
+    some = windows.take(there)
+    return by_subject(some, [{k: values[name].get(k) for k in COLUMNS} for name in some.names])
+
+
+def compare(seen: Seen, name: str, given: argparse.Namespace, folder: Path, found: Found) -> None:
+    """Fit all cases of a window that are not known yet, by all methods."""
+    for case in given.cases:
+        for method in given.methods:
+            values = found.setdefault(case, {}).setdefault(method, {})
+            if name in values or (method == "spoiled" and "depth" not in case):
+                continue
+            files = write_files(seen, case, folder)
+            out = folder / f"{case}, {method}.npz"
+            if method == "0.1.0":
+                done = fitted_by(given.baseline, files, out)
+            else:
+                done = fitted_here(files, out, seen, spoil=method == "spoiled")
+            values[name] = measured(seen, done)
+            row = {k: v for k, v in values[name].items() if isinstance(v, float)}
+            print(name, case, method, {k: f"{v:.3g}" for k, v in row.items()}, flush=True)
+            print("   ", [text[:80] for text in done.warnings], flush=True)
+
+
+def fitted_here(files: list[Path], out: Path, seen: Seen, *, spoil: bool) -> Fit:
+    """What this version makes of the files; the motion is written as well."""
+    clip = load_clip(files, FitSettings(), seen.body)
+    if spoil:
+        clip = with_spoiled_labels(clip, seen)
+    began = time.process_time()
+    first = first_guess(labelled(clip.observations), seen.body).motion[0]
+    between = time.process_time()
+    result = fit(clip, body=seen.body)
+    ended = time.process_time()
+    result.save(out, overwrite=True)
+    place = clip.T_recording_camera
+    return Fit(
+        result.motion, result.T_world_camera, first,
+        None if place is None else torch.from_numpy(place).float(),
+        between - began, ended - between,
+        tuple(f"{one.code}: {one.message}" for one in result.examined.warnings),
+    )  # fmt: skip
+
+
+def with_spoiled_labels(clip: Clip, seen: Seen) -> Clip:
+    """The clip with labels of the simulation for its clouds."""
+    [row] = [k for k, one in enumerate(clip.observations) if isinstance(one, PointCloud)]
+    cloud = clip.observations[row]
+    assert isinstance(cloud, PointCloud)
+    truth = seen.truth
+    if clip.T_recording_camera is not None:
+        T = torch.from_numpy(clip.T_recording_camera).float() @ seen.camera.T_camera_world
+        truth = truth.carried(T, seen.body.rest_joints(truth.shape)[0])
+    labels = spoiled(seen.body, cloud, vertices_of(cloud, truth, seen.body), seen.number)
+    sensors = list(clip.observations)
+    sensors[row] = cloud.replace(labels=labels)
+    return Clip(tuple(sensors), clip.names, clip.notes, clip.T_recording_camera)
+
+
+def fitted_by(checkout: Path, files: list[Path], out: Path) -> Fit:
+    """What version 0.1.0 makes of them, in a process of its own."""
+    first = out.with_name(f"{out.stem}, first.npz")
+    asked = {"files": [str(f.resolve()) for f in files], "out": str(out.resolve()),
+             "first": str(first.resolve())}  # fmt: skip
+    environment = os.environ | {"PYTHONPATH": str(checkout), "OMP_NUM_THREADS": "1"}
+    ran = subprocess.run(
+        [sys.executable, str(Path(__file__).with_name("fitter.py"))], cwd=checkout,
+        env=environment, input=json.dumps(asked) + "\n", text=True, check=True,
+        stdout=subprocess.PIPE,
+    )  # fmt: skip
+    answer = json.loads(ran.stdout)
+    file = load_motion(out)
+    with np.load(first) as arrays:
+        there = {key: torch.from_numpy(arrays[key]).float() for key in arrays.files}
+    begun = Motion.create(there["translation"], there["rotations"], there["shape"],
+                          float(there["fps"]))  # fmt: skip
+    pose = file.T_world_camera
+    return Fit(
+        file.motion, None if pose is None else pose[0], begun, there["T_recording_camera"],
+        answer["first_seconds"], answer["seconds"],
+        tuple(str(one) for one in answer["warnings"]),
+    )  # fmt: skip
+
+
+def measured(seen: Seen, done: Fit) -> dict[str, Any]:
+    """One window's columns, errors in the true world by way of the true sensor."""
+    body, truth, camera = seen.body, seen.truth, seen.camera.T_world_camera
+    found = done.T_world_camera
+    motion = placed(done.motion, None if found is None else camera @ found.inverse(), body)
+    errors = evaluate(motion, truth, body, truth_visible=seen.visible_joints)
+    place = None if found is None else done.T_recording_camera
+    first = placed(done.first, None if place is None else camera @ place.inverse(), body)
+    values: dict[str, Any] = {
+        "root_visible": errors["root_joints_visible"], "root_hidden": errors["root_joints_hidden"],
+        "root_all": errors["root_joints_all"], "vertices": errors["vertices"],
+        **vertices_visible(motion, seen), **mistaken(motion, truth, body),
+        "first": evaluate(first, truth, body)["root_joints_all"],
+        "first_seconds": done.first_seconds, "seconds": done.seconds,
+        "said": float(len(done.warnings) > 0),
+    }  # fmt: skip
+    if found is not None:
+        errors = ground_errors(found, camera)
+        values |= {"normal": math.degrees(errors["ground_normal"]),
+                   "height": errors["ground_height"]}  # fmt: skip
+    return {**{k: rounded(v) for k, v in values.items()}, "warnings": codes(done.warnings)}
+
+
+def placed(motion: Motion, T: Float[Tensor, "4 4"] | None, body: BodyModel) -> Motion:
+    """The motion after a rigid transform."""
+    return motion if T is None else motion.carried(T, body.rest_joints(motion.shape)[0])
+
+
+def vertices_visible(motion: Motion, seen: Seen) -> Row:
+    """Mean distance of the vertices that the sensor saw from where they were, metres."""
+    frames = [k for k in seen.shown_frames if k < motion.frames]
+    own, true = (
+        torch.stack([one.vertices[k] for k in frames])
+        for one in (seen.body.pose(motion), seen.body.pose(seen.truth))
+    )
+    visible = seen.visible_vertices[: len(frames)]
+    return {"vertices_visible": float((own - true).norm(dim=-1)[visible].mean())}
+
+
+def mistaken(motion: Motion, truth: Motion, body: BodyModel) -> Row:
+    """Shares of the frames that face elsewhere and whose legs are exchanged; and the verdict."""
+    frames = min(motion.frames, truth.frames)
+    motion, truth = motion.window(0, frames), truth.window(0, frames)
+    away = so3.geodesic(motion.rotations[:, 0], truth.rotations[:, 0])
+    own, true = (
+        joints - joints[:, :1] for joints in (body.pose(one).joints for one in (motion, truth))
+    )
+    legs, others = list(LEGS), [MIRROR[k] for k in LEGS]
+    right = (own[:, legs] - true[:, legs]).norm(dim=-1).mean(-1)
+    crossed = (own[:, others] - true[:, legs]).norm(dim=-1).mean(-1)
+    turned = (away > _TURNED).float().mean()
+    exchanged = ((crossed < right) & (right > _APART)).float().mean()
+    wrong = bool(turned >= _OFTEN) or bool(exchanged >= _OFTEN)
+    return {"turned": float(turned), "exchanged": float(exchanged), "wrong": float(wrong)}
+
+
+def codes(warnings: tuple[str, ...]) -> list[str]:
+    """The first words of warnings, up to a colon."""
+    return [text.split(":")[0] for text in warnings]
+
+
+if __name__ == "__main__":
+    main()
