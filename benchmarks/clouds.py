@@ -13,8 +13,9 @@ pixel of noise; joints have 3 cm. `spoiled` is a fit with labels of the simulati
 
 Joints about the pelvis and vertices in the world (by way of the true sensor) are in metres;
 `wrong` is whether at least a fifth of the frames face elsewhere by more than 60 degrees or have
-legs exchanged. `first` is the first guess. CPU s are of the first guess with its labels, and of
-the whole fit of files that were read. Windows that the JSON has already are not fitted again.
+legs, where they are in sight, exchanged. `first` is the first guess. CPU s are of the first guess
+with its labels, and of the whole fit of files that were read. Windows that the JSON has already
+are not fitted again.
 """
 
 import argparse
@@ -60,6 +61,8 @@ SEED, FRAMES = 0, 90
 _TURNED = math.radians(60)
 _OFTEN = 0.2
 """Share of the frames from which on a window faces elsewhere or has its legs exchanged."""
+_IN_SIGHT = 0.5
+"""Share of the joints of both legs that the sensor sees in a frame with legs in sight."""
 _APART = 0.1
 """Mean distance of leg joints from the truth, metres, from which on legs may be exchanged."""
 
@@ -224,7 +227,7 @@ def measured(seen: Seen, done: Fit) -> dict[str, Any]:
     values: dict[str, Any] = {
         "root_visible": errors["root_joints_visible"], "root_hidden": errors["root_joints_hidden"],
         "root_all": errors["root_joints_all"], "vertices": errors["vertices"],
-        **vertices_visible(motion, seen), **mistaken(motion, truth, body),
+        **vertices_visible(motion, seen), **mistaken(motion, seen),
         "first": evaluate(first, truth, body)["root_joints_all"],
         "first_seconds": done.first_seconds, "seconds": done.seconds,
         "said": float(len(done.warnings) > 0),
@@ -252,21 +255,24 @@ def vertices_visible(motion: Motion, seen: Seen) -> Row:
     return {"vertices_visible": float((own - true).norm(dim=-1)[visible].mean())}
 
 
-def mistaken(motion: Motion, truth: Motion, body: BodyModel) -> Row:
-    """Shares of the frames that face elsewhere and whose legs are exchanged; and the verdict."""
-    frames = min(motion.frames, truth.frames)
-    motion, truth = motion.window(0, frames), truth.window(0, frames)
+def mistaken(motion: Motion, seen: Seen) -> Row:
+    """Shares of frames that face elsewhere and, of those with legs in sight, exchange them."""
+    frames = min(motion.frames, seen.truth.frames)
+    motion, truth = motion.window(0, frames), seen.truth.window(0, frames)
     away = so3.geodesic(motion.rotations[:, 0], truth.rotations[:, 0])
     own, true = (
-        joints - joints[:, :1] for joints in (body.pose(one).joints for one in (motion, truth))
+        joints - joints[:, :1]
+        for joints in (seen.body.pose(one).joints for one in (motion, truth))
     )
     legs, others = list(LEGS), [MIRROR[k] for k in LEGS]
+    shown = seen.visible_joints[:frames, legs].float().mean(-1) >= _IN_SIGHT
     right = (own[:, legs] - true[:, legs]).norm(dim=-1).mean(-1)
     crossed = (own[:, others] - true[:, legs]).norm(dim=-1).mean(-1)
-    turned = (away > _TURNED).float().mean()
-    exchanged = ((crossed < right) & (right > _APART)).float().mean()
-    wrong = bool(turned >= _OFTEN) or bool(exchanged >= _OFTEN)
-    return {"turned": float(turned), "exchanged": float(exchanged), "wrong": float(wrong)}
+    turned = float((away > _TURNED).float().mean())
+    swapped = shown & (crossed < right) & (right > _APART)
+    exchanged = float(swapped.sum() / shown.sum().clamp(min=1))
+    wrong = turned >= _OFTEN or exchanged >= _OFTEN
+    return {"turned": turned, "exchanged": exchanged, "wrong": float(wrong)}
 
 
 def codes(warnings: tuple[str, ...]) -> list[str]:

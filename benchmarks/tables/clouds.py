@@ -48,9 +48,15 @@ _WRONG = 0.1
 """Mean error of joints about the pelvis, metres, from which on a fit should say something."""
 
 
+def _clouds() -> dict[str, Any]:
+    """Both result files as one: clouds alone, and the other cases on fewer of their windows."""
+    one, other = result("clouds"), result("clouds_mixed")
+    return {**one, "values": {**one["values"], **other["values"]}}
+
+
 def depth() -> str:
     """Depth alone and with other sensors, by version: means over subjects."""
-    found = result("clouds")
+    found = _clouds()
     rows = [
         [f"{_NAMES[case]}: {method}", str(len(values)), *(
             number(_mean(found, values, metric), factor, digits)
@@ -60,12 +66,12 @@ def depth() -> str:
         for method, values in methods.items()
     ]  # fmt: skip
     headings = ["case", "windows", *(heading for heading, _, _ in _COLUMNS.values())]
-    return markdown(headings, rows) + source("clouds")
+    return markdown(headings, rows) + source("clouds", "clouds_mixed")
 
 
 def depth_compared() -> str:
     """Paired differences: this version less 0.1.0, and mixtures less the better of their parts."""
-    found = result("clouds")
+    found = _clouds()
     rows: list[list[str]] = []
     for case, methods in found["values"].items():
         if "0.1.0" in methods:
@@ -77,12 +83,12 @@ def depth_compared() -> str:
             for part in ALONE.get(case, ())
         ]  # fmt: skip
     headings = ["cm, with 95 % intervals", *(_COLUMNS[metric][0] for metric in _ERRORS)]
-    return markdown([h.removesuffix(" cm") for h in headings], rows) + source("clouds")
+    return markdown([h.removesuffix(" cm") for h in headings], rows) + source("clouds", "clouds_mixed")
 
 
 def depth_warned() -> str:
     """Fits of clouds that are far off and say nothing, and right ones that warn."""
-    found = result("clouds")
+    found = _clouds()
     rows: list[list[str]] = []
     for method in ("recon", "0.1.0"):
         every = [
@@ -97,7 +103,7 @@ def depth_warned() -> str:
                      f"{len(near)}", f"{near.count(True)}"])  # fmt: skip
     headings = ["version", "fits more than 10 cm off", "of them silent", "other fits",
                 "of them with a warning"]  # fmt: skip
-    return markdown(headings, rows) + source("clouds")
+    return markdown(headings, rows) + source("clouds", "clouds_mixed")
 
 
 def _mean(found: Mapping[str, Any], values: Mapping[str, Any], metric: str) -> float | None:
