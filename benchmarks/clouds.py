@@ -107,7 +107,8 @@ def main() -> None:
     windows = load_windows(given.corpus, splits, given.part, body, SEED, FRAMES)
     chosen = evenly(windows, given.only)
     some, found = windows.take(chosen), known(given.json)
-    for number, name in zip(chosen, some.names, strict=True):
+    every = list(zip(chosen, some.names, strict=True))
+    for number, name in (*every[::2], *every[1::2]):  # so that a part covers all subjects
         with tempfile.TemporaryDirectory() as folder:
             seen = Seen(windows.truth[number], body, number)
             kept = Path(folder) if given.keep is None else given.keep / name

@@ -83,7 +83,9 @@ def depth_compared() -> str:
             for part in ALONE.get(case, ())
         ]  # fmt: skip
     headings = ["cm, with 95 % intervals", *(_COLUMNS[metric][0] for metric in _ERRORS)]
-    return markdown([h.removesuffix(" cm") for h in headings], rows) + source("clouds", "clouds_mixed")
+    return markdown([h.removesuffix(" cm") for h in headings], rows) + source(
+        "clouds", "clouds_mixed"
+    )
 
 
 def depth_warned() -> str:

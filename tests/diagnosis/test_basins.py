@@ -7,6 +7,7 @@ from observations.surfels import Surfels
 from priors.labels.record import PointLabels
 from recon.core.camera import depth_camera
 from recon.core.residuals import Noise
+from recon.diagnosis.fits import silhouette
 from recon.diagnosis.fits.labels import label_distance
 from recon.diagnosis.fits.silhouette import basin_findings
 from recon.diagnosis.fits.summaries import summarise
@@ -62,6 +63,17 @@ def test_a_turned_body_is_said():
     assert finding.code == "wrong basin"
     assert "labels name" in finding.message
     assert label_distance(cloud.replace(labels=None), laws.estimate_of(body, wrong)) is None
+
+
+def test_clouds_without_labels_are_labelled_to_be_judged(monkeypatch):
+    """Fits that began at a given motion were 27 cm off without a word: nothing had labels."""
+    cloud, motion, body = scene()
+    bare = cloud.replace(labels=None)
+    monkeypatch.setattr(silhouette, "with_labels", lambda one: one.replace(labels=cloud.labels))
+    wrong = turned(motion[0], torch.pi)[None]
+    pelvis, place = (body.pose(m).joints[:, :, 0] for m in (wrong, motion))
+    (finding,) = said(bare, wrong.replace(translation=wrong.translation + place - pelvis), body)
+    assert "labels name" in finding.message
 
 
 def test_the_noise_of_a_far_sensor_is_no_wrong_posture():

@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from observations.depth import PointCloud
 from observations.timing import at_observation_times
+from observations.together.labelling import with_labels
 from recon.diagnosis.findings import Finding
 from recon.diagnosis.fits.labels import label_distance, share_on_body
 from recon.diagnosis.fits.summaries import ResidualSummary
@@ -45,6 +46,8 @@ def basin_findings(
     """A warning where a fit to depth seems to have settled in a wrong posture or heading."""
     if summary.quantiles is None:
         return []
+    if cloud.labels is None:  # another sensor, or the caller, told where to begin
+        cloud = with_labels(cloud)
     outside, far = share_outside(cloud, estimate) or 0.0, summary.quantiles[1]
     labelled = label_distance(cloud, estimate) or 0.0
     on_body = share_on_body(cloud)
