@@ -5,7 +5,7 @@ from typing import Any
 
 from benchmarks.cloud_cases import ALONE
 from benchmarks.intervals import interval, paired
-from benchmarks.tables.values import markdown, number, result, source, spread
+from benchmarks.tables.values import markdown, number, present, result, source, spread
 
 
 def labels() -> str:
@@ -48,10 +48,14 @@ _WRONG = 0.1
 """Mean error of joints about the pelvis, metres, from which on a fit should say something."""
 
 
+_FILES = ("clouds", "clouds_mixed")
+"""Result files: clouds alone, and the other cases on fewer of their windows."""
+
+
 def _clouds() -> dict[str, Any]:
-    """Both result files as one: clouds alone, and the other cases on fewer of their windows."""
-    one, other = result("clouds"), result("clouds_mixed")
-    return {**one, "values": {**one["values"], **other["values"]}}
+    """The result files as one."""
+    found = [result(name) for name in present(_FILES)]
+    return {**found[0], "values": {k: v for one in found for k, v in one["values"].items()}}
 
 
 def depth() -> str:
@@ -66,7 +70,7 @@ def depth() -> str:
         for method, values in methods.items()
     ]  # fmt: skip
     headings = ["case", "windows", *(heading for heading, _, _ in _COLUMNS.values())]
-    return markdown(headings, rows) + source("clouds", "clouds_mixed")
+    return markdown(headings, rows) + source(*present(_FILES))
 
 
 def depth_compared() -> str:
@@ -81,6 +85,7 @@ def depth_compared() -> str:
             [f"{_NAMES[case]}: less {_NAMES[part]}",
              *_differences(found, methods["recon"], found["values"][part]["recon"])]
             for part in ALONE.get(case, ())
+            if part in found["values"]
         ]  # fmt: skip
     headings = ["cm, with 95 % intervals", *(_COLUMNS[metric][0] for metric in _ERRORS)]
     return markdown([h.removesuffix(" cm") for h in headings], rows) + source(
@@ -105,7 +110,7 @@ def depth_warned() -> str:
                      f"{len(near)}", f"{near.count(True)}"])  # fmt: skip
     headings = ["version", "fits more than 10 cm off", "of them silent", "other fits",
                 "of them with a warning"]  # fmt: skip
-    return markdown(headings, rows) + source("clouds", "clouds_mixed")
+    return markdown(headings, rows) + source(*present(_FILES))
 
 
 def _mean(found: Mapping[str, Any], values: Mapping[str, Any], metric: str) -> float | None:
