@@ -24,6 +24,10 @@ from recon.solver.solution import Solution, in_turn
 _SHARE = 3
 """Part of its iterations that every round of a stage has, where correspondences are found anew."""
 
+_ROUGH = 1e-4
+"""Relative decrease below which every round but the last ends: correspondences that are about to
+change are not worth more."""
+
 
 @dataclass(frozen=True)
 class Hypotheses(Generic[S]):
@@ -172,12 +176,14 @@ def _solved(
     if not stage.matches:
         return stage, *_minimised(stage, body, unknowns, watch)
     most = math.ceil(stage.minimiser.max_iterations / _SHARE)
-    shorter = replace(stage, minimiser=replace(stage.minimiser, max_iterations=most))
+    last = replace(stage.minimiser, max_iterations=most)
+    rough = replace(last, tolerance_decrease=max(last.tolerance_decrease, _ROUGH))
     solutions: list[Solution] = []
-    for _ in range(stage.rounds):
+    for minimiser in (*[rough] * (stage.rounds - 1), last):
         with torch.no_grad():
             estimate = unknowns.estimate(stage.prior, body, stage.portion)
-        unknowns, solution = _minimised(shorter.matched(estimate), body, unknowns, watch)
+        held = replace(stage, minimiser=minimiser).matched(estimate)
+        unknowns, solution = _minimised(held, body, unknowns, watch)
         solutions.append(solution)
     return stage, unknowns, in_turn(solutions)
 

@@ -207,3 +207,32 @@ def test_a_stage_is_minimised_with_the_weights_found_at_its_start(toy_body):
     _, (report,) = run_stages((replace(stage, reweighting=doubled),), toy_body, motion, scene)
     assert report.stage.terms[0].weight == 2.0
     assert float(report.solution.trace[0, 0]) == 2 * float(plain.solution.trace[0, 0])
+
+
+@dataclass(frozen=True)
+class Rematched:
+    """An energy whose correspondences are those of the moment, as of points without names."""
+
+    seen: Joints3D
+
+    def matched(self, estimate):
+        del estimate
+        return self.seen
+
+    def __call__(self, estimate):
+        return self.seen(estimate)
+
+
+def test_only_the_last_round_of_correspondences_is_minimised_to_the_end(toy_body):
+    """Every round was, though the next one changed the correspondences; it took a third more."""
+    motion = laws.a_motion(toy_body, clips=1)
+    tolerances = []
+
+    def noted(stage, *_):
+        tolerances.append(stage.minimiser.tolerance_decrease)
+
+    data = (Term("data", Rematched(observed(toy_body, motion)), 1.0),)
+    free = frozenset({"translation", "root"})
+    stage = Stage("root", FreeMotion(), data, free, LBFGS(9), second_order=noted, rounds=3)
+    run_stages((stage,), toy_body, motion, Scene.create(1, like=motion.translation))
+    assert tolerances[0] == tolerances[1] > tolerances[2] == stage.minimiser.tolerance_decrease

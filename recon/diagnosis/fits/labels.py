@@ -13,8 +13,8 @@ _MOMENTS = 12
 """Moments that are looked at."""
 _SURE = 0.5
 """Confidence of the labels that are asked."""
-_SIDES = torch.tensor([[1.0, 1.0, 1.0], [-1.0, 1.0, 1.0]])
-"""Signs of places as they are labelled, and with left and right exchanged."""
+_MANY = 0.75
+"""Share of the moments in which labels ought to agree with the body."""
 _LEAST = 10
 """Points of a moment that tell something."""
 
@@ -22,9 +22,9 @@ _LEAST = 10
 def label_distance(cloud: PointCloud, estimate: Estimate) -> float | None:
     """Distance of a sure point from the place that its label names on the fitted body, metres.
 
-    Median over the points of a moment, as they are labelled or with left and right exchanged,
-    whichever is nearer, and median over some moments: labels of some parts and of some moments are
-    wrong, but not those of most. None without labels or sure points.
+    Median over the points of a moment, and upper quartile over some moments: labels of some parts
+    and of some moments are wrong, but not those of most, and a fit may be wrong for a part of the
+    clip only. None without labels or sure points.
     """
     if cloud.labels is None:
         return None
@@ -43,12 +43,9 @@ def label_distance(cloud: PointCloud, estimate: Estimate) -> float | None:
         own = sure[0, moment]
         places = cloud.labels.places[0, moment][own].to(rest)
         here, points = middles[0, moment - seen.start], cloud.points[0, moment][own]
-        read = [
-            (here[torch.cdist(places * sides, rest).argmin(-1)] - points).norm(dim=-1).median()
-            for sides in _SIDES.to(rest)
-        ]
-        found.append(float(torch.stack(read).min()))
-    return float(np.median(found)) if found else None
+        surfel = torch.cdist(places, rest).argmin(-1)
+        found.append(float((here[surfel] - points).norm(dim=-1).median()))
+    return float(np.quantile(found, _MANY)) if found else None
 
 
 def share_on_body(cloud: PointCloud) -> float | None:
