@@ -143,7 +143,7 @@ class Collocation:
     start: PoseWeights = field(default_factory=PoseWeights.tuned_joints)
     """Weights of stages 1 and 2."""
     density: PoseDensity = field(default_factory=lambda: PosePrior.load().density)
-    """Of poses, in all stages; the bundled one unless given."""
+    """Density of poses in all stages; the bundled one unless another is given."""
 
     @classmethod
     def for_noise(
