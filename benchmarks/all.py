@@ -109,6 +109,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "segments_hidden_1": (*_SEGMENTS, "hidden points", "--methods", "segments of 1"),
     "segments_hidden_15": (*_SEGMENTS, "hidden points", "--methods", "segments of 15"),
     "segments_hidden_rollout": (*_SEGMENTS, "hidden points", "--methods", "roll-out"),
+    "strangers": ("strangers", "CORPUS", "FOLDS"),
     "drift": ("drift", "CORPUS"),
     "solver": ("solver",),
     "speed": ("speed",),

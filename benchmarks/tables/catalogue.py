@@ -19,6 +19,7 @@ from benchmarks.tables import (
     rollouts,
     second_order,
     segments,
+    strangers,
     trust,
 )
 from benchmarks.tables.page import Table
@@ -54,6 +55,9 @@ TABLES: Mapping[str, Table] = {
     "rollout-fits": rollouts.rollout_fits,
     "drift": drift.drift,
     "segments": segments.segments,
+    "strangers": strangers.folds,
+    "strangers-people": strangers.people,
+    "strangers-kinds": strangers.kinds,
     "fuzz": others.fuzz,
     "cameras-summary": cameras.summary,
     "cameras": cameras.cameras,

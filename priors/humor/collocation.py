@@ -22,6 +22,7 @@ from priors.humor.stepwise.curvature import SPAN, bundled_curvature
 from priors.humor.stepwise.energies import ERROR, SURPRISE, CollocationWeights, heavy_tailed
 from priors.humor.stepwise.steps import explain
 from priors.humor.terms import contact_velocity
+from priors.pose.density import PoseDensity
 from priors.pose.prior import PoseBelief, PosePrior, PoseVariables, PoseWeights
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
@@ -141,16 +142,26 @@ class Collocation:
     weights: CollocationWeights = field(default_factory=lambda: CollocationWeights.for_noise(0.04))
     start: PoseWeights = field(default_factory=PoseWeights.tuned_joints)
     """Weights of stages 1 and 2."""
+    density: PoseDensity = field(default_factory=lambda: PosePrior.load().density)
+    """Density of poses in all stages; the bundled one unless another is given."""
 
     @classmethod
-    def for_noise(cls, humor: Humor, noise: float) -> "Collocation":
-        """The method for observations of a standard deviation of `noise` metres per coordinate."""
-        return cls(humor, CollocationWeights.for_noise(noise), PoseWeights.for_noise(noise))
+    def for_noise(
+        cls, humor: Humor, noise: float, density: PoseDensity | None = None
+    ) -> "Collocation":
+        """The method for observations of a standard deviation of `noise` metres per coordinate.
+
+        Args:
+            humor: whose networks judge the steps.
+            noise: of the observation.
+            density: of poses; None is the bundled one.
+        """
+        weights = CollocationWeights.for_noise(noise), PoseWeights.for_noise(noise)
+        return cls(humor, *weights) if density is None else cls(humor, *weights, density)
 
     @cached_property
     def _poses(self) -> PosePrior:
-        device = self.humor.body.template.device
-        return PosePrior.load(weights=self.start).to(device=device)
+        return PosePrior(self.density, self.start).to(device=self.humor.body.template.device)
 
     def stages(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
         """First the root, then smooth poses, then likely steps, and at last held feet as well.

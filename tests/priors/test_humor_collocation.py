@@ -138,3 +138,19 @@ def test_rough_steps_are_left_out_where_every_joint_is_seen(body: BodyModel) -> 
     method = Collocation(humor(body))
     assert [s.name for s in method.stages((whole,))] == ["root", "pose", "contacts"]
     assert [s.name for s in method.stages((hidden,))] == ["root", "pose", "steps", "contacts"]
+
+
+def test_every_stage_takes_the_density_that_is_given(body: BodyModel) -> None:
+    """Collocation loaded the bundled density by itself: people held out of the networks' training
+    were among those whose poses it knew."""
+    bundled = PosePrior.load().density
+    wider = bundled.replace(basis=2 * bundled.basis)
+    data = Term("data", lambda e: e.motion.shape.sum(-1), 1.0)
+    for density, expected in ((None, bundled), (wider, wider)):
+        method = Collocation.for_noise(humor(body), 0.04, density)
+        _, poses, *steps = method.stages((data,))
+        assert isinstance(poses.prior, PosePrior)
+        torch.testing.assert_close(poses.prior.density.basis, expected.basis)
+        for stage in steps:
+            assert isinstance(stage.prior, CollocatedHumor)
+            torch.testing.assert_close(stage.prior.poses.density.basis, expected.basis)

@@ -1,0 +1,107 @@
+"""Priors that never saw a fold's people: trained by a short schedule, kept, and gone on with."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from benchmarks.strangers.folds import Fold, write_splits
+from priors.humor.prior import Humor
+from priors.humor.training.run import HumorTraining, export_weights
+from priors.humor.training.train import train
+from priors.pose.density import PoseDensity
+from priors.pose.prior import PosePrior
+from priors.pose.training import PoseTraining
+from priors.pose.training import train as train_pose
+from priors.training.run import CHECKPOINT, read_state, trained_state
+from priors.training.run_settings import identity, same_run
+from recon.formats.files.checksums import file_checksum
+
+SAVED_EVERY = 60.0
+"""Seconds."""
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """How long a fold's HuMoR learns; the pose density has a closed form."""
+
+    steps: int = 1500
+    """Steps of the optimiser."""
+    windows: int = 200
+    """Windows per step."""
+    width: int = 512
+    """Units of the hidden layers."""
+
+
+@dataclass(frozen=True)
+class FoldPriors:
+    """Both priors of a fold."""
+
+    humor: Humor
+    density: PoseDensity
+    drift: float
+    """Mean error of the joints after ten own steps on the held-out people, metres."""
+    checksums: dict[str, str]
+    """Of the weights of both."""
+
+
+def humor_settings(corpus: Path, folder: Path, schedule: Schedule) -> HumorTraining:
+    """The training of a fold's HuMoR.
+
+    It validates once, after its last step, so that nothing is chosen on the held-out people.
+    """
+    return HumorTraining(
+        corpus=corpus,
+        out=folder / "humor",
+        splits=folder / "splits.toml",
+        steps=schedule.steps,
+        windows=schedule.windows,
+        width=schedule.width,
+        validate_every=schedule.steps,
+        save_every=SAVED_EVERY,
+    )
+
+
+def trained(fold: Fold, corpus: Path, folder: Path, schedule: Schedule) -> FoldPriors:
+    """A fold's priors: read where they are trained already, else trained, or gone on with.
+
+    Args:
+        fold: who is held out.
+        corpus: folder of all converted motions.
+        folder: of all folds; this one's files lie in a folder of its name.
+        schedule: of HuMoR.
+
+    Raises:
+        ValueError: when the folder holds a run that learned from other clips or otherwise.
+    """
+    own = folder / fold.name
+    own.mkdir(parents=True, exist_ok=True)
+    write_splits(fold.splits, own / "splits.toml")
+    settings = humor_settings(corpus, own, schedule)
+    weights = own / "humor.safetensors"
+    if not finished(settings):
+        weights.unlink(missing_ok=True)
+        train(settings)
+    if not weights.is_file():
+        export_weights(settings, weights)
+
+    poses = own / "pose.safetensors"
+    train_pose(PoseTraining(corpus, out=poses, splits=settings.splits))
+    state = trained_state(settings.out / CHECKPOINT)
+    return FoldPriors(
+        humor=Humor.load(weights),
+        density=PosePrior.load(poses).density,
+        drift=state["rows"][-1]["drift_cm"] / 100,
+        checksums={path.stem: file_checksum(path) for path in (weights, poses)},
+    )
+
+
+def finished(settings: HumorTraining) -> bool:
+    """Whether the folder holds this run, with all of its steps.
+
+    Raises:
+        ValueError: when it holds another run.
+    """
+    state = read_state(settings.out / CHECKPOINT)
+    if state is None:
+        return False
+    same_run(settings.out / CHECKPOINT, identity(settings), state.get("identity"))
+    return state["step"] >= settings.steps

@@ -1,0 +1,131 @@
+"""People whom the priors never saw: folds, protocols and kinds of motion."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from benchmarks.intervals import Estimate
+from benchmarks.strangers import compare
+from benchmarks.strangers.compare import Rows, Statistic, Sums
+from benchmarks.tables.values import NONE, markdown, number, present, result, source, spread
+
+HEADINGS = ["fold", "noisy joints", "hidden points", "gap of 1 s", "runs, hidden legs",
+            "contacts, points of %", "slip / true slip"]  # fmt: skip
+PROTOCOLS = ("noisy joints", "hidden points", "gap", "hidden legs")
+ALL = "all"
+_LATER = "*To be measured: `python -m benchmarks.strangers CORPUS FOLDS --json strangers.json`.*"
+_CONTACTS = "noisy joints"
+"""Protocol in which contacts and slip are compared."""
+
+
+def folds() -> str:
+    """Ratios of errors for every fold and over all."""
+    return _measured(lambda found: markdown(HEADINGS, lines(found)))
+
+
+def lines(found: Mapping[str, Any]) -> list[list[str]]:
+    """One line for every fold, and one for their mean where there are several."""
+    rows = {name: fold["rows"] for name, fold in found.items()}
+    made = [[_name(name, found[name]), *_cells([own])] for name, own in rows.items()]
+    if len(rows) > 1:
+        made.append([f"**{ALL} {len(rows)}**", *_cells(list(rows.values()))])
+    return made
+
+
+def _name(name: str, fold: Mapping[str, Any]) -> str:
+    people = ", ".join(fold["people"])
+    return name if name == people else f"{name} ({people})"
+
+
+def _cells(folds: Sequence[Rows]) -> Iterator[str]:
+    for protocol in PROTOCOLS:
+        sums = [compare.ratio(rows, protocol) for rows in folds]
+        yield _cell(sums, compare.quotient)
+    sums = [compare.contacts(rows, _CONTACTS) for rows in folds]
+    yield _cell(sums, compare.more_balanced, factor=100, digits=1)
+    yield _cell([compare.slip(rows, _CONTACTS) for rows in folds], compare.quotient)
+
+
+def _cell(
+    sums: Sequence[Sums | None], statistic: Statistic, factor: float = 1.0, digits: int = 2
+) -> str:
+    present = [own for own in sums if own is not None]
+    if len(present) == 0:
+        return NONE
+    found: Estimate = (
+        compare.estimated(present[0], statistic)
+        if len(sums) == 1
+        else compare.over_people(present, statistic)
+    )
+    return spread(found, factor, digits)
+
+
+def people() -> str:
+    """Errors themselves, of both priors, for every fold."""
+    headings = ["cm: pose prior, HuMoR", "windows", *HEADINGS[1:5],
+                "contacts %: labels, network", "drift of ten own steps"]  # fmt: skip
+    return _measured(
+        lambda found: markdown(headings, [_errors(name, fold) for name, fold in found.items()])
+    )
+
+
+def _errors(name: str, fold: Mapping[str, Any]) -> list[str]:
+    rows = fold["rows"]
+    windows = {(row["window"], row["frames"]) for row in rows}
+    counts = compare.contacts(rows, _CONTACTS)
+    said = NONE
+    if counts is not None:
+        total = counts.sum(0)
+        own, labels = compare.balanced(total[:4]), compare.balanced(total[4:])
+        said = f"{100 * labels:.1f}, {100 * own:.1f}"
+    return [
+        _name(name, fold),
+        str(len(windows)),
+        *(_pair(rows, protocol) for protocol in PROTOCOLS),
+        said,
+        number(fold["drift"], 100),
+    ]
+
+
+def _pair(rows: Rows, protocol: str) -> str:
+    means = [_mean(rows, protocol, method) for method in ("pose", "humor")]
+    return NONE if None in means else ", ".join(number(mean, 100, 2) for mean in means)
+
+
+def _mean(rows: Rows, protocol: str, method: str) -> float | None:
+    values = [
+        row["error"]
+        for row in rows
+        if (row["protocol"], row["method"]) == (protocol, method) and row["error"] is not None
+    ]
+    return float(np.mean(values)) if values else None
+
+
+def kinds() -> str:
+    """Ratios of errors for every kind of motion, over the windows of all folds."""
+    return _measured(_by_kind)
+
+
+def _by_kind(found: Mapping[str, Any]) -> str:
+    rows = [row for fold in found.values() for row in fold["rows"]]
+    made: list[list[str]] = []
+    for kind in sorted({row["kind"] for row in rows}):
+        own = [row for row in rows if row["kind"] == kind]
+        windows = {(row["window"], row["frames"]) for row in own}
+        persons = sorted({row["person"] for row in own})
+        made.append([f"{kind}, {len(windows)} windows of {', '.join(persons)}", *_cells([own])])
+    return markdown(["kind of motion", *HEADINGS[1:]], made)
+
+
+def _measured(table: Callable[[Mapping[str, Any]], str]) -> str:
+    """A table of the folds that the result file has, which says how they were trained."""
+    if not present(["strangers"]):
+        return _LATER
+    file = result("strangers")
+    schedule, folds = file["schedule"], file["folds"]
+    said = (
+        f"{len(folds)} folds ({', '.join(folds)}); HuMoR of width {schedule['width']}, "
+        f"{schedule['steps']} steps of {schedule['windows']} windows from scratch."
+    )
+    return f"{table(folds)}\n\n{said}{source('strangers')}"
