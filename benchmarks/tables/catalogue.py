@@ -73,6 +73,7 @@ TABLES: Mapping[str, Table] = {
     "crossings": phone.crossings,
     "labels": clouds.labels,
     "depth": clouds.depth,
+    "depth-by-subject": clouds.depth_by_subject,
     "depth-compared": clouds.depth_compared,
     "depth-warned": clouds.depth_warned,
     "rigs": rigs.found,

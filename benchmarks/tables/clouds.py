@@ -88,9 +88,22 @@ def depth_compared() -> str:
             if part in found["values"]
         ]  # fmt: skip
     headings = ["cm, with 95 % intervals", *(_COLUMNS[metric][0] for metric in _ERRORS)]
-    return markdown([h.removesuffix(" cm") for h in headings], rows) + source(
-        "clouds", "clouds_mixed"
-    )
+    return markdown([h.removesuffix(" cm") for h in headings], rows) + source(*present(_FILES))
+
+
+def depth_by_subject() -> str:
+    """Joints about the pelvis, by subject: means over all frames."""
+    found = _clouds()
+    subject = dict(zip(found["names"], found["subjects"], strict=True))
+    people = sorted(set(subject.values()))
+    rows = []
+    for case, methods in found["values"].items():
+        for method, values in methods.items():
+            own = {p: [one["root_all"] for name, one in values.items() if subject[name] == p]
+                   for p in people}  # fmt: skip
+            cells = [number(sum(v) / len(v) if v else None, 100, 1) for v in own.values()]
+            rows.append([f"{_NAMES[case]}: {method}", *cells])
+    return markdown(["all joints, cm", *people], rows) + source(*present(_FILES))
 
 
 def depth_warned() -> str:
