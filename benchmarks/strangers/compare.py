@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from benchmarks.intervals import DRAWS, LEVEL, Estimate
+from benchmarks.strangers.fits import HUMOR, POSE
 
 Rows = Sequence[Mapping[str, Any]]
 """Fields of `benchmarks.strangers.fits.Row`, as a result file keeps them."""
@@ -35,9 +36,10 @@ def slip(rows: Rows, protocol: str) -> Sums | None:
     return _by_unit(rows, protocol, [None if None in pair else pair for pair in pairs])
 
 
-def contacts(rows: Rows, protocol: str) -> Sums | None:
-    """Counts of contacts by HuMoR's network, then those labelled from the pose prior's motion."""
-    pairs = [(b["network"], a["labels"]) for _, a, b in _pairs(rows, protocol)]
+def contacts(rows: Rows, protocol: str, motion: str = POSE) -> Sums | None:
+    """Counts of contacts by HuMoR's network, then those labelled from the motion of a method."""
+    found = [(b["network"], {POSE: a, HUMOR: b}[motion]) for _, a, b in _pairs(rows, protocol)]
+    pairs = [(own, labelled["labels"]) for own, labelled in found]
     counts = [None if None in (own, other) else (*own, *other) for own, other in pairs]
     return _by_unit(rows, protocol, counts)
 
@@ -83,7 +85,7 @@ def _pairs(
     for row in rows:
         if row["protocol"] == protocol:
             found.setdefault((row["window"], row["frames"]), {})[row["method"]] = row
-    return [(window, by["pose"], by["humor"]) for window, by in found.items()]
+    return [(window, by[POSE], by[HUMOR]) for window, by in found.items()]
 
 
 def _by_unit(rows: Rows, protocol: str, values: Sequence[tuple[float, ...] | None]) -> Sums | None:

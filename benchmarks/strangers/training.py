@@ -11,6 +11,7 @@ from priors.pose.density import PoseDensity
 from priors.pose.prior import PosePrior
 from priors.pose.training import PoseTraining
 from priors.pose.training import train as train_pose
+from priors.training.dataset import files_on_flat_ground
 from priors.training.run import CHECKPOINT, read_state, trained_state
 from priors.training.run_settings import identity, same_run
 from recon.formats.files.checksums import file_checksum
@@ -37,8 +38,9 @@ class FoldPriors:
 
     humor: Humor
     density: PoseDensity
-    drift: float
-    """Mean error of the joints after ten own steps on the held-out people, metres."""
+    drift: float | None
+    """Mean error of the joints after ten own steps on the held-out people, metres; None where all
+    of their clips are on uneven ground, of which HuMoR says nothing."""
     checksums: dict[str, str]
     """Of the weights of both."""
 
@@ -85,11 +87,12 @@ def trained(fold: Fold, corpus: Path, folder: Path, schedule: Schedule) -> FoldP
 
     poses = own / "pose.safetensors"
     train_pose(PoseTraining(corpus, out=poses, splits=settings.splits))
+    flat = files_on_flat_ground(corpus, fold.splits, "validation", settings.data)
     state = trained_state(settings.out / CHECKPOINT)
     return FoldPriors(
         humor=Humor.load(weights),
         density=PosePrior.load(poses).density,
-        drift=state["rows"][-1]["drift_cm"] / 100,
+        drift=state["rows"][-1]["drift_cm"] / 100 if flat else None,
         checksums={path.stem: file_checksum(path) for path in (weights, poses)},
     )
 

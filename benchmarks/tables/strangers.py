@@ -8,10 +8,12 @@ import numpy as np
 from benchmarks.intervals import Estimate
 from benchmarks.strangers import compare
 from benchmarks.strangers.compare import Rows, Statistic, Sums
+from benchmarks.strangers.fits import HUMOR, POSE
 from benchmarks.tables.values import NONE, markdown, number, present, result, source, spread
 
 HEADINGS = ["fold", "noisy joints", "hidden points", "gap of 1 s", "runs, hidden legs",
-            "contacts, points of %", "slip / true slip"]  # fmt: skip
+            "contacts less pose prior's", "contacts less own motion's",
+            "slip / true slip"]  # fmt: skip
 PROTOCOLS = ("noisy joints", "hidden points", "gap", "hidden legs")
 ALL = "all"
 _LATER = "*To be measured: `python -m benchmarks.strangers CORPUS FOLDS --json strangers.json`.*"
@@ -42,8 +44,9 @@ def _cells(folds: Sequence[Rows]) -> Iterator[str]:
     for protocol in PROTOCOLS:
         sums = [compare.ratio(rows, protocol) for rows in folds]
         yield _cell(sums, compare.quotient)
-    sums = [compare.contacts(rows, _CONTACTS) for rows in folds]
-    yield _cell(sums, compare.more_balanced, factor=100, digits=1)
+    for motion in (POSE, HUMOR):
+        sums = [compare.contacts(rows, _CONTACTS, motion) for rows in folds]
+        yield _cell(sums, compare.more_balanced, factor=100, digits=1)
     yield _cell([compare.slip(rows, _CONTACTS) for rows in folds], compare.quotient)
 
 
@@ -64,7 +67,8 @@ def _cell(
 def people() -> str:
     """Errors themselves, of both priors, for every fold."""
     headings = ["cm: pose prior, HuMoR", "windows", *HEADINGS[1:5],
-                "contacts %: labels, network", "drift of ten own steps"]  # fmt: skip
+                "contacts %: pose prior's motion, own motion, network",
+                "drift of ten own steps"]  # fmt: skip
     return _measured(
         lambda found: markdown(headings, [_errors(name, fold) for name, fold in found.items()])
     )
@@ -73,12 +77,10 @@ def people() -> str:
 def _errors(name: str, fold: Mapping[str, Any]) -> list[str]:
     rows = fold["rows"]
     windows = {(row["window"], row["frames"]) for row in rows}
-    counts = compare.contacts(rows, _CONTACTS)
-    said = NONE
-    if counts is not None:
-        total = counts.sum(0)
-        own, labels = compare.balanced(total[:4]), compare.balanced(total[4:])
-        said = f"{100 * labels:.1f}, {100 * own:.1f}"
+    counts = [compare.contacts(rows, _CONTACTS, motion) for motion in (POSE, HUMOR)]
+    totals = [own.sum(0) for own in counts if own is not None]
+    shares = [*(total[4:] for total in totals), *(total[:4] for total in totals[:1])]
+    said = ", ".join(number(float(compare.balanced(share)), 100) for share in shares) or NONE
     return [
         _name(name, fold),
         str(len(windows)),
@@ -89,7 +91,7 @@ def _errors(name: str, fold: Mapping[str, Any]) -> list[str]:
 
 
 def _pair(rows: Rows, protocol: str) -> str:
-    means = [_mean(rows, protocol, method) for method in ("pose", "humor")]
+    means = [_mean(rows, protocol, method) for method in (POSE, HUMOR)]
     return NONE if None in means else ", ".join(number(mean, 100, 2) for mean in means)
 
 
@@ -125,7 +127,7 @@ def _measured(table: Callable[[Mapping[str, Any]], str]) -> str:
     file = result("strangers")
     schedule, folds = file["schedule"], file["folds"]
     said = (
-        f"{len(folds)} folds ({', '.join(folds)}); HuMoR of width {schedule['width']}, "
+        f"Folds: {', '.join(folds)}. HuMoR of width {schedule['width']}, "
         f"{schedule['steps']} steps of {schedule['windows']} windows from scratch."
     )
     return f"{table(folds)}\n\n{said}{source('strangers')}"

@@ -111,12 +111,15 @@ def row(window: str, method: str, error: float | None, **more: object) -> dict[s
     }  # fmt: skip
 
 
+NETWORK, OWN = (10, 10, 30, 40), (9, 10, 30, 40)
+
+
 def fold_of(factor: float) -> list[dict[str, object]]:
     rows: list[dict[str, object]] = []
     for k in range(6):
         window, error = f"35_0{k}@0.00", 0.01 * (k + 1)
         rows.append(row(window, "pose", error))
-        rows.append(row(window, "humor", factor * error, network=(10, 10, 30, 40)))
+        rows.append(row(window, "humor", factor * error, network=NETWORK, labels=OWN))
     return rows
 
 
@@ -148,6 +151,9 @@ def test_contacts_are_compared_by_balanced_accuracy() -> None:
     found = compare.estimated(counts, compare.more_balanced)
     # network: all of 10 and 30 of 40; labels: 8 of 10 and 30 of 40
     assert found.mean == pytest.approx((1 + 0.75) / 2 - (0.8 + 0.75) / 2)
+    beside = compare.contacts(fold_of(1.0), "noisy joints", "humor")
+    assert beside is not None
+    assert beside[0, 4:].tolist() == [9, 10, 30, 40]  # labelled from HuMoR's own motion
     assert math.isclose(compare.balanced(np.array([3.0, 4.0, 0.0, 0.0])), 0.75)
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 import torch
 
+from benchmarks.strangers.training import finished
 from priors.humor.networks import HumorNetworks
 from priors.humor.prior import Humor
 from priors.humor.state import rest_pelvis, states_of
@@ -270,3 +271,17 @@ def test_a_run_can_begin_with_weights(folder: Path, tmp_path: Path) -> None:
     x = drawn(corpus, AS_RECORDED).states.pack()[:, 0]
     expected = Humor.load(path).networks.prior(x)[0]
     torch.testing.assert_close(again.averaged.prior(x)[0], expected, rtol=1e-3, atol=1e-3)
+
+
+def test_people_on_uneven_ground_only_can_be_held_out(folder: Path, tmp_path: Path) -> None:
+    """A training whose validation part had no clip on flat ground ended with an error, so nobody
+    could be held out who was recorded on a playground only."""
+    splits = tmp_path / "splits.toml"
+    splits.write_text(SPLITS.replace('subjects = ["06"]', 'subjects = ["10"]'))
+    settings = replace(settings_of(folder, tmp_path / "run", steps=3), splits=splits)
+    assert not finished(settings)
+    train(settings)
+    assert "no validation clip is on flat ground" in (settings.out / "train.log").read_text()
+    assert finished(settings)
+    with pytest.raises(ValueError, match="other steps"):
+        finished(replace(settings, steps=5))

@@ -30,7 +30,7 @@ from priors.humor.training.run import (
     start,
 )
 from priors.humor.training.scaling import ScaledNetworks
-from priors.training.dataset import Splits
+from priors.training.dataset import Splits, files_on_flat_ground
 from priors.training.descent import cosine, descend
 from priors.training.logfile import logged_to
 from priors.training.run import run_steps
@@ -75,10 +75,17 @@ def _train(settings: HumorTraining, kind: type[ScaledNetworks]) -> Path:
     torch.set_num_threads(settings.threads)
     body = BodyModel.load()
     splits = Splits.load(settings.splits)
-    learned, held_out = (
-        Corpus.load(settings.corpus, splits, part, settings.data, body).to(device=settings.device)
-        for part in ("train", "validation")
-    )
+    learned = Corpus.load(settings.corpus, splits, "train", settings.data, body)
+    learned = learned.to(device=settings.device)
+    held_out = learned
+    if files_on_flat_ground(settings.corpus, splits, "validation", settings.data):
+        held_out = Corpus.load(settings.corpus, splits, "validation", settings.data, body)
+        held_out = held_out.to(device=settings.device)
+    else:
+        _LOG.warning(
+            "no validation clip is on flat ground: the validation losses of this run are those of "
+            "its training clips"
+        )
     checked = held_out.every(settings.frames)
     run = start(settings, learned, kind)
     _LOG.info("settings: %s", settings)
