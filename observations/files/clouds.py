@@ -14,7 +14,14 @@ from observations.surfels import Surfels
 from recon.body.model import BodyModel
 from recon.core.camera import Camera
 from recon.core.errors import ObservationError
-from recon.core.geometry.planes import FoundGround, above, find_ground, spacing
+from recon.core.geometry.planes import (
+    FoundGround,
+    above,
+    before,
+    find_ground,
+    find_walls,
+    spacing,
+)
 from recon.core.geometry.roughness import depth_noise
 from recon.core.ground import Ground
 from recon.core.limits import FRAMES, PADDED_CLOUD
@@ -108,9 +115,12 @@ def cloud_of(
     clouds = [turned[order[first:last]] for first, last in pairwise(ends)]
     if seen:
         clouds = [cloud[above(cloud, _LEVEL)] for cloud in clouds]
+    walls = _walls(file.camera, turned, T, generator)
+    for wall in walls:
+        clouds = [cloud[before(cloud, *wall)] for cloud in clouds]
     one = alone(clouds, _reach(clouds))
     left_out = 1 - sum(map(len, one.clouds)) / max(sum(map(len, clouds)), 1)
-    if seen or (file.camera is None and left_out > _MUCH) or one.beside > 0:
+    if seen or len(walls) > 0 or (file.camera is None and left_out > _MUCH) or one.beside > 0:
         clouds = one.clouds
     clouds = [
         cloud[np.sort(generator.permutation(len(cloud))[:points])]
@@ -142,6 +152,25 @@ def cloud_of(
         ground_seen=found.ground is not None,
     )
     return LoadedCloud(observation, found, T, (*moves, *_said(one, frames)))
+
+
+def _walls(
+    camera: CameraArrays | None,
+    points: Float[np.ndarray, "points 3"],
+    T: Float[np.ndarray, "4 4"],
+    generator: np.random.Generator,
+) -> list[tuple[Float[np.ndarray, "3"], float, Float[np.ndarray, "3"]]]:
+    """Normals and offsets of walls behind the person, and where the sensor is, recording frame.
+
+    A sensor that moves sees them from many places, and scans have no sensor: none are looked for.
+    """
+    if camera is None:
+        return []
+    pose = T if camera.T_camera_world is None else np.linalg.inv(camera.T_camera_world[0])
+    if camera.T_camera_world is not None and len(camera.T_camera_world) > 1:
+        return []
+    few = points[generator.permutation(len(points))[:_SEARCHED]]
+    return [(normal, offset, pose[:3, 3]) for normal, offset in find_walls(few)]
 
 
 def _said(one: Alone, frames: int) -> tuple[str, ...]:

@@ -65,6 +65,22 @@ def test_a_turned_body_is_said():
     assert label_distance(cloud.replace(labels=None), laws.estimate_of(body, wrong)) is None
 
 
+def test_legs_below_the_image_speak_against_nothing():
+    """Somebody seen from the waist up was fitted well, and called a wrong posture for the legs."""
+    cloud, motion, body = scene()
+    assert cloud.camera is not None
+    width, height = cloud.camera.image_size
+    cut = cloud.camera.replace(image_size=(width, height // 2))
+    pixels = cloud.camera.project(cloud.points).pixels
+    present = cloud.present & cut.in_image(pixels)
+    assert 0.3 < present.sum() / cloud.present.sum() < 0.7
+    assert cloud.labels is not None
+    waist_up = cloud.replace(present=present, labels=cloud.labels.replace(present=present))
+    assert said(waist_up.replace(camera=cut), motion, body) == []
+    (finding,) = said(waist_up, motion, body)
+    assert "saw no body" in finding.message
+
+
 def test_clouds_without_labels_are_labelled_to_be_judged(monkeypatch):
     """Fits that began at a given motion were 27 cm off without a word: nothing had labels."""
     cloud, motion, body = scene()

@@ -1,8 +1,11 @@
 """Clouds that show two people, or a person and other things."""
 
 import numpy as np
+import pytest
 
+from observations.files.clouds import cloud_of
 from observations.files.one_person import alone
+from recon.formats.observations import CameraArrays, PointsFile
 
 
 def people(frames: int = 12, apart: float = 1.5):
@@ -43,3 +46,23 @@ def test_empty_frames_stay_empty():
     found = alone(clouds, 0.2)
     assert len(found.clouds[3]) == 0
     assert alone([clouds[3]], 0.2).beside == 0
+
+
+@pytest.mark.parametrize("posed", [False, True])
+def test_a_wall_behind_the_person_is_left_out(posed, body):
+    """Without a ground in sight, the wall was the largest thing, and a body 5.8 m tall was fitted
+    to it."""
+    random = np.random.default_rng(0)
+    person = random.uniform((-0.2, -0.8, 1.9), (0.2, 0.9, 2.1), (400, 3))
+    wall = np.append(random.uniform((-1.5, -1.2), (1.5, 1.2), (4000, 2)), np.full((4000, 1), 3), 1)
+    wall[:, 2] += 0.2 * wall[:, 0] + random.normal(0, 0.01, 4000)
+    level = np.array([[1.0, 0, 0, 0], [0, 0, -1, 1], [0, 1, 0, 0], [0, 0, 0, 1]])
+    size = np.array([[525.0, 0, 320], [0, 525, 240], [0, 0, 1]])
+    camera = CameraArrays(size, (640, 480), None, level[None] if posed else None)
+    points = np.concatenate((wall, person))
+    if posed:
+        points = (points - level[:3, 3]) @ level[:3, :3]
+    file = PointsFile(np.tile(points, (3, 1)), np.repeat(np.arange(3), len(points)), 30.0, camera)
+    cloud = cloud_of(file, body, points=1000).cloud
+    assert cloud.present.sum(-1).tolist() == [[400] * 3]
+    assert np.ptp(cloud.points[cloud.present].numpy(), axis=0).max() < 1.8

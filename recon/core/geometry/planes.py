@@ -17,6 +17,10 @@ _SAMPLE = 20_000
 _REFINEMENTS = 5
 _WIDTH = 0.8
 """Metres that a ground extends over across its length: more than somebody lying on it."""
+_STEEP = 0.5
+"""Vertical part of the unit normal of a wall, at most."""
+_WALL = 1.2
+"""Metres that a wall extends over across its length: more than somebody with arms spread."""
 
 
 @dataclass(frozen=True)
@@ -80,6 +84,51 @@ def find_ground(
         ground = Ground.create(torch.from_numpy(normal), torch.tensor(offset).double())
         return FoundGround(ground, f"a plane with {share:.0%} of the points")
     return FoundGround(None, f"no ground: found {rejected}")
+
+
+def find_walls(
+    points: Float[np.ndarray, "points 3"],
+    *,
+    tolerance: float = 0.03,
+    least: float = 0.05,
+    seed: int = 0,
+) -> list[tuple[Float[np.ndarray, "3"], float]]:
+    """Unit normal n and offset n·x = d of steep planes that are too wide to be of a person.
+
+    The largest planes are looked at first, as in `find_ground`.
+
+    Args:
+        points: of a whole scene, metres, z up.
+        tolerance: distance within which a point belongs to a plane, metres.
+        least: share of the points a plane must have.
+        seed: of the random samples.
+    """
+    generator = np.random.default_rng(seed)
+    left = points
+    if len(points) > _SAMPLE:
+        left = points[generator.permutation(len(points))[:_SAMPLE]]
+    enough, found = least * len(left), list[tuple[np.ndarray, float]]()
+    for _ in range(_CANDIDATES):
+        plane = largest_plane(left, tolerance=tolerance, generator=generator)
+        if plane is None or plane[2].sum() < enough:
+            break
+        normal, offset, inliers = plane
+        if abs(normal[2]) < _STEEP and _width(left[inliers], normal) > _WALL:
+            found.append((normal, offset))
+        left = left[~inliers]
+    return found
+
+
+def before(
+    points: Float[np.ndarray, "points 3"],
+    normal: Float[np.ndarray, "3"],
+    offset: float,
+    eye: Float[np.ndarray, "3"],
+    least: float = 0.06,
+) -> Bool[np.ndarray, " points"]:
+    """Points on the sensor's side of a plane, farther than `least` from it, metres."""
+    side = np.sign(normal @ eye - offset)
+    return side * (points @ normal - offset) > least
 
 
 def _width(points: Float[np.ndarray, "points 3"], normal: Float[np.ndarray, "3"]) -> float:

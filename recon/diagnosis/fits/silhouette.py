@@ -8,11 +8,13 @@ import math
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from observations.depth import PointCloud
 from observations.timing import at_observation_times
 from observations.together.labelling import with_labels
+from recon.core.camera import Camera
+from recon.core.geometry.visible import facing
 from recon.diagnosis.findings import Finding
 from recon.diagnosis.fits.labels import label_distance, share_on_body
 from recon.diagnosis.fits.summaries import ResidualSummary
@@ -83,7 +85,7 @@ def share_outside(cloud: PointCloud, estimate: Estimate) -> float | None:
     """Share of the surface facing the sensor that no point of the cloud stands for.
 
     Median over some moments; None without a sensor or where nothing was seen. Parts of the body
-    behind an occluder count as outside, too.
+    behind an occluder count as outside, too; those beyond the image's borders do not.
     """
     if cloud.camera is None:
         return None
@@ -100,12 +102,22 @@ def share_outside(cloud: PointCloud, estimate: Estimate) -> float | None:
     full = [m for m in range(seen.start, seen.stop) if bool(cloud.present[0, m].any())]
     shares: list[float] = []
     for moment in full[:: max(math.ceil(len(full) / _MOMENTS), 1)]:
-        eye = cloud.camera.at(range(moment, moment + 1)).T_world_camera[0, 0, :3, 3]
-        row = moment - seen.start
-        facing = ((eye - middles[0, row]) * normals[0, row]).sum(-1) > 0
+        camera, row = cloud.camera.at(range(moment, moment + 1)), moment - seen.start
+        eye = camera.T_world_camera[0, 0, :3, 3]
+        shown = facing(middles[0, row], normals[0, row], eye) & _in_image(camera, middles[0, row])
+        if not bool(shown.any()):
+            continue
         points = cloud.points[0, moment][cloud.present[0, moment]]
-        shares.append(_outside((middles[0, row][facing] - eye).cpu(), (points - eye).cpu()))
+        shares.append(_outside((middles[0, row][shown] - eye).cpu(), (points - eye).cpu()))
     return float(np.median(shares)) if shares else None
+
+
+def _in_image(
+    camera: Camera, places: Float[torch.Tensor, "surfels 3"]
+) -> Bool[torch.Tensor, " surfels"]:
+    """Whether places lie before the sensor and within its image."""
+    seen = camera.project(places[None, None])
+    return (seen.in_front & camera.in_image(seen.pixels))[0, 0]
 
 
 def _outside(
