@@ -69,7 +69,7 @@ class Seen:
         """Noisy joints, those below the height hidden for the middle third."""
         seen = joints3d(self.truth, self.body, corruption(self.truth, JOINT_NOISE), self.number)
         return PositionsFile(
-            "joints3d", seen.positions[0].numpy(), seen.visible[0].numpy(), JOINTS, seen.fps
+            "joints3d", seen.positions.numpy(), seen.visible.numpy(), JOINTS, seen.fps
         )
 
     @functools.cached_property
