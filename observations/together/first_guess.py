@@ -52,8 +52,14 @@ def first_guess(observations: Sequence[Sensor], body: BodyModel) -> FirstGuess:
     if len(alike := one_clock(views)) > 1 and tell_distance(alike):
         return FirstGuess(views_start(body, alike), True)
     if views and clouds:
-        stretched = _at_cloud(views[0].start(body), clouds[0], body)
-        return FirstGuess(_posed_like(clouds[0].start(body), stretched), True, (stretched,))
+        placed, posed = views[0].start(body), clouds[0].start(body)
+        if clouds[0].labels is not None:  # headings were compared already
+            return FirstGuess(_moved_like(posed, placed), True)
+        stretched = _at_cloud(placed, clouds[0], body)
+        moved = _moved_like(posed, stretched)
+        root, others = stretched.rotations[..., :1, :, :], moved.rotations[..., 1:, :, :]
+        moved = moved.replace(rotations=torch.cat((root, others), -3))
+        return FirstGuess(moved, True, (stretched,))
     if clouds:
         motion = clouds[0].start(body)
         if clouds[0].labels is not None:  # headings were compared already
@@ -93,8 +99,8 @@ def _at_cloud(motion: Motion, cloud: PointCloud, body: BodyModel) -> Motion:
     return motion.replace(translation=motion.translation + _typical(away))
 
 
-def _posed_like(posed: Motion, placed: Motion) -> Motion:
-    """A motion in the posture and at the place of another one, which may be on another clock.
+def _moved_like(posed: Motion, placed: Motion) -> Motion:
+    """A motion in the postures and at the places of another one, which may be on another clock.
 
     The rest pose stretches its arms out. In front of a cloud they would stay in front of it: no
     point is near them, so none pulls them back. Before the other motion begins and after it has
@@ -111,11 +117,7 @@ def _posed_like(posed: Motion, placed: Motion) -> Motion:
         shared.clamp(max=posed.start_time + (posed.frames - 1) / posed.fps), placed.fps
     )
     away = there.translation - placed.at(shared, placed.fps).translation
-    root = placed.rotations[..., :1, :, :]
-    return placed.replace(
-        translation=placed.translation + away,
-        rotations=torch.cat((root, there.rotations[..., 1:, :, :]), -3),
-    )
+    return placed.replace(translation=placed.translation + away, rotations=there.rotations)
 
 
 def _typical(away: Float[Tensor, "batch seen 3"]) -> Float[Tensor, "batch 1 3"]:

@@ -10,12 +10,11 @@ from recon.method.protocols import Sensor
 
 
 def labelled(observations: Sequence[Sensor]) -> tuple[Sensor, ...]:
-    """The observations with labels for their clouds, where clouds alone tell the posture.
+    """The observations with labels for their clouds, unless other points in space have names.
 
-    Points with names and keypoints tell the first guess better than labels do.
+    Those tell the posture better than labels do.
     """
-    others = [*kinds.tracked(observations), *kinds.views(observations)]
-    if others:
+    if kinds.tracked(observations):
         return tuple(observations)
     return tuple(
         with_labels(one) if isinstance(one, PointCloud) and one.labels is None else one

@@ -8,9 +8,10 @@ from observations.depth import PointCloud
 from observations.noise import weights_of
 from observations.surfels import Surfels
 from observations.together.first_guess import first_guess
+from priors.labels.record import PointLabels
 from recon.core.skeleton import joint_index
 from recon.simulation.points import Corruption, joints3d
-from tests.filmed import NOISE, bundled, cameras, joint_error, view, walk
+from tests.filmed import NOISE, bundled, cameras, joint_error, turned, view, walk
 
 pytestmark = pytest.mark.numerics
 
@@ -62,6 +63,21 @@ def test_arms_do_not_begin_in_front_of_the_points():
     assert joint_error(guess.motion, truth) < 0.2
     (stretched,) = guess.others
     assert joint_error(stretched, truth) > joint_error(guess.motion, truth)
+
+
+def test_labels_tell_where_a_body_in_an_image_faces():
+    """The root came from the image alone, however well the points beside it were known."""
+    truth = turned(walk(12), 2.0)
+    seen = view(truth, cameras(truth)[0])
+    body, surfels = bundled(), Surfels.of(bundled())
+    index = torch.arange(0, len(body.template), 25)
+    points = body.pose(truth[None]).points(index)
+    present = torch.ones(points.shape[:-1], dtype=torch.bool)
+    labels = PointLabels.known(body, index.expand(points.shape[:-1]), present)
+    cloud = PointCloud(points, present, surfels, truth.fps, labels=labels)
+    guess = first_guess([seen, cloud], body)
+    assert guess.others == ()
+    assert joint_error(guess.motion, truth) < 0.1
 
 
 def test_names_come_before_images_in_any_order():
