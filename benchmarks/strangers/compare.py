@@ -58,7 +58,7 @@ def balanced(counts: Float[np.ndarray, "*draws 4"]) -> Float[np.ndarray, "*draws
 
 
 def more_balanced(counts: Float[np.ndarray, "*draws 8"]) -> Float[np.ndarray, "*draws"]:
-    """By how much the first four counts are more accurate than the others."""
+    """Balanced accuracy of the first four counts less that of the others."""
     return balanced(counts[..., :4]) - balanced(counts[..., 4:])
 
 

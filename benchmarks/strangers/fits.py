@@ -63,7 +63,7 @@ class Row:
     touches, right ones where it does not, moments in which it does not. None where the method
     says nothing of contacts, or the truth is not known."""
     labels: tuple[int, int, int, int] | None
-    """The same for labels that are made from the method's motion."""
+    """Counts for labels that are made from the method's motion, in the same order."""
 
 
 def seen(protocol: str, windows: Windows, body: BodyModel) -> Seen:
@@ -83,7 +83,7 @@ def seen(protocol: str, windows: Windows, body: BodyModel) -> Seen:
 
 
 def methods(priors: FoldPriors, noise: float) -> dict[str, Method]:
-    """Both ways to fit, with the fold's own pose density in each."""
+    """Methods of fitting, with the fold's own pose density in each."""
     return {
         POSE: PosePrior(priors.density, PoseWeights.for_noise(noise)),
         HUMOR: Collocation.for_noise(priors.humor, noise, priors.density),

@@ -1,4 +1,4 @@
-"""Who is held out: one person at a time, and from which clips the others' priors then learn."""
+"""People held out one at a time, and the clips that the priors of the others then learn from."""
 
 import json
 from collections.abc import Mapping, Sequence

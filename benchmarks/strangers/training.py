@@ -34,7 +34,7 @@ class Schedule:
 
 @dataclass(frozen=True)
 class FoldPriors:
-    """Both priors of a fold."""
+    """Priors of a fold: poses and steps."""
 
     humor: Humor
     density: PoseDensity
@@ -42,7 +42,7 @@ class FoldPriors:
     """Mean error of the joints after ten own steps on the held-out people, metres; None where all
     of their clips are on uneven ground, of which HuMoR says nothing."""
     checksums: dict[str, str]
-    """Of the weights of both."""
+    """Checksums of their weights, by the name of the prior."""
 
 
 def humor_settings(corpus: Path, folder: Path, schedule: Schedule) -> HumorTraining:
