@@ -53,9 +53,18 @@ _FILES = ("clouds", "clouds_mixed")
 
 
 def _clouds() -> dict[str, Any]:
-    """The result files as one."""
+    """The result files as one; a window that several have is taken from the first."""
     found = [result(name) for name in present(_FILES)]
-    return {**found[0], "values": {k: v for one in found for k, v in one["values"].items()}}
+    subject: dict[str, str] = {}
+    values: dict[str, dict[str, dict[str, Any]]] = {}
+    for one in reversed(found):
+        subject |= dict(zip(one["names"], one["subjects"], strict=True))
+        for case, methods in one["values"].items():
+            for method, windows in methods.items():
+                values.setdefault(case, {}).setdefault(method, {}).update(windows)
+    merged = {"names": list(subject), "subjects": list(subject.values())}
+    ordered = {case: values[case] for case in _NAMES if case in values}
+    return {**found[0], **merged, "values": ordered}
 
 
 def depth() -> str:
