@@ -31,8 +31,9 @@ def moved(values: np.ndarray, ulps: int, random: np.random.Generator) -> np.ndar
 
 
 def moved_tensor(values: torch.Tensor, ulps: int, random: np.random.Generator) -> torch.Tensor:
-    """The same of a tensor."""
-    return torch.from_numpy(np.ascontiguousarray(moved(values.numpy(), ulps, random)))
+    """Tensors as `moved`, in their own shape."""
+    found = np.ascontiguousarray(moved(values.numpy(), ulps, random))
+    return torch.from_numpy(found).reshape(values.shape)  # numpy gives a number an axis
 
 
 def install(ulps: int) -> None:

@@ -34,3 +34,9 @@ def test_the_body_is_moved_where_it_was_asked_for(request):
     assert checksum
     assert 0.5 < spread < 2.0
     assert request.config.getoption("--ulps") >= 0
+
+
+def test_single_numbers_keep_their_shape():
+    """A weight that is one number got an axis, and did not fit its network any more."""
+    found = moved_tensor(torch.tensor(3.0), 4, np.random.default_rng(0))
+    assert found.shape == ()
