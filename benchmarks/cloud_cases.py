@@ -1,4 +1,4 @@
-"""What a depth sensor, its camera and a marker system see of a window, as observation files."""
+"""Observation files of a window as a depth sensor, its camera and a marker system see it."""
 
 import functools
 from dataclasses import dataclass, replace
@@ -31,7 +31,7 @@ _PIXELS_KEPT = 30_000
 _EVERY = 5
 """Frames from one whose vertices are looked at to the next."""
 _BEHIND = 0.03
-"""Metres behind the surface that a pixel sees at which a vertex still is the one seen."""
+"""A vertex counts as seen if it lies at most so many metres behind what its pixel sees."""
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,8 @@ pixel of noise; joints have 3 cm. `spoiled` is a fit with labels of the simulati
 Joints about the pelvis and vertices in the world (by way of the true sensor) are in metres;
 `wrong` is whether at least a fifth of the frames face elsewhere by more than 60 degrees or have
 legs, where they are in sight, exchanged. `first` is the first guess. CPU s are of the first guess
-with its labels, and of the whole fit of files that were read. Windows that the JSON has already
-are not fitted again.
+with its labels, and of the whole fit of files that were read. Windows that the JSON has already,
+of the same commit, are not fitted again.
 """
 
 import argparse
@@ -39,7 +39,7 @@ from torch import Tensor
 from benchmarks.arguments import over_windows
 from benchmarks.cloud_cases import CASES, Seen, write_files
 from benchmarks.humor import evenly
-from benchmarks.results import corpus_source, write
+from benchmarks.results import corpus_source, earlier, write
 from benchmarks.scores import Columns, Row, by_subject, rounded, tables
 from benchmarks.spoiled_labels import spoiled, vertices_of
 from benchmarks.windows import Windows, load_windows
@@ -60,7 +60,7 @@ from recon.metrics.evaluation import evaluate, ground_errors
 SEED, FRAMES = 0, 90
 _TURNED = math.radians(60)
 _OFTEN = 0.2
-"""Share of the frames from which on a window faces elsewhere or has its legs exchanged."""
+"""A window faces elsewhere, or has its legs exchanged, if at least this share of frames does."""
 _IN_SIGHT = 0.5
 """Share of the joints of both legs that the sensor sees in a frame with legs in sight."""
 _APART = 0.1
@@ -81,7 +81,7 @@ Found = dict[str, dict[str, dict[str, dict[str, Any]]]]
 
 @dataclass(frozen=True)
 class Fit:
-    """What a version made of a case; motions as they came, poses of the sensor where found."""
+    """The result of one version for one case: its motions, and poses of the sensor where found."""
 
     motion: Motion
     T_world_camera: Float[Tensor, "4 4"] | None
@@ -106,7 +106,7 @@ def main() -> None:
     body, splits = BodyModel.load(), Splits.load(given.splits)
     windows = load_windows(given.corpus, splits, given.part, body, SEED, FRAMES)
     chosen = evenly(windows, given.only)
-    some, found = windows.take(chosen), known(given.json)
+    some, found = windows.take(chosen), earlier(given.json, "values")
     every = list(zip(chosen, some.names, strict=True))
     for number, name in (*every[::2], *every[1::2]):  # so that a part covers all subjects
         with tempfile.TemporaryDirectory() as folder:
@@ -122,13 +122,6 @@ def main() -> None:
         rows = {method: shown(some, values) for method, values in found.get(case, {}).items()}
         for table in tables(f"{case}, {given.part}", COLUMNS, rows) if rows else ():
             Console(width=190).print(table)
-
-
-def known(path: Path | None) -> Found:
-    """Values that the result file has already."""
-    if path is None or not path.is_file():
-        return {}
-    return json.loads(path.read_text(encoding="utf-8"))["values"]
 
 
 def shown(windows: Windows, values: dict[str, dict[str, Any]]) -> dict[str, Row]:
@@ -158,7 +151,7 @@ def compare(seen: Seen, name: str, given: argparse.Namespace, folder: Path, foun
 
 
 def fitted_here(files: list[Path], out: Path, seen: Seen, *, spoil: bool) -> Fit:
-    """What this version makes of the files; the motion is written as well."""
+    """The fit of the files by this version; the motion is written as well."""
     clip = load_clip(files, FitSettings(), seen.body)
     if spoil:
         clip = with_spoiled_labels(clip, seen)
@@ -193,7 +186,7 @@ def with_spoiled_labels(clip: Clip, seen: Seen) -> Clip:
 
 
 def fitted_by(checkout: Path, files: list[Path], out: Path) -> Fit:
-    """What version 0.1.0 makes of them, in a process of its own."""
+    """The fit of the files by version 0.1.0, in a process of its own."""
     first = out.with_name(f"{out.stem}, first.npz")
     asked = {"files": [str(f.resolve()) for f in files], "out": str(out.resolve()),
              "first": str(first.resolve())}  # fmt: skip

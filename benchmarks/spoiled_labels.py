@@ -18,7 +18,7 @@ from recon.core.motion import Motion
 
 WRONG, OFF, EXCHANGED, TURNED = 0.2, 0.04, 0.1, 0.05
 _ON_BODY = 0.08
-"""Metres from the body within which a point is one of it."""
+"""A point is on the body if it lies at most so many metres from it."""
 _SIDES, _ABOUT = torch.tensor([-1.0, 1.0, 1.0]), torch.tensor([-1.0, 1.0, -1.0])
 
 

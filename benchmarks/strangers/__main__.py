@@ -61,7 +61,7 @@ def main() -> None:
 def measured(
     fold: Fold, corpus: Path, folder: Path, schedule: Schedule, count: int, body: BodyModel
 ) -> dict[str, Any]:
-    """What a result file keeps of a fold: what this commit found earlier, or what it finds now."""
+    """The entry of a fold in a result file: as this commit found it earlier, or measured now."""
     priors = trained(fold, corpus, folder, schedule)
     own = commit(ROOT)
     identity = {"commit": own, "windows": count, "weights": priors.checksums}

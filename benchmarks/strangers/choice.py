@@ -1,4 +1,4 @@
-"""Which moments of a fold's people are fitted, and what kind of motion they are."""
+"""The windows of a fold's people that are fitted, and the kind of motion that each shows."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -50,7 +50,7 @@ def kind_of(description: str) -> str:
 
 
 def described(motion: Path) -> str:
-    """What the notes beside a converted motion say was done in it; its name without notes."""
+    """The action that the notes beside a converted motion name; its file name without notes."""
     beside = motion.with_suffix(".json")
     if not beside.is_file():
         return motion.stem

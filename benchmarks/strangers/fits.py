@@ -31,7 +31,7 @@ RUNS = ("noisy joints", "hidden points", "hidden legs")
 
 @dataclass(frozen=True)
 class Seen:
-    """What a protocol shows of some windows, and the frames in which fits are judged."""
+    """The observations of a protocol for some windows, and the frames in which fits are judged."""
 
     observed: Joints3D | Markers3D
     noise: float
@@ -52,11 +52,12 @@ class Row:
     protocol: str
     method: str
     error: float | None
-    """What the protocol is about, metres: all joints, hidden points, joints within the gap, or
-    hidden legs; None where nothing was hidden."""
+    """The error that the protocol is about, metres: of all joints, hidden points, joints within
+    the gap, or hidden legs; None where nothing was hidden."""
     legs: float | None
     slip: float | None
-    """Metres per second, while the truth is in contact; likewise below."""
+    """Mean speed of the feet while the true ones are in contact, metres per second; below, that of
+    the truth."""
     slip_truth: float | None
     network: tuple[int, int, int, int] | None
     """Contacts of feet by the network: right ones where the truth touches, moments in which it
@@ -67,7 +68,7 @@ class Row:
 
 
 def seen(protocol: str, windows: Windows, body: BodyModel) -> Seen:
-    """What is observed in a protocol of `benchmarks.humor`."""
+    """The observations of a protocol of `benchmarks.humor`."""
     truth, every = windows.truth, slice(0, windows.truth.frames)
     if protocol == "noisy joints":
         return Seen(noisy_joints(truth, body, SEED), 0.04, every, "joints_all")

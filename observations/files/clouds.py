@@ -164,11 +164,9 @@ def _walls(
 
     A sensor that moves sees them from many places, and scans have no sensor: none are looked for.
     """
-    if camera is None:
+    if camera is None or camera.poses > 1:
         return []
     pose = T if camera.T_camera_world is None else np.linalg.inv(camera.T_camera_world[0])
-    if camera.T_camera_world is not None and len(camera.T_camera_world) > 1:
-        return []
     few = points[generator.permutation(len(points))[:_SEARCHED]]
     return [(normal, offset, pose[:3, 3]) for normal, offset in find_walls(few)]
 

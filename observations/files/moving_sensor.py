@@ -35,7 +35,7 @@ def movement(file: PointsFile, up: Float[np.ndarray, "3"]) -> tuple[str, ...]:
         ObservationError: when it moves so far that no fit is worth anything.
     """
     camera = file.camera
-    if camera is None or (camera.T_camera_world is not None and len(camera.T_camera_world) > 1):
+    if camera is None or camera.poses > 1:
         return ()
     grounds = _grounds(file, up)
     middle = np.median(file.points[:: max(1, len(file.points) // _SAMPLE)], axis=0)

@@ -42,6 +42,11 @@ class CameraArrays:
     path: CameraPath | None = None
     """How a camera whose pose is not known moved; not written."""
 
+    @property
+    def poses(self) -> int:
+        """Number of poses: none where it is not known, one of a fixed camera, or one per frame."""
+        return 0 if self.T_camera_world is None else len(self.T_camera_world)
+
 
 @dataclass(frozen=True)
 class PositionsFile:
@@ -267,7 +272,7 @@ def _points(path: Path, arrays: dict[str, np.ndarray], common: dict[str, Any]) -
         camera = replace(camera, T_camera_world=pose)
     frame = frame.astype(np.int64)
     clock = PointClock(frame, common["fps"], common["start_time"])
-    moving = camera is not None and _poses(camera) > 1
+    moving = camera is not None and camera.poses > 1
     if not moving and "truth_visible" not in common:
         clock = settled_clock(frame, clock.fps, clock.start_time, path)
     limits.FRAME_RATE.check(clock.fps, path, "fps")
@@ -281,10 +286,6 @@ def _points(path: Path, arrays: dict[str, np.ndarray], common: dict[str, Any]) -
         truth_T_world_camera=_true_pose(path, arrays),
         decisions=clock.decisions,
     )
-
-
-def _poses(camera: CameraArrays) -> int:
-    return 0 if camera.T_camera_world is None else len(camera.T_camera_world)
 
 
 def _camera(path: Path, arrays: dict[str, np.ndarray], frames: int) -> CameraArrays:

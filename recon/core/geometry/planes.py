@@ -1,7 +1,7 @@
 """The ground as the sensor sees it: a plane through many points of a cloud, and what is not it."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -58,18 +58,10 @@ def find_ground(
     if not np.isfinite(points).all():
         raise ValueError("a cloud to find the ground in holds NaN or infinity; leave those out")
     generator = np.random.default_rng(seed)
-    cloud = points
-    if len(cloud) > _SAMPLE:
-        cloud = cloud[generator.permutation(len(cloud))[:_SAMPLE]]
-    left, rejected = cloud, "no plane"
-    for _ in range(_CANDIDATES):
-        found = largest_plane(left, tolerance=tolerance, generator=generator)
-        if found is None or found[2].sum() < least * len(cloud):
-            break
-        normal, offset, inliers = found
+    cloud, rejected = _sample(points, generator), "no plane"
+    for normal, offset, points_of_plane in _planes(cloud, tolerance, least, generator):
         if normal @ up < 0:
             normal, offset = -normal, -offset
-        points_of_plane, left = left[inliers], left[~inliers]
         if normal @ up < math.cos(tilt):
             rejected = f"a plane {math.degrees(math.acos(normal @ up)):.0f} degrees from level"
             continue
@@ -77,7 +69,7 @@ def find_ground(
             rejected = "a level plane no wider than a body"
             continue
         below = float((cloud @ normal < offset - 2 * tolerance).mean())
-        share = float(inliers.sum() / len(cloud))
+        share = len(points_of_plane) / len(cloud)
         if below > max(0.05, share / 2):
             rejected = f"a level plane with {below:.0%} of the points below it"
             continue
@@ -104,19 +96,39 @@ def find_walls(
         seed: of the random samples.
     """
     generator = np.random.default_rng(seed)
-    left = points
-    if len(points) > _SAMPLE:
-        left = points[generator.permutation(len(points))[:_SAMPLE]]
-    enough, found = least * len(left), list[tuple[np.ndarray, float]]()
+    return [
+        (normal, offset)
+        for normal, offset, points_of_plane in _planes(
+            _sample(points, generator), tolerance, least, generator
+        )
+        if abs(normal[2]) < _STEEP and _width(points_of_plane, normal) > _WALL
+    ]
+
+
+def _sample(
+    points: Float[np.ndarray, "points 3"], generator: np.random.Generator
+) -> Float[np.ndarray, "some 3"]:
+    """Points drawn at random, at most as many as planes are counted on."""
+    if len(points) <= _SAMPLE:
+        return points
+    return points[generator.permutation(len(points))[:_SAMPLE]]
+
+
+def _planes(
+    cloud: Float[np.ndarray, "points 3"],
+    tolerance: float,
+    least: float,
+    generator: np.random.Generator,
+) -> Iterator[tuple[Float[np.ndarray, "3"], float, Float[np.ndarray, "inliers 3"]]]:
+    """Unit normal, offset and points of the largest plane, of the largest that it leaves, ..."""
+    left = cloud
     for _ in range(_CANDIDATES):
-        plane = largest_plane(left, tolerance=tolerance, generator=generator)
-        if plane is None or plane[2].sum() < enough:
-            break
-        normal, offset, inliers = plane
-        if abs(normal[2]) < _STEEP and _width(left[inliers], normal) > _WALL:
-            found.append((normal, offset))
+        found = largest_plane(left, tolerance=tolerance, generator=generator)
+        if found is None or found[2].sum() < least * len(cloud):
+            return
+        normal, offset, inliers = found
+        yield normal, offset, left[inliers]
         left = left[~inliers]
-    return found
 
 
 def before(
