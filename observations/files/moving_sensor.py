@@ -1,23 +1,23 @@
-"""Whether a depth sensor that is taken for fixed moves: the ground it sees then moves, too."""
+"""Whether a depth sensor taken for fixed moves: ground and walls that it sees then move, too."""
 
 import math
+from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 from jaxtyping import Float
 
 from recon.core.errors import ObservationError
-from recon.core.geometry.planes import find_ground
-from recon.core.ground import Ground
+from recon.core.geometry.planes import find_ground, find_walls
 from recon.formats.observations import PointsFile
 
 _PLACES, _SHARE = 5, 0.06
-"""Stretches of the clip whose ground is compared, and the share of its frames that each has."""
+"""Stretches of the clip whose planes are compared, and the share of its frames that each has."""
 _SAMPLE = 10_000
 """Points that tell the middle of the scene."""
 _SAID = (2.0, 0.06)
-"""Degrees and metres by which the grounds of two stretches differ from which on it is said.
-Grounds of fixed sensors are found to some tenths of a degree and a centimetre."""
+"""Degrees and metres by which the planes of two stretches differ from which on it is said.
+Planes of fixed sensors are found to some tenths of a degree and a centimetre."""
 _REFUSED = (5.0, 0.2)
 """Degrees and metres from which on a fit would only follow the sensor."""
 
@@ -25,7 +25,8 @@ _REFUSED = (5.0, 0.2)
 def movement(file: PointsFile, up: Float[np.ndarray, "3"]) -> tuple[str, ...]:
     """A note where a fixed sensor seems to move a little.
 
-    A sensor that only turns about the vertical or moves along the ground is not found out.
+    A sensor that only turns about the vertical or moves along the ground is found out by the walls
+    it sees; before a bare floor it is not.
 
     Args:
         file: points and camera as read.
@@ -37,14 +38,20 @@ def movement(file: PointsFile, up: Float[np.ndarray, "3"]) -> tuple[str, ...]:
     camera = file.camera
     if camera is None or camera.poses > 1:
         return ()
-    grounds = _grounds(file, up)
     middle = np.median(file.points[:: max(1, len(file.points) // _SAMPLE)], axis=0)
-    pairs = [_apart(one, other, middle) for one, other in combinations(grounds, 2)]
-    tilt, rise = (max((pair[k] for pair in pairs), default=0.0) for k in (0, 1))
+    seen = _seen(file, up)
+    tilt, rise = 0.0, 0.0
+    for one, other in combinations(seen, 2):
+        for planes, others in ((one.grounds, other.grounds), (one.walls, other.walls)):
+            # what agrees best counts, since the person may hide one of two walls for a while
+            pairs = [_apart(a, b, middle) for a in planes for b in others]
+            if pairs:
+                least = min(pairs, key=lambda pair: pair[0] / _SAID[0] + pair[1] / _SAID[1])
+                tilt, rise = max(tilt, least[0]), max(rise, least[1])
     if tilt <= _SAID[0] and rise <= _SAID[1]:
         return ()
     said = (
-        f"the ground lies elsewhere in the sensor's frame from time to time: it differs by "
+        "ground or walls lie elsewhere in the sensor's frame from time to time: they differ by "
         f"{tilt:.0f} degrees and {100 * rise:.0f} cm"
     )
     if tilt > _REFUSED[0] or rise > _REFUSED[1]:
@@ -56,22 +63,51 @@ def movement(file: PointsFile, up: Float[np.ndarray, "3"]) -> tuple[str, ...]:
     return (f"{said}; the sensor seems to move, but is taken as standing still",)
 
 
-def _grounds(file: PointsFile, up: Float[np.ndarray, "3"]) -> list[Ground]:
-    """The ground as it is seen in some stretches of the clip, where it is seen."""
+Plane = tuple[Float[np.ndarray, "3"], float]
+"""Unit normal n and offset d of the points with n·x = d."""
+
+
+@dataclass(frozen=True)
+class _Stretch:
+    """What of the room is seen in a part of the clip."""
+
+    grounds: tuple[Plane, ...]
+    """One, or none."""
+    walls: tuple[Plane, ...]
+
+
+def _seen(file: PointsFile, up: Float[np.ndarray, "3"]) -> list[_Stretch]:
+    """Ground and walls as they are seen in some stretches of the clip."""
     numbers = np.unique(file.frame)
     length = max(1, round(_SHARE * len(numbers)))
-    found: list[Ground] = []
+    found: list[_Stretch] = []
     for first in np.linspace(0, len(numbers) - length, min(_PLACES, len(numbers))).astype(int):
         last = numbers[first + length - 1]
-        some = (file.frame >= numbers[first]) & (file.frame <= last)
-        ground = find_ground(file.points[some], up).ground
-        found += [] if ground is None else [ground]
+        points = file.points[(file.frame >= numbers[first]) & (file.frame <= last)]
+        ground = find_ground(points, up).ground
+        if ground is None:
+            grounds, upwards = (), up
+        else:
+            upwards = ground.normal.double().numpy()
+            grounds = ((upwards, float(ground.offset)),)
+        turn = _upright(upwards)
+        walls = [(turn.T @ normal, offset) for normal, offset in find_walls(points @ turn.T)]
+        found.append(_Stretch(grounds, tuple(walls)))
     return found
 
 
-def _apart(one: Ground, other: Ground, middle: Float[np.ndarray, "3"]) -> tuple[float, float]:
-    """Degrees between two planes, and metres between them below the middle of the scene."""
-    a, b = (plane.normal.double().numpy() for plane in (one, other))
-    heights = (a @ middle - float(one.offset), b @ middle - float(other.offset))
+def _upright(up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
+    """A rotation that turns a direction to z."""
+    across = np.cross(up, np.eye(3)[np.abs(up).argmin()])
+    across /= np.linalg.norm(across)
+    return np.stack((across, np.cross(up, across), up))
+
+
+def _apart(one: Plane, other: Plane, middle: Float[np.ndarray, "3"]) -> tuple[float, float]:
+    """Degrees between two planes, and metres between them at the middle of the scene."""
+    (a, far), (b, far_other) = one, other
+    # a plane has two normals
+    sign = np.sign(a @ b)
+    away = (a @ middle - far) - sign * (b @ middle - far_other)
     across = float(np.linalg.norm(np.cross(a, b)))
-    return math.degrees(math.asin(min(across, 1.0))), float(abs(heights[0] - heights[1]))
+    return math.degrees(math.asin(min(across, 1.0))), float(abs(away))

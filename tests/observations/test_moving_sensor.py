@@ -1,6 +1,7 @@
 """Sensors that are said to stand still, or do not know their pose, and move."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -43,3 +44,25 @@ def test_a_sensor_that_moves_is_refused(degrees, rise):
 def test_a_sensor_that_trembles_is_said():
     (note,) = movement(scans(3.0), UP)
     assert "seems to move" in note
+
+
+def room(degrees: float, frames: int = 20) -> PointsFile:
+    """A floor and a wall 4 m before a sensor that turns about the vertical."""
+    random = np.random.default_rng(1)
+    clouds = []
+    for k in range(frames):
+        angle = math.radians(degrees) * k / (frames - 1)
+        c, s = math.cos(angle), math.sin(angle)
+        floor = random.uniform((-2, 1.2, 1), (2, 1.2, 4), (500, 3))
+        wall = random.uniform((-2, -1.2, 4), (2, 1.2, 4), (500, 3))
+        both = np.concatenate((floor, wall)) + random.normal(0, 0.01, (1000, 3))
+        clouds.append(both @ np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]).T)
+    numbers = np.repeat(np.arange(frames), 1000)
+    return replace(scans(0.0), points=np.concatenate(clouds), frame=numbers)
+
+
+def test_a_sensor_that_pans_is_refused_where_it_sees_a_wall():
+    """Only the ground was compared, which lies in the same plane while a sensor pans."""
+    assert movement(room(0.0), UP) == ()
+    with pytest.raises(ObservationError, match="so the sensor moves"):
+        movement(room(20.0), UP)
