@@ -34,6 +34,11 @@ def test_a_stretch_without_points_is_bridged():
     away = errors(found.motion, truth, body).mean(-1)
     assert torch.isfinite(found.joints).all()
     assert away[HIDDEN].mean() < 0.12
+    std = found.joint_std
+    assert std is not None
+    # points of a smooth body told every joint to 6 mm, as if the frames erred independently
+    assert std[HIDDEN].median() > 1.2 * std[: HIDDEN.start].median()
+    assert std[: HIDDEN.start].median() > 0.012
     assert torch.cat((away[: HIDDEN.start], away[HIDDEN.stop :])).mean() < 0.05
 
 
