@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from observations.together import kinds
+from observations.together.labelling import labelled
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.diagnosis.findings import Finding
@@ -225,7 +226,8 @@ def examine(found: ClipFit, names: Sequence[str], screened: ScreenedClip) -> Exa
     after = [
         *(told if doubtful else []),
         *([] if carried is None else [carried]),
-        *agreement_warnings(summaries, found.observations, here),
+        # a fit from the caller's own start was not told what the points show
+        *agreement_warnings(summaries, labelled(found.observations), here),
         *sizes,
         *mirror_warnings(views),
         *([] if rate is None else [rate]),
