@@ -20,7 +20,7 @@ from recon.formats.observations import (
     PositionsFile,
     save_observation,
 )
-from recon.simulation.depth import Surface, depth_image, depth_points, without_pose
+from recon.simulation.depth import Shown, Surface, depth_image, depth_points, without_pose
 from recon.simulation.images import dome, keypoints2d
 from recon.simulation.points import joints3d
 
@@ -44,6 +44,11 @@ class Seen:
     """Number of the window in the list, which seeds everything random and the view."""
 
     @functools.cached_property
+    def shown(self) -> Shown:
+        """Who is seen."""
+        return Shown.of(self.truth, self.body)
+
+    @functools.cached_property
     def camera(self) -> Camera:
         """The depth sensor in its true place."""
         return dome(self.truth, self.body, depth_camera(), 1, first=2.4 * self.number)[0]
@@ -53,7 +58,7 @@ class Seen:
         """Body and ground before a sensor of known pose; the legs hidden for the middle third."""
         return depth_points(
             self.truth, self.body, self.camera, corruption(self.truth, 0.0), self.number,
-            points=_PIXELS_KEPT, surfaces=(Surface.BODY, Surface.GROUND),
+            points=_PIXELS_KEPT, surfaces=(Surface.BODY, Surface.GROUND), shown=self.shown,
         )  # fmt: skip
 
     @functools.cached_property
@@ -87,15 +92,15 @@ class Seen:
     def visible_vertices(self) -> Bool[Tensor, "shown vertices"]:
         """Vertices that the sensor sees in those frames."""
         hidden = corruption(self.truth, 0.0).active(self.truth.times)
-        vertices = self.body.pose(self.truth).vertices
+        vertices = self.shown.vertices
         return torch.stack([
             self._seen(vertices[k]) & ~(hidden[k] & (vertices[k][:, 2] < HIDDEN))
             for k in self.shown_frames
         ])  # fmt: skip
 
     def _seen(self, vertices: Float[Tensor, "vertices 3"]) -> Bool[Tensor, " vertices"]:
-        faces = self.body.faces.cpu().numpy()
-        image = torch.from_numpy(depth_image(vertices, faces, self.camera, None)[0])
+        image = depth_image(vertices, self.shown.faces, self.camera, None)[0]
+        image = torch.from_numpy(image)
         projected = self.camera.project(vertices)
         height, width = image.shape
         column = projected.pixels[:, 0].long().clamp(0, width - 1)
@@ -103,9 +108,12 @@ class Seen:
         return projected.in_front & (projected.depth < image[row, column] + _BEHIND)
 
 
+OTHERS = "depth, MakeHuman"
+"""The case with people who are not quite our body."""
 CASES: dict[str, tuple[str, ...]] = {
     "depth": ("posed",),
     "depth, sensor unknown": ("unposed",),
+    OTHERS: ("makehuman",),
     "2D": ("keypoints",),
     "2D + depth": ("keypoints", "unposed"),
     "joints": ("joints",),
@@ -134,4 +142,4 @@ def _file(seen: Seen, name: str) -> ObservationFile:
         return replace(seen.keypoints, truth_T_world_camera=None)
     if name == "joints":
         return seen.joints
-    return seen.cloud if name == "posed" else without_pose(seen.cloud)
+    return without_pose(seen.cloud) if name == "unposed" else seen.cloud

@@ -2,14 +2,18 @@
 
     python -m benchmarks.clouds CORPUS --baseline VERSION_0.1.0 --json clouds.json
     python -m benchmarks.clouds CORPUS --part validation --only 12 --methods recon
+    python -m benchmarks.clouds CORPUS --cases 'depth, MakeHuman' --people PEOPLE.npz
 
 VERSION_0.1.0 is a source checkout of that version (commit 0ce0517). Windows of 90 frames, written
 to observation files and fitted with the default prior (HuMoR by collocation). The sensor has 512 x
 424 pixels, noise, holes and flying pixels, and sees body and ground; nothing below 0.9 m is seen
 in the middle third. `depth` knows the pose of its sensor; `depth, sensor unknown`, `2D` and
 `2D + depth` do not, nor where the ground is; 2D keypoints are in the sensor's own image, with one
-pixel of noise; joints have 3 cm. `spoiled` is a fit with labels of the simulation
-(`benchmarks.spoiled_labels`) in place of the network's.
+pixel of noise; joints have 3 cm. In `depth, MakeHuman` the pose is known as well, and people who
+are not quite our body do the motion (`benchmarks.cloud_people`); PEOPLE.npz is that of
+`benchmarks.people`. `spoiled` is a fit with labels of the simulation
+(`benchmarks.spoiled_labels`) in place of the network's; `turned` is one that starts at the first
+guess turned about the vertical by half a turn, without labels, to see whether wrong fits are said.
 
 Joints about the pelvis and vertices in the world (by way of the true sensor) are in metres;
 `wrong` is whether at least a fifth of the frames face elsewhere by more than 60 degrees or have
@@ -37,11 +41,14 @@ from rich.console import Console
 from torch import Tensor
 
 from benchmarks.arguments import over_windows
-from benchmarks.cloud_cases import CASES, Seen, write_files
+from benchmarks.cloud_cases import CASES, OTHERS, Seen, write_files
+from benchmarks.cloud_people import SeenPerson
 from benchmarks.humor import evenly
+from benchmarks.people import People
 from benchmarks.results import corpus_source, earlier, write
 from benchmarks.scores import Columns, Row, by_subject, rounded, tables
 from benchmarks.spoiled_labels import spoiled, vertices_of
+from benchmarks.uncertainty import NINE_TENTHS
 from benchmarks.windows import Windows, load_windows
 from observations.depth import PointCloud
 from observations.together.first_guess import first_guess
@@ -66,12 +73,15 @@ _IN_SIGHT = 0.5
 _APART = 0.1
 """Mean distance of leg joints from the truth, metres, from which on legs may be exchanged."""
 
-METHODS = ("recon", "0.1.0", "spoiled")
+USUAL = [case for case in CASES if case != OTHERS]
+METHODS = ("recon", "0.1.0", "spoiled", "turned")
 COLUMNS: Columns = {
     "root_visible": ("visible", 100), "root_hidden": ("hidden", 100), "root_all": ("all", 100),
     "vertices_visible": ("vertices visible", 100), "vertices": ("vertices", 100),
     "turned": ("turned %", 100), "exchanged": ("legs exch. %", 100), "wrong": ("wrong %", 100),
     "first": ("first", 100), "normal": ("normal °", 1), "height": ("height", 100),
+    "covered_visible": ("within, seen", 1), "covered_hidden": ("within, hidden", 1),
+    "surface": ("surface", 100), "surface_visible": ("surface seen", 100),
     "said": ("warned %", 100), "first_seconds": ("first CPU s", 1), "seconds": ("CPU s", 1),
 }  # fmt: skip
 
@@ -90,19 +100,25 @@ class Fit:
     first_seconds: float
     seconds: float
     warnings: tuple[str, ...]
+    std: Float[Tensor, "time 22"] | None = None
+    """Standard deviations of the joints, metres; of fits in the true world only."""
 
 
 def main() -> None:
     parser = over_windows(__doc__)
     parser.add_argument("--only", type=int, default=None, help="use so many windows in all")
-    parser.add_argument("--cases", nargs="+", choices=CASES, default=list(CASES))
+    parser.add_argument("--cases", nargs="+", choices=CASES, default=USUAL)
     parser.add_argument("--methods", nargs="+", choices=METHODS, default=["recon"])
     parser.add_argument("--baseline", type=Path, default=None, help="a checkout of version 0.1.0")
+    parser.add_argument("--people", type=Path, default=None, help="of benchmarks.people")
     parser.add_argument("--keep", type=Path, default=None, help="a folder for files and motions")
     parser.set_defaults(part="validation")
     given = parser.parse_args()
     if "0.1.0" in given.methods and given.baseline is None:
         parser.error("0.1.0 needs --baseline, a source checkout of that version")
+    if OTHERS in given.cases and given.people is None:
+        parser.error(f"{OTHERS} needs --people, a file that benchmarks.people wrote")
+    people = None if given.people is None else People.load(given.people)
     body, splits = BodyModel.load(), Splits.load(given.splits)
     windows = load_windows(given.corpus, splits, given.part, body, SEED, FRAMES)
     chosen = evenly(windows, given.only)
@@ -113,7 +129,7 @@ def main() -> None:
             seen = Seen(windows.truth[number], body, number)
             kept = Path(folder) if given.keep is None else given.keep / name
             kept.mkdir(parents=True, exist_ok=True)
-            compare(seen, name, given, kept, found)
+            compare(seen, people, name, given, kept, found)
         if given.json is not None:
             about = {"part": given.part, **some.about}
             write(given.json, SEED, corpus_source(given.corpus, windows.files), **about,
@@ -131,34 +147,45 @@ def shown(windows: Windows, values: dict[str, dict[str, Any]]) -> dict[str, Row]
     return by_subject(some, [{k: values[name].get(k) for k in COLUMNS} for name in some.names])
 
 
-def compare(seen: Seen, name: str, given: argparse.Namespace, folder: Path, found: Found) -> None:
+def compare(
+    usual: Seen,
+    people: People | None,
+    name: str,
+    given: argparse.Namespace,
+    folder: Path,
+    found: Found,
+) -> None:
     """Fit all cases of a window that are not known yet, by all methods."""
     for case in given.cases:
+        seen = usual
+        if case == OTHERS:
+            assert people is not None
+            seen = SeenPerson(usual.truth, usual.body, usual.number, people=people)
         for method in given.methods:
             values = found.setdefault(case, {}).setdefault(method, {})
-            if name in values or (method == "spoiled" and "depth" not in case):
+            if name in values or (method in ("spoiled", "turned") and "depth" not in case):
                 continue
             files = write_files(seen, case, folder)
             out = folder / f"{case}, {method}.npz"
             if method == "0.1.0":
                 done = fitted_by(given.baseline, files, out)
             else:
-                done = fitted_here(files, out, seen, spoil=method == "spoiled")
+                done = fitted_here(files, out, seen, method)
             values[name] = measured(seen, done)
             row = {k: v for k, v in values[name].items() if isinstance(v, float)}
             print(name, case, method, {k: f"{v:.3g}" for k, v in row.items()}, flush=True)
             print("   ", [text[:80] for text in done.warnings], flush=True)
 
 
-def fitted_here(files: list[Path], out: Path, seen: Seen, *, spoil: bool) -> Fit:
+def fitted_here(files: list[Path], out: Path, seen: Seen, method: str) -> Fit:
     """The fit of the files by this version; the motion is written as well."""
     clip = load_clip(files, FitSettings(), seen.body)
-    if spoil:
+    if method == "spoiled":
         clip = with_spoiled_labels(clip, seen)
     began = time.process_time()
     first = first_guess(labelled(clip.observations), seen.body).motion[0]
     between = time.process_time()
-    result = fit(clip, body=seen.body)
+    result = fit(clip, body=seen.body, start=turned_about(first) if method == "turned" else None)
     ended = time.process_time()
     result.save(out, overwrite=True)
     place = clip.T_recording_camera
@@ -167,7 +194,16 @@ def fitted_here(files: list[Path], out: Path, seen: Seen, *, spoil: bool) -> Fit
         None if place is None else torch.from_numpy(place).float(),
         between - began, ended - between,
         tuple(f"{one.code}: {one.message}" for one in result.examined.warnings),
+        result.joint_std if place is None else None,
     )  # fmt: skip
+
+
+def turned_about(motion: Motion) -> Motion:
+    """The motion turned by half a turn about the vertical, every frame about its pelvis."""
+    half = torch.diag(torch.tensor([-1.0, -1.0, 1.0])).to(motion.rotations)
+    rotations = motion.rotations.clone()
+    rotations[:, 0] = half @ rotations[:, 0]
+    return motion.replace(rotations=rotations)
 
 
 def with_spoiled_labels(clip: Clip, seen: Seen) -> Clip:
@@ -212,17 +248,14 @@ def fitted_by(checkout: Path, files: list[Path], out: Path) -> Fit:
 
 def measured(seen: Seen, done: Fit) -> dict[str, Any]:
     """One window's columns, errors in the true world by way of the true sensor."""
-    body, truth, camera = seen.body, seen.truth, seen.camera.T_world_camera
+    body, camera = seen.body, seen.camera.T_world_camera
     found = done.T_world_camera
     motion = placed(done.motion, None if found is None else camera @ found.inverse(), body)
-    errors = evaluate(motion, truth, body, truth_visible=seen.visible_joints)
     place = None if found is None else done.T_recording_camera
     first = placed(done.first, None if place is None else camera @ place.inverse(), body)
     values: dict[str, Any] = {
-        "root_visible": errors["root_joints_visible"], "root_hidden": errors["root_joints_hidden"],
-        "root_all": errors["root_joints_all"], "vertices": errors["vertices"],
-        **vertices_visible(motion, seen), **mistaken(motion, seen),
-        "first": evaluate(first, truth, body)["root_joints_all"],
+        **errors_of(motion, seen), **mistaken(motion, seen), **covered(motion, done.std, seen),
+        "first": errors_of(first, seen)["root_all"],
         "first_seconds": done.first_seconds, "seconds": done.seconds,
         "said": float(len(done.warnings) > 0),
     }  # fmt: skip
@@ -231,6 +264,41 @@ def measured(seen: Seen, done: Fit) -> dict[str, Any]:
         values |= {"normal": math.degrees(errors["ground_normal"]),
                    "height": errors["ground_height"]}  # fmt: skip
     return {**{k: rounded(v) for k, v in values.items()}, "warnings": codes(done.warnings)}
+
+
+def errors_of(motion: Motion, seen: Seen) -> Row:
+    """Errors of joints about the pelvis and of the surface, metres."""
+    if isinstance(seen, SeenPerson):
+        away, visible = about_the_pelvis(motion, seen).norm(dim=-1), seen.visible_joints
+        visible = visible[: len(away)]
+        return {
+            "root_visible": float(away[visible].mean()),
+            "root_hidden": float(away[~visible].mean()), "root_all": float(away.mean()),
+            "unsure": seen.unsure, **seen.surface_errors(motion),
+        }  # fmt: skip
+    errors = evaluate(motion, seen.truth, seen.body, truth_visible=seen.visible_joints)
+    return {
+        "root_visible": errors["root_joints_visible"], "root_hidden": errors["root_joints_hidden"],
+        "root_all": errors["root_joints_all"], "vertices": errors["vertices"],
+        **vertices_visible(motion, seen),
+    }  # fmt: skip
+
+
+def about_the_pelvis(motion: Motion, seen: Seen) -> Float[Tensor, "time 22 3"]:
+    """Errors of joints about the pelvis, metres."""
+    own, true = seen.body.pose(motion).joints, seen.shown.joints[: motion.frames]
+    return (own - own[:, :1]) - (true - true[:, :1])
+
+
+def covered(motion: Motion, std: Float[Tensor, "time 22"] | None, seen: Seen) -> Row:
+    """Shares of errors of seen and of hidden joints, along an axis, within 1.645 deviations."""
+    if std is None:
+        return {}
+    own, true = seen.body.pose(motion).joints, seen.shown.joints[: motion.frames]
+    within = ((own - true).abs() <= NINE_TENTHS * std[..., None]).float().mean(-1)
+    visible = seen.visible_joints[: len(within)]
+    hidden = None if bool(visible.all()) else float(within[~visible].mean())
+    return {"covered_visible": float(within[visible].mean()), "covered_hidden": hidden}
 
 
 def placed(motion: Motion, T: Float[Tensor, "4 4"] | None, body: BodyModel) -> Motion:
@@ -256,7 +324,7 @@ def mistaken(motion: Motion, seen: Seen) -> Row:
     away = so3.geodesic(motion.rotations[:, 0], truth.rotations[:, 0])
     own, true = (
         joints - joints[:, :1]
-        for joints in (seen.body.pose(one).joints for one in (motion, truth))
+        for joints in (seen.body.pose(motion).joints, seen.shown.joints[:frames])
     )
     legs, others = list(LEGS), [MIRROR[k] for k in LEGS]
     shown = seen.visible_joints[:frames, legs].float().mean(-1) >= _IN_SIGHT

@@ -150,7 +150,7 @@ def clouds_of(
             posed.orientations[frames].double().numpy(),
             posed.joints[frames, 0].double().numpy(),
             curl=random.uniform(0.0, 1.2),
-            offset=_worn(people, person, body, number, clothing),
+            offset=worn_by(people, person, body, number, clothing),
         )
         faces, places = people.faces, people.places
     vertices[..., 2] -= vertices[..., 2].min()
@@ -240,7 +240,7 @@ def _clouds(
     return Clouds(turned, regions, places, None if eye is None else turn @ eye, level=False)
 
 
-def _worn(
+def worn_by(
     people: People, person: int, body: BodyModel, number: int, clothing: Clothing
 ) -> Float[np.ndarray, "vertices 3"]:
     """Clothes of one person, as they stand off the skin in the resting pose."""

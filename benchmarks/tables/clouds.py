@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from benchmarks.cloud_cases import ALONE
+from benchmarks.cloud_cases import ALONE, OTHERS
 from benchmarks.intervals import interval, paired
 from benchmarks.tables.values import markdown, number, present, result, source, spread
 
@@ -31,14 +31,17 @@ def _spread(estimate: Mapping[str, float], digits: int) -> str:
 
 
 _NAMES = {
-    "depth": "depth, sensor known", "depth, sensor unknown": "depth, sensor unknown",
+    "depth": "depth, sensor known", OTHERS: "depth, sensor known, MakeHuman's people",
+    "depth, sensor unknown": "depth, sensor unknown",
     "2D": "2D of the sensor, unknown", "2D + depth": "2D + depth, sensor unknown",
     "joints": "joints", "joints + depth": "joints + depth, sensor known",
 }  # fmt: skip
 _COLUMNS = {
     "root_visible": ("visible cm", 100, 1), "root_hidden": ("hidden cm", 100, 1),
     "root_all": ("all cm", 100, 1), "vertices_visible": ("vertices seen cm", 100, 1),
-    "vertices": ("vertices cm", 100, 1), "wrong": ("windows wrong %", 100, 0),
+    "vertices": ("vertices cm", 100, 1), "surface": ("surface cm", 100, 1),
+    "covered_visible": ("within std, seen", 1, 2), "covered_hidden": ("hidden", 1, 2),
+    "wrong": ("windows wrong %", 100, 0),
     "first": ("first guess cm", 100, 1), "normal": ("normal °", 1, 1),
     "height": ("height cm", 100, 1), "first_seconds": ("first CPU s", 1, 1),
     "seconds": ("CPU s", 1, 1),
@@ -48,8 +51,8 @@ _WRONG = 0.1
 """Mean error of joints about the pelvis, metres, from which on a fit should say something."""
 
 
-_FILES = ("clouds", "clouds_mixed")
-"""Result files: clouds alone, and the other cases on fewer of their windows."""
+_FILES = ("clouds", "clouds_people", "clouds_mixed")
+"""Result files: clouds alone, of other people, and other cases on fewer of their windows."""
 
 
 def _clouds() -> dict[str, Any]:

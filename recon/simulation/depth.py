@@ -23,6 +23,21 @@ from recon.simulation.points import Corner, Corruption
 POINTS = 4096
 
 
+@dataclass(frozen=True)
+class Shown:
+    """A body as it moves before a sensor, metres."""
+
+    vertices: Float[torch.Tensor, "time vertices 3"]
+    faces: Int[np.ndarray, "faces 3"]
+    joints: Float[torch.Tensor, "time 22 3"]
+
+    @classmethod
+    def of(cls, motion: Motion, body: BodyModel) -> "Shown":
+        """Our body during a motion of one clip."""
+        posed = body.pose(motion)
+        return cls(posed.vertices, body.faces.cpu().numpy(), posed.joints)
+
+
 class Surface(IntEnum):
     """What a pixel sees."""
 
@@ -77,6 +92,7 @@ def depth_points(
     points: int = POINTS,
     surfaces: tuple[Surface, ...] = (Surface.BODY,),
     furniture: FurnitureMesh | None = None,
+    shown: Shown | None = None,
 ) -> PointsFile:
     """Points of one clip (no batch axis) that a depth sensor sees, in the world.
 
@@ -96,14 +112,14 @@ def depth_points(
         points: most points of a frame.
         surfaces: what a segmentation leaves: the body alone, or what is around it as well.
         furniture: what stands in the room and hides what is behind it, metres.
+        shown: who is seen in every frame of the motion instead of our body.
 
     Raises:
         ValueError: when the camera sees none of it in any frame.
     """
     sensor = DepthSensor() if sensor is None else sensor
     random, generator = np.random.default_rng(seed), torch.Generator().manual_seed(seed)
-    vertices = body.pose(motion).vertices
-    faces = body.faces.cpu().numpy()
+    shown = Shown.of(motion, body) if shown is None else shown
     active = corruption.active(motion.times).tolist()
     there = torch.rand(motion.frames, generator=generator) >= corruption.missing_frames
     poses = camera.T_camera_world.expand(motion.frames, 4, 4)
@@ -113,7 +129,7 @@ def depth_points(
         cloud = np.zeros((0, 3))
         if there[k]:
             box = corruption.hide_box if active[k] else None
-            true, surface = depth_image(vertices[k], faces, view, box, furniture)
+            true, surface = depth_image(shown.vertices[k], shown.faces, view, box, furniture)
             depth = measured(true, view, sensor, random)
             kept = np.isin(surface, surfaces) & (depth > 0)
             if active[k] and corruption.hide_below is not None:
@@ -126,7 +142,6 @@ def depth_points(
         raise ReconError(
             "the sensor sees nothing of this motion; place it 2 to 4 m away, looking at the body"
         )
-    joints = body.pose(motion).joints
     clear = replace(corruption, missing_points=0.0, missing_frames=0.0)
     return PointsFile(
         points=np.concatenate(clouds),
@@ -134,7 +149,7 @@ def depth_points(
         fps=motion.fps,
         camera=camera_arrays(camera),
         start_time=motion.start_time,
-        truth_visible=in_sight(joints, camera, clear, motion, generator).numpy(),
+        truth_visible=in_sight(shown.joints, camera, clear, motion, generator).numpy(),
     )
 
 
