@@ -45,7 +45,7 @@ class Seen:
 
     @functools.cached_property
     def shown(self) -> Shown:
-        """Who is seen."""
+        """The body that the sensor sees."""
         return Shown.of(self.truth, self.body)
 
     @functools.cached_property
