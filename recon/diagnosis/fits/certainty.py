@@ -21,8 +21,8 @@ _WORTH: dict[Unit, float] = {"metres": 4.0, "pixels": 1.0}
 that stands for them says, so errors are smaller than its curvature promises; chosen on validation
 people so that 90 % of the errors of seen joints lie within 1.645 standard deviations."""
 _CLOUD_WORTH = 0.05
-"""What a patch of a cloud's surface in one frame is worth, chosen likewise: what a body of other flesh and clothes
-misses stays the same over many frames."""
+"""What a patch of a cloud's surface in one frame is worth, chosen likewise: what a body of other
+flesh and clothes misses stays the same over many frames."""
 _STANCE = 0.03
 """Metres by which standing feet miss the ground, clip by clip."""
 _UPRIGHT = 0.04
