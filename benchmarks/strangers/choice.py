@@ -1,7 +1,6 @@
 """The windows of a fold's people that are fitted, and the kind of motion that each shows."""
 
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -10,24 +9,13 @@ import numpy as np
 from benchmarks.strangers.folds import Fold
 from benchmarks.windows import FPS, Windows, load_windows
 from priors.training.dataset import clip_files, is_flat
+from priors.training.kinds import described, kind_of
 from recon.body.model import BodyModel
 from recon.formats.motions import load_motion
 
 FRAMES = 60
 RUN_FRAMES = 30
 """Recorded runs last less than two seconds."""
-
-KINDS: Mapping[str, tuple[str, ...]] = {
-    "uneven ground": ("uneven", "playground", "stairs"),
-    "run": ("run", "jog"),
-    "walk": ("walk",),
-    "jump": ("jump",),
-    "dance": ("danc",),
-    "fight": ("martial", "punch", "sword"),
-    "ball": ("soccer", "basketball"),
-}
-"""Words of a recording's description that tell the kind of motion; the first kind counts."""
-OTHER = "other"
 
 
 @dataclass(frozen=True)
@@ -38,23 +26,6 @@ class Chosen:
     kinds: tuple[str, ...]
     flat: tuple[bool, ...]
     """Whether the ground of each is z = 0 everywhere; elsewhere contacts are not known."""
-
-
-def kind_of(description: str) -> str:
-    """The kind of motion that a description of a recording tells."""
-    text = description.lower()
-    for kind, words in KINDS.items():
-        if any(word in text for word in words):
-            return kind
-    return OTHER
-
-
-def described(motion: Path) -> str:
-    """The action that the notes beside a converted motion name; its file name without notes."""
-    beside = motion.with_suffix(".json")
-    if not beside.is_file():
-        return motion.stem
-    return str(json.loads(beside.read_text(encoding="utf-8")).get("action", motion.stem))
 
 
 def chosen(
