@@ -59,13 +59,24 @@ def same_run(path: Path, own: dict[str, Any], found: dict[str, Any] | None) -> N
             f"{path}: an older version wrote this checkpoint without saying what it learned "
             "from, so it cannot be continued; take another folder"
         )
-    names = [name for name in (own | found) if own.get(name) != found.get(name)]
+    names = [name for name in (own | found) if not _same(own.get(name), found.get(name))]
     if len(names) > 0:
         said = [_difference(name, found.get(name), own.get(name)) for name in names]
         raise ValueError(
             f"{path}: a run with other {', '.join(said)}; take another folder, or the settings "
             "and files of that run"
         )
+
+
+def _same(here: Any, there: Any) -> bool:
+    """Whether a setting is the same; a part that is zero counts as one that is not there.
+
+    Parts that are added to a group of settings, such as a new variation, are zero where nothing
+    changes, and checkpoints from before them hold the same run.
+    """
+    if isinstance(here, dict) and isinstance(there, dict):
+        return all(here.get(name, 0) == there.get(name, 0) for name in here | there)
+    return here == there
 
 
 def _difference(name: str, there: Any, here: Any) -> str:

@@ -16,6 +16,10 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from priors.humor.state import State
+from priors.humor.training.variety.halves import joined
+from priors.humor.training.variety.moments import PER_FRAME, Moments, with_edited
+from priors.humor.training.variety.variation import Variation as Variation
+from priors.humor.training.variety.variation import chosen_rows, edited
 from priors.training.dataset import (
     Licence,
     Part,
@@ -23,7 +27,7 @@ from priors.training.dataset import (
     files_on_flat_ground,
     mirrored_rotations,
 )
-from recon.body.kinematics import forward_kinematics
+from priors.training.kinds import described, kind_of
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.skeleton import CONTACT_JOINTS, MIRROR, TOES
@@ -61,20 +65,6 @@ class StateWindows(TensorStruct):
 
 
 @dataclass(frozen=True)
-class Variation:
-    """Random variations of windows in training; zeros leave them as recorded."""
-
-    mirror: float = 0.5
-    """Chance of being mirrored."""
-    reverse: float = 0.2
-    """Chance of being played backwards: few people were recorded walking so."""
-    speed: float = 0.15
-    """Played up to this fraction faster or slower."""
-    shape: float = 0.5
-    """Standard deviation by which each shape coefficient is moved."""
-
-
-@dataclass(frozen=True)
 class Corpus(TensorStruct):
     """All clips of one part end to end."""
 
@@ -87,6 +77,10 @@ class Corpus(TensorStruct):
     """Number of its frames."""
     shape: Float[Tensor, "clips shape"]
     trusted: Bool[Tensor, " clips"]
+    kind: Int[Tensor, " clips"]
+    """Clips of one kind of motion have one number."""
+    person: Int[Tensor, " clips"]
+    """Clips of one person have one number."""
     body: BodyModel
     soles: Int[Tensor, " soles"]
     """Vertices of which one is the lowest of any unposed body."""
@@ -117,11 +111,13 @@ class Corpus(TensorStruct):
         """
         clips: list[MotionFile] = []
         names: list[str] = []
+        kinds: list[str] = []
         for name, path in files_on_flat_ground(folder, splits, part, licence).items():
             for piece in _between_jumps(load_motion(path)):
                 if piece.motion.frames >= shortest * piece.motion.fps:
                     clips.append(_at_rate(piece))
                     names.append(name)
+                    kinds.append(kind_of(described(path)))
         if len(clips) == 0:
             raise ValueError(f"{folder}: no {part} clip on flat ground there ({licence})")
         count = torch.tensor([c.motion.frames for c in clips])
@@ -134,6 +130,8 @@ class Corpus(TensorStruct):
             count=count,
             shape=torch.stack([c.motion.shape for c in clips]),
             trusted=torch.tensor([c.contacts is not None for c in clips]),
+            kind=_numbered(kinds),
+            person=_numbered([splits.subject(name) for name in names]),
             body=body,
             soles=(body.template[:, 1] < body.joint_template[list(TOES), 1].min()).nonzero()[:, 0],
             names=tuple(names),
@@ -145,7 +143,7 @@ class Corpus(TensorStruct):
         """Random windows; a clip is drawn as often as the square root of its length says.
 
         Uniformly by length, one long dance would be all that is learned; uniformly by clip, the
-        shortest clips would be learned by heart.
+        shortest clips would be learned by heart. `Variation.kinds` and `people` balance further.
         """
 
         def uniform(*size: int) -> Tensor:
@@ -153,20 +151,38 @@ class Corpus(TensorStruct):
 
         speed = ((2 * uniform(windows) - 1) * np.log1p(variation.speed)).exp()
         chance = self.count.float().sqrt() * (self.count > self._span(frames, 1 + variation.speed))
-        clip = torch.multinomial(chance.cpu(), windows, replacement=True, generator=random)
-        clip = clip.to(self.start.device)
-        room = self.count[clip] - self._span(frames, speed)
-        first = self.start[clip] + 1 + (uniform(windows) * room).long()
+        for group, share in ((self.kind, variation.kinds), (self.person, variation.people)):
+            chance = _balanced(chance, group, share)
+
+        def places(speed: Tensor) -> tuple[Tensor, Tensor]:
+            clip = torch.multinomial(chance.cpu(), len(speed), replacement=True, generator=random)
+            clip = clip.to(self.start.device)
+            room = self.count[clip] - self._span(frames, speed)
+            return clip, self.start[clip] + 1 + (uniform(len(speed)) * room).long()
+
+        clip, first = places(speed)
         normal = torch.randn(windows, self.shape.shape[1], generator=random)
-        return self._cut(
-            clip,
-            first,
-            speed,
-            frames,
-            mirror=uniform(windows) < variation.mirror,
-            reverse=uniform(windows) < variation.reverse,
-            shape=self.shape[clip] + variation.shape * normal.to(self.shape),
-        )
+        mirror = uniform(windows) < variation.mirror
+        reverse = uniform(windows) < variation.reverse
+        shape = self.shape[clip] + variation.shape * normal.to(self.shape)
+        moments = self._moments(clip, first, speed, frames, mirror, reverse, shape)
+        if variation.halves > 0:
+            rows = chosen_rows(uniform(windows) < variation.halves)
+            if len(rows) > 0:
+                other, its_first = places(speed[rows])
+                trunks = self._moments(
+                    other,
+                    its_first,
+                    speed[rows],
+                    frames,
+                    uniform(len(rows)) < variation.mirror,
+                    uniform(len(rows)) < variation.reverse,
+                    shape[rows],
+                )
+                made, accepted = joined(moments[rows], trunks)
+                moments = with_edited(moments, rows, made, accepted & (other != clip[rows]))
+        moments = edited(moments, variation, random)
+        return _states(moments, self.trusted[clip])
 
     def every(self, frames: int) -> StateWindows:
         """All windows one after the other, as recorded."""
@@ -184,14 +200,16 @@ class Corpus(TensorStruct):
         rows = torch.tensor(clip, device=self.start.device)
         one = torch.ones(len(rows), device=self.start.device)
         places = torch.tensor(first, device=self.start.device)
-        return self._cut(rows, places, one, frames, one < 0, one < 0, self.shape[rows])
+        never = one < 0
+        moments = self._moments(rows, places, one, frames, never, never, self.shape[rows])
+        return _states(moments, self.trusted[rows])
 
     @staticmethod
     def _span(frames: int, speed: Tensor | float) -> Tensor | float:
         """Frames in memory that a window needs, with one more on each side and for rounding."""
         return (frames - 1) * STRIDE * speed + 4
 
-    def _cut(
+    def _moments(
         self,
         clip: Int[Tensor, " windows"],
         first: Int[Tensor, " windows"],
@@ -200,7 +218,7 @@ class Corpus(TensorStruct):
         mirror: Bool[Tensor, " windows"],
         reverse: Bool[Tensor, " windows"],
         shape: Float[Tensor, "windows shape"],
-    ) -> StateWindows:
+    ) -> Moments:
         steps = torch.arange(frames, device=first.device)
         place = first[:, None] + STRIDE * speed[:, None] * steps
         place = torch.where(reverse[:, None], place.flip(1), place)
@@ -220,24 +238,16 @@ class Corpus(TensorStruct):
         rotations = torch.where(m[..., None, None, None], mirrored_rotations(rotations), rotations)
         contacts = torch.where(m, contacts[..., _MIRRORED_CONTACTS], contacts)
 
-        rest = self.body.rest_joints(shape)
-        translation = self._rescaled(translation, self.shape[clip], shape)
-        # the three moments of a frame are one axis of the kinematics' batch
-        flat = rotations.flatten(1, 2)
-        joints = forward_kinematics(flat, rest)[1] + translation.flatten(1, 2)[:, :, None]
-        joints = joints.unflatten(1, (frames, 3))
-        rate = (RATE / 2) * speed[:, None, None]
-        spin = rotations[:, :, 2, 0] @ rotations[:, :, 0, 0].mT
-        states = State(
-            translation=translation[:, :, 1],
-            velocity=(translation[:, :, 2] - translation[:, :, 0]) * rate,
-            root=rotations[:, :, 1, 0],
-            angular_velocity=so3.axis_sine(spin) * rate,
-            pose=rotations[:, :, 1, 1:],
-            joints=joints[:, :, 1],
-            joint_velocities=(joints[:, :, 2] - joints[:, :, 0]) * rate[..., None],
+        beside = torch.arange(PER_FRAME, device=first.device) - 1
+        seconds = steps[:, None] / REFERENCE_FPS + beside / (RATE * speed[:, None, None])
+        # the three moments of a frame are one axis of time
+        return Moments(
+            translation=self._rescaled(translation, self.shape[clip], shape).flatten(1, 2),
+            rotations=rotations.flatten(1, 2),
+            contacts=contacts,
+            seconds=seconds.flatten(1, 2),
+            rest=self.body.rest_joints(shape),
         )
-        return StateWindows(states, contacts.to(joints), self.trusted[clip], rest)
 
     def _rescaled(
         self,
@@ -268,6 +278,37 @@ class Corpus(TensorStruct):
         return (rest[:, 0] - sole)[:, None] * up, (toes - sole)[:, None] * up
 
 
+def _states(moments: Moments, trusted: Bool[Tensor, " windows"]) -> StateWindows:
+    """States at the frames of windows; velocities are differences of the moments beside them."""
+    count = moments.contacts.shape[1]
+    joints = moments.posed()[1].unflatten(1, (count, PER_FRAME))
+    translation = moments.translation.unflatten(1, (count, PER_FRAME))
+    rotations = moments.rotations.unflatten(1, (count, PER_FRAME))
+    seconds = moments.seconds.unflatten(1, (count, PER_FRAME))
+    rate = 1 / (seconds[:, :, 2] - seconds[:, :, 0])[..., None]
+    spin = rotations[:, :, 2, 0] @ rotations[:, :, 0, 0].mT
+    states = State(
+        translation=translation[:, :, 1],
+        velocity=(translation[:, :, 2] - translation[:, :, 0]) * rate,
+        root=rotations[:, :, 1, 0],
+        angular_velocity=so3.axis_sine(spin) * rate,
+        pose=rotations[:, :, 1, 1:],
+        joints=joints[:, :, 1],
+        joint_velocities=(joints[:, :, 2] - joints[:, :, 0]) * rate[..., None],
+    )
+    return StateWindows(states, moments.contacts.to(joints), trusted, moments.rest)
+
+
+def _balanced(
+    chance: Float[Tensor, " clips"], group: Int[Tensor, " clips"], share: float
+) -> Float[Tensor, " clips"]:
+    """Chances of clips divided by a power of what their group has together: 0 to 1."""
+    if share == 0:
+        return chance
+    together = chance.new_zeros(int(group.max()) + 1).index_add(0, group, chance)
+    return chance / together[group].clamp(min=1e-9) ** share
+
+
 def _between_jumps(clip: MotionFile) -> list[MotionFile]:
     """The runs of a clip in which it moves as a body can, with their contacts only."""
     motion, contacts = clip.motion, clip.contacts
@@ -281,6 +322,12 @@ def _between_jumps(clip: MotionFile) -> list[MotionFile]:
         MotionFile(motion.window(a, b), contacts=None if contacts is None else contacts[a:b])
         for a, b in pairwise(edges)
     ]
+
+
+def _numbered(labels: list[str]) -> Int[Tensor, " clips"]:
+    """Each label as its place among all of them."""
+    places = {label: place for place, label in enumerate(sorted(set(labels)))}
+    return torch.tensor([places[label] for label in labels])
 
 
 def _contacts(clip: MotionFile) -> Bool[Tensor, "frames 9"]:
