@@ -92,13 +92,18 @@ def methods(priors: FoldPriors, noise: float) -> dict[str, Method]:
 
 
 def fits(
-    chosen: Chosen, protocols: tuple[str, ...], priors: FoldPriors, body: BodyModel
+    chosen: Chosen,
+    protocols: tuple[str, ...],
+    priors: FoldPriors,
+    body: BodyModel,
+    names: tuple[str, ...] = (POSE, HUMOR),
 ) -> Iterator[Row]:
-    """All windows in some protocols by both methods."""
+    """All windows in some protocols by both methods, or by those of some names."""
     for protocol in protocols:
         shown = seen(protocol, chosen.windows, body)
-        for name, method in methods(priors, shown.noise).items():
-            fitted = fit_windows(shown.observed, method, body)
+        by_name = methods(priors, shown.noise)
+        for name in names:
+            fitted = fit_windows(shown.observed, by_name[name], body)
             yield from _rows(chosen, protocol, name, shown, fitted, body)
 
 

@@ -7,6 +7,7 @@ from benchmarks.strangers.folds import Fold, write_splits
 from priors.humor.prior import Humor
 from priors.humor.training.run import HumorTraining, export_weights
 from priors.humor.training.train import train
+from priors.humor.training.variety.variation import Variation
 from priors.pose.density import PoseDensity
 from priors.pose.prior import PosePrior
 from priors.pose.training import PoseTraining
@@ -45,7 +46,12 @@ class FoldPriors:
     """Checksums of their weights, by the name of the prior."""
 
 
-def humor_settings(corpus: Path, folder: Path, schedule: Schedule) -> HumorTraining:
+AS_USUAL = Variation()
+
+
+def humor_settings(
+    corpus: Path, folder: Path, schedule: Schedule, variation: Variation = AS_USUAL
+) -> HumorTraining:
     """The training of a fold's HuMoR.
 
     It validates once, after its last step, so that nothing is chosen on the held-out people.
@@ -57,12 +63,15 @@ def humor_settings(corpus: Path, folder: Path, schedule: Schedule) -> HumorTrain
         steps=schedule.steps,
         windows=schedule.windows,
         width=schedule.width,
+        variation=variation,
         validate_every=schedule.steps,
         save_every=SAVED_EVERY,
     )
 
 
-def trained(fold: Fold, corpus: Path, folder: Path, schedule: Schedule) -> FoldPriors:
+def trained(
+    fold: Fold, corpus: Path, folder: Path, schedule: Schedule, variation: Variation = AS_USUAL
+) -> FoldPriors:
     """A fold's priors: read where they are trained already, else trained, or gone on with.
 
     Args:
@@ -70,6 +79,7 @@ def trained(fold: Fold, corpus: Path, folder: Path, schedule: Schedule) -> FoldP
         corpus: folder of all converted motions.
         folder: of all folds; this one's files lie in a folder of its name.
         schedule: of HuMoR.
+        variation: of the windows that HuMoR learns from.
 
     Raises:
         ValueError: when the folder holds a run that learned from other clips or otherwise.
@@ -77,7 +87,7 @@ def trained(fold: Fold, corpus: Path, folder: Path, schedule: Schedule) -> FoldP
     own = folder / fold.name
     own.mkdir(parents=True, exist_ok=True)
     write_splits(fold.splits, own / "splits.toml")
-    settings = humor_settings(corpus, own, schedule)
+    settings = humor_settings(corpus, own, schedule, variation)
     weights = own / "humor.safetensors"
     if not finished(settings):
         weights.unlink(missing_ok=True)

@@ -21,6 +21,7 @@ from benchmarks.tables import (
     segments,
     strangers,
     trust,
+    variety,
 )
 from benchmarks.tables.page import Table
 
@@ -58,6 +59,7 @@ TABLES: Mapping[str, Table] = {
     "strangers": strangers.folds,
     "strangers-people": strangers.people,
     "strangers-kinds": strangers.kinds,
+    "variety": variety.variety,
     "fuzz": others.fuzz,
     "cameras-summary": cameras.summary,
     "cameras": cameras.cameras,

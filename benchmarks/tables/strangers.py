@@ -43,16 +43,17 @@ def _name(name: str, fold: Mapping[str, Any]) -> str:
 def _cells(folds: Sequence[Rows]) -> Iterator[str]:
     for protocol in PROTOCOLS:
         sums = [compare.ratio(rows, protocol) for rows in folds]
-        yield _cell(sums, compare.quotient)
+        yield estimate_cell(sums, compare.quotient)
     for motion in (POSE, HUMOR):
         sums = [compare.contacts(rows, _CONTACTS, motion) for rows in folds]
-        yield _cell(sums, compare.more_balanced, factor=100, digits=1)
-    yield _cell([compare.slip(rows, _CONTACTS) for rows in folds], compare.quotient)
+        yield estimate_cell(sums, compare.more_balanced, factor=100, digits=1)
+    yield estimate_cell([compare.slip(rows, _CONTACTS) for rows in folds], compare.quotient)
 
 
-def _cell(
+def estimate_cell(
     sums: Sequence[Sums | None], statistic: Statistic, factor: float = 1.0, digits: int = 2
 ) -> str:
+    """A statistic with its interval; the mean over folds where there are several."""
     present = [own for own in sums if own is not None]
     if len(present) == 0:
         return NONE

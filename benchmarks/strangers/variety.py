@@ -1,0 +1,108 @@
+"""What made-up motions in HuMoR's training are worth to strangers: one training per variation.
+
+    python -m benchmarks.strangers.variety CORPUS FOLDS --only 60 14 --json variety.json
+
+Every variation of `VARIANTS` is trained like a fold of `benchmarks.strangers`, in a folder of its
+own name within FOLDS, and fits the same windows by collocation; the pose density learns from the
+recordings alone, so that the pose prior is fitted once, with the first variation. What is kept is
+used again as there.
+"""
+
+import argparse
+import json
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import torch
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks.results import ROOT, commit, corpus_source, dumps, write
+from benchmarks.strangers.choice import FRAMES, RUN_FRAMES, chosen
+from benchmarks.strangers.fits import HUMOR, POSE, RUNS, SEED, WHOLE, fits
+from benchmarks.strangers.folds import Fold, corpus_folds
+from benchmarks.strangers.training import Schedule, trained
+from benchmarks.tables.variety import HEADINGS, lines
+from priors.humor.training.variety.variation import Variation
+from priors.training.dataset import Splits, clip_files
+from recon.body.model import BodyModel
+from recon.formats.files.opening import replacing
+
+BASE = "base"
+EDITS = Variation(raises=0.6, steps=0.4, bends=0.2, flights=0.05, arms=0.2)
+VARIANTS: Mapping[str, Variation] = {
+    BASE: Variation(),
+    "all": Variation(**asdict(EDITS) | {"halves": 0.3, "kinds": 0.5, "people": 0.3}),
+    "edits": EDITS,
+    "mixed": Variation(halves=0.3, kinds=0.5, people=0.3),
+    "halves": Variation(halves=0.3),
+    "balanced": Variation(kinds=0.5, people=0.3),
+}
+"""Settings by name; `mixed` is `all` without edits of limbs."""
+
+
+def main() -> None:
+    """Train, fit, print and write, variation by variation."""
+    arguments = _arguments()
+    torch.set_num_threads(1)
+    corpus, body = arguments.corpus, BodyModel.load()
+    splits = Splits.load()
+    files = clip_files(corpus)
+    read = [files[c] for c, part in splits.parts(list(files)).items()
+            if part in ("train", "validation") and splits.is_open(c)]  # fmt: skip
+    found: dict[str, dict[str, Any]] = {}
+    for fold in corpus_folds(corpus, splits, body, arguments.only):
+        for name in arguments.variants:
+            row = measured(fold, name, corpus, arguments.folds, arguments.windows, body)
+            found.setdefault(name, {})[fold.name] = row
+            table = Table(*HEADINGS)
+            for line in lines(found):
+                table.add_row(*line)
+            Console(width=200).print(table)
+            if arguments.json is not None:
+                write(arguments.json, SEED, corpus_source(corpus, read),
+                      settings={key: asdict(VARIANTS[key]) for key in found},
+                      variants=found)  # fmt: skip
+
+
+def measured(
+    fold: Fold, name: str, corpus: Path, folder: Path, count: int, body: BodyModel
+) -> dict[str, Any]:
+    """Rows of a fold under one variation, as this commit found them earlier, or fitted now."""
+    priors = trained(fold, corpus, folder / name, Schedule(), VARIANTS[name])
+    own = commit(ROOT)
+    identity = {"commit": own, "windows": count, "weights": priors.checksums}
+    kept = folder / name / fold.name / "variety.json"
+    if kept.is_file() and own is not None and not own.endswith("+"):
+        earlier = json.loads(kept.read_text(encoding="utf-8"))
+        if earlier["identity"] == identity:
+            return earlier["found"]
+    names = (POSE, HUMOR) if name == BASE else (HUMOR,)
+    rows = []
+    for frames, protocols, kind in ((FRAMES, WHOLE, None), (RUN_FRAMES, RUNS, "run")):
+        windows = chosen(fold, corpus, body, frames, count, kind)
+        if windows is not None:
+            rows += [asdict(row) for row in fits(windows, protocols, priors, body, names)]
+    found = json.loads(json.dumps({"drift": priors.drift, "rows": rows}))
+    with replacing(kept) as beside:
+        beside.write_text(dumps({"identity": identity, "found": found}), encoding="utf-8")
+    return found
+
+
+def _arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("corpus", type=Path, help="folder of all converted motions")
+    parser.add_argument("folds", type=Path, help="folder of the variations' weights and fits")
+    parser.add_argument("--only", nargs="+", default=None, help="names of folds, in this order")
+    parser.add_argument("--variants", nargs="+", choices=VARIANTS, default=[BASE, "all"])
+    parser.add_argument("--windows", type=int, default=8, help="fitted of every fold")
+    parser.add_argument("--json", type=Path, default=None)
+    return parser.parse_args()
+
+
+if __name__ == "__main__":
+    main()
