@@ -110,6 +110,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "segments_hidden_15": (*_SEGMENTS, "hidden points", "--methods", "segments of 15"),
     "segments_hidden_rollout": (*_SEGMENTS, "hidden points", "--methods", "roll-out"),
     "strangers": ("strangers", "CORPUS", "FOLDS"),
+    "variety": ("strangers.variety", "CORPUS", "FOLDS", "--only", "60", "14"),
     "drift": ("drift", "CORPUS"),
     "solver": ("solver",),
     "speed": ("speed",),

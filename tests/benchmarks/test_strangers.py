@@ -13,6 +13,8 @@ from benchmarks.strangers.fits import feet_right
 from benchmarks.strangers.folds import GROUP, folds, without_doubles, write_splits
 from benchmarks.strangers.training import Schedule, humor_settings
 from benchmarks.tables import strangers as tables
+from benchmarks.tables import variety
+from priors.humor.training.variety.variation import Variation
 from priors.training.dataset import Splits
 
 SECONDS = {
@@ -75,6 +77,12 @@ def test_nothing_of_a_training_is_chosen_on_the_held_out_people(tmp_path: Path) 
     assert settings.validate_every == settings.steps == 700  # one row, so the last is the best
     assert settings.start is None
     assert settings.data == "open"
+
+
+def test_variations_are_trained_as_they_are_asked_for(tmp_path: Path) -> None:
+    asked = Variation(raises=0.5)
+    assert humor_settings(tmp_path, tmp_path, Schedule(), asked).variation == asked
+    assert humor_settings(tmp_path, tmp_path, Schedule()).variation == Variation()
 
 
 def test_windows_share_no_frame_and_begin_with_the_middle() -> None:
@@ -177,3 +185,19 @@ def test_the_table_has_a_line_for_every_fold_and_one_for_all() -> None:
     assert mean[:2] == ["**all 2**", "0.85 [0.80, 0.90]"]
     assert mean[3] == "–"  # no gap was measured
     assert len(first) == len(tables.HEADINGS)
+
+
+def test_variations_are_compared_on_the_same_windows_with_the_pose_prior_and_without_edits() -> (
+    None
+):
+    base = {"35": {"drift": 0.05, "rows": fold_of(0.8)}, "60": {"drift": None, "rows": fold_of(1)}}
+    edited = [r for r in fold_of(0.6) if r["method"] == "humor"]
+    found = {"base": base, "edits": {"35": {"drift": 0.04, "rows": edited}}}
+    plain, against_pose, against_base, other = variety.lines(found)
+    assert plain[:3] == ["35", "base / pose prior", "0.80 [0.80, 0.80]"]
+    assert against_pose[:3] == ["35", "edits / pose prior", "0.60 [0.60, 0.60]"]
+    assert against_base[:3] == ["35", "edits / base", "0.75 [0.75, 0.75]"]
+    assert (plain[-1], against_pose[-1], against_base[-1]) == ("5.0", "4.0", "")
+    assert against_base[7] == "0.0 [0.0, 0.0]"  # both networks say the same of contacts
+    assert other[0] == "60"
+    assert {len(line) for line in (plain, against_base)} == {len(variety.HEADINGS)}

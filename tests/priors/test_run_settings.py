@@ -91,6 +91,19 @@ def test_contents_are_held_wherever_they_lie(kind, file, name, tmp_path):
         same_run(CHECKPOINT, identity(moved), found)
 
 
+def test_variations_that_were_unknown_then_and_are_off_now_change_nothing(tmp_path):
+    """Every new variation would otherwise end all runs that were interrupted before it came."""
+    settings = settings_of(HumorTraining, tmp_path)
+    found = identity(settings)
+    del found["variation"]["raises"]
+    same_run(CHECKPOINT, identity(settings), found)
+    raised = replace(settings, variation=replace(settings.variation, raises=0.5))
+    with pytest.raises(ValueError, match="other variation"):
+        same_run(CHECKPOINT, identity(raised), found)
+    with pytest.raises(ValueError, match="other variation"):
+        same_run(CHECKPOINT, found, identity(raised))
+
+
 def test_clips_that_come_or_go_are_another_corpus(tmp_path):
     settings = settings_of(HumorTraining, tmp_path)
     found = identity(settings)

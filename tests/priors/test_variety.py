@@ -241,10 +241,12 @@ def corpus(tmp_path_factory: pytest.TempPathFactory) -> Corpus:
         window = standing(bow=0.1 * row)
         contacts = torch.zeros(120, 22)
         contacts[:, list(FEET)] = 1.0
-        still = [
-            t[row, :1].expand(120, *t.shape[2:]) for t in (window.translation, window.rotations)
-        ]
-        motion = Motion.create(*still, torch.zeros(16), 120.0)
+        motion = Motion.create(
+            window.translation[row, :1].expand(120, 3),
+            window.rotations[row, :1].expand(120, 22, 3, 3),
+            torch.zeros(16),
+            120.0,
+        )
         save_motion(root / f"{name}.npz", MotionFile(motion, contacts=contacts))
         (root / f"{name}.json").write_text(json.dumps({"action": action, "clip": name}))
     splits = Splits.load(root / "splits.toml")

@@ -1,4 +1,4 @@
-"""Both legs brought to given ankles in closed form: the knee lies on a circle about hip-ankle."""
+"""Legs brought to given ankles in closed form: the knee lies on a circle about hip-ankle."""
 
 from dataclasses import dataclass
 
@@ -10,7 +10,7 @@ from recon.core import rotations as so3
 from recon.core.struct import TensorStruct
 
 HIPS, KNEES, ANKLES = (1, 2), (4, 5), (7, 8)
-"""Left and right."""
+"""Joints of the left and the right leg."""
 
 _STRAIGHT = 0.998
 """Longest distance from hip to ankle, of the leg's length; further only where it was recorded."""
@@ -98,5 +98,5 @@ def shortest(
 
 
 def _across(vector: Tensor, unit: Tensor) -> Tensor:
-    """What of a vector is perpendicular to a direction."""
+    """The part of a vector that is perpendicular to a direction."""
     return vector - (vector * unit).sum(-1, keepdim=True) * unit

@@ -17,7 +17,7 @@ _BACK = 0.35
 """Most that the thigh turns from where it was recorded, and the share of it that is left of a
 raise backwards."""
 _DIRECTIONS = (math.radians(-10), math.radians(150))
-"""From forward over sideways to back."""
+"""Directions of a raise, from forward over sideways to back, radians."""
 _PERIODS = (1.0, 3.0)
 """Seconds of raising and lowering."""
 _KNEE = math.radians(120)

@@ -1,4 +1,4 @@
-"""Random smooth functions of time: of windows that show a part of a slow movement.
+"""Random smooth functions of time, for windows that show a part of a slow movement.
 
 A window lasts a third of a second, a movement a second or more. So each window sees a random part
 of a raised cosine or of a step, and all derivatives are continuous where its own are.
@@ -48,6 +48,6 @@ def step(
     start: Float[Tensor, " windows"],
     lasts: Float[Tensor, " windows"],
 ) -> Float[Tensor, "windows times"]:
-    """From zero to one as a minimum-jerk movement: 10 x³ - 15 x⁴ + 6 x⁵, at rest at both ends."""
+    """A minimum-jerk movement from zero to one: 10 x³ - 15 x⁴ + 6 x⁵, at rest at both ends."""
     x = ((seconds - start[:, None]) / lasts[:, None]).clamp(0, 1)
     return x**3 * (10 - 15 * x + 6 * x**2)
