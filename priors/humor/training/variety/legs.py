@@ -21,7 +21,7 @@ _FOLDED = 0.35
 
 @dataclass(frozen=True)
 class Aim(TensorStruct):
-    """Where pelvis and ankles shall be; feet keep their orientations in the world."""
+    """Places at which pelvis and ankles shall be; feet keep their orientations in the world."""
 
     root: Float[Tensor, "windows times 3 3"]
     pelvis: Float[Tensor, "windows times 3"]
