@@ -70,25 +70,35 @@ def main() -> None:
 def measured(
     fold: Fold, name: str, corpus: Path, folder: Path, count: int, body: BodyModel
 ) -> dict[str, Any]:
-    """Rows of a fold under one variation, as this commit found them earlier, or fitted now."""
+    """Rows of a fold under one variation; protocols that this commit has fitted are kept."""
     priors = trained(fold, corpus, folder / name, Schedule(), VARIANTS[name])
-    own = commit(ROOT)
-    identity = {"commit": own, "windows": count, "weights": priors.checksums}
+    identity = {"commit": commit(ROOT), "windows": count, "weights": priors.checksums}
     kept = folder / name / fold.name / "variety.json"
-    if kept.is_file() and own is not None and not own.endswith("+"):
-        earlier = json.loads(kept.read_text(encoding="utf-8"))
-        if earlier["identity"] == identity:
-            return earlier["found"]
-    names = (POSE, HUMOR) if name == BASE else (HUMOR,)
-    rows = []
+    parts = _earlier(kept, identity)
+    methods = (POSE, HUMOR) if name == BASE else (HUMOR,)
     for frames, protocols, kind in ((FRAMES, WHOLE, None), (RUN_FRAMES, RUNS, "run")):
         windows = chosen(fold, corpus, body, frames, count, kind)
-        if windows is not None:
-            rows += [asdict(row) for row in fits(windows, protocols, priors, body, names)]
-    found = json.loads(json.dumps({"drift": priors.drift, "rows": rows}))
-    with replacing(kept) as beside:
-        beside.write_text(dumps({"identity": identity, "found": found}), encoding="utf-8")
-    return found
+        if windows is None:
+            continue
+        for protocol in protocols:
+            part = f"{frames} {protocol}"
+            if part in parts:
+                continue
+            rows = fits(windows, (protocol,), priors, body, methods)
+            parts[part] = [asdict(row) for row in rows]
+            with replacing(kept) as beside:
+                beside.write_text(dumps({"identity": identity, "parts": parts}), encoding="utf-8")
+    rows = [row for part in parts.values() for row in part]
+    return json.loads(json.dumps({"drift": priors.drift, "rows": rows}))
+
+
+def _earlier(kept: Path, identity: dict[str, Any]) -> dict[str, Any]:
+    """What was fitted already, by protocol; nothing where it was of other code or weights."""
+    own = identity["commit"]
+    if not kept.is_file() or own is None or own.endswith("+"):
+        return {}
+    earlier = json.loads(kept.read_text(encoding="utf-8"))
+    return earlier["parts"] if earlier["identity"] == identity else {}
 
 
 def _arguments() -> argparse.Namespace:
