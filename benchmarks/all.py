@@ -26,6 +26,7 @@ _SEGMENTS = ("segments", "CORPUS", "--only", "2", "--protocols")
 _ROLLOUT = ("rollout_fits", "CORPUS", "--part", "validation", "--only", "2", "--protocols")
 COMMANDS: dict[str, tuple[str, ...]] = {
     "corpus": ("corpus", "CORPUS"),
+    "free_recordings": ("free_recordings", "DATA", "CORPUS"),
     "likeness": ("likeness", "CORPUS"),
     "markers": ("markers", "OBSERVATIONS"),
     "stage12": ("stage12", "CORPUS"),
@@ -117,8 +118,8 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "fuzz": ("fuzz",),
     "fuzz_readers": ("fuzz_readers", "--recordings", "RECORDINGS"),
 }  # fmt: skip
-"""Result files, each with the module below benchmarks and its arguments. CORPUS and OBSERVATIONS
-are folders of data, other names in capitals are folders of runs below --out."""
+"""Result files, each with the module below benchmarks and its arguments. CORPUS, OBSERVATIONS
+and DATA are folders of data, other names in capitals are folders of runs below --out."""
 
 
 def main() -> None:
@@ -132,6 +133,7 @@ def main() -> None:
         sys.exit("set RECON_DATA to the folder of real recordings (with mocap/, observations/)")
     corpus = out / "corpus"
     run("recon", "convert", "--all", str(data / "mocap"), str(corpus))
+    run("benchmarks.free_recordings", str(data), str(corpus))
     if {"ablations", "cameras"} & set(given.only):
         run("benchmarks.ablations", str(corpus), "--out", str(out / "ablations"))
     beside_0_1_0 = {"batch", "clouds", "convert", "pictures", "start"} & set(given.only)
@@ -141,6 +143,7 @@ def main() -> None:
     places = {
         "CORPUS": str(corpus),
         "OBSERVATIONS": str(data / "observations"),
+        "DATA": str(data),
         "RECORDINGS": str(data),
     }
     for name in given.only:

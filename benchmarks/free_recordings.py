@@ -1,0 +1,197 @@
+"""Freely licensed marker recordings as clips of the corpus, beside those of `recon convert --all`.
+
+    recon convert --all DATA/mocap CORPUS
+    python -m benchmarks.free_recordings DATA CORPUS --json free_recordings.json
+
+DATA is the folder of all real recordings. `free_recordings.toml` lists every freely licensed
+recording that is not in the main folders of CMU's collection: who moves, under which licence, and
+whether it is learned from, or why not. Those with a clip name are converted to
+CORPUS/observations/CLIP.npz, with notes beside (CLIP.json) that hold the licence.
+
+The result file tells each recording's use, length and residual, and clips, people and minutes of
+the open corpus with the recordings that are learned from, and without.
+"""
+
+import argparse
+import json
+import tomllib
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from benchmarks.results import show, write
+from priors.training.dataset import SPLITS, Splits, clip_files
+from recon.body.model import BodyModel
+from recon.formats.files.checksums import file_checksum
+from recon.formats.files.replacing import replacing
+from recon.formats.motions import load_motion
+from recon.ingest.single import convert
+
+LIST = Path(__file__).parent / "free_recordings.toml"
+FOLDER = "observations"
+"""Folder of the corpus that the marker recordings are written to."""
+PARTS = ("train", "validation")
+UNKNOWN = "unknown"
+"""The subject of clips of which nobody knows who moves in them; counted as nobody."""
+
+
+@dataclass(frozen=True)
+class FreeRecording:
+    """A freely licensed recording and what it is used for."""
+
+    path: str
+    """Below the folder of all real recordings."""
+    person: str
+    motion: str
+    """What is done."""
+    licence: str
+    """Name of the licence."""
+    use: Literal["train", "validation", "test", "none"]
+    why: str
+    clip: str | None = None
+    """Name of the clip that is made of it here; None where none is."""
+    falls: float | None = None
+    """Acceleration downwards in free flight, m/s²; None where there is no flight."""
+
+    @property
+    def clip_name(self) -> str:
+        """Name of the clip in the corpus, whoever converts it."""
+        return self.clip or Path(self.path).name.split(".")[0]
+
+
+def load_list(path: Path = LIST) -> tuple[tuple[FreeRecording, ...], dict[str, str]]:
+    """All listed recordings, and the words of their licences by name."""
+    table = tomllib.loads(path.read_text(encoding="utf-8"))
+    return tuple(FreeRecording(**row) for row in table["recording"]), dict(table["licences"])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("data", type=Path, help="folder of all real recordings")
+    parser.add_argument("corpus", type=Path, help="folder of all converted motions")
+    parser.add_argument("--splits", type=Path, default=SPLITS)
+    parser.add_argument("--json", type=Path, default=None)
+    arguments = parser.parse_args()
+
+    recordings, licences = load_list()
+    body = BodyModel.load()
+    for recording in recordings:
+        if recording.clip is not None:
+            convert_one(arguments.data, arguments.corpus, recording, body)
+    files = clip_files(arguments.corpus)
+    used = [one for one in recordings if one.use in PARTS]
+    new = {one.clip_name for one in used}
+    if missing := sorted(new - set(files)):
+        raise FileNotFoundError(
+            f"{arguments.corpus}: expected the clips {', '.join(missing)}, too; "
+            f"run recon convert --all on {arguments.data / 'mocap'} first"
+        )
+    for one in used:
+        note_licence(files[one.clip_name], one, licences)
+    notes = {name: noted(path) for name, path in files.items()}
+    splits = Splits.load(arguments.splits)
+    counts = {
+        "without": counted({k: v for k, v in notes.items() if k not in new}, splits),
+        "with": counted(notes, splits),
+    }
+    for label, parts in counts.items():
+        for part, row in parts.items():
+            show(f"{part}, {label} the recordings of this list", row)
+    if arguments.json is not None:
+        rows = [{**asdict(one), **_measured(notes, one)} for one in recordings]
+        sources = {
+            "DATA": (arguments.data, [arguments.data / one.path for one in used]),
+            "CORPUS": (arguments.corpus, files.values()),
+        }
+        write(arguments.json, None, sources, recordings=rows, counts=counts)
+
+
+def convert_one(data: Path, corpus: Path, recording: FreeRecording, body: BodyModel) -> Path:
+    """Write a marker recording as a clip of the corpus, its notes beside it.
+
+    Raises:
+        FileNotFoundError, ValueError: as `recon.convert`.
+    """
+    found = convert(data / recording.path, body)
+    path = corpus / FOLDER / f"{recording.clip_name}.npz"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    found.save(path, body)
+    notes = {
+        "collection": FOLDER,
+        "clip": recording.clip_name,
+        "subject": recording.person,
+        "action": recording.motion,
+        "kept": True,
+        **found.report,
+        "flat": True,
+        "contacts": not found.on_belt,
+        "skeleton": "markers",
+        "recording": recording.path,
+        "checksum": file_checksum(path),
+    }
+    _write(path, notes)
+    return path
+
+
+def note_licence(motion: Path, recording: FreeRecording, licences: Mapping[str, str]) -> None:
+    """Put the licence of a recording and its words among the notes beside its motion."""
+    terms = {"licence": recording.licence, "terms": licences[recording.licence]}
+    _write(motion, {**noted(motion), **terms})
+
+
+def noted(motion: Path) -> dict[str, Any]:
+    """What the conversion noted beside a motion; its length alone where it noted nothing."""
+    beside = motion.with_suffix(".json")
+    if beside.is_file():
+        return json.loads(beside.read_text(encoding="utf-8"))
+    read = load_motion(motion).motion
+    return {"seconds": read.frames / read.fps}
+
+
+def counted(
+    notes: Mapping[str, Mapping[str, Any]], splits: Splits
+) -> dict[str, dict[str, float]]:
+    """Clips, known people and minutes of each part, of clips that an open package may learn from.
+
+    Feet are judged on one plane alone, and contacts are learned where the feet are the person's
+    own, so minutes of both kinds are counted, too.
+    """
+    parts = splits.parts(list(notes))
+    found: dict[str, dict[str, float]] = {}
+    for part in PARTS:
+        own = [clip for clip, its in parts.items() if its == part and splits.is_open(clip)]
+        flat = [clip for clip in own if notes[clip].get("flat", True)]
+        stands = [clip for clip in flat if notes[clip].get("contacts", True)]
+        found[part] = {
+            "clips": len(own),
+            "people": len({splits.subject(clip) for clip in own} - {UNKNOWN}),
+            "minutes": _minutes(notes, own),
+            "minutes on flat ground": _minutes(notes, flat),
+            "minutes with contacts": _minutes(notes, stands),
+        }
+    return found
+
+
+def _minutes(notes: Mapping[str, Mapping[str, Any]], clips: Iterable[str]) -> float:
+    return sum(float(notes[clip]["seconds"]) for clip in clips) / 60
+
+
+def _measured(
+    notes: Mapping[str, Mapping[str, Any]], recording: FreeRecording
+) -> dict[str, Any]:
+    """Length and residual of a recording that is used; None where it is not."""
+    row = notes[recording.clip_name] if recording.use in PARTS else {}
+    return {key: row.get(key) for key in ("seconds", "residual_mm", "slip_mps", "tilt_degrees")}
+
+
+def _write(motion: Path, notes: Mapping[str, Any]) -> None:
+    """The notes beside a motion."""
+    with replacing(motion.with_suffix(".json")) as beside:
+        beside.write_text(json.dumps(notes, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
