@@ -20,18 +20,25 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+
 from benchmarks.results import show, write
 from priors.training.dataset import SPLITS, Splits, clip_files
 from recon.body.model import BodyModel
+from recon.core.motion import Motion
+from recon.core.skeleton import FEET
 from recon.formats.files.checksums import file_checksum
 from recon.formats.files.replacing import replacing
 from recon.formats.motions import load_motion
 from recon.ingest.single import convert
+from recon.physics.mass import centre_of_mass, vertex_masses_of_segments
 
 LIST = Path(__file__).parent / "free_recordings.toml"
 FOLDER = "observations"
 """Folder of the corpus that the marker recordings are written to."""
 PARTS = ("train", "validation")
+ALOFT, SHORTEST_FLIGHT = 0.035, 0.2
+"""Metres and seconds of a flight."""
 UNKNOWN = "unknown"
 """The subject of clips of which nobody knows who moves in them; counted as nobody."""
 
@@ -51,8 +58,6 @@ class FreeRecording:
     why: str
     clip: str | None = None
     """Name of the clip that is made of it here; None where none is."""
-    falls: float | None = None
-    """Acceleration downwards in free flight, m/s²; None where there is no flight."""
 
     @property
     def clip_name(self) -> str:
@@ -101,7 +106,10 @@ def main() -> None:
         for part, row in parts.items():
             show(f"{part}, {label} the recordings of this list", row)
     if arguments.json is not None:
-        rows = [{**asdict(one), **_measured(notes, one)} for one in recordings]
+        rows: list[dict[str, Any]] = []
+        for one in recordings:
+            row = measured(files[one.clip_name], body) if one.use in PARTS else {}
+            rows.append({**asdict(one), **row})
         sources = {
             "DATA": (arguments.data, [arguments.data / one.path for one in used]),
             "CORPUS": (arguments.corpus, files.values()),
@@ -151,9 +159,7 @@ def noted(motion: Path) -> dict[str, Any]:
     return {"seconds": read.frames / read.fps}
 
 
-def counted(
-    notes: Mapping[str, Mapping[str, Any]], splits: Splits
-) -> dict[str, dict[str, float]]:
+def counted(notes: Mapping[str, Mapping[str, Any]], splits: Splits) -> dict[str, dict[str, float]]:
     """Clips, known people and minutes of each part, of clips that an open package may learn from.
 
     Feet are judged on one plane alone, and contacts are learned where the feet are the person's
@@ -179,12 +185,29 @@ def _minutes(notes: Mapping[str, Mapping[str, Any]], clips: Iterable[str]) -> fl
     return sum(float(notes[clip]["seconds"]) for clip in clips) / 60
 
 
-def _measured(
-    notes: Mapping[str, Mapping[str, Any]], recording: FreeRecording
-) -> dict[str, Any]:
-    """Length and residual of a recording that is used; None where it is not."""
-    row = notes[recording.clip_name] if recording.use in PARTS else {}
-    return {key: row.get(key) for key in ("seconds", "residual_mm", "slip_mps", "tilt_degrees")}
+def measured(path: Path, body: BodyModel) -> dict[str, float | None]:
+    """Length, residual and slip of a converted recording, and how fast its flights fall."""
+    notes, file = noted(path), load_motion(path)
+    row = {key: notes.get(key) for key in ("seconds", "residual_mm", "slip_mps")}
+    return {**row, "falls": falls(file.motion, body)}
+
+
+def falls(motion: Motion, body: BodyModel) -> float | None:
+    """Acceleration downwards of the centre of mass in the longest flight, m/s²; None without one.
+
+    It is 9.8 where the unit of length is right. In a flight no joint of a foot is within `ALOFT`
+    of where it stands, its 5th percentile of heights.
+    """
+    feet = body.pose(motion).joints[:, list(FEET), 2].numpy()
+    high = (feet > np.percentile(feet, 5, axis=0) + ALOFT).all(1)
+    edges = np.flatnonzero(np.diff(np.r_[0, high, 0])).reshape(-1, 2)
+    first, last = max(edges.tolist(), key=lambda run: run[1] - run[0], default=(0, 0))
+    if last - first < SHORTEST_FLIGHT * motion.fps:
+        return None
+    flight = body.pose(motion.window(first, last))
+    centre = centre_of_mass(flight, vertex_masses_of_segments(body))[:, 2].numpy()
+    times = (np.arange(last - first) - (last - first - 1) / 2) / motion.fps
+    return float(-2 * np.polyfit(times, centre, 2)[0])
 
 
 def _write(motion: Path, notes: Mapping[str, Any]) -> None:

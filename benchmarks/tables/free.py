@@ -1,6 +1,6 @@
 """Freely licensed recordings: what each is used for, and how much there is to learn from."""
 
-from benchmarks.tables.values import NONE, markdown, number, result, source
+from benchmarks.tables.values import markdown, number, result, source
 
 _WORDS = {
     "train": "trains",
@@ -14,8 +14,7 @@ def recordings() -> str:
     """Every free recording beside the main folders of CMU's collection."""
     rows = [
         [row["path"].split("/", 1)[1], row["person"], row["motion"], row["licence"],
-         number(row["seconds"]), number(row["residual_mm"]),
-         NONE if row["falls"] is None else number(row["falls"]),
+         *(number(row.get(key)) for key in ("seconds", "residual_mm", "falls")),
          f"{_WORDS[row['use']]}: {row['why']}"]
         for row in result("free_recordings")["recordings"]
     ]  # fmt: skip

@@ -4,17 +4,20 @@ import json
 from pathlib import Path
 
 import pytest
+import torch
 
 from benchmarks.free_recordings import (
     PARTS,
     FreeRecording,
     convert_one,
     counted,
+    falls,
     load_list,
     note_licence,
 )
 from priors.training.dataset import Splits, clip_files
 from recon.body.model import BodyModel
+from tests.standing_body import standing
 
 RECORDINGS, LICENCES = load_list()
 
@@ -87,3 +90,14 @@ def test_minutes_are_counted_by_part_and_by_what_they_teach() -> None:
     }
     assert found["validation"]["minutes"] == pytest.approx(0.1)
     assert found["validation"]["people"] == 1
+
+
+def test_a_thrown_body_falls_as_the_unit_of_length_says(body: BodyModel) -> None:
+    """The scale of subject 131's files was not known."""
+    fps = 60.0
+    time = torch.arange(90, dtype=torch.float64) / fps
+    path = torch.zeros(90, 3, dtype=torch.float64)
+    path[:, 2] = (9.81 / 2 * (time - 0.5) * (0.9 - time)).clamp(min=0.0)
+    assert falls(standing(body, path, fps), body) == pytest.approx(9.81, abs=0.05)
+    assert falls(standing(body, 2 * path, fps), body) == pytest.approx(19.62, abs=0.1)
+    assert falls(standing(body, 0 * path, fps), body) is None
