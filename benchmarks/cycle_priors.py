@@ -7,7 +7,8 @@ Columns as in `benchmarks.complete`: p points of every frame, or f of 100 frames
 with the 16 landmarks or without. Methods: the anchor-frame VAE (`network`, made by `recon train
 anchor`), principal components of the same cycles with their Gaussian in the same optimiser (by
 `python -m priors.anchor.training.components`), the pose prior with its smoothness (`pose`) and
-HuMoR (`humor`), which are told the same noise. Seeds draw other people, clothes, offsets of
+HuMoR (`humor`), which are told the same noise; `recon.complete` is the library's own choice by
+what was seen. Seeds draw other people, clothes, offsets of
 landmarks and noise for the same cycles.
 
 What is in the JSON already, of the same commit, is not run again; with `--minutes` the command
@@ -25,6 +26,7 @@ import torch
 from rich.console import Console
 from rich.table import Table
 
+import recon
 from benchmarks.arguments import over_windows
 from benchmarks.complete import (
     COLUMNS,
@@ -72,6 +74,20 @@ def told_noise(prior: str, body: BodyModel) -> Fitter:
     return run
 
 
+def chosen_by_data(body: BodyModel) -> Fitter:
+    """`recon complete`, clip by clip: as one cycle, or as any motion, as the data say."""
+
+    def run(observations: list[InSpace]) -> list[Motion]:
+        clips = range(len(observations[0].present if isinstance(observations[0], PointCloud)
+                          else observations[0].visible))  # fmt: skip
+        return [
+            recon.complete([one[k : k + 1] for one in observations], body=body).motion
+            for k in clips
+        ]
+
+    return run
+
+
 def compared(rows: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     """Errors of every method of a column, and their differences from those of the network, mm.
 
@@ -112,6 +128,7 @@ def main() -> None:
         size = AnchorFrames.load(str(path), body).code_size
         fitters[f"{size} components"] = partial(completed, str(path), body)
     fitters |= {name: partial(told_noise, name, body) for name in ("pose", "humor")}
+    fitters |= {"recon.complete": partial(chosen_by_data, body)}
     cells = earlier(given.json, "cells")
     cycles = _cycles(given.corpus, Splits.load(given.splits), given)
     for seed in range(given.seeds):
