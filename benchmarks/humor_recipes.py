@@ -11,18 +11,14 @@ from benchmarks.windows import FPS, Windows, noisy_joints, with_gap
 from priors.humor.collocation import Collocation
 from priors.humor.prior import Humor
 from priors.pose.prior import PosePrior, PoseWeights
+from recon.api.bench.sensors import UPPER_BODY
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
-from recon.core.skeleton import JOINTS, descendants, joint_index
 from recon.method.reconstruction import Method
 
 NOISE = 0.01
 GAP = round(1.0 * FPS)
 """Frames."""
-
-_LEGS = descendants(joint_index("left_hip")) + descendants(joint_index("right_hip"))
-UPPER_BODY = tuple(joint for joint in range(len(JOINTS)) if joint not in _LEGS)
-"""Joints from the pelvis up."""
 
 GAP_COLUMNS: Columns = {
     "joints_all": ("all", 100), "joints_legs": ("legs", 100), "root_joints_all": ("pose", 100),

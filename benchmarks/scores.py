@@ -7,36 +7,35 @@ rows hold the values of every window under `WINDOWS`, from which intervals are m
 import time
 from dataclasses import dataclass, replace
 
-import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from rich.table import Table
 from torch import Tensor
 
-from benchmarks.windows import FPS, Windows
 from observations.joints3d import Joints3D
 from observations.markers3d import Markers3D
+from recon.api.bench.scores import (
+    WINDOWS,
+    Row,
+    Rows,
+    acceleration_ratio,
+    by_subject,
+    clip_row,
+    feet_balanced,
+)
+from recon.api.bench.scores import mean_of as mean_of
+from recon.api.bench.scores import rounded as rounded
+from recon.api.bench.scores import subject_mean as subject_mean
+from recon.api.bench.windows import FPS
+from recon.api.bench.windows import TrueWindows as Windows
 from recon.body.contacts import contact_labels, rest_heights
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
-from recon.core.skeleton import FEET, LEGS
+from recon.core.skeleton import LEGS
 from recon.core.struct import concatenate
 from recon.method.reconstruction import Method, solve
 from recon.metrics import errors as metrics
-from recon.metrics.evaluation import ObservedPoints, evaluate, smoothness, sole_heights
-
-Row = dict[str, float | None]
-Rows = dict[str, Row]
-"""Values by metric for every subject, and as "mean" over those who count. Under `WINDOWS` is a
-list of the values of every window for each metric."""
-
-WINDOWS = "windows"
-KEPT = (
-    "joints_all", "joints_legs", "root_joints_all", "vertices", "observed_all",
-    "observed_visible", "observed_hidden", "accel", "accel_error", "penetration_freq",
-    "slip_speed", "contact_accuracy", "root_visible", "root_hidden", "root_all",
-)  # fmt: skip
-"""Metrics whose values are kept window by window."""
+from recon.metrics.evaluation import ObservedPoints, smoothness
 
 Columns = dict[str, tuple[str, float]]
 """The heading of every metric, and what turns metres into centimetres or shares into per cent."""
@@ -127,38 +126,16 @@ def score(
         observed = None
         if truth is not None and visible is not None and fitted.points is not None:
             observed = ObservedPoints(fitted.points[i], truth[i], visible[i])
-        row = evaluate(
-            motion, actual, body, contacts=said[i], truth_contacts=touching, observed=observed
-        )
-        heights = {
-            "sole_height": stance_height(motion, touching, body),
-            "sole_height_truth": stance_height(actual, touching, body),
-        }
-        clips.append({**row, **heights, "seconds": fitted.seconds})
+        row = clip_row(motion, actual, body, said[i], touching, observed)
+        clips.append({**row, "seconds": fitted.seconds})
     rows = by_subject(windows, clips)
     feet = feet_balanced(windows, said > 0.5)
     return {
-        name: row if name == WINDOWS else {**row, "accel_ratio": _ratio(row), **feet[name]}
+        name: row
+        if name == WINDOWS
+        else {**row, "accel_ratio": acceleration_ratio(row), **feet[name]}
         for name, row in rows.items()
     }
-
-
-def stance_height(
-    motion: Motion, touching: Bool[Tensor, "time 22"], body: BodyModel
-) -> float | None:
-    """Mean distance of the lowest skin of a foot from the ground while that foot stands."""
-    stands = touching[:, list(FEET)].unflatten(-1, (2, 2)).any(-2)  # ankles or toes; left, right
-    return metrics.mean(sole_heights(body.pose(motion)).abs(), stands)
-
-
-def feet_balanced(windows: Windows, said: Bool[Tensor, "clips time 22"]) -> Rows:
-    """Balanced accuracy of the four foot channels, over all windows of a subject together."""
-    found: Rows = {}
-    for subject in sorted(set(windows.subjects)):
-        own = windows.of(subject)
-        value = metrics.contact_balanced_accuracy(said[own], windows.contacts[own], FEET)
-        found[subject] = {"feet_balanced": value}
-    return {**found, "mean": mean_of([found[subject] for subject in windows.counted])}
 
 
 def constant_contacts(windows: Windows) -> Rows:
@@ -192,37 +169,9 @@ def score_points(
         )
     rows = by_subject(windows, clips)
     return {
-        name: row if name == WINDOWS else {**row, "accel_ratio": _ratio(row)}
+        name: row if name == WINDOWS else {**row, "accel_ratio": acceleration_ratio(row)}
         for name, row in rows.items()
     }
-
-
-def by_subject(windows: Windows, clips: list[Row]) -> Rows:
-    subjects = sorted(set(windows.subjects))
-    rows = {s: mean_of([clips[i] for i in windows.of(s)]) for s in subjects}
-    rows["mean"] = mean_of([rows[s] for s in windows.counted])
-    kept = {key: [rounded(row[key]) for row in clips] for key in KEPT if key in clips[0]}
-    return {**rows, WINDOWS: kept}  # type: ignore[dict-item]
-
-
-def rounded(value: float | None) -> float | None:
-    """The value rounded to six digits, which intervals do not notice."""
-    return None if value is None else float(f"{value:.6g}")
-
-
-def mean_of(rows: list[Row]) -> Row:
-    """Average by metric over the rows that have it."""
-    found: Row = {}
-    for key in rows[0]:
-        values = [v for row in rows if (v := row[key]) is not None]
-        found[key] = float(np.mean(values)) if values else None
-    return found
-
-
-def subject_mean(windows: Windows, values: Tensor) -> float:
-    """Mean over each subject's windows, then over the subjects who count."""
-    means = [values[windows.of(s)].mean() for s in windows.counted]
-    return torch.stack(means).mean().item()
 
 
 def tables(title: str, columns: Columns, rows: dict[str, Rows]) -> tuple[Table, Table]:
@@ -249,8 +198,3 @@ def tables(title: str, columns: Columns, rows: dict[str, Rows]) -> tuple[Table, 
 
 def cell(value: float | None, factor: float) -> str:
     return "–" if value is None else f"{value * factor:.2f}"
-
-
-def _ratio(row: Row) -> float | None:
-    own, true = row.get("accel"), row.get("accel_truth")
-    return own / true if own is not None and true else None

@@ -30,10 +30,10 @@ from benchmarks.scores import (
     subject_mean,
     tables,
 )
-from benchmarks.smoothers import butterworth, whittaker
 from benchmarks.windows import FPS, Windows, load_windows, noisy_joints, occluded_points
 from priors.pose.prior import PosePrior, PoseWeights
 from priors.training.dataset import Splits
+from recon.api.bench.smoothers import butterworth, whittaker
 from recon.body.model import BodyModel
 from recon.method.protocols import Observation
 from recon.method.reconstruction import solve

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from recon.api.results.motion import MotionResult as MotionResult
     from recon.api.shapes import Shape as Shape
     from recon.api.verbs.angles import joint_angles as joint_angles
+    from recon.api.verbs.bench import bench as bench
     from recon.api.verbs.complete import complete as complete
     from recon.api.verbs.convert import convert as convert
     from recon.api.verbs.evaluate import evaluate as evaluate
@@ -69,6 +70,7 @@ _HOMES = {
     "Result": "recon.api.result",
     "Shape": "recon.api.shapes",
     "joint_angles": "recon.api.verbs.angles",
+    "bench": "recon.api.verbs.bench",
     "complete": "recon.api.verbs.complete",
     "refine": "recon.api.verbs.refine",
     "retarget": "recon.api.verbs.retarget",

@@ -1,4 +1,4 @@
-"""Choose the test windows of the benchmarks and write them into benchmarks/splits.toml.
+"""Choose the test windows of the benchmarks and write them into priors/training/splits.toml.
 
     python scripts/choose_windows.py CORPUS --manifests DATA/mocap
 

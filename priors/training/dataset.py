@@ -19,8 +19,8 @@ from recon.formats.motions import load_motion
 
 _LOG = logging.getLogger(__name__)
 
-SPLITS = Path(__file__).parents[2] / "benchmarks" / "splits.toml"
-"""The committed splits of a source checkout."""
+SPLITS = Path(__file__).parent / "splits.toml"
+"""The committed splits, and the windows of the benchmarks, which are part of the package."""
 
 Part = Literal["train", "validation", "test", "apart"]
 """`apart`: clips of people who are tested in a row of their own, because somebody in the training
@@ -57,12 +57,12 @@ class Splits:
         """Read the committed table.
 
         Raises:
-            FileNotFoundError: when there is no such file; an installed package has none.
+            FileNotFoundError: when there is no such file.
             ValueError: when it is no such table.
         """
         path = Path(path)
         if not path.is_file():
-            raise FileNotFoundError(f"{path}: no splits there; give benchmarks/splits.toml")
+            raise FileNotFoundError(f"{path}: no splits there; expected a file like {SPLITS}")
         try:
             table: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
             return cls(
@@ -83,7 +83,7 @@ class Splits:
             )
         except (tomllib.TOMLDecodeError, KeyError, TypeError, ValueError, AttributeError) as error:
             raise ValueError(
-                f"{path}: expected splits as in benchmarks/splits.toml: {error!r}"
+                f"{path}: expected splits as in priors/training/splits.toml: {error!r}"
             ) from error
 
     def subject(self, clip: str) -> str:

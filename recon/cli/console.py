@@ -90,7 +90,7 @@ def _table(title: str, rows: Mapping[str, Mapping[str, Any]], *, stderr: bool) -
     shown = Table(title=title, title_justify="left")
     columns = list(dict.fromkeys(key for row in rows.values() for key in row))
     for column in ("", *columns):
-        shown.add_column(column, justify="right" if column else "left")
+        shown.add_column(column, justify="right" if column else "left", overflow="fold")
     for name, row in rows.items():
         shown.add_row(name, *(_cell(row.get(column)) for column in columns))
     Console(stderr=stderr).print(shown)

@@ -54,6 +54,12 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "recon evaluate motion.npz truth.npz",
         "recon evaluate motion.npz truth.npz --obs seen.npz --json metrics.json",
     ),
+    "bench": (
+        "recon bench noisy-joints --only 1",
+        "recon bench hidden-points --method pose own_method:Mine --corpus motions/",
+        "recon bench gap --corpus motions/ --write windows/",
+        "recon bench gap --corpus motions/ --predictions answers/",
+    ),
     "report": (
         "recon report trial.c3d",
         "recon report motion.npz --out gait.html",

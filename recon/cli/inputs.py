@@ -26,8 +26,10 @@ EXPECTED = {
     "observations": f"{_OBSERVATION}, 2D detections, or a folder of scans or depth images",
     "onto": "a SMPL-family file (.npz, .pkl)",
     "recording": "a recording (.bvh, .amc, .c3d, .trc, .mat), or a folder of them with --all",
+    "predictions": "a folder with one prediction for every window of `recon bench`",
     "result": _MOTION,
     "smplx": "a SMPL-X file (.npz, .pkl)",
+    "splits": "a TOML file of parts and windows, as priors/training/splits.toml",
     "trial": "a recording (.bvh, .amc, .c3d, .trc, .mat) or a motion file (.npz)",
     "truth": _MOTION,
 }

@@ -13,6 +13,7 @@ from recon.cli.verbs.generation.interpolate import interpolate
 from recon.cli.verbs.generation.predict import predict
 from recon.cli.verbs.generation.sample import sample
 from recon.cli.verbs.info import info
+from recon.cli.verbs.judging.bench import bench
 from recon.cli.verbs.judging.evaluate import evaluate
 from recon.cli.verbs.judging.report import report
 from recon.cli.verbs.refine import refine
@@ -36,6 +37,7 @@ ALL = (
     retarget,
     simulate,
     evaluate,
+    bench,
     report,
     view,
     export,

@@ -2,6 +2,7 @@
 
 import os
 import sys
+from collections.abc import Iterable
 from difflib import get_close_matches
 
 from recon.method.plugins import PRIORS, registered
@@ -25,5 +26,10 @@ def check_plugs(prior: str, reader: str | None) -> None:
         )
     if reader is not None and ":" not in reader:
         raise ValueError(f"--reader takes package.module:Class, got {reader}")
-    if (reader is not None or ":" in prior) and os.getcwd() not in sys.path:
+    find_here((prior, reader or ""))
+
+
+def find_here(names: Iterable[str]) -> None:
+    """Let classes "module:Class", if any of the names is one, be found in the current folder."""
+    if any(":" in name for name in names) and os.getcwd() not in sys.path:
         sys.path.append(os.getcwd())

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.intervals import interval, paired
+from recon.metrics.intervals import interval, paired
 
 
 def test_equal_values_leave_no_doubt() -> None:
@@ -30,7 +30,7 @@ def test_windows_of_one_clip_are_drawn_together() -> None:
     values = np.random.default_rng(2).normal(0.0, 1.0, 30)
     once = interval(values.tolist(), [str(i) for i in range(30)], ["x"] * 30)
     tenfold = interval(
-        np.repeat(values, 10).tolist(), np.repeat(range(30), 10).astype(str), ["x"] * 300
+        np.repeat(values, 10).tolist(), np.repeat(range(30), 10).astype(str).tolist(), ["x"] * 300
     )
     assert tenfold.low == pytest.approx(once.low)
     assert tenfold.high == pytest.approx(once.high)

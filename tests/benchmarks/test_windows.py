@@ -6,7 +6,6 @@ import numpy as np
 import torch
 
 from benchmarks.scores import WINDOWS, by_subject
-from benchmarks.smoothers import butterworth, whittaker
 from benchmarks.windows import (
     Windows,
     draw_girth,
@@ -16,6 +15,7 @@ from benchmarks.windows import (
     with_gap,
 )
 from priors.training.dataset import Splits
+from recon.api.bench.smoothers import butterworth, whittaker
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion

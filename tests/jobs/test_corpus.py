@@ -71,7 +71,7 @@ def test_names_in_a_manifest_are_as_it_says_or_paths(tmp_path):
 
 
 def test_names_of_the_recordings_here_are_what_splits_know(data):
-    """benchmarks/splits.toml and trained weights know clips by these names."""
+    """priors/training/splits.toml and trained weights know clips by these names."""
     for clips in collections(data / "mocap"):
         with (data / "mocap" / clips[0].collection / "manifest.csv").open(newline="") as file:
             rows = list(csv.DictReader(file))

@@ -1,0 +1,1 @@
+"""A neutral benchmark: the same windows of free motions for everybody's method."""

@@ -1,0 +1,148 @@
+"""What a method gives back for a window: a motion, or places of joints alone."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from recon.api.bench.protocols import BenchProtocol, SeenWindow
+from recon.api.bench.scores import Row, clip_row
+from recon.api.given import motion_given
+from recon.body.contacts import contact_labels, rest_heights
+from recon.body.model import BodyModel
+from recon.core.errors import ReconError
+from recon.core.motion import Motion
+from recon.core.skeleton import LEGS
+from recon.formats.files.opening import load_arrays
+from recon.metrics import errors as metrics
+from recon.metrics.evaluation import ObservedPoints, joint_errors, observed_errors, smoothness
+
+ARRAYS = ("joints", "points", "contacts")
+"""Keys of an answer in arrays: joints (time, 22, 3), points as they were seen (time, points, 3),
+both in metres, and probabilities of contact (time, 22). Joints are needed."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a method gave back for one window; each tensor has one row per frame."""
+
+    joints: Float[Tensor, "time 22 3"]
+    motion: Motion | None = None
+    points: Float[Tensor, "time points 3"] | None = None
+    contacts: Float[Tensor, "time 22"] | None = None
+    """Probabilities of contact, labelled from a motion whose method says nothing of them; None
+    for joints alone."""
+
+
+def answer_of(given: Any, window: SeenWindow, body: BodyModel, name: str) -> Answer:
+    """An answer as any method may give it, checked.
+
+    Args:
+        given: places of the 22 joints, an array (time, 22, 3) in metres; a mapping of such arrays
+            by the names in `ARRAYS`; or a motion, as every function of recon takes it.
+        window: for which it was given.
+        body: whose motions are judged.
+        name: of the method or file, for messages.
+
+    Raises:
+        ReconError: when it is none of these, has other frames than the window, or holds NaN.
+    """
+    where = f"{name}, window {window.name}"
+    if isinstance(given, Mapping) and set(given) & set(ARRAYS):
+        return _of_arrays(given, window, where)
+    if hasattr(given, "__array__") or isinstance(given, list):
+        return _of_arrays({"joints": given}, window, where)
+    file = motion_given(given, body, where).file
+    motion, truth = file.motion, window.truth
+    if motion.frames != truth.frames or abs(motion.fps - truth.fps) > 1e-3:
+        raise ReconError(
+            f"{where}: expected {truth.frames} frames at {truth.fps:g} Hz, got {motion.frames} "
+            f"at {motion.fps:g} Hz"
+        )
+    motion = motion.replace(start_time=truth.start_time, fps=truth.fps)
+    posed = body.pose(motion)
+    points = posed.points(torch.tensor(window.vertices)) if window.vertices else None
+    contacts = file.contacts
+    if contacts is None:
+        heights = rest_heights(body, motion.shape)
+        contacts = contact_labels(posed.joints, heights, motion.fps).double()
+    return Answer(posed.joints, motion, points, contacts)
+
+
+def answer_in(folder: Path, window: SeenWindow, body: BodyModel) -> Answer:
+    """The prediction of a window in a folder: a motion file, or arrays as `answer_of` takes them.
+
+    Raises:
+        FileNotFoundError: when the folder has no file of the window's name.
+        ReconError: when it is damaged, or as `answer_of` says.
+    """
+    path = folder / window.file_name
+    if not path.is_file():
+        raise FileNotFoundError(
+            f"{path}: expected a prediction for every window, in files named as those of "
+            "`recon bench PROTOCOL --write FOLDER`"
+        )
+    arrays = load_arrays(path)
+    own = {key: arrays[key] for key in ARRAYS if key in arrays}
+    if len(own) == 0 and "trans" not in arrays:
+        raise ReconError(
+            f"{path}: expected a motion file, or an array joints (time, 22, 3) in metres; found "
+            f"{', '.join(sorted(arrays))}"
+        )
+    return answer_of(own or path, window, body, str(folder))
+
+
+def _of_arrays(given: Mapping[str, Any], window: SeenWindow, where: str) -> Answer:
+    if unknown := sorted(set(given) - set(ARRAYS)):
+        raise ReconError(f"{where}: expected arrays {', '.join(ARRAYS)}; got {unknown} besides")
+    if "joints" not in given:
+        raise ReconError(f"{where}: expected joints (time, 22, 3) beside {', '.join(given)}")
+    time = window.truth.frames
+    shapes = {
+        "joints": (time, 22, 3),
+        "points": tuple(window.points.shape),
+        "contacts": (time, 22),
+    }
+    tensors: dict[str, Tensor] = {}
+    for key, value in given.items():
+        array = np.asarray(value)
+        if array.shape != shapes[key] or array.dtype.kind not in "fiub":
+            raise ReconError(
+                f"{where}: expected {key} of shape {shapes[key]}, metres, z up; got "
+                f"{array.shape} of {array.dtype}"
+            )
+        if not np.isfinite(array).all():
+            raise ReconError(f"{where}: {key} holds NaN or infinity; every frame is judged")
+        tensors[key] = torch.from_numpy(array.astype(np.float64))
+    points = tensors.get("points") if window.vertices else None
+    return Answer(tensors["joints"], points=points, contacts=tensors.get("contacts"))
+
+
+def judged(protocol: BenchProtocol, window: SeenWindow, answer: Answer, body: BodyModel) -> Row:
+    """The metrics of an answer over the frames that a protocol judges, in SI units."""
+    part = slice(*protocol.judged)
+    truth = window.truth.window(*protocol.judged)
+    touching = window.touching[part]
+    contacts = None if answer.contacts is None else answer.contacts[part]
+    observed = None
+    if answer.points is not None:
+        visible = torch.from_numpy(window.seen.visible)[part]
+        places = window.points[part].double()
+        observed = ObservedPoints(answer.points[part].double(), places, visible)
+    if answer.motion is not None:
+        motion = answer.motion.window(*protocol.judged)
+        return clip_row(motion, truth, body, contacts, touching, observed)
+    own, actual = answer.joints[part], body.pose(truth).joints.double()
+    errors = metrics.point_errors(own, actual)
+    return {
+        **joint_errors(own, actual, None),
+        "joints_legs": metrics.mean(errors[:, list(LEGS)]),
+        **smoothness(own, actual, truth.fps),
+        **observed_errors(observed),
+        "slip_speed": metrics.slip_speed(own, touching, truth.fps),
+    }
