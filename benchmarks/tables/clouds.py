@@ -121,21 +121,26 @@ def depth_by_subject() -> str:
 def depth_warned() -> str:
     """Fits of clouds that are far off and say nothing, and right ones that warn."""
     found = _clouds()
-    rows: list[list[str]] = []
-    for method in ("recon", "0.1.0"):
-        every = [
-            one
-            for case, methods in found["values"].items()
-            if "depth" in case
-            for one in methods.get(method, {}).values()
-        ]
-        far = [bool(one["said"]) for one in every if one["root_all"] > _WRONG]
-        near = [bool(one["said"]) for one in every if one["root_all"] <= _WRONG]
-        rows.append([method, f"{len(far)}", f"{far.count(False)}",
-                     f"{len(near)}", f"{near.count(True)}"])  # fmt: skip
+    rows = [_warned(method, found["values"], method) for method in ("recon", "0.1.0")]
+    turned = present(("clouds_turned",))
+    rows += [_warned("recon, begun turned round", result(name)["values"], "turned")
+             for name in turned]  # fmt: skip
     headings = ["version", "fits more than 10 cm off", "of them silent", "other fits",
                 "of them with a warning"]  # fmt: skip
-    return markdown(headings, rows) + source(*present(_FILES))
+    return markdown(headings, rows) + source(*present(_FILES), *turned)
+
+
+def _warned(name: str, values: Mapping[str, Any], method: str) -> list[str]:
+    """One row: all fits of clouds of a method."""
+    every = [
+        one
+        for case, methods in values.items()
+        if "depth" in case
+        for one in methods.get(method, {}).values()
+    ]
+    far = [bool(one["said"]) for one in every if one["root_all"] > _WRONG]
+    near = [bool(one["said"]) for one in every if one["root_all"] <= _WRONG]
+    return [name, f"{len(far)}", f"{far.count(False)}", f"{len(near)}", f"{near.count(True)}"]
 
 
 def _mean(found: Mapping[str, Any], values: Mapping[str, Any], metric: str) -> float | None:
