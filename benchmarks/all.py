@@ -44,8 +44,13 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "real": ("real", "OBSERVATIONS"),
     "cameras": ("cameras", "CORPUS", "--only", "24", "--nc", _NC, "--ablations", _RUNS, "--cases",
                 "one camera", "one camera, posed", "moving camera", "three views"),
-    "clouds": ("clouds", "CORPUS", "--part", "test", "--only", "12", "--cases", "depth",
+    "labels": ("labels", "CORPUS", "PEOPLE", "--only", "15"),
+    "clouds": ("clouds", "CORPUS", "--part", "test", "--cases", "depth",
                "--methods", "recon", "0.1.0", "--baseline", "BASELINE"),
+    "clouds_people": ("clouds", "CORPUS", "--part", "test", "--only", "12", "--cases",
+                      "depth, MakeHuman", "--people", "PEOPLE"),
+    "clouds_turned": ("clouds", "CORPUS", "--part", "validation", "--only", "8", "--cases",
+                      "depth", "--methods", "turned"),
     "clouds_mixed": ("clouds", "CORPUS", "--part", "test", "--only", "12", "--cases",
                      "depth, sensor unknown", "2D", "2D + depth", "joints", "joints + depth"),
     "pose2sim": ("pose2sim", "OBSERVATIONS"),
@@ -140,8 +145,12 @@ def main() -> None:
     if beside_0_1_0 and not (out / "baseline").is_dir():
         commit = ("git", "worktree", "add", "--detach", str(out / "baseline"), _VERSION_0_1_0)
         subprocess.run(commit, check=True)
+    people = out / "people.npz"
+    if {"labels", "clouds_people"} & set(given.only) and not people.is_file():
+        run("benchmarks.people", str(people))
     places = {
         "CORPUS": str(corpus),
+        "PEOPLE": str(people),
         "OBSERVATIONS": str(data / "observations"),
         "DATA": str(data),
         "RECORDINGS": str(data),
