@@ -1,6 +1,6 @@
 """Priors that never saw a fold's people: trained by a short schedule, kept, and gone on with."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from benchmarks.strangers.folds import Fold, write_splits
@@ -31,6 +31,9 @@ class Schedule:
     """Windows per step."""
     width: int = 512
     """Units of the hidden layers."""
+    start: Path | None = None
+    """Weights of the same fold to go on from, at half the learning rate and without the phases in
+    which a training begins."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +59,7 @@ def humor_settings(
 
     It validates once, after its last step, so that nothing is chosen on the held-out people.
     """
-    return HumorTraining(
+    first = HumorTraining(
         corpus=corpus,
         out=folder / "humor",
         splits=folder / "splits.toml",
@@ -66,6 +69,17 @@ def humor_settings(
         variation=variation,
         validate_every=schedule.steps,
         save_every=SAVED_EVERY,
+    )
+    if schedule.start is None:
+        return first
+    return replace(
+        first,
+        start=schedule.start,
+        rate=0.5 * first.rate,
+        average=0.99,
+        kl_until=0.0,
+        own_from=0.0,
+        own_until=0.0,
     )
 
 

@@ -83,6 +83,9 @@ def test_variations_are_trained_as_they_are_asked_for(tmp_path: Path) -> None:
     asked = Variation(raises=0.5)
     assert humor_settings(tmp_path, tmp_path, Schedule(), asked).variation == asked
     assert humor_settings(tmp_path, tmp_path, Schedule()).variation == Variation()
+    later = humor_settings(tmp_path, tmp_path, Schedule(start=tmp_path / "w"), asked)
+    assert (later.start, later.variation) == (tmp_path / "w", asked)
+    assert later.kl_until == later.own_until == 0
 
 
 def test_windows_share_no_frame_and_begin_with_the_middle() -> None:
