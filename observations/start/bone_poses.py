@@ -12,8 +12,9 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from observations.start.inertia import inertia, torques
 from priors.pose.density import COORDINATES, ROTATIONS, PoseDensity
-from recon.body.derivatives import BELOW, turned_by
+from recon.body.derivatives import turned_by
 from recon.body.kinematics import forward_kinematics
 from recon.core import rotations as so3
 from recon.core.skeleton import JOINTS
@@ -264,28 +265,18 @@ def _by_coordinates(
     density: PoseDensity,
 ) -> tuple[Float[Tensor, "rows 69"], Float[Tensor, "rows 69 69"]]:
     """Gradient and Gauss-Newton Hessian by translation, turn of the root (world) and z."""
-    rows = len(force)
     bones = state.bones
-    # [O_b | p_b - p_a] of every bone b below joint a: what a turn about joint a carries
-    carried = bones[:, :, None].expand(-1, -1, _BONES, -1, -1).clone()
-    carried[..., 3] -= bones[:, None, :, :, 3]
-    carried = carried * BELOW.to(bones).mT[..., None, None]
-    turned = bones.new_zeros(rows, _BONES, 3, 4, 3 + 3 * _BONES)
-    for axis in range(3):
-        turned[:, :, axis, 3, axis] = 1
-    by_turn = turned[..., 3:].unflatten(-1, (_BONES, 3))
-    for axis in range(3):
-        after, last = (axis + 1) % 3, (axis + 2) % 3
-        by_turn[:, :, after, :, :, axis] = -carried[..., last, :].transpose(2, 3)
-        by_turn[:, :, last, :, :, axis] = carried[..., after, :].transpose(2, 3)
-    flat = turned.flatten(1, 3)
-    gradient = (force.flatten(1)[:, None] @ flat)[:, 0]
-    weighed = (stiffness[:, :, None] @ turned).flatten(1, 3)
-    hessian = flat.mT @ weighed
+    pull, turning = torques(bones, force)
+    mass, across, between = inertia(bones, stiffness)
     steps = (state.coordinates @ density.basis.mT).unflatten(-1, (ROTATIONS, 3))
     bent = bones[:, 1:, :, :3] @ turned_by(steps)
-    chain = (bent @ density.basis.unflatten(0, (ROTATIONS, 3))).flatten(1, 2)
-    whole = bones.new_zeros(rows, 3 + 3 * _BONES, 6 + COORDINATES)
-    whole[:, :6, :6] = torch.eye(6)
-    whole[:, 6:, 6:] = chain
-    return (gradient[:, None] @ whole)[:, 0], whole.mT @ hessian @ whole
+    # the turns of the root, and those of the other joints by v = B z
+    whole = bones.new_zeros(len(bones), 3 * _BONES, 3 + COORDINATES)
+    whole[:, :3, :3] = torch.eye(3)
+    whole[:, 3:, 3:] = (bent @ density.basis.unflatten(0, (ROTATIONS, 3))).flatten(1, 2)
+    turning = (turning.flatten(1)[:, None] @ whole)[:, 0]
+    across, between = across @ whole, whole.mT @ between @ whole
+    placed = mass[:, None, None] * torch.eye(3).to(bones)
+    upper = torch.cat((placed, across), -1)
+    hessian = torch.cat((upper, torch.cat((across.mT, between), -1)), 1)
+    return torch.cat((pull, turning), -1), hessian
