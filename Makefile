@@ -1,6 +1,7 @@
 # make demo: reconstruct the bundled noisy clip.   make test: lint, types, tests.
 # make test-slow: the tests marked slow, run before a release.
 # make mutants: small faults in some modules, and which of them their tests notice.
+# make dist: wheel and sdist in dist/, tried in empty environments of Python 3.11 to 3.13.
 # make docs: the documentation site, in site/.
 # make tables: the tables of README.md and docs/ from benchmarks/results.
 # make clients: our files in Blender, three.js, OpenSim, OpenUSD and glTF's validator (1 GB of them),
@@ -13,7 +14,7 @@ OUT ?= out
 # On the kernels of other processors, from inputs off by a few units in the last place.
 NUMERICS = $(BIN)/pytest -q -n 2 --dist loadfile -m 'numerics and not slow' --ulps 4
 
-.PHONY: demo test test-slow docs mutants tables clients bench clean
+.PHONY: demo test test-slow dist docs mutants tables clients bench clean
 
 demo: .venv/installed
 	$(BIN)/recon demo --out demo
@@ -29,6 +30,9 @@ test: .venv/developed
 
 test-slow: .venv/developed
 	$(BIN)/pytest -q -n 2 --dist loadfile -m slow
+
+dist: .venv/developed
+	$(BIN)/python -m scripts.distributions --out dist
 
 docs: .venv/developed
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet

@@ -4,7 +4,6 @@ import base64
 import csv
 import hashlib
 import os
-import subprocess
 import sys
 import sysconfig
 import tarfile
@@ -17,6 +16,7 @@ from hatchling.builders.sdist import SdistBuilder
 from hatchling.builders.wheel import WheelBuilder
 
 import recon
+from scripts.distributions import LARGEST, contents, ran
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("recon", "priors", "observations")
@@ -96,8 +96,36 @@ def test_data_and_weights_come_as_they_are(wheel):
 
 
 def test_sizes_are_those_of_the_documents(wheel):
+    assert wheel.stat().st_size <= LARGEST
     text = (ROOT / "docs" / "command_line.md").read_text(encoding="utf-8")
     assert f"the wheel has {wheel.stat().st_size / 1e6:.0f} MB" in " ".join(text.split())
+
+
+def test_what_is_cited_is_what_is_built_on():
+    """The papers of two of three learned priors, and the data, were not among the references."""
+    text = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    assert f"\nversion: {recon.__version__}\n" in text
+    for family in ("Rempe", "Marsot", "Tripathi"):
+        assert f"family-names: {family}" in text
+    assert "mocap.cs.cmu.edu" in text
+    assert "EIA-0196217" in text
+
+
+CARDS = [
+    path for place in ("priors/weights", "weights-nc") for path in (ROOT / place).glob("*.md")
+]
+
+
+@pytest.mark.parametrize(
+    "card",
+    [path for path in CARDS if path.with_suffix(".safetensors").is_file()],
+    ids=lambda path: f"{path.parent.name}-{path.stem}",
+)
+def test_a_model_card_says_what_data_licence_and_limits(card):
+    text = card.read_text(encoding="utf-8")
+    for row in ("what", "data", "licence"):
+        assert f"\n| {row} | " in text, f"{card}: no row {row}"
+    assert "imits: " in text, f"{card}: says no limits"
 
 
 @pytest.mark.slow
@@ -106,27 +134,23 @@ def test_both_distributions_install_and_work_in_an_empty_environment(sdist, whee
     sdist.extractall(tmp_path / "source", filter="data")
     (source,) = (tmp_path / "source").iterdir()
     again = _wheel(source, tmp_path / "again")
-    with zipfile.ZipFile(wheel) as one, zipfile.ZipFile(again) as other:
-        assert set(one.namelist()) == set(other.namelist())
+    assert contents(wheel) == contents(again)
     home = tmp_path / "environment"
     venv.create(home, with_pip=False, symlinks=True)
     programs = home / ("Scripts" if os.name == "nt" else "bin")
     python = programs / "python"
     install = ("-m", "pip", "--python", str(python), "install", "--quiet", "--no-index")
-    _ran(sys.executable, *install, "--no-deps", str(again), cwd=tmp_path)
+    ran(sys.executable, *install, "--no-deps", str(again), cwd=tmp_path)
     (place,) = home.glob("[lL]ib/**/site-packages")
     (place / "dependencies.pth").write_text(sysconfig.get_path("purelib"))
     where = "import recon, priors, observations as o; print(recon.__file__, priors.__file__, o)"
-    assert _ran(str(python), "-c", where, cwd=tmp_path).count(str(home)) == 3
+    assert ran(str(python), "-c", where, cwd=tmp_path).count(str(home)) == 3
     recon_ = str(programs / "recon")
-    assert f"recon {recon.__version__}, torch" in _ran(recon_, "--version", cwd=tmp_path)
-    _ran(recon_, "demo", "--out", "demo", "--quiet", cwd=tmp_path)
+    assert f"recon {recon.__version__}, torch" in ran(recon_, "--version", cwd=tmp_path)
+    ran(recon_, "demo", "--out", "demo", "--quiet", cwd=tmp_path)
+    seen = ("simulate", "demo/noisy.npz", "seen.npz", "--kind", "joints3d", "--frames", "0:30")
+    ran(recon_, *seen, cwd=tmp_path)
+    ran(recon_, "fit", "seen.npz", "--prior", "pose", "--out", "back.npz", cwd=tmp_path)
+    assert (tmp_path / "back.npz").is_file()
+    ran(recon_, "bench", "gap", "--method", "linear", "--json", "found.json", cwd=tmp_path)
     assert (tmp_path / "demo" / "demo.html").stat().st_size > 100_000
-
-
-def _ran(*command: str, cwd: Path) -> str:
-    """What a program wrote; its environment names no place of this checkout."""
-    others = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-    run = subprocess.run(command, cwd=cwd, env=others, capture_output=True, text=True, check=False)
-    assert run.returncode == 0, run.stderr
-    return run.stdout

@@ -12,6 +12,12 @@ from safetensors.torch import save_file
 from priors.checkpoints import load_checkpoint, named_checkpoint, save_checkpoint
 from scripts.sign_weights import sign
 
+ROOT = Path(__file__).parents[2]
+SHIPPED = [
+    path
+    for place in ("priors/weights", "weights-nc")
+    for path in (ROOT / place).glob("*.safetensors")
+]
 TENSORS = {
     "net.0.weight": torch.arange(12.0).reshape(3, 4),
     "net.0.bias": torch.tensor([1.0, -2.0, 0.5]).half(),
@@ -45,11 +51,19 @@ def test_flipped_bits_are_refused(tmp_path: Path) -> None:
             assert all(torch.equal(back.tensors[k], tensor) for k, tensor in TENSORS.items())
 
 
-@pytest.mark.parametrize("kind", ["pose", "humor", "anchor", "humos"])
-def test_shipped_weights_carry_their_checksum(kind: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("shipped", SHIPPED, ids=lambda path: f"{path.parent.name}-{path.stem}")
+def test_shipped_weights_carry_their_checksum(shipped: Path, tmp_path: Path) -> None:
+    """Labels and stiffness of steps, and the weights that are not commercial, were not asked."""
     path = tmp_path / "w.safetensors"
-    shutil.copy(named_checkpoint("open", kind).path, path)
+    shutil.copy(shipped, path)
     assert sign(path) == "has the right checksum"
+    assert shipped.with_suffix(".md").is_file()
+
+
+def test_every_kind_of_weights_is_shipped() -> None:
+    kinds = {"pose", "humor", "humor_steps", "anchor", "humos", "labels"}
+    assert {path.stem for path in SHIPPED} == kinds
+    assert named_checkpoint("open", "humor").path in SHIPPED
 
 
 def test_files_without_a_checksum_are_read_and_can_be_signed(tmp_path: Path) -> None:
