@@ -1,4 +1,4 @@
-"""Ablations, new motions, long recordings, real markers, the corpus, solver, speed, fuzz."""
+"""Ablations, new motions, long recordings, left-out markers, the corpus, solver, speed, fuzz."""
 
 import numpy as np
 
@@ -36,17 +36,6 @@ def ablations() -> str:
     headings = ["networks", "noisy: all cm", "legs cm", "slip cm/s", "feet right %",
                 "occluded: all cm", "hidden cm"]  # fmt: skip
     return markdown(headings, rows) + source("ablations")
-
-
-def real_hidden() -> str:
-    """Real markers below 0.9 m hidden."""
-    rows = [
-        [name, number(row["pose prior"]), number(row["HuMoR"]),
-         number(row["pose prior, nothing hidden"])]
-        for name, row in result("real")["hidden_markers_cm"].items()
-    ]  # fmt: skip
-    headings = ["recording, cm", "stages 1-2", "collocation", "nothing hidden"]
-    return markdown(headings, rows) + source("real")
 
 
 def generation() -> str:
