@@ -19,7 +19,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import monotonic
-from typing import Any, Literal
+from typing import Any
 
 import torch
 
@@ -51,14 +51,15 @@ POSE, HUMOR, EVERYTHING = "pose prior", "HuMoR", "pose prior, nothing hidden"
 class HiddenMarkers:
     """A recording of which the lower markers are hidden."""
 
-    row: Literal["runs", "walks", "jumps", "apart"]
+    row: str
+    """The mean it counts in (runs, walks or jumps), or `apart`."""
     path: str
     """Below the folder of observations."""
     person: str
     first: float = 0.0
     """Second of the recording at which the clip begins."""
     why: str = ""
-    """Why it is apart."""
+    """The reason for being apart."""
 
 
 def load_list(path: Path = LIST) -> tuple[HiddenMarkers, ...]:

@@ -52,7 +52,7 @@ def _over(sums: Sequence[Float[np.ndarray, "recordings 2"]], statistic: Statisti
 
 
 def _sums(rows: Rows, label: str, other: str | None) -> list[Float[np.ndarray, "recordings 2"]]:
-    """For every person, an error of each recording beside another one, or beside its count."""
+    """Errors of each recording beside other ones, or beside its count of one, by person."""
     by_person: dict[str, list[tuple[float, float]]] = {}
     for row in rows:
         errors = row["error_cm"]
