@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from benchmarks.intervals import Estimate
-from benchmarks.real import EVERYTHING, HUMOR, POSE
+from benchmarks.real import EVERYTHING, HUMOR, POSE, load_list
 from benchmarks.strangers.compare import Statistic, estimated, over_people, quotient
 from benchmarks.tables.values import markdown, number, result, source, spread
 
@@ -16,16 +16,21 @@ ROWS = ("runs", "walks", "jumps")
 
 
 def means() -> str:
-    """Mean errors over people of each kind of motion, with 95 % intervals."""
+    """Mean errors over people of each kind of motion, with 95 % intervals.
+
+    Where a run was ended early, recordings that are not measured are counted, too.
+    """
     found = list(result("real")["recordings"].values())
+    listed = load_list()
     rows = []
     for kind in ROWS:
         own = [row for row in found if row["row"] == kind]
         people = sorted({row["person"] for row in own})
         cells = [spread(_mean(own, label), 1, 1) for label in (POSE, HUMOR, EVERYTHING)]
         ratio = spread(_over(_sums(own, HUMOR, POSE), quotient))
-        rows.append([kind, str(len(people)), str(len(own)), *cells, ratio])
-    headings = ["hidden markers, cm", "people", "recordings", "stages 1-2", "collocation",
+        count = f"{len(own)} of {sum(one.row == kind for one in listed)}"
+        rows.append([kind, str(len(people)), count, *cells, ratio])
+    headings = ["hidden markers, cm", "people", "recordings measured", "stages 1-2", "collocation",
                 "nothing hidden", "collocation / stages 1-2"]  # fmt: skip
     return markdown(headings, rows) + source("real")
 

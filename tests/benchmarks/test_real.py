@@ -68,6 +68,7 @@ def test_means_are_over_people_and_not_over_recordings(monkeypatch: pytest.Monke
     monkeypatch.setattr(tables, "result", lambda _: {"recordings": rows})
     monkeypatch.setattr(tables, "source", lambda _: "")
     for line in tables.means().splitlines()[2:]:
-        assert "| 2 | 3 | 50.0 [" in line
+        assert "| 2 | 3 of " in line
+        assert "| 50.0 [" in line
         assert "| 25.0 [" in line  # the mean of 15 and 35
         assert line.endswith("| 0.50 [0.50, 0.50] |")
