@@ -1,11 +1,12 @@
 """Documents say what the result files say, and nothing measured that they do not say."""
 
+import re
 from pathlib import Path
 
 import pytest
 
 from benchmarks.all import COMMANDS, placed
-from benchmarks.results import RESULTS
+from benchmarks.results import RESULTS, ROOT
 from benchmarks.tables.catalogue import TABLES
 from benchmarks.tables.page import documents, filled, loose_numbers, used
 from benchmarks.tables.values import markdown, mean, number, result, source
@@ -25,6 +26,25 @@ def test_tables_are_those_of_the_result_files(path: Path) -> None:
 def test_every_table_stands_in_a_document() -> None:
     shown = [name for path in PAGES for name in used(path.read_text(encoding="utf-8"))]
     assert set(shown) == set(TABLES)
+
+
+def test_one_page_leads_to_all_tables() -> None:
+    """Six of the fifteen pages with tables were linked from the page of results."""
+    text = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
+    index = text.split("## All tables")[1].split("\n## ")[0]
+    pages = [path for path in PROSE if used(path.read_text(encoding="utf-8"))]
+    missing = [p.name for p in pages if p.name != "results.md" and f"]({p.name}" not in index]
+    assert missing == []
+    cells = [line.split("|")[2] for line in index.splitlines() if line.startswith("| [")]
+    named = {name.split()[0] for cell in cells for name in re.findall(r"`([^`]+)`", cell)}
+    assert len(named) > 40
+    gone = [name for name in named if not _is_benchmark(name)]
+    assert gone == [], "named in the index, and no benchmark"
+
+
+def _is_benchmark(name: str) -> bool:
+    stem = ROOT / "benchmarks" / Path(*name.split("."))
+    return stem.is_dir() or stem.with_suffix(".py").is_file() or name == "anchor_..."
 
 
 @pytest.mark.parametrize("path", PROSE, ids=[path.name for path in PROSE])
