@@ -20,7 +20,14 @@ from recon.formats.observations import (
     PositionsFile,
     save_observation,
 )
-from recon.simulation.depth import Shown, Surface, depth_image, depth_points, without_pose
+from recon.simulation.depth import (
+    DepthSensor,
+    Shown,
+    Surface,
+    depth_image,
+    depth_points,
+    without_pose,
+)
 from recon.simulation.images import dome, keypoints2d
 from recon.simulation.points import joints3d
 
@@ -105,7 +112,8 @@ class Seen:
         height, width = image.shape
         column = projected.pixels[:, 0].long().clamp(0, width - 1)
         row = projected.pixels[:, 1].long().clamp(0, height - 1)
-        return projected.in_front & (projected.depth < image[row, column] + _BEHIND)
+        near = projected.in_front & (projected.depth <= DepthSensor().farthest)
+        return near & (projected.depth < image[row, column] + _BEHIND)
 
 
 OTHERS = "depth, MakeHuman"

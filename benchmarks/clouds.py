@@ -18,7 +18,8 @@ guess turned about the vertical by half a turn, without labels, to see whether w
 Joints about the pelvis and vertices in the world (by way of the true sensor) are in metres;
 `wrong` is whether at least a fifth of the frames face elsewhere by more than 60 degrees or have
 legs, where they are in sight, exchanged. `first` is the first guess. CPU s are of the first guess
-with its labels, and of the whole fit of files that were read. Windows that the JSON has already,
+with its labels, and of the whole fit of files that were read. Where nobody is in the reach of the
+sensor (8 m), the files are refused, which the JSON says. Windows that the JSON has already,
 of the same commit, are not fitted again.
 """
 
@@ -57,6 +58,7 @@ from priors.training.dataset import Splits
 from recon.api.fit import fit
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
+from recon.core.errors import ObservationError
 from recon.core.motion import Motion
 from recon.core.skeleton import LEGS, MIRROR
 from recon.fitting.clip_files import Clip, load_clip
@@ -142,7 +144,8 @@ def main() -> None:
 
 def shown(windows: Windows, values: dict[str, dict[str, Any]]) -> dict[str, Row]:
     """Means over subjects of the windows that a method has fitted."""
-    there = [k for k, name in enumerate(windows.names) if name in values]
+    fitted = {name for name, row in values.items() if "refused" not in row}
+    there = [k for k, name in enumerate(windows.names) if name in fitted]
     some = windows.take(there)
     return by_subject(some, [{k: values[name].get(k) for k in COLUMNS} for name in some.names])
 
@@ -167,10 +170,16 @@ def compare(
                 continue
             files = write_files(seen, case, folder)
             out = folder / f"{case}, {method}.npz"
-            if method == "0.1.0":
-                done = fitted_by(given.baseline, files, out)
-            else:
-                done = fitted_here(files, out, seen, method)
+            try:
+                done = (
+                    fitted_by(given.baseline, files, out)
+                    if method == "0.1.0"
+                    else fitted_here(files, out, seen, method)
+                )
+            except ObservationError as error:
+                values[name] = {"refused": str(error)}
+                print(name, case, method, error, flush=True)
+                continue
             values[name] = measured(seen, done)
             row = {k: v for k, v in values[name].items() if isinstance(v, float)}
             print(name, case, method, {k: f"{v:.3g}" for k, v in row.items()}, flush=True)

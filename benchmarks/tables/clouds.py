@@ -64,7 +64,8 @@ def _clouds() -> dict[str, Any]:
         subject |= dict(zip(one["names"], one["subjects"], strict=True))
         for case, methods in one["values"].items():
             for method, windows in methods.items():
-                values.setdefault(case, {}).setdefault(method, {}).update(windows)
+                fitted = {name: row for name, row in windows.items() if "refused" not in row}
+                values.setdefault(case, {}).setdefault(method, {}).update(fitted)
     merged = {"names": list(subject), "subjects": list(subject.values())}
     ordered = {case: values[case] for case in _NAMES if case in values}
     return {**found[0], **merged, "values": ordered}

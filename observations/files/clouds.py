@@ -41,6 +41,10 @@ _LEAST = 20
 _REACH, _SPACINGS = 0.08, 2.0
 """Steps that join points to one thing: metres, or where points are sparse so many times as far as
 they are from each other."""
+_FLAT = 0.1
+"""Metres that a person rises above the ground at least, lying; noise of the ground rises less."""
+_FEW = 0.25
+"""Share of the usual points that flat things have where they are noise."""
 _MUCH = 0.1
 """Share of the points above which other things than the largest are furniture, not noise."""
 _LOOKED_AT = 50
@@ -85,7 +89,8 @@ def cloud_of(
         T_recording_camera: where a camera without pose is, if the ground is given.
 
     Raises:
-        ValueError: when no frame has enough points of a person, scans show a ground that is not
+        ValueError: when no frame has enough points of a person, nobody stands or lies on the
+            ground that is seen, scans show a ground that is not
             where it should be, a fixed sensor moves, or there are more frames than memory for
             them.
     """
@@ -122,6 +127,8 @@ def cloud_of(
     left_out = 1 - sum(map(len, one.clouds)) / max(sum(map(len, clouds)), 1)
     if seen or len(walls) > 0 or (file.camera is None and left_out > _MUCH) or one.beside > 0:
         clouds = one.clouds
+    if seen:
+        clouds = _without_noise_of_ground(clouds)
     clouds = [
         cloud[np.sort(generator.permutation(len(cloud))[:points])]
         if len(cloud) > points
@@ -152,6 +159,27 @@ def cloud_of(
         ground_seen=found.ground is not None,
     )
     return LoadedCloud(observation, found, T, (*moves, *_said(one, frames)))
+
+
+def _without_noise_of_ground(clouds: list[np.ndarray]) -> list[np.ndarray]:
+    """The clouds of frames in which somebody is in sight, others emptied.
+
+    What is flat and has few points beside the frames in which something rises is noise.
+
+    Raises:
+        ObservationError: when nothing rises above the ground in any frame.
+    """
+    rises = [len(cloud) >= _LEAST and np.quantile(cloud[:, 2], 0.9) > _FLAT for cloud in clouds]
+    if not any(rises):
+        raise ObservationError(
+            f"the ground is seen, but nothing rises more than {_FLAT} m above it: nobody is in "
+            "the sensor's reach, or the person was cut out; expected points of a person"
+        )
+    usual = np.median([len(cloud) for cloud, up in zip(clouds, rises, strict=True) if up])
+    return [
+        cloud if up or len(cloud) > _FEW * usual else cloud[:0]
+        for cloud, up in zip(clouds, rises, strict=True)
+    ]
 
 
 def _walls(

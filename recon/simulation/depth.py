@@ -143,13 +143,15 @@ def depth_points(
             "the sensor sees nothing of this motion; place it 2 to 4 m away, looking at the body"
         )
     clear = replace(corruption, missing_points=0.0, missing_frames=0.0)
+    seen = in_sight(shown.joints, camera, clear, motion, generator)
+    seen &= camera.project(shown.joints).depth <= sensor.farthest
     return PointsFile(
         points=np.concatenate(clouds),
         frame=np.repeat(np.arange(len(clouds)), [len(cloud) for cloud in clouds]),
         fps=motion.fps,
         camera=camera_arrays(camera),
         start_time=motion.start_time,
-        truth_visible=in_sight(shown.joints, camera, clear, motion, generator).numpy(),
+        truth_visible=seen.numpy(),
     )
 
 

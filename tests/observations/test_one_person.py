@@ -5,6 +5,7 @@ import pytest
 
 from observations.files.clouds import cloud_of
 from observations.files.one_person import alone
+from recon.core.errors import ObservationError
 from recon.formats.observations import CameraArrays, PointsFile
 
 
@@ -66,3 +67,18 @@ def test_a_wall_behind_the_person_is_left_out(posed, body):
     cloud = cloud_of(file, body, points=1000).cloud
     assert cloud.present.sum(-1).tolist() == [[400] * 3]
     assert np.ptp(cloud.points[cloud.present].numpy(), axis=0).max() < 1.8
+
+
+def test_a_ground_with_nobody_on_it_is_refused(body):
+    """The noise of the ground was taken for a person: a runner had been out of the sensor's reach,
+    and a body was fitted 1.7 m wrong."""
+    random = np.random.default_rng(0)
+    frames = 10
+    ground = random.uniform((-3, -3, 0), (3, 3, 0), (frames * 2000, 3))
+    ground[:, 2] += random.normal(0, 0.02, len(ground))
+    level = np.array([[1.0, 0, 0, 0], [0, 0, -1, 1], [0, 1, 0, 4], [0, 0, 0, 1]])
+    matrix = np.array([[525.0, 0, 320], [0, 525, 240], [0, 0, 1]])
+    camera = CameraArrays(matrix, (640, 480), T_camera_world=level[None])
+    file = PointsFile(ground, np.repeat(np.arange(frames), 2000), fps=30.0, camera=camera)
+    with pytest.raises(ObservationError, match="nobody is in the"):
+        cloud_of(file, body)

@@ -1,5 +1,7 @@
 """Simulated depth: exact without noise, hidden by boxes, noisy as documented."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 import torch
@@ -134,3 +136,13 @@ def test_a_sensor_that_looks_away_is_refused(body, motion, camera):
     away = camera.placed(eye, 2 * eye - body.pose(motion).joints[0, 0])
     with pytest.raises(ValueError, match="sees nothing"):
         depth_points(motion, body, away, Corruption(), 0)
+
+
+def test_joints_beyond_the_reach_of_the_sensor_are_not_in_sight(body, motion, camera):
+    """A runner 11 m before a sensor that reaches 8 m counted as seen in every frame."""
+    away = camera.project(body.pose(motion).joints).depth
+    reach = float(away.median())
+    sensor = dataclasses.replace(PERFECT, farthest=reach)
+    file = depth_points(motion, body, camera, Corruption(), 0, sensor=sensor, points=100)
+    assert file.truth_visible is not None
+    assert np.array_equal(file.truth_visible, (away <= reach).numpy())
