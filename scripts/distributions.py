@@ -49,7 +49,12 @@ def main() -> None:
         print(f"{path.name}: {path.stat().st_size / 1e6:.1f} MB", flush=True)
     if wheel.stat().st_size > LARGEST:
         sys.exit(f"the wheel is larger than {LARGEST / 1e6:.0f} MB")
-    programs = arguments.python or [program for v in PYTHONS if (program := found(v))]
+    programs = arguments.python
+    if programs is None:
+        at_hand = {version: found(version) for version in PYTHONS}
+        programs = [program for program in at_hand.values() if program is not None]
+        for version in (version for version, program in at_hand.items() if program is None):
+            print(f"Python {version}: not at hand", flush=True)
     with tempfile.TemporaryDirectory() as folder:
         compare(wheel, sdist, Path(folder) / "again")
         for number, program in enumerate(programs):
@@ -88,14 +93,18 @@ def contents(wheel: Path) -> dict[str, str]:
 
 
 def found(version: str) -> str | None:
-    """The program of a version of Python; None where there is none that runs."""
+    """The program of a version of Python, on the path or of pyenv; None where none runs."""
     if sys.version.startswith(f"{version}."):
         return sys.executable
-    program = shutil.which(f"python{version}")
-    if program is None:
-        return None
-    asked = subprocess.run([program, "--version"], capture_output=True, text=True, check=False)
-    return program if asked.stdout.startswith(f"Python {version}.") else None
+    kept = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv")) / "versions"
+    places = sorted(str(place) for place in kept.glob(f"{version}.*/bin/python"))
+    for program in (shutil.which(f"python{version}"), *places):
+        if program is None:
+            continue
+        asked = subprocess.run([program, "--version"], capture_output=True, text=True, check=False)
+        if asked.stdout.startswith(f"Python {version}."):
+            return program
+    return None
 
 
 def tried(program: str, wheel: Path, sdist: Path, place: Path, *, any_torch: bool) -> str:
@@ -114,7 +123,7 @@ def tried(program: str, wheel: Path, sdist: Path, place: Path, *, any_torch: boo
         ran(recon, "--help", cwd=place)
         ran(recon, "bench", "--help", cwd=place)
         return "no torch without CUDA's libraries: compiles, says its help; no fit ran"
-    ran(pip, "install", "--quiet", *constraint, str(wheel), cwd=place)
+    ran(pip, "install", "--quiet", "--no-compile", *constraint, str(wheel), cwd=place)
     ran(pip, "check", cwd=place)
     version = ran(recon, "--version", cwd=place).strip()
     ran(recon, "demo", "--out", "demo", "--quiet", cwd=place)

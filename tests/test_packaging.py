@@ -16,7 +16,7 @@ from hatchling.builders.sdist import SdistBuilder
 from hatchling.builders.wheel import WheelBuilder
 
 import recon
-from scripts.distributions import LARGEST, contents, ran
+from scripts.distributions import LARGEST, contents, found, ran
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("recon", "priors", "observations")
@@ -126,6 +126,23 @@ def test_a_model_card_says_what_data_licence_and_limits(card):
     for row in ("what", "data", "licence"):
         assert f"\n| {row} | " in text, f"{card}: no row {row}"
     assert "imits: " in text, f"{card}: says no limits"
+
+
+def test_pythons_that_do_not_run_are_not_at_hand(tmp_path, monkeypatch):
+    """pyenv puts programs of every version on the path, most of which only say no."""
+    own = f"{sys.version_info.major}.{sys.version_info.minor}"
+    assert found(own) == sys.executable
+    says_no = tmp_path / "python9.9"
+    says_no.write_text("#!/bin/sh\necho 'command not found' >&2\nexit 127\n")
+    says_no.chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
+    monkeypatch.setenv("PYENV_ROOT", str(tmp_path / "pyenv"))
+    assert found("9.9") is None
+    kept = tmp_path / "pyenv" / "versions" / "9.9.1" / "bin"
+    kept.mkdir(parents=True)
+    (kept / "python").write_text("#!/bin/sh\necho 'Python 9.9.1'\n")
+    (kept / "python").chmod(0o755)
+    assert found("9.9") == str(kept / "python")
 
 
 @pytest.mark.slow
