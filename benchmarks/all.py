@@ -33,6 +33,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "humor": ("humor", "CORPUS", "--frames", "60", "--shooting", "8", "--protocols", _POINTS[0]),
     "humor_hidden": ("humor", "CORPUS", "--frames", "60", "--shooting", "8", "--protocols",
                      _POINTS[1]),
+    "failures": ("failures", "CORPUS"),
     "humor_90": ("humor", "CORPUS", "--frames", "90", "--shooting", "0", "--protocols", *_POINTS),
     "humor_recipes": ("humor", "CORPUS", "--frames", "60", "--protocols", "in-betweening",
                       "upper body"),
