@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from benchmarks.tables.values import markdown, result, source, spread
+from benchmarks.tables.values import markdown, present, result, source, spread
 from recon.metrics.intervals import interval
 
 HEADINGS = ["kind of motion", "windows", "noisy joints cm: pose prior", "collocation",
@@ -14,6 +14,8 @@ COLUMNS = ("noisy-joints, pose", "noisy-joints, collocation",
 
 def kinds() -> str:
     """Every kind of motion, the easiest first, with intervals over its clips."""
+    if not present(["failures"]):
+        return "*To be measured: `python -m benchmarks.failures CORPUS --json failures.json`.*"
     return markdown(HEADINGS, lines(result("failures")["rows"])) + source("failures")
 
 
