@@ -97,6 +97,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "retarget_shapes_nc": ("retarget_shapes", "CORPUS", "--weights", "nc", "--licence", "nc"),
     "retarget": ("retarget", "CORPUS", "--licence", "nc", "--weights", "open", "nc"),
     "humos_prior": ("humos_prior", "CORPUS", "--only", "24"),
+    "bodies": ("bodies", "CORPUS", "BODIES"),
     "humos_ablations": ("humos_ablations", "CORPUS", "--out", "HUMOS_ABLATIONS"),
     "long": ("long", "CORPUS", "--prior", "humor", "--seconds", "10", "60"),
     "long_pose": ("long", "CORPUS", "--prior", "pose"),

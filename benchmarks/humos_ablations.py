@@ -2,12 +2,14 @@
 
     python -m benchmarks.humos_ablations CORPUS --out RUNS [--warm RUN/warm.pt]
         --json benchmarks/results/humos_ablations.json
+    python -m benchmarks.humos_ablations CORPUS --out RUNS --only "one code per clip" --steps 1200
 
 Every row is 400 steps from body to body and back, begun with the same auto-encoder (1,500 steps,
 or the one given; one code per clip has its own), on clips that weights of the package may learn
 from. Judged on the test clips of `benchmarks/identities.toml`, without those that fly, on what the
 networks propose alone: physics as in `benchmarks.retarget`, and the joint error of codes on the
-clips' own bodies.
+clips' own bodies. The second command trains one code per clip as long as the weights of the
+package were; a run that was interrupted goes on.
 """
 
 import argparse
@@ -46,21 +48,27 @@ def main() -> None:
     parser.add_argument("corpus", type=Path)
     parser.add_argument("--out", type=Path, required=True, help="folder of the runs")
     parser.add_argument("--warm", type=Path, default=None, help="auto-encoder to begin with")
+    parser.add_argument("--only", nargs="+", default=None, help="names of rows")
+    parser.add_argument("--steps", type=int, default=STEPS, help="from body to body and back")
     parser.add_argument("--json", type=Path, default=None)
     ask = parser.parse_args()
     torch.set_num_threads(1)
     body, splits = BodyModel.load(), Splits.load()
-    plain = HumosTraining(corpus=ask.corpus, out=ask.out, steps=STEPS)
+    plain = HumosTraining(corpus=ask.corpus, out=ask.out, steps=ask.steps)
     learned = BodyCorpus.load(ask.corpus, splits, "train", "open", body, plain.speeds)
     checked = BodyCorpus.load(ask.corpus, splits, "validation", "open", body)
     jobs = [j for j in load_jobs(ask.corpus, splits, "test", "nc", body) if not j.flies]
-    warm = ask.warm or _auto_encoder(plain, learned, checked)
+    wanted = _wanted(ask.only, plain)
+    warm = ask.warm
+    if warm is None and any(one.codes == "windows" for one in wanted.values()):
+        warm = _auto_encoder(plain, learned, checked)
     rows: dict[str, dict[str, float]] = {
         "truth": _physics(measured(itself, jobs, body)[0]),
         "copy": _physics(measured(copied, jobs, body)[0]),
     }
-    for name, settings in variants(replace(plain, warm=warm)).items():
-        run = replace(settings, out=ask.out / name.replace(" ", "_"))
+    for name, settings in wanted.items():
+        begun = warm if settings.codes == "windows" else None
+        run = replace(settings, warm=begun, out=ask.out / name.replace(" ", "_"))
         run.out.mkdir(parents=True, exist_ok=True)
         train_on(run, learned, checked)
         path = export_learned(run, run.out / "humos.safetensors", learned)
@@ -78,8 +86,22 @@ def variants(full: HumosTraining) -> dict[str, HumosTraining]:
         "cycle + physics + balance": full,
         "without L_E": replace(full, same_code=0.0),
         "without L_KL": replace(full, kl=0.0),
-        "one code per clip": replace(full, codes="clip", latent=_ONE_CODE, warm=None),
+        "one code per clip": replace(full, codes="clip", latent=_ONE_CODE),
     }
+
+
+def _wanted(names: list[str] | None, full: HumosTraining) -> dict[str, HumosTraining]:
+    """The runs of these names; None is all of them.
+
+    Raises:
+        ValueError: when no run has such a name.
+    """
+    every = variants(full)
+    if names is None:
+        return every
+    if unknown := [name for name in names if name not in every]:
+        raise ValueError(f"no row is called {', '.join(unknown)}; they are {', '.join(every)}")
+    return {name: every[name] for name in names}
 
 
 def judged(prior: Humos, jobs: list[Job]) -> dict[str, float]:

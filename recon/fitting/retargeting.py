@@ -7,6 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from priors.humos.prior import Humos, at_rate, frames_at_rate, spline
+from recon.body.model import BodyModel
 from recon.body.reshape import leg_length, with_shape
 from recon.core import rotations as so3
 from recon.core.errors import ReconError
@@ -15,7 +16,7 @@ from recon.fitting.settling import flies, settled
 from recon.method.windows import Piece, Windows, join
 
 WINDOW, OVERLAP = 10.0, 3.0
-"""Seconds that the prior sees at once (200 frames at 20 Hz), and that neighbours share."""
+"""Seconds that are retargeted at once (200 frames at 20 Hz), and that neighbours share."""
 SHORTEST_MOTION = 1.0
 """Seconds that a clip must last."""
 
@@ -36,7 +37,31 @@ def retarget(motion: Motion, shape: Float[Tensor, " shape"], prior: Humos) -> Mo
     Raises:
         ValueError: when the clip is shorter than a second, or frames of it do not exist.
     """
-    return _in_windows(motion, shape, prior, _settled)
+    body = prior.body
+    motion, shape = _checked(motion, shape, body)
+    start = _start(motion, body)
+
+    def one(window: Motion) -> Motion:
+        return _standing(_proposed(window, shape, prior, start), window, body)
+
+    return _in_windows(motion, prior.longest, one)
+
+
+def by_physics(motion: Motion, shape: Float[Tensor, " shape"], body: BodyModel) -> Motion:
+    """What a body of another shape does when it does the same, without a network.
+
+    The motion nearest to the scaled copy (`recon.body.reshape.with_shape`) that obeys physics.
+    Arguments, result and errors are those of `retarget`.
+    """
+    motion, shape = _checked(motion, shape, body)
+    # the path of the whole clip grows about its start, so each window brings its part of it
+    grown = with_shape(motion, body, shape)
+
+    def one(window: Motion) -> Motion:
+        first = round((window.start_time - motion.start_time) * motion.fps)
+        return _standing(grown.window(first, first + window.frames), window, body)
+
+    return _in_windows(motion, float("inf"), one)
 
 
 def proposed(motion: Motion, shape: Float[Tensor, " shape"], prior: Humos) -> Motion:
@@ -45,7 +70,11 @@ def proposed(motion: Motion, shape: Float[Tensor, " shape"], prior: Humos) -> Mo
     The height is what the codes say and not what was recorded: they learned to stand on the
     ground. Arguments and errors as those of `retarget`.
     """
-    return _in_windows(motion, shape, prior, _proposed)
+    motion, shape = _checked(motion, shape, prior.body)
+    start = _start(motion, prior.body)
+    return _in_windows(
+        motion, prior.longest, lambda window: _proposed(window, shape, prior, start)
+    )
 
 
 def _proposed(
@@ -69,18 +98,20 @@ def _proposed(
     return made.replace(translation=torch.cat((made.translation[:, :2], height[:, 2:]), 1))
 
 
-def _settled(
-    window: Motion, shape: Float[Tensor, " shape"], prior: Humos, start: Float[Tensor, "3"]
-) -> Motion:
-    """The proposal, changed as its frames at 20 Hz have to be; it moves as the scaled copy does.
+def _standing(made: Motion, window: Motion, body: BodyModel) -> Motion:
+    """A proposal, changed as its frames at 20 Hz have to be; it moves as the scaled copy does.
 
-    A proposal stands on the ground in every frame, by which its height may tremble.
+    A network's proposal stands on the ground in every frame, by which its height may tremble.
+
+    Args:
+        made: what is proposed for a window.
+        window: of the motion that is retargeted.
+        body: of both.
     """
-    made = _proposed(window, shape, prior, start)
     coarse, source = at_rate(made), at_rate(window)
-    scaled = with_shape(source, prior.body, shape)
-    flying = flies(source, prior.body)
-    stands = settled(coarse[None], scaled[None], flying[None], prior.body).detach()[0]
+    scaled = with_shape(source, body, made.shape)
+    flying = flies(source, body)
+    stands = settled(coarse[None], scaled[None], flying[None], body).detach()[0]
     between = _between(made)
     turns = so3.log(coarse.rotations.mT @ stands.rotations).flatten(1)
     moves = stands.translation - coarse.translation
@@ -96,23 +127,22 @@ def _between(motion: Motion) -> Float[Tensor, "frames coarse"]:
     return spline(coarse, motion.frames, motion.fps).to(motion.translation)
 
 
-def _in_windows(
-    motion: Motion,
-    shape: Float[Tensor, " shape"],
-    prior: Humos,
-    one: Callable[[Motion, Tensor, Humos, Tensor], Motion],
-) -> Motion:
-    motion, shape = _checked(motion, shape, prior)
-    start = motion.translation[0] + prior.body.rest_joints(motion.shape)[0]
-    longest = min(WINDOW, prior.longest)
+def _in_windows(motion: Motion, longest: float, one: Callable[[Motion], Motion]) -> Motion:
+    """The result of every window, joined; a window lasts `WINDOW` or `longest` seconds."""
+    longest = min(WINDOW, longest)
     shared = OVERLAP * longest / WINDOW
     windows = Windows.cover(motion.frames, int(longest * motion.fps), round(shared * motion.fps))
     parts = [motion.window(first, first + windows.frames) for first in windows.starts]
-    return join([Piece(one(part, shape, prior, start)) for part in parts]).motion
+    return join([Piece(one(part)) for part in parts]).motion
+
+
+def _start(motion: Motion, body: BodyModel) -> Float[Tensor, "3"]:
+    """The place of the pelvis in the first frame."""
+    return motion.translation[0] + body.rest_joints(motion.shape)[0]
 
 
 def _checked(
-    motion: Motion, shape: Float[Tensor, " shape"], prior: Humos
+    motion: Motion, shape: Float[Tensor, " shape"], body: BodyModel
 ) -> tuple[Motion, Float[Tensor, " shape"]]:
     """Motion and shape in single precision, or an error that says what is wrong."""
     if motion.translation.ndim != 2 or not bool(motion.valid.all()):
@@ -125,7 +155,7 @@ def _checked(
             f"expected at least {SHORTEST_MOTION:g} s of motion and two frames, got "
             f"{motion.frames} frames, {motion.frames / motion.fps:.2f} s; give a longer clip"
         )
-    size = prior.body.shape_size
+    size = body.shape_size
     if shape.shape != (size,) or motion.shape.shape != (size,):
         raise ReconError(
             f"expected shapes of {size} coefficients, got {tuple(shape.shape)} for a motion of "

@@ -14,8 +14,10 @@ class RetargetSettings:
 
     shape: str
     """The body to move, as `recon.body.identities.identity` takes it."""
+    method: str = "network"
+    """What is settled on the ground: the prior's proposal, or the scaled copy (`physics`)."""
     weights: str = "open"
-    """Weights of the prior: `open`, `nc` or a file."""
+    """Weights of the network: `open`, `nc` or a file."""
     body: Path | None = None
     """A SMPL-family file; None is the bundled body."""
     fps: float | None = None
@@ -39,6 +41,7 @@ def retarget_files(
     made = retarget(
         motion,
         settings.shape,
+        method=settings.method,
         weights=settings.weights,
         body=settings.body,
         fps=settings.fps,

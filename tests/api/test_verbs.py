@@ -142,6 +142,7 @@ def test_a_motion_is_continued_from_any_moment(forms):
         (lambda: recon.retarget(walk(4), "tall"), "motion: lasts 0.13 s"),
         (lambda: recon.retarget(walk(40), [[1.0]]), "shape: expected 1 to 16 coefficients"),
         (lambda: recon.retarget(walk(40), "tall", fps=0.0), "fps: expected"),
+        (lambda: recon.retarget(walk(40), "tall", method="copy"), "method: expected one of"),
         (lambda: recon.convert("nothing.xyz", fps=-1.0), "fps: expected"),
         (lambda: recon.simulate(walk(4), "joints3d", frames=(2, 9)), "has 4 frames"),
         (lambda: recon.evaluate(walk(4), walk(4, 8)), "truth does not cover"),
@@ -155,7 +156,7 @@ def test_what_cannot_be_done_is_refused_by_name(call, words):
 
 
 def test_another_body_does_the_same(monkeypatch, tmp_path, forms):
-    def retargeted(motion, shape, body, weights):
+    def retargeted(motion, shape, body, method, weights):
         return with_shape(motion, body, shape)
 
     monkeypatch.setattr(retarget_module, "_retargeted", retargeted)
@@ -170,6 +171,16 @@ def test_another_body_does_the_same(monkeypatch, tmp_path, forms):
     assert json.loads((tmp_path / "tall.npz.json").read_text())["ground"] == 0.0
     like = recon.retarget(walk(40), tmp_path / "tall.npz")
     torch.testing.assert_close(like.motion.shape, made.motion.shape, atol=1e-5, rtol=0)
+
+
+def test_physics_alone_asks_for_no_weights(monkeypatch):
+    def no_weights(*_):
+        raise AssertionError("weights were loaded")
+
+    monkeypatch.setattr(retarget_module.Humos, "load", no_weights)
+    made = recon.retarget(walk(40), "tall", method="physics")
+    assert made.about["method"] == "physics"
+    assert made.motion.frames == 40
 
 
 def test_between_two_cycles_lies_a_cycle():

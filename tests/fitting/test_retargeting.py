@@ -11,7 +11,7 @@ from recon.body.identities import identity
 from recon.body.model import BodyModel
 from recon.body.reshape import leg_length, with_shape
 from recon.core import rotations as so3
-from recon.fitting.retargeting import proposed, retarget
+from recon.fitting.retargeting import by_physics, proposed, retarget
 from recon.formats.motions import load_motion
 from recon.physics.metrics import physics_metrics
 from recon.physics.samples import physics_samples
@@ -57,6 +57,26 @@ def test_long_clips_are_joined_from_windows_without_a_seam(prior):
     reference = with_shape(walk, BODY, other())
     step = made.translation.diff(dim=0).norm(dim=-1).max()
     assert float(step) < 2 * float(reference.translation.diff(dim=0).norm(dim=-1).max())
+
+
+def test_without_a_network_feet_slide_less_than_those_of_a_copy():
+    walk = a_walk(BODY, seconds=2.0, fps=30.0).replace(start_time=3.0)
+    made, copy = by_physics(walk, other(), BODY), with_shape(walk, BODY, other())
+    assert (made.frames, made.fps, made.start_time) == (walk.frames, 30.0, 3.0)
+    torch.testing.assert_close(made.shape, other())
+    assert float((made.translation - copy.translation)[:, :2].norm(dim=-1).max()) < 0.1
+    touch = physics_samples(walk, BODY).soles_touch
+    slips = [
+        physics_metrics(physics_samples(m, BODY, touch))["slip_in_contact"] for m in (copy, made)
+    ]
+    assert 0 < (slips[1] or 0.0) < 0.95 * (slips[0] or 0.0)
+
+
+def test_without_a_network_windows_follow_the_path_of_the_whole_clip():
+    walk = a_walk(BODY, seconds=12.0, fps=20.0)
+    made, copy = by_physics(walk, other(), BODY), with_shape(walk, BODY, other())
+    assert made.frames == walk.frames
+    assert float((made.translation - copy.translation)[:, :2].norm(dim=-1).max()) < 0.1
 
 
 def test_fast_recordings_do_not_tremble(prior):

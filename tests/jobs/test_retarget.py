@@ -39,7 +39,7 @@ def save(file: Path, motion: Motion, ground: list[float] | None = None) -> Path:
 def _stand_in(monkeypatch) -> None:  # pyright: ignore[reportUnusedFunction]
     """The path scaled to the legs, soles where they were."""
 
-    def retargeted(motion, shape, body, weights):
+    def retargeted(motion, shape, body, method, weights):
         return with_shape(motion, body, shape)
 
     monkeypatch.setattr("recon.api.verbs.retarget._retargeted", retargeted)

@@ -31,6 +31,8 @@ from recon.physics.samples import NO_GROUND, PhysicsSamples, physics_samples
 
 RATE = FPS
 """Hz, of the prior and of HUMOS's metrics."""
+METHODS = ("network", "physics")
+"""Methods of retargeting."""
 _LEVEL = math.cos(math.radians(1.0))
 """Cosine of the tilt up to which a ground is level."""
 
@@ -39,6 +41,7 @@ def retarget(
     motion: MotionLike,
     shape: ShapeLike,
     *,
+    method: str = "network",
     weights: str = "open",
     body: BodyLike = None,
     fps: float | None = None,
@@ -46,20 +49,23 @@ def retarget(
 ) -> Made:
     """The motion of one body as a body of another shape would perform it.
 
-    The HUMOS prior proposes a motion; the nearest one to it that obeys physics is the result. It
-    begins at the same place. Nothing is random, and everything is computed on the processor.
+    By `network`, the HUMOS prior proposes a motion, and by `physics` the scaled copy is the
+    proposal (equal rotations, a path that grows with the legs); the nearest motion to it that
+    obeys physics is the result. It begins at the same place. Nothing is random, and everything is
+    computed on the processor. docs/retargeting.md compares the two.
 
     `about` of the result has both bodies (`source` and `target`: height in metres, weight in
-    kilograms, shape), `rotation_change` (radians, on average over joints and frames), where the
-    prior's `windows` begin (seconds after the first frame), and the `physics` of the motion, of
-    its plain copy on the other body and of the result (docs/physics.md), at 20 Hz; slip is that
-    of feet that are in contact in the motion.
+    kilograms, shape), the `method`, `rotation_change` (radians, on average over joints and
+    frames), where the `windows` begin (seconds after the first frame), and the `physics` of the
+    motion, of its plain copy on the other body and of the result (docs/physics.md), at 20 Hz; slip
+    is that of feet that are in contact in the motion.
 
     Args:
         motion: a motion of one clip of a second or longer, at any rate.
         shape: the other body: coefficients, measures ("height=1.80,weight=75"; metres,
             kilograms), words ("woman,tall"), or a motion, result or motion file of somebody.
-        weights: of the prior: `open`, `nc` (not for commercial use) or a file.
+        method: `network` or `physics`.
+        weights: of the network: `open`, `nc` (not for commercial use) or a file.
         body: the motion's body; a SMPL-family file, or None for the bundled body.
         fps: rate of the result, frames per second; None is the motion's.
         ground: height of the level ground in the motion, metres; None is what the motion's file
@@ -70,6 +76,9 @@ def retarget(
             where its ground is and it never comes near z = 0, or the shape is not understood.
         FileNotFoundError: when there is no such file.
     """
+    if method not in METHODS:
+        names = ", ".join(METHODS)
+        raise ReconError(f"method: expected one of {names}, got {method!r:.60}")
     model = body_given(body)
     rate = None if fps is None else positive(fps, "fps")
     asked = None if ground is None else finite(ground, "ground")
@@ -92,12 +101,13 @@ def retarget(
             for doubt in doubts(model, target)
         ),
     )
-    made = _retargeted(source, target, model, weights).detach()
+    made = _retargeted(source, target, model, method, weights).detach()
     result = made if rate is None else made.resample(rate)
     windows = Windows.cover(source.frames, round(WINDOW * source.fps), round(OVERLAP * source.fps))
     bodies = {"source": _measures(model, source.shape), "target": _measures(model, target)}
     about = {
         **bodies,
+        "method": method,
         "frames": result.frames,
         "fps": result.fps,
         "windows": [start / source.fps for start in windows.starts],
@@ -185,8 +195,14 @@ def _ground_warnings(name: str, samples: PhysicsSamples, told: bool) -> Iterator
 
 
 def _retargeted(
-    motion: Motion, shape: Float[Tensor, " shape"], body: BodyModel, weights: str
+    motion: Motion,
+    shape: Float[Tensor, " shape"],
+    body: BodyModel,
+    method: str,
+    weights: str,
 ) -> Motion:
+    if method == "physics":
+        return retargeting.by_physics(motion, shape, body)
     return retargeting.retarget(motion, shape, Humos.load(weights, body))
 
 

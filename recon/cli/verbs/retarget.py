@@ -1,7 +1,7 @@
 """`recon retarget`: the same motion on another body."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
@@ -13,6 +13,7 @@ def retarget(
     motion: Positional[Path],
     out: Path,
     shape: str,
+    method: Literal["network", "physics"] = "network",
     weights: str = "open",
     body: Path | None = None,
     fps: float | None = None,
@@ -35,7 +36,9 @@ def retarget(
         motion: motion file (.npz) of a second or longer, at any rate.
         out: motion file to write.
         shape: the other body.
-        weights: `open`, `nc` or a file.
+        method: what is settled on the ground: what a network that knows the body proposes, or the
+            scaled copy of the motion (`physics`). docs/retargeting.md compares them.
+        weights: of the network: `open`, `nc` or a file.
         body: the SMPL-family file of the motion's body; default: the bundled body.
         fps: of the result; default: the motion's rate.
         ground: height of the ground in the motion, metres; default: what the file says, else 0.
@@ -47,7 +50,7 @@ def retarget(
     from recon.cli import console
     from recon.jobs.retarget import RetargetSettings, retarget_files
 
-    settings = RetargetSettings(shape, weights, body, fps, ground)
+    settings = RetargetSettings(shape, method, weights, body, fps, ground)
     report = retarget_files(motion, out, settings, overwrite=overwrite)
     bodies = {
         name: {
