@@ -6,16 +6,14 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 import torch
 
-from observations.joints3d import Joints3D
-from observations.markers3d import Markers3D
 from priors.humor.prior import Humor
 from priors.pose.prior import PosePrior
 from recon.api.bench.protocols import noise_of
+from recon.api.bench.sensors import sensor_of
 from recon.api.bench.smoothers import butterworth, whittaker
-from recon.body.landmarks import landmark
 from recon.body.model import BodyModel
 from recon.core.errors import ReconError
-from recon.core.skeleton import JOINTS, joint_index
+from recon.core.skeleton import JOINTS
 from recon.formats.motions import MotionFile
 from recon.formats.observations import PositionsFile
 from recon.method.plugins import imported
@@ -80,20 +78,10 @@ class _Fitted:
         self.body, self.method = body, method
 
     def __call__(self, seen: PositionsFile) -> MotionFile:
-        sensor = _sensor(seen)
+        sensor = sensor_of(seen)
         found = solve([sensor], self.method(noise_of(seen)), self.body)
         contacts = None if found.contacts is None else found.contacts[0].detach()
         return MotionFile(found.motion[0].detach(), contacts=contacts)
-
-
-def _sensor(seen: PositionsFile) -> Joints3D | Markers3D:
-    """The record as an observation with one leading axis."""
-    positions, visible = torch.from_numpy(seen.positions), torch.from_numpy(seen.visible)
-    if seen.kind == "joints3d":
-        joints = tuple(joint_index(name) for name in seen.names)
-        return Joints3D(positions.float()[None], visible[None], joints, seen.fps)
-    vertices = tuple(landmark(name) for name in seen.names)
-    return Markers3D(positions.float()[None], visible[None], vertices, seen.fps)
 
 
 def _all_joints(seen: PositionsFile, name: str) -> None:

@@ -14,11 +14,10 @@ from observations.markers3d import Markers3D
 from priors.training.dataset import Part, Splits
 from recon.api.bench.sensors import UPPER_BODY, noisy_joints, occluded_points, with_gap
 from recon.api.bench.windows import FPS, FRAMES, TrueWindows
-from recon.body.landmarks import KEYPOINTS_43
+from recon.body.landmarks import KEYPOINTS_43, landmark
 from recon.body.model import BodyModel
 from recon.core.errors import ReconError
 from recon.core.motion import Motion
-from recon.core.skeleton import JOINTS
 from recon.formats.observations import PositionsFile
 
 GAP = ((FRAMES - round(FPS)) // 2, (FRAMES + round(FPS)) // 2)
@@ -152,10 +151,9 @@ def _seen_window(
 ) -> SeenWindow:
     sensor = protocol.see(truth, body, _seed(name))
     visible = sensor.visible[0].numpy()
-    on_skin = isinstance(sensor, Markers3D)
-    names = KEYPOINTS_43 if on_skin else tuple(JOINTS[joint] for joint in sensor.joints)
+    names = KEYPOINTS_43 if sensor.on_skin else sensor.point_names(body)
     file = PositionsFile(
-        kind="markers3d" if on_skin else "joints3d",
+        kind="markers3d" if sensor.on_skin else "joints3d",
         positions=sensor.positions[0].double().numpy(),
         visible=visible,
         names=tuple(names),
@@ -168,7 +166,7 @@ def _seen_window(
         truth=truth[0],
         touching=touching,
         points=sensor.on(body.pose(truth))[0],
-        vertices=sensor.vertices if on_skin else (),
+        vertices=tuple(landmark(name) for name in names) if sensor.on_skin else (),
     )
 
 

@@ -10,6 +10,7 @@ from recon.body.landmarks import KEYPOINTS_43, landmark
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS, descendants, joint_index
+from recon.formats.observations import PositionsFile
 
 _LEGS = descendants(joint_index("left_hip")) + descendants(joint_index("right_hip"))
 UPPER_BODY = tuple(joint for joint in range(len(JOINTS)) if joint not in _LEGS)
@@ -59,3 +60,14 @@ def occluded_points(
         ),
         points,
     )
+
+
+def sensor_of(seen: PositionsFile) -> Joints3D | Markers3D:
+    """A record of joints or points of the skin as an observation with one leading axis."""
+    positions = torch.from_numpy(seen.positions).float()[None]
+    visible = torch.from_numpy(seen.visible)[None]
+    if seen.kind == "joints3d":
+        joints = tuple(joint_index(name) for name in seen.names)
+        return Joints3D(positions, visible, joints, seen.fps)
+    vertices = tuple(landmark(name) for name in seen.names)
+    return Markers3D(positions, visible, vertices, seen.fps)
