@@ -30,6 +30,8 @@ def variety() -> str:
         return _LATER
     file = result("variety")
     said = "; ".join(f"{name}: {_told(own)}" for name, own in file["settings"].items())
+    if file["continued"] > 0:
+        said += f"; each went on from the weights without edits for {file['continued']} steps"
     return f"{markdown(HEADINGS, lines(file['variants']))}\n\n{said}.{source('variety')}"
 
 
