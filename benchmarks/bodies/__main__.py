@@ -137,6 +137,7 @@ def _names(people: dict[str, list[whose.Walk]]) -> list[str]:
 
 def _arguments() -> argparse.Namespace:
     parser = over_windows(__doc__)
+    parser.set_defaults(part="validation")
     parser.add_argument("kept", type=Path, help="folder of measured rows")
     parser.add_argument("--studies", nargs="+", choices=STUDIES, default=list(STUDIES))
     parser.add_argument("--weights", default="open", help="of HUMOS: open, nc or a file")

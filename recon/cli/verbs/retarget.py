@@ -37,7 +37,8 @@ def retarget(
         out: motion file to write.
         shape: the other body.
         method: what is settled on the ground: what a network that knows the body proposes, or the
-            scaled copy of the motion (`physics`). docs/retargeting.md compares them.
+            scaled copy of the motion (`physics`), which is as good in all that was measured
+            (docs/retargeting.md).
         weights: of the network: `open`, `nc` or a file.
         body: the SMPL-family file of the motion's body; default: the bundled body.
         fps: of the result; default: the motion's rate.
