@@ -109,6 +109,7 @@ class Fit:
 def main() -> None:
     parser = over_windows(__doc__)
     parser.add_argument("--only", type=int, default=None, help="use so many windows in all")
+    parser.add_argument("--windows", nargs="+", default=None, help="names of the only windows")
     parser.add_argument("--cases", nargs="+", choices=CASES, default=USUAL)
     parser.add_argument("--methods", nargs="+", choices=METHODS, default=["recon"])
     parser.add_argument("--baseline", type=Path, default=None, help="a checkout of version 0.1.0")
@@ -124,6 +125,8 @@ def main() -> None:
     body, splits = BodyModel.load(), Splits.load(given.splits)
     windows = load_windows(given.corpus, splits, given.part, body, SEED, FRAMES)
     chosen = evenly(windows, given.only)
+    if given.windows is not None:
+        chosen = [k for k in chosen if windows.names[k] in given.windows]
     some, found = windows.take(chosen), earlier(given.json, "values")
     every = list(zip(chosen, some.names, strict=True))
     for number, name in (*every[::2], *every[1::2]):  # so that a part covers all subjects

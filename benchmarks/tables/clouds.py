@@ -51,12 +51,13 @@ _WRONG = 0.1
 """Mean error of joints about the pelvis, metres, from which on a fit should say something."""
 
 
-_FILES = ("clouds", "clouds_people", "clouds_mixed")
-"""Result files: clouds alone, of other people, and other cases on fewer of their windows."""
+_FILES = ("clouds_again", "clouds", "clouds_people", "clouds_mixed", "clouds_before")
+"""Result files: windows that were fitted again, clouds alone, of other people, other cases, and
+version 0.1.0. A window that several have is taken from the first."""
 
 
 def _clouds() -> dict[str, Any]:
-    """The result files as one; a window that several have is taken from the first."""
+    """The result files as one, without windows whose files were refused."""
     found = [result(name) for name in present(_FILES)]
     subject: dict[str, str] = {}
     values: dict[str, dict[str, dict[str, Any]]] = {}
@@ -64,8 +65,10 @@ def _clouds() -> dict[str, Any]:
         subject |= dict(zip(one["names"], one["subjects"], strict=True))
         for case, methods in one["values"].items():
             for method, windows in methods.items():
-                fitted = {name: row for name, row in windows.items() if "refused" not in row}
-                values.setdefault(case, {}).setdefault(method, {}).update(fitted)
+                values.setdefault(case, {}).setdefault(method, {}).update(windows)
+    for methods in values.values():
+        for method, windows in methods.items():
+            methods[method] = {k: row for k, row in windows.items() if "refused" not in row}
     merged = {"names": list(subject), "subjects": list(subject.values())}
     ordered = {case: values[case] for case in _NAMES if case in values}
     return {**found[0], **merged, "values": ordered}

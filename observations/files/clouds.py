@@ -43,6 +43,8 @@ _REACH, _SPACINGS = 0.08, 2.0
 they are from each other."""
 _FLAT = 0.1
 """Metres that a person rises above the ground at least, lying; noise of the ground rises less."""
+_WIDE = 3.0
+"""Metres that nobody measures along the ground."""
 _FEW = 0.25
 """Share of the usual points that flat things have where they are noise."""
 _MUCH = 0.1
@@ -169,7 +171,7 @@ def _without_noise_of_ground(clouds: list[np.ndarray]) -> list[np.ndarray]:
     Raises:
         ObservationError: when nothing rises above the ground in any frame.
     """
-    rises = [len(cloud) >= _LEAST and np.quantile(cloud[:, 2], 0.9) > _FLAT for cloud in clouds]
+    rises = [len(cloud) >= _LEAST and _rises(cloud) for cloud in clouds]
     if not any(rises):
         raise ObservationError(
             f"the ground is seen, but nothing rises more than {_FLAT} m above it: nobody is in "
@@ -180,6 +182,12 @@ def _without_noise_of_ground(clouds: list[np.ndarray]) -> list[np.ndarray]:
         cloud if up or len(cloud) > _FEW * usual else cloud[:0]
         for cloud, up in zip(clouds, rises, strict=True)
     ]
+
+
+def _rises(cloud: Float[np.ndarray, "points 3"]) -> bool:
+    """Whether a thing on the ground z = 0 rises above it, and is no wide noise of the ground."""
+    wide = np.ptp(np.quantile(cloud[:, :2], (0.05, 0.95), axis=0), axis=0).max() > _WIDE
+    return bool(np.quantile(cloud[:, 2], 0.5 if wide else 0.9) > _FLAT)
 
 
 def _walls(
