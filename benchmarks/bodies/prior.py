@@ -39,7 +39,7 @@ def methods(prior: Humos, noise: float) -> dict[str, Method]:
 
 
 def of_person(windows: Windows, person: str, most: int) -> Windows:
-    """So many windows of one person, evenly."""
+    """Windows of one person, at most so many, spread evenly."""
     own = windows.take(windows.of(person))
     return own.take(evenly(own, most))
 

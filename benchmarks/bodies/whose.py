@@ -1,4 +1,4 @@
-"""Whose motion it is: A's walk on B's body, compared with how B was recorded walking.
+"""Style of a walk that was carried over: A's on B's body, beside how B was recorded walking.
 
 A network that had learned how bodies move would bring A's walk nearer to B's own way of walking
 than a scaled copy is, which changes nothing but size. `codes` is the network without the details

@@ -212,7 +212,7 @@ def _mean(rows: Rows, method: str, key: str) -> float | None:
 
 
 def _person_difference(rows: Rows, first: str, second: str, key: str) -> str:
-    """Of a person with few clips, windows are drawn instead, as they share no frame."""
+    """Paired differences; where a person has few clips, intervals draw windows, as these differ."""
     by_window = {
         method: {row["window"]: row for row in rows if row["method"] == method}
         for method in (first, second)

@@ -62,6 +62,8 @@ CASES = (
     Case("export", "robot", ("IN.npz", "--robot", "OUT", "--smplx", "other.npz")),
     Case("export", "smpl", ("IN.npz", "--smpl", "OUT", "--onto", "other.npz")),
     Case("export", "ply", ("IN.npz", "--ply", "OUT"), Kind.FOLDER),
+    Case("bench", "json", ("gap", "--splits", "IN.npz", "--json", "OUT"), Kind.REPORT),
+    Case("bench", "write", ("gap", "--splits", "IN.npz", "--write", "OUT"), Kind.FOLDER),
     *(Case("train", "out", (p, "IN.folder", "--out", "OUT.st")) for p in ("pose", "humor")),
 )
 """Every output that any verb declares."""
