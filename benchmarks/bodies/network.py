@@ -45,7 +45,7 @@ def of_network(prior: Humos, name: str = "") -> dict[str, Retargeter]:
 
 
 def chosen(jobs: list[Job], each: int) -> list[Job]:
-    """Clips of every subject, so many of each, half of them for bodies of people and half for drawn ones.
+    """Clips of every subject, so many of each: half for bodies of people, half for drawn ones.
 
     Within each half they are spread evenly over the clips' names.
     """

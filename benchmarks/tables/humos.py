@@ -212,7 +212,7 @@ def _mean(rows: Rows, method: str, key: str) -> float | None:
 
 
 def _person_difference(rows: Rows, first: str, second: str, key: str) -> str:
-    """Paired differences; where a person has few clips, intervals draw windows, as these differ."""
+    """Paired differences; where a person has few clips, intervals draw windows."""
     by_window = {
         method: {row["window"]: row for row in rows if row["method"] == method}
         for method in (first, second)
