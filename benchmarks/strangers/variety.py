@@ -32,7 +32,7 @@ from recon.body.model import BodyModel
 from recon.formats.files.opening import replacing
 
 BASE = "base"
-EDITS = Variation(raises=0.6, steps=0.4, bends=0.2, flights=0.05, arms=0.2)
+EDITS = Variation(raises=0.6, sidesteps=0.4, bends=0.2, flights=0.05, arms=0.2)
 VARIANTS: Mapping[str, Variation] = {
     BASE: Variation(),
     "all": Variation(**asdict(EDITS) | {"halves": 0.3, "kinds": 0.5, "people": 0.3}),

@@ -1,6 +1,8 @@
 """Training HuMoR: windows are what was recorded, runs go on where they were, losses fall."""
 
 import json
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -285,3 +287,11 @@ def test_people_on_uneven_ground_only_can_be_held_out(folder: Path, tmp_path: Pa
     assert finished(settings)
     with pytest.raises(ValueError, match="other steps"):
         finished(replace(settings, steps=5))
+
+
+def test_every_setting_of_a_training_has_an_option_of_its_own() -> None:
+    """The steps of a run and the steps aside had one option, so that the command did not start."""
+    command = [sys.executable, "-m", "priors.humor.training.train", "--help"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "--sidesteps" in done.stdout

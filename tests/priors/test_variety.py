@@ -31,7 +31,7 @@ UPRIGHT = torch.tensor([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 """Turns the rest pose (y up) so that z is up and it faces -y."""
 WINDOWS, FRAMES = 60, 11
 EVERYTHING = Variation(
-    halves=0.5, bends=0.3, raises=0.3, steps=0.2, flights=0.2, arms=0.5, kinds=0.5, people=0.5
+    halves=0.5, bends=0.3, raises=0.3, sidesteps=0.2, flights=0.2, arms=0.5, kinds=0.5, people=0.5
 )
 
 
@@ -278,7 +278,7 @@ def test_the_same_seed_draws_the_same(corpus: Corpus) -> None:
         assert torch.equal(value, again.tensors()[name]), name
 
 
-@pytest.mark.parametrize("name", ["halves", "bends", "raises", "steps", "flights", "arms"])
+@pytest.mark.parametrize("name", ["halves", "bends", "raises", "sidesteps", "flights", "arms"])
 def test_every_edit_has_its_setting(corpus: Corpus, name: str) -> None:
     plain, own = drawn(corpus, AS_RECORDED), drawn(corpus, replace(AS_RECORDED, **{name: 1.0}))
     changed = (own.states.joints - plain.states.joints).abs().amax((1, 2, 3)) > 1e-3

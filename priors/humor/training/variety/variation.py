@@ -30,9 +30,9 @@ class Variation:
     """Chance of getting the trunk and arms of another clip."""
     raises: float = 0.0
     """Chance of a raised leg, where the other foot stands. A window in which a body could not move
-    so stays as it was; and raises, steps, bends and flights are tried in this order until one is
-    made."""
-    steps: float = 0.0
+    so stays as it was; and raises, sidesteps, bends and flights are tried in this order until one
+    is made."""
+    sidesteps: float = 0.0
     """Chance of a step aside, where both feet stand."""
     bends: float = 0.0
     """Chance of a pelvis that is lowered, turned and tilted over feet that stay where they are."""
@@ -51,7 +51,7 @@ def edited(moments: Moments, variation: Variation, random: torch.Generator) -> M
     """Windows with the edits of legs and arms that their chances give them."""
     legs = (
         (may_raise, raised, variation.raises),
-        (may_step, stepped, variation.steps),
+        (may_step, stepped, variation.sidesteps),
         (may_bend, bent, variation.bends),
         (may_fly, flown, variation.flights),
     )
