@@ -29,10 +29,10 @@ from benchmarks.arguments import over_windows
 from benchmarks.humor import evenly
 from benchmarks.results import corpus_source, write
 from benchmarks.scores import Columns, Row, Rows, by_subject, tables
-from benchmarks.windows import Windows, load_windows
 from observations.files.clouds import cloud_of
 from observations.files.images import keypoints_of
 from priors.training.dataset import Splits
+from recon.api.bench.windows import TrueWindows, load_windows
 from recon.body.model import BodyModel
 from recon.core.camera import Camera, depth_camera, full_hd_camera
 from recon.core.motion import Motion
@@ -118,7 +118,7 @@ def main() -> None:
 
 
 def rows_of(
-    windows: Windows,
+    windows: TrueWindows,
     film: Callable[[Motion, BodyModel, int], Filmed],
     settings: FitOptions,
     body: BodyModel,
@@ -144,7 +144,7 @@ def rows_of(
 
 def _compared(
     motion: Motion,
-    windows: Windows,
+    windows: TrueWindows,
     k: int,
     T: Float[Tensor, "4 4"],
     visible: Tensor,

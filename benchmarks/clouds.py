@@ -50,11 +50,11 @@ from benchmarks.results import corpus_source, earlier, write
 from benchmarks.scores import Columns, Row, by_subject, rounded, tables
 from benchmarks.spoiled_labels import spoiled, vertices_of
 from benchmarks.uncertainty import NINE_TENTHS
-from benchmarks.windows import Windows, load_windows
 from observations.depth import PointCloud
 from observations.together.first_guess import first_guess
 from observations.together.labelling import labelled
 from priors.training.dataset import Splits
+from recon.api.bench.windows import TrueWindows, load_windows
 from recon.api.fit import fit
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
@@ -145,7 +145,7 @@ def main() -> None:
             Console(width=190).print(table)
 
 
-def shown(windows: Windows, values: dict[str, dict[str, Any]]) -> dict[str, Row]:
+def shown(windows: TrueWindows, values: dict[str, dict[str, Any]]) -> dict[str, Row]:
     """Means over subjects of the windows that a method has fitted."""
     fitted = {name for name, row in values.items() if "refused" not in row}
     there = [k for k, name in enumerate(windows.names) if name in fitted]

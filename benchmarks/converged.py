@@ -31,12 +31,13 @@ from benchmarks.arguments import over_windows
 from benchmarks.humor import evenly
 from benchmarks.humor_recipes import GAP, NOISE, UPPER_BODY
 from benchmarks.results import corpus_source, show, write
-from benchmarks.windows import Windows, load_windows, noisy_joints, occluded_points, with_gap
 from observations.joints3d import Joints3D
 from observations.markers3d import Markers3D
 from priors.humor.collocation import Collocation
 from priors.humor.prior import Humor
 from priors.training.dataset import Splits
+from recon.api.bench.sensors import noisy_joints, occluded_points, with_gap
+from recon.api.bench.windows import TrueWindows, load_windows
 from recon.body.model import BodyModel
 from recon.core.scene import Scene
 from recon.core.struct import concatenate
@@ -80,7 +81,7 @@ class Row:
     moved_hidden: float | None
 
 
-def protocols(windows: Windows, body: BodyModel) -> dict[str, Protocol]:
+def protocols(windows: TrueWindows, body: BodyModel) -> dict[str, Protocol]:
     """Protocols of `benchmarks.humor`."""
     joints = body.pose(windows.truth).joints
     occluded, points = occluded_points(windows.truth, body)
@@ -216,7 +217,7 @@ def _warmed(protocol: Protocol, method: Method, body: BodyModel, baseline: Basel
 def compared(
     name: str,
     protocol: Protocol,
-    windows: Windows,
+    windows: TrueWindows,
     k: int,
     method: Method,
     body: BodyModel,
@@ -321,7 +322,7 @@ def summary(rows: Sequence[Row], subjects: Sequence[str]) -> dict[str, float]:
     return {name: value for name, value in found.items() if value is not None}
 
 
-def evaluations(windows: Windows, humor: Humor, body: BodyModel) -> dict[str, float]:
+def evaluations(windows: TrueWindows, humor: Humor, body: BodyModel) -> dict[str, float]:
     """Milliseconds of an evaluation of the last stage, and of its matrix products alone."""
     found: dict[str, float] = {}
     observed = noisy_joints(windows.truth, body, SEED)

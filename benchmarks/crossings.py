@@ -31,10 +31,10 @@ from rich.table import Table
 
 from benchmarks.arguments import over_windows
 from benchmarks.results import corpus_source, write
-from benchmarks.windows import Windows, load_windows
 from observations.correspondences import BodyPoints
 from observations.people.tracks import Track, follow
 from priors.training.dataset import Part, Splits
+from recon.api.bench.windows import TrueWindows, load_windows
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.camera import Camera, full_hd_camera
@@ -85,14 +85,14 @@ def main() -> None:
         write(arguments.json, SEED, source, **about, scenes=rows)
 
 
-def walkers(corpus: Path, splits: Splits, part: Part, body: BodyModel) -> Windows:
+def walkers(corpus: Path, splits: Splits, part: Part, body: BodyModel) -> TrueWindows:
     """The windows in which somebody gets along."""
     windows = load_windows(corpus, splits, part, body, SEED, FRAMES)
     way = (windows.truth.translation[:, -1] - windows.truth.translation[:, 0])[:, :2].norm(dim=-1)
     return windows.take([k for k in range(len(way)) if way[k] >= _LEAST_WAY])
 
 
-def scenes(windows: Windows, body: BodyModel, count: int) -> list[Scene]:
+def scenes(windows: TrueWindows, body: BodyModel, count: int) -> list[Scene]:
     """Scenes of two subjects each, by turns of each kind."""
     random = np.random.default_rng(SEED)
     made: list[Scene] = []

@@ -39,7 +39,6 @@ from benchmarks.complete import (
     together,
 )
 from benchmarks.cycles import FoundCycle, chosen, found_cycles
-from benchmarks.intervals import interval, paired
 from benchmarks.results import corpus_source, earlier, write
 from benchmarks.scans import ScannedCycle, scanned_cycle
 from observations.depth import PointCloud
@@ -50,6 +49,7 @@ from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.fitting.cycles.completion import NAMED_NOISE
 from recon.fitting.options import FitOptions
+from recon.metrics.intervals import interval, paired
 
 USUAL = ("p=0", "f=5+lm", "f=20+lm", "p=100+lm", "p=1000+lm")
 """Cases of table 1 of Marsot et al. that are run by default, the cheap ones first."""

@@ -22,11 +22,11 @@ from torch import Tensor
 from benchmarks.arguments import over_windows
 from benchmarks.results import corpus_source, write
 from benchmarks.tables.drift import HEADINGS, lines
-from benchmarks.windows import Windows, load_windows
 from priors.humor.prior import Humor
 from priors.humor.state import states_of
 from priors.humor.stepwise.steps import explain, latents_of
 from priors.training.dataset import Splits
+from recon.api.bench.windows import TrueWindows, load_windows
 from recon.body.model import BodyModel
 
 SEED = 0
@@ -74,7 +74,7 @@ def main() -> None:
               rows=[vars(row) for row in rows])  # fmt: skip
 
 
-def rows_of(windows: Windows, humor: Humor, body: BodyModel) -> list[Row]:
+def rows_of(windows: TrueWindows, humor: Humor, body: BodyModel) -> list[Row]:
     """Every window."""
     states, pelvis = states_of(windows.truth, body), humor.pelvis(windows.truth.shape)
     steps = explain(humor.networks, states, pelvis)

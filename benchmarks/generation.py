@@ -23,7 +23,6 @@ from torch import Tensor
 from benchmarks.arguments import over_windows
 from benchmarks.results import corpus_source, write
 from benchmarks.scores import Columns, Row, Rows, by_subject, cell
-from benchmarks.windows import FPS, FRAMES, Windows, load_windows
 from priors.humor.generation import (
     Landing,
     as_predicted,
@@ -35,6 +34,7 @@ from priors.humor.generation import (
 from priors.humor.prior import Humor
 from priors.humor.state import Frame, State, states_of
 from priors.training.dataset import Splits, clip_files
+from recon.api.bench.windows import FPS, FRAMES, TrueWindows, load_windows
 from recon.body.contacts import contact_labels, rest_heights
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
@@ -119,7 +119,7 @@ def main() -> None:
 class Scene:
     """What is known, and what happened."""
 
-    windows: Windows
+    windows: TrueWindows
     first: State
     truth: Float[Tensor, "clips time 22 3"]
     body: BodyModel
@@ -138,7 +138,7 @@ class Generated:
     contacts: Float[Tensor, "clips samples time 22"] | None
 
 
-def first_states(corpus: Path, windows: Windows, body: BodyModel) -> State:
+def first_states(corpus: Path, windows: TrueWindows, body: BodyModel) -> State:
     """The first state of every window; velocities are by the frames beside it in the recording."""
     files = clip_files(corpus)
     states: list[State] = []

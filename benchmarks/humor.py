@@ -43,7 +43,6 @@ from benchmarks.scores import (
     tables,
 )
 from benchmarks.stage12 import SEED, tune_smoothers
-from benchmarks.windows import FRAMES, Windows, load_windows, noisy_joints, occluded_points
 from observations.joints3d import Joints3D
 from observations.markers3d import Markers3D
 from priors.humor.collocation import Collocation
@@ -51,6 +50,8 @@ from priors.humor.prior import Humor
 from priors.humor.shooting import Shooting
 from priors.pose.prior import PosePrior, PoseWeights
 from priors.training.dataset import Splits
+from recon.api.bench.sensors import noisy_joints, occluded_points
+from recon.api.bench.windows import FRAMES, TrueWindows, load_windows
 from recon.body.model import BodyModel
 from recon.method.reconstruction import Method
 
@@ -186,7 +187,11 @@ def entries(
 
 
 def protocols(
-    windows: Windows, tuning: Windows, body: BodyModel, networks: Networks, most: int | None
+    windows: TrueWindows,
+    tuning: TrueWindows,
+    body: BodyModel,
+    networks: Networks,
+    most: int | None,
 ) -> dict[str, Callable[[], dict[str, Rows]]]:
     """What measures the rows of each table."""
     joints = body.pose(windows.truth).joints
@@ -215,7 +220,7 @@ def protocols(
 
 
 def fitted_rows(
-    windows: Windows,
+    windows: TrueWindows,
     observed: Observed,
     truth: Float[Tensor, "clips time points 3"],
     fits: list[Entry],
@@ -238,7 +243,7 @@ def fitted_rows(
     return {**rows, "truth": score(windows, itself, body, truth, observed.visible)}
 
 
-def evenly(windows: Windows, most: int | None) -> list[int]:
+def evenly(windows: TrueWindows, most: int | None) -> list[int]:
     """Numbers of so many windows, evenly from the list; all when there are no more."""
     count = len(windows.names)
     if most is None or most >= count:

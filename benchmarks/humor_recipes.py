@@ -7,11 +7,11 @@ up are seen, no legs. The points that are seen have 1 cm of noise per coordinate
 from collections.abc import Mapping
 
 from benchmarks.scores import Columns, Fitted, Rows, fit_windows, score
-from benchmarks.windows import FPS, Windows, noisy_joints, with_gap
 from priors.humor.collocation import Collocation
 from priors.humor.prior import Humor
 from priors.pose.prior import PosePrior, PoseWeights
-from recon.api.bench.sensors import UPPER_BODY
+from recon.api.bench.sensors import UPPER_BODY, noisy_joints, with_gap
+from recon.api.bench.windows import FPS, TrueWindows
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.method.reconstruction import Method
@@ -42,7 +42,7 @@ def recipe_methods(priors: Mapping[str, Humor]) -> dict[str, Method]:
 
 
 def in_between_rows(
-    windows: Windows, body: BodyModel, priors: Mapping[str, Humor], seed: int
+    windows: TrueWindows, body: BodyModel, priors: Mapping[str, Humor], seed: int
 ) -> dict[str, Rows]:
     """Metrics inside the gap."""
     start = (windows.truth.frames - GAP) // 2
@@ -60,7 +60,7 @@ def in_between_rows(
 
 
 def upper_body_rows(
-    windows: Windows, body: BodyModel, priors: Mapping[str, Humor], seed: int
+    windows: TrueWindows, body: BodyModel, priors: Mapping[str, Humor], seed: int
 ) -> dict[str, Rows]:
     """Metrics of the whole body."""
     observed = noisy_joints(windows.truth, body, seed, NOISE, UPPER_BODY)

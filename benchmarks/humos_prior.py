@@ -13,7 +13,6 @@ from benchmarks.humor import COLUMNS, Entry, evenly, fitted_rows
 from benchmarks.results import corpus_source, write
 from benchmarks.scores import Rows, tables
 from benchmarks.stage12 import SEED
-from benchmarks.windows import load_windows, noisy_joints, occluded_points
 from priors.humor.collocation import Collocation
 from priors.humor.prior import Humor
 from priors.humos.codes import CodesFit
@@ -21,6 +20,8 @@ from priors.humos.collocation import HumosFit
 from priors.humos.prior import Humos
 from priors.pose.prior import PosePrior, PoseWeights
 from priors.training.dataset import Splits
+from recon.api.bench.sensors import noisy_joints, occluded_points
+from recon.api.bench.windows import load_windows
 from recon.body.model import BodyModel
 
 

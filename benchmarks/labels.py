@@ -9,7 +9,7 @@ one of MakeHuman's (`benchmarks.people`) in drawn clothes, and our body in a dra
 the whole cloud; half of its points on the body hidden by a plane in a drawn direction; the cloud
 and its sensor turned in any way, without a word on where gravity points; what a coarse
 segmentation leaves around the body; scans from all sides. Intervals are those of
-`benchmarks.intervals`.
+`recon.metrics.intervals`.
 """
 
 import time
@@ -24,16 +24,16 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from benchmarks.arguments import over_windows
-from benchmarks.intervals import interval
 from benchmarks.people import People
 from benchmarks.results import corpus_source, write
-from benchmarks.windows import Windows, load_windows
 from priors.labels.looking import CloudLabeller
 from priors.labels.record import PointLabels
 from priors.labels.regions import MIRRORED_REGIONS, Regions
 from priors.training.dataset import Splits
+from recon.api.bench.windows import TrueWindows, load_windows
 from recon.body.model import BodyModel
 from recon.core.geometry.normals import vertex_normals
+from recon.metrics.intervals import interval
 from recon.simulation.clothes import Clothing, clothed, offsets
 from recon.simulation.labelled.people import drawn_shape
 from recon.simulation.labelled.postures import SPACING
@@ -98,7 +98,7 @@ def main() -> None:
 
 def scores(
     labeller: CloudLabeller,
-    windows: Windows,
+    windows: TrueWindows,
     body: BodyModel,
     people: People,
     who: str,
@@ -123,7 +123,7 @@ def scores(
 
 
 def clouds_of(
-    windows: Windows,
+    windows: TrueWindows,
     row: int,
     body: BodyModel,
     people: People,

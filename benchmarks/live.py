@@ -24,9 +24,10 @@ from torch import Tensor
 from benchmarks.arguments import over_windows
 from benchmarks.long import there_and_back
 from benchmarks.results import corpus_source, write
-from benchmarks.windows import FPS, noisy_joints
 from observations.joints3d import Joints3D
 from priors.training.dataset import Splits, clip_files
+from recon.api.bench.sensors import noisy_joints
+from recon.api.bench.windows import FPS
 from recon.api.live.stream import Stream
 from recon.body.model import BodyModel
 from recon.core.motion import Motion

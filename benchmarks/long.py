@@ -29,8 +29,9 @@ from torch import Tensor
 
 from benchmarks.arguments import over_windows
 from benchmarks.results import corpus_source, write
-from benchmarks.windows import FPS, noisy_joints
 from priors.training.dataset import Splits, clip_files
+from recon.api.bench.sensors import noisy_joints
+from recon.api.bench.windows import FPS
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.fitting.long import fit_long

@@ -34,10 +34,10 @@ from benchmarks.humor import evenly
 from benchmarks.results import corpus_source, write
 from benchmarks.scores import Columns, Row, Rows, by_subject, tables
 from benchmarks.track_files import write_arkit, write_colmap, write_droid, write_tum
-from benchmarks.windows import FPS, Windows, load_windows
 from observations.files.images import keypoints_of
 from observations.keypoints2d import Keypoints2D
 from priors.training.dataset import Splits
+from recon.api.bench.windows import FPS, TrueWindows, load_windows
 from recon.body.model import BodyModel
 from recon.core.camera import Camera, transform
 from recon.core.motion import Motion
@@ -100,7 +100,7 @@ def main() -> None:
               tables=found)  # fmt: skip
 
 
-def focal(windows: Windows, body: BodyModel) -> dict[str, Rows]:
+def focal(windows: TrueWindows, body: BodyModel) -> dict[str, Rows]:
     """The focal length told, found and guessed."""
     filmed = [
         _filmed(windows.truth[k], body, k, FACTORS[k % 3]) for k in range(len(windows.names))
@@ -118,7 +118,7 @@ def focal(windows: Windows, body: BodyModel) -> dict[str, Rows]:
     }
 
 
-def track(windows: Windows, body: BodyModel) -> dict[str, Rows]:
+def track(windows: TrueWindows, body: BodyModel) -> dict[str, Rows]:
     """A fixed phone, and one that is carried, its track in a file of each tracker."""
     still = [_filmed(windows.truth[k], body, k, factor=1.0) for k in range(len(windows.names))]
     carried = [_carried(windows.truth[k], body, k, one) for k, one in enumerate(still)]
@@ -165,7 +165,7 @@ def _lost(one: Filmed, matrix: Float[np.ndarray, "3 3"]) -> KeypointsFile:
 
 
 def _rows(
-    windows: Windows, filmed: Sequence[Filmed], files: Sequence[KeypointsFile], body: BodyModel
+    windows: TrueWindows, filmed: Sequence[Filmed], files: Sequence[KeypointsFile], body: BodyModel
 ) -> list[Row]:
     """All windows fitted together, each compared with its truth."""
     view = concatenate([keypoints_of(file, body) for file in files])
@@ -208,7 +208,7 @@ def _centred(joints: Float[Tensor, "time 22 3"]) -> Float[Tensor, "time 22 3"]:
     return joints - joints[:, :1]
 
 
-CASES: dict[str, Callable[[Windows, BodyModel], dict[str, Rows]]] = {
+CASES: dict[str, Callable[[TrueWindows, BodyModel], dict[str, Rows]]] = {
     "focal": focal,
     "track": track,
 }

@@ -26,10 +26,11 @@ from benchmarks.humor import Observed, evenly
 from benchmarks.results import corpus_source, write
 from benchmarks.scores import Columns, Fitted, Row, Rows, cell, fit_windows, score, tables
 from benchmarks.stage12 import SEED
-from benchmarks.windows import Windows, load_windows, noisy_joints, occluded_points
 from priors.humor.collocation import Collocation
 from priors.humor.prior import Humor
 from priors.training.dataset import Splits
+from recon.api.bench.sensors import noisy_joints, occluded_points
+from recon.api.bench.windows import TrueWindows, load_windows
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.struct import concatenate
@@ -106,7 +107,7 @@ class LastStage:
 
 
 def compared(
-    windows: Windows,
+    windows: TrueWindows,
     observed: Observed,
     truth: Float[Tensor, "clips time points 3"],
     plain: Method,

@@ -26,7 +26,6 @@ from rich.table import Table
 import recon
 from benchmarks.arguments import over_windows
 from benchmarks.complete import cloud_from
-from benchmarks.intervals import interval, paired
 from benchmarks.results import corpus_source, earlier, write
 from benchmarks.scans import FPS, ScannedCycle, scanned, thinned_points
 from observations.files.points import positions_of
@@ -36,6 +35,7 @@ from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.fitting.cycles.recording import WholeRecording
 from recon.formats.motions import load_motion
+from recon.metrics.intervals import interval, paired
 
 LONGEST, POINTS = 10.0, 500
 CLIPS = {

@@ -22,8 +22,8 @@ from torch import Tensor
 
 from benchmarks.results import corpus_source, write
 from benchmarks.slips.recordings import evenly, windows_of
-from benchmarks.windows import FPS
 from observations.joints3d import Joints3D
+from recon.api.bench.windows import FPS
 from recon.api.fit import fit
 from recon.api.verbs.refine import refine
 from recon.body.model import BodyModel

@@ -28,10 +28,10 @@ from torch import Generator, Tensor
 from benchmarks.arguments import over_windows
 from benchmarks.humor import evenly
 from benchmarks.results import corpus_source, write
-from benchmarks.windows import FPS, load_windows
 from observations.files.images import keypoints_of
 from observations.keypoints2d import Keypoints2D
 from priors.training.dataset import Splits
+from recon.api.bench.windows import FPS, load_windows
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.camera import full_hd_camera

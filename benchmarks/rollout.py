@@ -24,10 +24,10 @@ from torch import Tensor
 import recon
 from benchmarks.naive_humor import NaiveHumor
 from benchmarks.results import write
-from benchmarks.windows import noisy_joints
 from priors.humor.networks import HumorNetworks
 from priors.humor.prior import Humor, HumorVariables
 from priors.humor.shooting import Shooting
+from recon.api.bench.sensors import noisy_joints
 from recon.core import rotations as so3
 from recon.core.scene import Scene
 from recon.core.struct import stack

@@ -30,9 +30,9 @@ from benchmarks.humor import evenly
 from benchmarks.results import corpus_source, write
 from benchmarks.rollout_protocols import PROTOCOLS, SEED
 from benchmarks.tables.rollouts import HEADINGS, METHODS, lines
-from benchmarks.windows import Windows, load_windows
 from priors.humor.prior import Humor
 from priors.training.dataset import Splits
+from recon.api.bench.windows import TrueWindows, load_windows
 from recon.body.model import BodyModel
 from recon.fitting.options import FitOptions
 
@@ -86,7 +86,9 @@ def main() -> None:
             save(arguments.json, arguments.corpus, arguments.part, windows, rows, known)
 
 
-def fits(protocol: str, windows: Windows, methods: list[str], body: BodyModel) -> Iterator[Row]:
+def fits(
+    protocol: str, windows: TrueWindows, methods: list[str], body: BodyModel
+) -> Iterator[Row]:
     """All methods on all windows, a few at once."""
     for first in range(0, len(windows.names), AT_ONCE):
         some = windows.take(list(range(first, min(first + AT_ONCE, len(windows.names)))))
@@ -95,7 +97,7 @@ def fits(protocol: str, windows: Windows, methods: list[str], body: BodyModel) -
 
 
 def _fitted(
-    protocol: str, method: str, windows: Windows, body: BodyModel, first: int
+    protocol: str, method: str, windows: TrueWindows, body: BodyModel, first: int
 ) -> Iterator[Row]:
     began = time.process_time()
     fit = PROTOCOLS[protocol](windows, FitOptions(method=method), body, first)
@@ -115,7 +117,7 @@ def _fitted(
         )  # fmt: skip
 
 
-def network_errors(windows: Windows, body: BodyModel) -> dict[str, float]:
+def network_errors(windows: TrueWindows, body: BodyModel) -> dict[str, float]:
     """Mean joint error of the roll-out of every true motion's own latents, metres."""
     humor = Humor.load(body=body)
     with torch.no_grad():
@@ -126,7 +128,12 @@ def network_errors(windows: Windows, body: BodyModel) -> dict[str, float]:
 
 
 def save(
-    path: Path, corpus: Path, part: str, windows: Windows, rows: list[Row], known: dict[str, float]
+    path: Path,
+    corpus: Path,
+    part: str,
+    windows: TrueWindows,
+    rows: list[Row],
+    known: dict[str, float],
 ) -> None:
     """The result file, with the windows that it is about."""
     source = corpus_source(corpus, windows.files)

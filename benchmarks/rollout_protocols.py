@@ -10,9 +10,10 @@ from torch import Tensor
 from benchmarks.cameras import CASES, batch_of, to_true_world
 from benchmarks.converged import Protocol as Seen
 from benchmarks.converged import protocols as in_space
-from benchmarks.windows import Windows, noisy_joints
 from observations.files.clouds import cloud_of
 from observations.markers3d import Markers3D
+from recon.api.bench.sensors import noisy_joints
+from recon.api.bench.windows import TrueWindows
 from recon.body.model import BodyModel
 from recon.core.camera import depth_camera
 from recon.core.struct import concatenate
@@ -43,11 +44,11 @@ class Fit:
     """Which of `hidden` were not seen."""
 
 
-Protocol = Callable[[Windows, FitOptions, BodyModel, int], Fit]
+Protocol = Callable[[TrueWindows, FitOptions, BodyModel, int], Fit]
 """Fits windows with some options; the number is that of the first window in the list."""
 
 
-def compared(windows: Windows, seen: Seen, result: Reconstruction, body: BodyModel) -> Fit:
+def compared(windows: TrueWindows, seen: Seen, result: Reconstruction, body: BodyModel) -> Fit:
     """Fitted points or joints of space beside the truth."""
     truth, joints = body.pose(windows.truth).joints, result.body.joints.detach()
     if isinstance(seen.observed, Markers3D):
@@ -63,7 +64,7 @@ def compared(windows: Windows, seen: Seen, result: Reconstruction, body: BodyMod
 def _in_space(name: str) -> Protocol:
     """A protocol of points in space, whose noise is told (`benchmarks.converged`)."""
 
-    def fit(windows: Windows, options: FitOptions, body: BodyModel, _: int) -> Fit:
+    def fit(windows: TrueWindows, options: FitOptions, body: BodyModel, _: int) -> Fit:
         seen = in_space(windows, body)[name]
         result = solve([seen.observed], method_of(options, seen.noise, body), body)
         return compared(windows, seen, result, body)
@@ -74,7 +75,7 @@ def _in_space(name: str) -> Protocol:
 def _filmed(case: str) -> Protocol:
     """A protocol of `benchmarks.cameras`; joints about the pelvis, in the true world."""
 
-    def fit(windows: Windows, options: FitOptions, body: BodyModel, first: int) -> Fit:
+    def fit(windows: TrueWindows, options: FitOptions, body: BodyModel, first: int) -> Fit:
         rows = range(len(windows.names))
         filmed = batch_of([CASES[case](windows.truth[k], body, first + k) for k in rows])
         fitted = fit_clip(filmed.observations, options, body)
@@ -90,7 +91,9 @@ def _filmed(case: str) -> Protocol:
     return fit
 
 
-def _depth_and_joints(windows: Windows, options: FitOptions, body: BodyModel, first: int) -> Fit:
+def _depth_and_joints(
+    windows: TrueWindows, options: FitOptions, body: BodyModel, first: int
+) -> Fit:
     """Noisy joints beside the points of a calibrated depth sensor; the ground is known."""
     clouds = []
     for k in range(len(windows.names)):

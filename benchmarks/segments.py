@@ -28,11 +28,11 @@ from benchmarks.humor import evenly
 from benchmarks.results import corpus_source, write
 from benchmarks.rollout_protocols import SEED, compared
 from benchmarks.tables.segments import HEADINGS, lines
-from benchmarks.windows import Windows, load_windows
 from priors.humor.prior import Humor, HumorVariables
 from priors.humor.segments import SegmentedHumor, SegmentedVariables
 from priors.humor.shooting import Shooting
 from priors.training.dataset import Splits
+from recon.api.bench.windows import TrueWindows, load_windows
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.scene import Scene
@@ -118,7 +118,7 @@ def main() -> None:
 def fits(
     name: str,
     seen: Protocol,
-    windows: Windows,
+    windows: TrueWindows,
     methods: list[str],
     humor: Humor,
     body: BodyModel,
@@ -156,7 +156,7 @@ def fits(
 
 
 def _scored(
-    windows: Windows, k: int, seen: Protocol, result: Reconstruction, body: BodyModel
+    windows: TrueWindows, k: int, seen: Protocol, result: Reconstruction, body: BodyModel
 ) -> dict[str, Any]:
     """What every method has of a window."""
     fit, last = compared(windows, seen, result, body), result.reports[-1].solution

@@ -30,10 +30,11 @@ from benchmarks.scores import (
     subject_mean,
     tables,
 )
-from benchmarks.windows import FPS, Windows, load_windows, noisy_joints, occluded_points
 from priors.pose.prior import PosePrior, PoseWeights
 from priors.training.dataset import Splits
+from recon.api.bench.sensors import noisy_joints, occluded_points
 from recon.api.bench.smoothers import butterworth, whittaker
+from recon.api.bench.windows import FPS, TrueWindows, load_windows
 from recon.body.model import BodyModel
 from recon.method.protocols import Observation
 from recon.method.reconstruction import solve
@@ -86,7 +87,7 @@ def main() -> None:
 Smoother = Callable[[Tensor], Tensor]
 
 
-def tune_smoothers(tuning: Windows, body: BodyModel) -> dict[str, tuple[Smoother, float]]:
+def tune_smoothers(tuning: TrueWindows, body: BodyModel) -> dict[str, tuple[Smoother, float]]:
     """Smoothers at their best setting on validation, and the filter at 2, 2.5 and 3 Hz."""
     seen = noisy_joints(tuning.truth, body, SEED + 1).positions
     truth = body.pose(tuning.truth).joints
@@ -106,7 +107,7 @@ def tune_smoothers(tuning: Windows, body: BodyModel) -> dict[str, tuple[Smoother
 
 
 def noisy_rows(
-    windows: Windows,
+    windows: TrueWindows,
     body: BodyModel,
     prior: PosePrior,
     smoothers: dict[str, tuple[Smoother, float]],
@@ -125,7 +126,7 @@ def noisy_rows(
     return rows
 
 
-def occluded_rows(windows: Windows, body: BodyModel, prior: PosePrior) -> dict[str, Rows]:
+def occluded_rows(windows: TrueWindows, body: BodyModel, prior: PosePrior) -> dict[str, Rows]:
     observed, truth = occluded_points(windows.truth, body)
     rows: dict[str, Rows] = {}
     for name, weights in (
@@ -137,7 +138,7 @@ def occluded_rows(windows: Windows, body: BodyModel, prior: PosePrior) -> dict[s
     return rows
 
 
-def measure_speed(windows: Windows, body: BodyModel, prior: PosePrior) -> dict[str, float]:
+def measure_speed(windows: TrueWindows, body: BodyModel, prior: PosePrior) -> dict[str, float]:
     """Seconds of stages 1 and 2 (tuned weights, noisy joints): one clip, and sixteen at once."""
     method = prior.replace(weights=PoseWeights.tuned_joints())
     found = {"threads": float(torch.get_num_threads())}

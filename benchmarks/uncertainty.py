@@ -27,8 +27,8 @@ from torch import Tensor
 from benchmarks.cameras import depth
 from benchmarks.results import corpus_source, write
 from benchmarks.slips.recordings import Sensor, evenly, recording_of, windows_of
-from benchmarks.windows import Windows
 from observations.joints3d import Joints3D
+from recon.api.bench.windows import TrueWindows
 from recon.body.model import BodyModel
 from recon.core.skeleton import FEET
 from recon.diagnosis.fits.certainty import certainty
@@ -52,27 +52,27 @@ class Recorded:
     """Maps the frame of the observations to the true world."""
 
 
-Film = Callable[[Windows, int, BodyModel], Recorded]
+Film = Callable[[TrueWindows, int, BodyModel], Recorded]
 
 
 def by_sensor(sensor: Sensor, count: int, corruption: Corruption) -> Film:
     """Windows before the first sensors of a kind."""
 
-    def film(windows: Windows, clip: int, body: BodyModel) -> Recorded:
+    def film(windows: TrueWindows, clip: int, body: BodyModel) -> Recorded:
         found = recording_of(windows, clip, sensor, body, corruption)
         return Recorded(found.clean[:count], found.T_world_recording)
 
     return film
 
 
-def joints_above_nothing(windows: Windows, clip: int, body: BodyModel) -> Recorded:
+def joints_above_nothing(windows: TrueWindows, clip: int, body: BodyModel) -> Recorded:
     """Joints with z up, whose ground is not known."""
     (seen,) = by_sensor("joints3d", 1, Corruption(noise=0.02))(windows, clip, body).observations
     assert isinstance(seen, Joints3D)
     return Recorded((replace(seen, ground_known=False),), torch.eye(4))
 
 
-def depth_alone(windows: Windows, clip: int, body: BodyModel) -> Recorded:
+def depth_alone(windows: TrueWindows, clip: int, body: BodyModel) -> Recorded:
     """A depth sensor of unknown pose that sees the ground; legs are hidden for a third."""
     found = depth(windows.truth[clip], body, clip)
     assert found.T_world_camera is not None
@@ -141,7 +141,7 @@ def main() -> None:
                 write(arguments.json, 0, sources, part=arguments.part, windows=names, rows=rows)
 
 
-def judged(windows: Windows, clip: int, film: Film, prior: str, body: BodyModel) -> Judged:
+def judged(windows: TrueWindows, clip: int, film: Film, prior: str, body: BodyModel) -> Judged:
     """Fit one window and compare its errors with their standard deviations."""
     seen = film(windows, clip, body)
     began = time.process_time()

@@ -32,10 +32,10 @@ from rich.table import Table
 
 from benchmarks.arguments import over_windows
 from benchmarks.results import corpus_source, write
-from benchmarks.windows import Windows, load_windows
 from observations.files.images import keypoints_of
 from observations.keypoints2d import Keypoints2D
 from priors.training.dataset import Splits
+from recon.api.bench.windows import TrueWindows, load_windows
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.camera import Camera, looking
@@ -95,7 +95,7 @@ class Undeclared:
     rest: Rest | None
 
 
-def fixed(windows: Windows, body: BodyModel, directions: int) -> list[Undeclared]:
+def fixed(windows: TrueWindows, body: BodyModel, directions: int) -> list[Undeclared]:
     """Every window before fixed cameras."""
     return [
         _filmed("fixed", windows, k, _placed(windows.truth[k], body, k, turn), body, 10 * k + turn)
@@ -104,7 +104,7 @@ def fixed(windows: Windows, body: BodyModel, directions: int) -> list[Undeclared
     ]
 
 
-def moving(windows: Windows, body: BodyModel, each: int) -> list[Undeclared]:
+def moving(windows: TrueWindows, body: BodyModel, each: int) -> list[Undeclared]:
     """Windows by turns before every kind of moving camera."""
     out: list[Undeclared] = []
     for number, (kind, carried) in enumerate(CARRIED.items()):
@@ -118,7 +118,7 @@ def moving(windows: Windows, body: BodyModel, each: int) -> list[Undeclared]:
 
 
 def _filmed(
-    kind: str, windows: Windows, k: int, camera: Camera, body: BodyModel, seed: int
+    kind: str, windows: TrueWindows, k: int, camera: Camera, body: BodyModel, seed: int
 ) -> Undeclared:
     file = keypoints2d(windows.truth[k], body, camera, Corruption(noise=PIXELS), seed)
     lost = replace(file, camera=replace(file.camera, T_camera_world=None))

@@ -28,9 +28,9 @@ from benchmarks.bodies.kept import Kept
 from benchmarks.results import ROOT, commit, corpus_source, write
 from benchmarks.retarget_clips import SEED, load_jobs
 from benchmarks.tables import humos as tables
-from benchmarks.windows import load_windows
 from priors.humos.prior import Humos
 from priors.training.dataset import Splits
+from recon.api.bench.windows import load_windows
 from recon.body.model import BodyModel
 from recon.formats.files.checksums import file_checksum
 

@@ -11,11 +11,12 @@ from typing import Any
 
 from benchmarks.humor import evenly
 from benchmarks.scores import fit_windows
-from benchmarks.windows import Windows, noisy_joints, occluded_points
 from observations.markers3d import Markers3D
 from priors.humos.collocation import HumosFit
 from priors.humos.prior import Humos
 from priors.pose.prior import PosePrior, PoseWeights
+from recon.api.bench.sensors import noisy_joints, occluded_points
+from recon.api.bench.windows import TrueWindows
 from recon.body.model import BodyModel
 from recon.method.reconstruction import Method
 from recon.metrics.evaluation import ObservedPoints, evaluate
@@ -38,14 +39,14 @@ def methods(prior: Humos, noise: float) -> dict[str, Method]:
     }
 
 
-def of_person(windows: Windows, person: str, most: int) -> Windows:
+def of_person(windows: TrueWindows, person: str, most: int) -> TrueWindows:
     """Windows of one person, at most so many, spread evenly."""
     own = windows.take(windows.of(person))
     return own.take(evenly(own, most))
 
 
 def window_rows(
-    windows: Windows, protocol: str, prior: Humos, body: BodyModel
+    windows: TrueWindows, protocol: str, prior: Humos, body: BodyModel
 ) -> list[dict[str, Any]]:
     """One row per window and method."""
     truth = windows.truth

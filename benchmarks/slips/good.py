@@ -25,8 +25,8 @@ from pathlib import Path
 
 from benchmarks.slips.recorded import VIEWS, cut, views
 from benchmarks.slips.recordings import Sensor, recording_of, windows_of
-from benchmarks.windows import Windows
 from priors.training.dataset import Part
+from recon.api.bench.windows import TrueWindows
 from recon.body.model import BodyModel
 from recon.diagnosis.findings import Code, Finding
 from recon.formats.mocap.reader import read_recording
@@ -124,7 +124,7 @@ def alarms(window: GoodWindow, findings: Sequence[Finding]) -> tuple[Finding, ..
 class GoodWindows:
     """The folders that windows are loaded from."""
 
-    windows: Windows
+    windows: TrueWindows
     """All that are listed of a part."""
     observations: Path
     """Folder of real recordings."""

@@ -9,10 +9,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from benchmarks.windows import FRAMES, Windows, load_windows
 from observations.files.images import keypoints_of
 from observations.keypoints2d import Keypoints2D
 from priors.training.dataset import Part, Splits, clip_files
+from recon.api.bench.windows import FRAMES, TrueWindows, load_windows
 from recon.body.model import BodyModel
 from recon.core.camera import Camera, full_hd_camera
 from recon.core.motion import Motion
@@ -102,7 +102,7 @@ def cameras_of(sensor: Sensor, truth: Motion, body: BodyModel, seed: int) -> tup
 
 
 def recording_of(
-    windows: Windows,
+    windows: TrueWindows,
     number: int,
     sensor: Sensor,
     body: BodyModel,
@@ -124,21 +124,21 @@ def recording_of(
     )
 
 
-def _somebody_else(windows: Windows, number: int) -> int:
+def _somebody_else(windows: TrueWindows, number: int) -> int:
     """The next window of another person."""
     count = len(windows.names)
     others = [(number + k) % count for k in range(1, count)]
     return next(o for o in others if windows.subjects[o] != windows.subjects[number])
 
 
-def windows_of(corpus: Path, part: Part, body: BodyModel) -> Windows:
+def windows_of(corpus: Path, part: Part, body: BodyModel) -> TrueWindows:
     """The listed windows of a part; of a corpus that is not complete, those of its clips."""
     splits, files = Splits.load(), clip_files(corpus)
     listed = tuple(row for row in splits.windows[part][FRAMES] if row[0] in files)
     return load_windows(corpus, replace(splits, windows={part: {FRAMES: listed}}), part, body)
 
 
-def evenly(windows: Windows, clips: int) -> list[int]:
+def evenly(windows: TrueWindows, clips: int) -> list[int]:
     """Numbers of so many windows, evenly from the list; all when there are no more."""
     count = len(windows.names)
     return np.linspace(0, count - 1, min(clips, count)).round().astype(int).tolist()

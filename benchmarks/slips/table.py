@@ -11,7 +11,7 @@ from benchmarks.slips.good import GoodWindow, GoodWindows, alarms
 from benchmarks.slips.kinds import Slip
 from benchmarks.slips.recordings import SENSORS, Recording, recording_of
 from benchmarks.slips.verdict import Verdict, verdict_of
-from benchmarks.windows import Windows
+from recon.api.bench.windows import TrueWindows
 from recon.body.model import BodyModel
 from recon.diagnosis.examination import fit_examined
 from recon.fitting.clip import ClipFit, fit_clip
@@ -43,7 +43,7 @@ class Judged:
 
 
 def judged(
-    windows: Windows,
+    windows: TrueWindows,
     clips: Sequence[int],
     slips: Sequence[Slip],
     sizes: dict[str, float],

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.strangers.folds import Fold
-from benchmarks.windows import FPS, Windows, load_windows
 from priors.training.dataset import clip_files, is_flat
 from priors.training.kinds import described, kind_of
+from recon.api.bench.windows import FPS, TrueWindows, load_windows
 from recon.body.model import BodyModel
 from recon.formats.motions import load_motion
 
@@ -22,7 +22,7 @@ RUN_FRAMES = 30
 class Chosen:
     """Windows of one fold, all of one length."""
 
-    windows: Windows
+    windows: TrueWindows
     kinds: tuple[str, ...]
     flat: tuple[bool, ...]
     """Whether the ground of each is z = 0 everywhere; elsewhere contacts are not known."""

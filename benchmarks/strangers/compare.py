@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from benchmarks.intervals import DRAWS, LEVEL, Estimate
 from benchmarks.strangers.fits import HUMOR, POSE
+from recon.metrics.intervals import DRAWS, LEVEL, Interval
 
 Rows = Sequence[Mapping[str, Any]]
 """Fields of `benchmarks.strangers.fits.Row`, as a result file keeps them."""
@@ -62,13 +62,13 @@ def more_balanced(counts: Float[np.ndarray, "*draws 8"]) -> Float[np.ndarray, "*
     return balanced(counts[..., :4]) - balanced(counts[..., 4:])
 
 
-def estimated(sums: Sums, statistic: Statistic) -> Estimate:
+def estimated(sums: Sums, statistic: Statistic) -> Interval:
     """A statistic of one fold."""
     drawn = _resampled(sums, statistic, np.random.default_rng(0))
     return _estimate(float(statistic(sums.sum(0))), drawn)
 
 
-def over_people(folds: Sequence[Sums], statistic: Statistic) -> Estimate:
+def over_people(folds: Sequence[Sums], statistic: Statistic) -> Interval:
     """The mean of a statistic over folds."""
     random = np.random.default_rng(0)
     each = np.stack([_resampled(sums, statistic, random) for sums in folds])
@@ -108,7 +108,7 @@ def _resampled(
     return statistic(sums[drawn].sum(1))
 
 
-def _estimate(mean: float, drawn: Float[np.ndarray, " draws"]) -> Estimate:
+def _estimate(mean: float, drawn: Float[np.ndarray, " draws"]) -> Interval:
     tail = 100 * (1 - LEVEL) / 2
     low, high = np.nanpercentile(drawn, (tail, 100 - tail))
-    return Estimate(mean, float(low), float(high))
+    return Interval(mean, float(low), float(high))

@@ -10,11 +10,12 @@ from benchmarks.humor_recipes import GAP, NOISE, UPPER_BODY
 from benchmarks.scores import Fitted, fit_windows
 from benchmarks.strangers.choice import Chosen
 from benchmarks.strangers.training import FoldPriors
-from benchmarks.windows import FPS, Windows, noisy_joints, occluded_points, with_gap
 from observations.joints3d import Joints3D
 from observations.markers3d import Markers3D
 from priors.humor.collocation import Collocation
 from priors.pose.prior import PosePrior, PoseWeights
+from recon.api.bench.sensors import noisy_joints, occluded_points, with_gap
+from recon.api.bench.windows import FPS, TrueWindows
 from recon.body.contacts import contact_labels, rest_heights
 from recon.body.model import BodyModel
 from recon.core.skeleton import FEET
@@ -67,7 +68,7 @@ class Row:
     """Counts for labels that are made from the method's motion, in the same order."""
 
 
-def seen(protocol: str, windows: Windows, body: BodyModel) -> Seen:
+def seen(protocol: str, windows: TrueWindows, body: BodyModel) -> Seen:
     """The observations of a protocol of `benchmarks.humor`."""
     truth, every = windows.truth, slice(0, windows.truth.frames)
     if protocol == "noisy joints":

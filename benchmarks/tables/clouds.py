@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from benchmarks.cloud_cases import ALONE, OTHERS
-from benchmarks.intervals import interval, paired
 from benchmarks.tables.values import markdown, number, present, result, source, spread
+from recon.metrics.intervals import interval, paired
 
 
 def labels() -> str:

@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.intervals import Estimate, interval, paired
 from benchmarks.strangers.compare import FEWEST
 from benchmarks.tables.values import NONE, markdown, number, present, result, source, spread
+from recon.metrics.intervals import Interval, interval, paired
 
 Rows = Sequence[Mapping[str, Any]]
 Found = Mapping[str, Any]
@@ -246,7 +246,7 @@ def _difference(rows: Rows, first: str, second: str, key: str, factor: float, di
     return _marked(found, factor, digits)
 
 
-def _marked(found: Estimate, factor: float, digits: int) -> str:
+def _marked(found: Interval, factor: float, digits: int) -> str:
     """A difference and its interval, in bold where zero lies outside."""
     cell = spread(found, factor, digits)
     return f"**{cell}**" if found.sure else cell

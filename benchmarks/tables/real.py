@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from benchmarks.intervals import Estimate
 from benchmarks.real import EVERYTHING, HUMOR, POSE, load_list
 from benchmarks.strangers.compare import Statistic, estimated, over_people, quotient
 from benchmarks.tables.values import markdown, number, result, source, spread
+from recon.metrics.intervals import Interval
 
 Rows = Sequence[Mapping[str, Any]]
 ROWS = ("runs", "walks", "jumps")
@@ -47,11 +47,11 @@ def recordings() -> str:
     return markdown(headings, rows) + source("real")
 
 
-def _mean(rows: Rows, label: str) -> Estimate:
+def _mean(rows: Rows, label: str) -> Interval:
     return _over(_sums(rows, label, None), quotient)
 
 
-def _over(sums: Sequence[Float[np.ndarray, "recordings 2"]], statistic: Statistic) -> Estimate:
+def _over(sums: Sequence[Float[np.ndarray, "recordings 2"]], statistic: Statistic) -> Interval:
     """The mean over people, who are drawn again where there are several, and their recordings."""
     return estimated(sums[0], statistic) if len(sums) == 1 else over_people(sums, statistic)
 

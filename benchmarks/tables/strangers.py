@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.intervals import Estimate
 from benchmarks.strangers import compare
 from benchmarks.strangers.compare import Rows, Statistic, Sums
 from benchmarks.strangers.fits import HUMOR, POSE
 from benchmarks.tables.values import NONE, markdown, number, present, result, source, spread
+from recon.metrics.intervals import Interval
 
 HEADINGS = ["fold", "noisy joints", "hidden points", "gap of 1 s", "runs, hidden legs",
             "contacts less pose prior's", "contacts less own motion's",
@@ -57,7 +57,7 @@ def estimate_cell(
     present = [own for own in sums if own is not None]
     if len(present) == 0:
         return NONE
-    found: Estimate = (
+    found: Interval = (
         compare.estimated(present[0], statistic)
         if len(sums) == 1
         else compare.over_people(present, statistic)

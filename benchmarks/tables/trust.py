@@ -4,9 +4,9 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
-from benchmarks.intervals import interval
 from benchmarks.slips.verdict import Verdict
 from benchmarks.tables.values import NONE, markdown, number, result, source
+from recon.metrics.intervals import interval
 
 
 def slips() -> str:

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.intervals import Estimate, interval, paired
 from benchmarks.results import RESULTS
 from priors.training.dataset import Splits
+from recon.metrics.intervals import Interval, interval, paired
 
 SUBJECTS = ("07", "49", "d2C")
 """The test subjects over whom means are taken; 16 stands in a row of its own."""
@@ -47,7 +47,7 @@ def mean(rows: Mapping[str, Mapping[str, Any]], metric: str) -> float | None:
     return float(np.mean(values)) if values else None
 
 
-def spread(estimate: Estimate, factor: float = 1.0, digits: int = 2) -> str:
+def spread(estimate: Interval, factor: float = 1.0, digits: int = 2) -> str:
     """A mean and its 95 % interval as a cell."""
     three = (estimate.mean, estimate.low, estimate.high)
     middle, low, high = (f"{value * factor:.{digits}f}" for value in three)
@@ -64,7 +64,7 @@ def _splits() -> Splits:
     return Splits.load()
 
 
-def estimated(rows: Mapping[str, Any], about: Mapping[str, Any], metric: str) -> Estimate | None:
+def estimated(rows: Mapping[str, Any], about: Mapping[str, Any], metric: str) -> Interval | None:
     """The mean over test subjects, where a row kept the values of its windows; else None."""
     values = rows.get("windows", {}).get(metric)
     if values is None or all(value is None for value in values):
@@ -74,7 +74,7 @@ def estimated(rows: Mapping[str, Any], about: Mapping[str, Any], metric: str) ->
 
 def difference(
     rows: Mapping[str, Any], others: Mapping[str, Any], about: Mapping[str, Any], metric: str
-) -> Estimate:
+) -> Interval:
     """`rows` - `others`, window by window."""
     values, clips, subjects = _counted(about, rows, rows["windows"][metric])
     return paired(values, _counted(about, others, others["windows"][metric])[0], clips, subjects)

@@ -6,10 +6,10 @@ import pytest
 import torch
 
 from benchmarks import generation
-from benchmarks.windows import load_windows
 from priors.humor.generation import as_predicted
 from priors.humor.state import states_of
 from priors.training.dataset import Splits
+from recon.api.bench.windows import load_windows
 from recon.body.model import BodyModel
 from recon.formats.motions import save_motion
 from tests.benchmarks.test_windows import turning

@@ -6,8 +6,9 @@ import torch
 from benchmarks.humor import Entry, evenly, fitted_rows
 from benchmarks.humor_recipes import UPPER_BODY, interpolated
 from benchmarks.scores import WINDOWS, Fitted, constant_contacts, fit_windows, score, tables
-from benchmarks.windows import Windows, noisy_joints
 from priors.pose.prior import PosePrior
+from recon.api.bench.sensors import noisy_joints
+from recon.api.bench.windows import TrueWindows
 from recon.body.contacts import rest_heights
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
@@ -16,7 +17,7 @@ from recon.core.struct import stack
 from tests.benchmarks.test_windows import turning
 
 
-def standing(count: int = 3, frames: int = 12) -> Windows:
+def standing(count: int = 3, frames: int = 12) -> TrueWindows:
     """Bodies that stand on the ground, turning; their feet are said to touch it half the time."""
     body = BodyModel.load()
     motion = turning(frames, 30.0)
@@ -24,7 +25,7 @@ def standing(count: int = 3, frames: int = 12) -> Windows:
     motion = motion.replace(translation=height * torch.tensor([[0.0, 0, 1]]).expand(frames, 3))
     contacts = torch.zeros(count, frames, 22, dtype=torch.bool)
     contacts[:, : frames // 2, list(FEET)] = True
-    return Windows(
+    return TrueWindows(
         truth=stack([motion] * count),
         contacts=contacts,
         subjects=("a", "a", "b", "c")[:count],

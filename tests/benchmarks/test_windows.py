@@ -6,16 +6,10 @@ import numpy as np
 import torch
 
 from benchmarks.scores import WINDOWS, by_subject
-from benchmarks.windows import (
-    Windows,
-    draw_girth,
-    load_windows,
-    noisy_joints,
-    occluded_points,
-    with_gap,
-)
 from priors.training.dataset import Splits
+from recon.api.bench.sensors import noisy_joints, occluded_points, with_gap
 from recon.api.bench.smoothers import butterworth, whittaker
+from recon.api.bench.windows import TrueWindows, draw_girth, load_windows
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion
@@ -115,7 +109,7 @@ def test_windows_of_a_length_that_is_not_listed_lie_about_the_listed_ones_and_sh
 def test_means_are_over_the_subjects_who_are_not_apart() -> None:
     """Test subject 16 walks like a training subject, and was averaged with the others."""
     still = stack([turning(4, 30.0)] * 3)
-    windows = Windows(
+    windows = TrueWindows(
         still, torch.zeros(3, 4, 22).bool(), ("07", "16", "49"), ("a@0", "b@0", "c@0"), 3, ("16",)
     )
     rows = by_subject(windows, [{"joints_all": value} for value in (1.0, 10.0, 3.0)])
