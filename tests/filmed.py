@@ -17,6 +17,8 @@ from recon.simulation.points import Corruption
 
 NOISE = 3.0
 """Pixels."""
+BESIDE = (-1.5, 1.5)
+"""Metres to the left and right of a camera's axis where two people are."""
 
 
 @functools.cache
@@ -50,6 +52,22 @@ def view(
     """What a detector finds of it."""
     file = keypoints2d(motion, bundled(), camera, Corruption(noise=noise), seed, layout)
     return keypoints_of(file, bundled())
+
+
+def two_people(frames: int) -> list[Motion]:
+    """Two walkers side by side, of whom one goes the other way; at 30 Hz."""
+    one, two = walk(frames), turned(walk(frames, 10), 3.0)
+    out = []
+    for motion, x in zip((one, two), BESIDE, strict=True):
+        pelvis = bundled().pose(motion).joints[:, 0].mean(0)
+        shift = torch.tensor([x - float(pelvis[0]), 5.0 - float(pelvis[1]), 0.0])
+        out.append(motion.replace(translation=motion.translation + shift))
+    return out
+
+
+def before_two() -> Camera:
+    """A camera that has both of them in its images."""
+    return full_hd_camera().placed(torch.tensor([0.0, 0.0, 1.5]), torch.tensor([0.0, 5.0, 1.0]))
 
 
 def joint_error(found: Motion, truth: Motion) -> float:

@@ -8,38 +8,24 @@ import pytest
 import torch
 
 import recon
-from recon.core.camera import full_hd_camera, transform
-from recon.core.motion import Motion
+from recon.core.camera import transform
 from recon.fitting.clip_files import load_clip
 from recon.fitting.settings import FitSettings
 from recon.jobs.fit import fit_people_files
 from recon.simulation.images import keypoints2d
 from recon.simulation.points import Corruption
-from tests.filmed import bundled, turned, walk
+from tests.filmed import BESIDE, before_two, bundled, two_people
 
 FRAMES = 24
-BESIDE = (-1.5, 1.5)
-"""Metres to the left and right of the camera's axis."""
-
-
-def two_people() -> list[Motion]:
-    """Two walkers side by side, of whom one goes the other way; at 30 Hz."""
-    one, two = walk(FRAMES), turned(walk(FRAMES, 10), 3.0)
-    out = []
-    for motion, x in zip((one, two), BESIDE, strict=True):
-        pelvis = bundled().pose(motion).joints[:, 0].mean(0)
-        shift = torch.tensor([x - float(pelvis[0]), 5.0 - float(pelvis[1]), 0.0])
-        out.append(motion.replace(translation=motion.translation + shift))
-    return out
 
 
 @pytest.fixture(scope="module")
 def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Detections of OpenPose, which names nobody; people change places in its files."""
-    camera = full_hd_camera().placed(torch.tensor([0.0, 0.0, 1.5]), torch.tensor([0.0, 5.0, 1.0]))
+    camera = before_two()
     seen = [
         keypoints2d(motion, bundled(), camera, Corruption(noise=2.0), k)
-        for k, motion in enumerate(two_people())
+        for k, motion in enumerate(two_people(FRAMES))
     ]
     folder = tmp_path_factory.mktemp("film") / "cam"
     folder.mkdir()

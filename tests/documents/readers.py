@@ -21,9 +21,11 @@ from recon.simulation.images import keypoints2d
 from recon.simulation.points import Corruption, joints3d
 from recon.simulation.scans import scan_points
 from tests.documents.blocks import ROOT
-from tests.filmed import bundled, cameras, walk
+from tests.filmed import before_two, bundled, cameras, two_people, walk
 
 FRAMES = 12
+FRAMES_OF_TWO = 24
+"""Who is seen for less than half a second is left out."""
 
 
 def names_of_readers(folder: Path) -> dict[str, Any]:
@@ -42,6 +44,7 @@ def names_of_readers(folder: Path) -> dict[str, Any]:
     _write_scans(folder / "scans", scans.points, scans.frame)
     recon.save_motion(folder / "walk.npz", walk(90))
     runpy.run_path(str(ROOT / "examples" / "05_c3d.py"))["written"](folder / "trial.c3d")
+    _write_alphapose(folder / "keypoints.json")
     _write_estimate(folder / "hmr4d_results.pt", walk(90))
     coco = keypoints2d(motion, body, cameras(motion)[0], Corruption(noise=3.0), 0, "coco17")
     pose = coco.camera.T_camera_world
@@ -103,6 +106,21 @@ def _write_openpose(folder: Path, view: KeypointsFile) -> None:
         person = {"pose_keypoints_2d": rows.ravel().tolist()}
         text = json.dumps({"people": [person]})
         (folder / f"frame_{frame:04d}.json").write_text(text, encoding="utf-8")
+
+
+def _write_alphapose(path: Path) -> None:
+    """AlphaPose's one file of a film of two people, numbered by its tracker; 0.8 s at 30 Hz."""
+    people = []
+    for number, motion in enumerate(two_people(FRAMES_OF_TWO)):
+        seen = keypoints2d(
+            motion, bundled(), before_two(), Corruption(noise=2.0), number, "coco17"
+        )
+        rows = np.concatenate((seen.pixels, seen.confidence[..., None]), -1)
+        people += [
+            {"image_id": f"{frame}.jpg", "idx": number + 1, "keypoints": row.ravel().tolist()}
+            for frame, row in enumerate(rows)
+        ]
+    path.write_text(json.dumps(people), encoding="utf-8")
 
 
 def _calibration(name: str, view: KeypointsFile) -> list[str]:
