@@ -7,7 +7,7 @@ from benchmarks.strangers.folds import Fold, write_splits
 from priors.humor.prior import Humor
 from priors.humor.training.run import HumorTraining, export_weights
 from priors.humor.training.train import train
-from priors.humor.training.variety.variation import Variation
+from priors.humor.training.variety.variation import VARIED, Variation
 from priors.pose.density import PoseDensity
 from priors.pose.prior import PosePrior
 from priors.pose.training import PoseTraining
@@ -49,11 +49,8 @@ class FoldPriors:
     """Checksums of their weights, by the name of the prior."""
 
 
-AS_USUAL = Variation()
-
-
 def humor_settings(
-    corpus: Path, folder: Path, schedule: Schedule, variation: Variation = AS_USUAL
+    corpus: Path, folder: Path, schedule: Schedule, variation: Variation = VARIED
 ) -> HumorTraining:
     """The training of a fold's HuMoR.
 
@@ -84,7 +81,7 @@ def humor_settings(
 
 
 def trained(
-    fold: Fold, corpus: Path, folder: Path, schedule: Schedule, variation: Variation = AS_USUAL
+    fold: Fold, corpus: Path, folder: Path, schedule: Schedule, variation: Variation = VARIED
 ) -> FoldPriors:
     """A fold's priors: read where they are trained already, else trained, or gone on with.
 

@@ -14,7 +14,7 @@ from benchmarks.strangers.folds import GROUP, folds, without_doubles, write_spli
 from benchmarks.strangers.training import Schedule, humor_settings
 from benchmarks.tables import strangers as tables
 from benchmarks.tables import variety
-from priors.humor.training.variety.variation import Variation
+from priors.humor.training.variety.variation import VARIED, Variation
 from priors.training.dataset import Splits
 
 SECONDS = {
@@ -82,7 +82,7 @@ def test_nothing_of_a_training_is_chosen_on_the_held_out_people(tmp_path: Path) 
 def test_variations_are_trained_as_they_are_asked_for(tmp_path: Path) -> None:
     asked = Variation(raises=0.5)
     assert humor_settings(tmp_path, tmp_path, Schedule(), asked).variation == asked
-    assert humor_settings(tmp_path, tmp_path, Schedule()).variation == Variation()
+    assert humor_settings(tmp_path, tmp_path, Schedule()).variation == VARIED
     later = humor_settings(tmp_path, tmp_path, Schedule(start=tmp_path / "w"), asked)
     assert (later.start, later.variation) == (tmp_path / "w", asked)
     assert later.kl_until == later.own_until == 0

@@ -11,8 +11,9 @@ from priors.humor.mixture import Mixture
 from priors.humor.networks import HumorNetworks
 from priors.humor.state import canonical, distinct_features, initial_features, rest_pelvis
 from priors.humor.stepwise.steps import error_whitening
-from priors.humor.training.corpus import Corpus, Variation
+from priors.humor.training.corpus import Corpus
 from priors.humor.training.scaling import ScaledNetworks
+from priors.humor.training.variety.variation import VARIED, Variation
 from priors.humor.weights import networks_from, read_weights, save_weights
 from priors.training.dataset import SPLITS, Licence, Splits
 from priors.training.run import CHECKPOINT, Run, read_state, trained_state
@@ -84,7 +85,7 @@ class HumorTraining:
     (published)."""
     losses: LossWeights = field(default_factory=LossWeights)
     """Weights of the losses."""
-    variation: Variation = field(default_factory=Variation)
+    variation: Variation = VARIED
     """Random variations of the windows."""
     validate_every: int = 500
     """Steps."""

@@ -47,6 +47,22 @@ class Variation:
     """How far people are balanced, likewise."""
 
 
+VARIED = Variation(
+    speed=0.2,
+    shape=1.0,
+    halves=0.3,
+    raises=0.6,
+    sidesteps=0.4,
+    bends=0.2,
+    flights=0.05,
+    arms=0.2,
+    kinds=0.5,
+    people=0.3,
+)
+"""What a training learns from unless told otherwise: much of what nobody recorded, since few people
+were recorded doing little."""
+
+
 def edited(moments: Moments, variation: Variation, random: torch.Generator) -> Moments:
     """Windows with the edits of legs and arms that their chances give them."""
     legs = (
