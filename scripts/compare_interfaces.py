@@ -2,26 +2,34 @@
 
     python -m scripts.compare_interfaces ../v010 .
 
-Reads the sources of `recon`, `priors` and `observations` without importing them. Written for
-docs/migration.md; private names are left out, and so are names that are only new.
+Reads the sources of `recon`, `priors` and `observations` without importing them, and the table of
+moved modules in docs/modules.md of the new version. Written for docs/migration.md: every line is
+something that neither that table nor the same name in the same place tells, so it must stand
+there. Private names are left out, and so are names that are only new. Of a name that is elsewhere
+all places are given, of which some may be other things of the same name.
 """
 
 import argparse
 import ast
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
 PACKAGES = ("recon", "priors", "observations")
+_ROW = re.compile(r"^\| `([\w.]+)` \| (.*) \|$", re.M)
+_MODULE = re.compile(r"`((?:recon|priors|observations)(?:\.\w+)*)`")
 
 
 @dataclass(frozen=True)
 class Offer:
-    """One public function or class of a module."""
+    """One public function, class or constant of a module."""
 
     module: str
     name: str
-    members: tuple[str, ...]
+    members: tuple[str, ...] = ()
     """Arguments of a function; fields and methods of a class."""
+    bases: tuple[str, ...] = ()
+    """Names of the classes that a class derives from."""
 
 
 def main() -> None:
@@ -30,20 +38,23 @@ def main() -> None:
     parser.add_argument("old", type=Path)
     parser.add_argument("new", type=Path)
     arguments = parser.parse_args()
-    for line in differences(offers(arguments.old), offers(arguments.new)):
+    table = (arguments.new / "docs" / "modules.md").read_text(encoding="utf-8")
+    for line in differences(offers(arguments.old), offers(arguments.new), moved(table)):
         print(line)
 
 
+def moved(table: str) -> dict[str, tuple[str, ...]]:
+    """The new modules of every old one, of a table in Markdown."""
+    return {old: tuple(_MODULE.findall(new)) for old, new in _ROW.findall(table)}
+
+
 def offers(root: Path) -> list[Offer]:
-    """All public functions and classes of the packages below a folder."""
+    """All public functions, classes and constants of the packages below a folder."""
     found: list[Offer] = []
-    for path in sorted(path for package in PACKAGES for path in (root / package).rglob("*.py")):
-        module = ".".join(path.relative_to(root).with_suffix("").parts)
+    for path in sorted(path for one in PACKAGES for path in (root / one).rglob("*.py")):
+        module = ".".join(path.relative_to(root).with_suffix("").parts).removesuffix(".__init__")
         for node in ast.parse(path.read_text(encoding="utf-8")).body:
-            if not isinstance(node, ast.FunctionDef | ast.ClassDef):
-                continue
-            if not node.name.startswith("_"):
-                found.append(Offer(module.removesuffix(".__init__"), node.name, members(node)))
+            found += [one for one in _offered(module, node) if not one.name.startswith("_")]
     return found
 
 
@@ -58,22 +69,46 @@ def members(node: ast.FunctionDef | ast.ClassDef) -> tuple[str, ...]:
     return tuple(name for name in names if not name.startswith("_"))
 
 
-def differences(old: list[Offer], new: list[Offer]) -> list[str]:
-    """What became of every old offer that is not where and what it was."""
+def differences(
+    old: list[Offer], new: list[Offer], table: dict[str, tuple[str, ...]]
+) -> list[str]:
+    """What became of every old offer that is neither where it was nor where the table says."""
     lines: list[str] = []
     for one in old:
         there = [own for own in new if own.name == one.name]
-        here = [own for own in there if own.module == one.module] or there
-        if len(here) == 0:
+        here = [own for own in there if own.module in (one.module, *table.get(one.module, ()))]
+        if len(there) == 0:
             lines.append(f"gone: {one.module}.{one.name}")
             continue
-        lost = [name for name in one.members if all(name not in own.members for own in here)]
-        if here[0].module != one.module:
-            places = ", ".join(own.module for own in here)
-            lines.append(f"moved: {one.module}.{one.name} -> {places}")
-        if len(lost) > 0:
-            lines.append(f"without: {here[0].module}.{one.name}: {', '.join(lost)}")
+        if len(here) == 0:
+            places = ", ".join(own.module for own in there)
+            lines.append(f"elsewhere: {one.module}.{one.name} -> {places}")
+            continue
+        known = {name for own in here for name in _with_inherited(own, new)}
+        if lost := [name for name in one.members if name not in known]:
+            lines.append(f"without: {one.module}.{one.name}: {', '.join(lost)}")
     return lines
+
+
+def _offered(module: str, node: ast.stmt) -> list[Offer]:
+    match node:
+        case ast.FunctionDef():
+            return [Offer(module, node.name, members(node))]
+        case ast.ClassDef():
+            bases = tuple(ast.unparse(base).split("[")[0].split(".")[-1] for base in node.bases)
+            return [Offer(module, node.name, members(node), bases)]
+        case ast.Assign(targets=targets):
+            return [Offer(module, one.id) for one in targets if isinstance(one, ast.Name)]
+        case ast.AnnAssign(target=ast.Name(id=name)):
+            return [Offer(module, name)]
+        case _:
+            return []
+
+
+def _with_inherited(one: Offer, new: list[Offer]) -> set[str]:
+    """Members of a class and of those that it derives from."""
+    bases = [own for own in new if own.name in one.bases and own.name != one.name]
+    return {*one.members, *(name for own in bases for name in _with_inherited(own, new))}
 
 
 if __name__ == "__main__":
