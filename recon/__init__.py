@@ -6,7 +6,7 @@ Names are loaded on first use, so that importing the package (and `recon --help`
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 __distribution__ = "motion-recon"
 
 if TYPE_CHECKING:
