@@ -21,9 +21,11 @@ import tarfile
 import tempfile
 import zipfile
 from pathlib import Path
+from typing import Any
 
 from hatchling.builders.sdist import SdistBuilder
 from hatchling.builders.wheel import WheelBuilder
+from packaging.requirements import Requirement
 
 ROOT = Path(__file__).parents[1]
 PYTHONS = ("3.11", "3.12", "3.13")
@@ -143,13 +145,33 @@ def tried(program: str, wheel: Path, sdist: Path, place: Path, *, any_torch: boo
 
 
 def torch_is_small(pip: str, constraint: tuple[str, ...], place: Path) -> bool:
-    """Whether pip would install torch without the libraries of CUDA."""
-    asked = ("install", "--quiet", "--dry-run", "--report", "report.json", *constraint, "torch")
-    if subprocess.run([pip, *asked], cwd=place, capture_output=True, check=False).returncode:
+    """Whether pip would install torch without the libraries of CUDA.
+
+    Where the index does not serve metadata by itself, pip downloads torch to tell, but nothing
+    that torch asks for.
+    """
+    asked = ("install", "--quiet", "--dry-run", "--no-deps", "--report", "report.json")
+    run = subprocess.run(
+        [pip, *asked, *constraint, "torch"], cwd=place, capture_output=True, check=False
+    )
+    if run.returncode:
         return False
-    report = json.loads((place / "report.json").read_text(encoding="utf-8"))
-    names = [one["metadata"]["name"].lower() for one in report["install"]]
-    return not any(name.startswith(("nvidia", "cuda", "triton")) for name in names)
+    return asks_for_no_cuda(json.loads((place / "report.json").read_text(encoding="utf-8")))
+
+
+def asks_for_no_cuda(report: dict[str, Any]) -> bool:
+    """Whether what pip's report would install asks for none of CUDA's libraries there."""
+    asked = [
+        Requirement(text)
+        for one in report["install"]
+        for text in one["metadata"].get("requires_dist", [])
+    ]
+    environment = {**report["environment"], "extra": ""}
+    return not any(
+        one.name.lower().startswith(("nvidia", "cuda", "triton"))
+        and (one.marker is None or one.marker.evaluate(environment))
+        for one in asked
+    )
 
 
 def ran(*command: str, cwd: Path) -> str:

@@ -7,7 +7,6 @@ import os
 import sys
 import sysconfig
 import tarfile
-import venv
 import zipfile
 from pathlib import Path
 
@@ -16,7 +15,7 @@ from hatchling.builders.sdist import SdistBuilder
 from hatchling.builders.wheel import WheelBuilder
 
 import recon
-from scripts.distributions import LARGEST, contents, found, ran
+from scripts.distributions import LARGEST, PYTHONS, asks_for_no_cuda, contents, found, ran
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("recon", "priors", "observations")
@@ -145,6 +144,59 @@ def test_pythons_that_do_not_run_are_not_at_hand(tmp_path, monkeypatch):
     assert found("9.9") == str(kept / "python")
 
 
+@pytest.mark.parametrize("version", PYTHONS)
+def test_the_wheel_alone_says_its_help_in_an_empty_environment(wheel, tmp_path, version):
+    """Other versions of Python were tried by hand only; none of them is asked for torch here."""
+    program = found(version)
+    if program is None:
+        pytest.skip(f"no Python {version} at hand")
+    python, recon_ = _environment(program, wheel, tmp_path)
+    (package,) = (tmp_path / "environment").glob("[lL]ib/**/site-packages/recon")
+    sources = [str(package.with_name(name)) for name in PACKAGES]
+    ran(python, "-m", "compileall", "-q", *sources, cwd=tmp_path)
+    assert ran(python, "-c", "import recon; print(recon.__file__)", cwd=tmp_path).strip() == str(
+        package / "__init__.py"
+    )
+    said = ran(recon_, "--version", cwd=tmp_path)
+    assert said.startswith(f"recon {recon.__version__}, torch")
+    assert f"Python {version}." in said
+    assert "recon fit" in ran(recon_, "fit", "--help", cwd=tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("asked", "small"),
+    [
+        (["filelock", "sympy>=1.13"], True),
+        (["nvidia-cudnn-cu13==9.20.0.48; platform_system == 'Linux'"], False),
+        (["nvidia-cudnn-cu13==9.20.0.48; platform_system == 'Windows'"], True),
+        (["optree; extra == 'optree'", "triton==3.6; platform_system == 'Linux'"], False),
+    ],
+)
+def test_torch_with_the_libraries_of_cuda_is_told_by_what_it_asks_for(asked, small):
+    """All that torch asks for was downloaded, several gigabytes, to find that it is too much."""
+    report = {
+        "install": [{"metadata": {"name": "torch", "requires_dist": asked}}],
+        "environment": {"platform_system": "Linux"},
+    }
+    assert asks_for_no_cuda(report) == small
+
+
+def _environment(program: str, distribution: Path, folder: Path) -> tuple[str, str]:
+    """Python and recon of an empty environment with a distribution, which borrows the rest.
+
+    Dependencies are those of this environment; nothing is fetched.
+    """
+    home = folder / "environment"
+    ran(program, "-m", "venv", "--without-pip", "--symlinks", str(home), cwd=folder)
+    programs = home / ("Scripts" if os.name == "nt" else "bin")
+    python = str(programs / "python")
+    install = ("-m", "pip", "--python", python, "install", "--quiet", "--no-index", "--no-deps")
+    ran(sys.executable, *install, "--no-compile", str(distribution), cwd=folder)
+    (place,) = home.glob("[lL]ib/**/site-packages")
+    (place / "dependencies.pth").write_text(sysconfig.get_path("purelib"))
+    return python, str(programs / "recon")
+
+
 @pytest.mark.slow
 def test_both_distributions_install_and_work_in_an_empty_environment(sdist, wheel, tmp_path):
     """Dependencies are those of this environment; nothing is fetched."""
@@ -152,17 +204,9 @@ def test_both_distributions_install_and_work_in_an_empty_environment(sdist, whee
     (source,) = (tmp_path / "source").iterdir()
     again = _wheel(source, tmp_path / "again")
     assert contents(wheel) == contents(again)
-    home = tmp_path / "environment"
-    venv.create(home, with_pip=False, symlinks=True)
-    programs = home / ("Scripts" if os.name == "nt" else "bin")
-    python = programs / "python"
-    install = ("-m", "pip", "--python", str(python), "install", "--quiet", "--no-index")
-    ran(sys.executable, *install, "--no-deps", str(again), cwd=tmp_path)
-    (place,) = home.glob("[lL]ib/**/site-packages")
-    (place / "dependencies.pth").write_text(sysconfig.get_path("purelib"))
+    python, recon_ = _environment(sys.executable, again, tmp_path)
     where = "import recon, priors, observations as o; print(recon.__file__, priors.__file__, o)"
-    assert ran(str(python), "-c", where, cwd=tmp_path).count(str(home)) == 3
-    recon_ = str(programs / "recon")
+    assert ran(python, "-c", where, cwd=tmp_path).count(str(tmp_path / "environment")) == 3
     assert f"recon {recon.__version__}, torch" in ran(recon_, "--version", cwd=tmp_path)
     ran(recon_, "demo", "--out", "demo", "--quiet", cwd=tmp_path)
     seen = ("simulate", "demo/noisy.npz", "seen.npz", "--kind", "joints3d", "--frames", "0:30")
