@@ -132,11 +132,10 @@ def rows_of(
         began = time.process_time()
         fitted = fit_clip(batch.observations, settings, body)
         seconds = (time.process_time() - began) / len(filmed)
-        motion, contacts = fitted.result.motion.detach(), fitted.result.contacts
+        motion, contacts = fitted.result.motion.detach(), fitted.result.contacts.detach()
         T = to_true_world(batch, fitted.T_world_recording)
         for k in range(len(filmed)):
-            said = None if contacts is None else contacts[k]
-            row = _compared(motion[k], some, k, T[k], batch.visible[k].bool(), said, body)
+            row = _compared(motion[k], some, k, T[k], batch.visible[k].bool(), contacts[k], body)
             rows.append({**row, **_ground_errors(batch, fitted.T_world_recording, k),
                          "seconds": seconds})  # fmt: skip
     return by_subject(windows, rows)
@@ -148,7 +147,7 @@ def _compared(
     k: int,
     T: Float[Tensor, "4 4"],
     visible: Tensor,
-    contacts: Tensor | None,
+    contacts: Tensor,
     body: BodyModel,
 ) -> Row:
     """One window's columns: errors in the true world, penetration and contacts in its own."""

@@ -232,8 +232,6 @@ def fitted_rows(
         chosen = evenly(windows, entry.most)
         fitted = fit_windows(observed[chosen], entry.method, body)
         print(f"{entry.name}: {fitted.seconds:.1f} CPU s per clip", flush=True)
-        if not entry.knows_contacts:
-            fitted = fitted.without_contacts()
         some = windows.take(chosen)
         row = score(some, fitted, body, truth[chosen], observed.visible[chosen])
         if len(chosen) < len(windows.names):

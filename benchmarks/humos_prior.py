@@ -41,8 +41,8 @@ def main() -> None:
         return [
             Entry("stages 1-2", PosePrior.load(weights=PoseWeights.for_noise(noise))),
             Entry("HuMoR", Collocation.for_noise(humor, noise)),
-            Entry("HUMOS", HumosFit.for_noise(humos, noise), knows_contacts=False),
-            Entry("HUMOS, codes", CodesFit.for_noise(humos, noise), knows_contacts=False),
+            Entry("HUMOS", HumosFit.for_noise(humos, noise)),
+            Entry("HUMOS, codes", CodesFit.for_noise(humos, noise)),
         ]
 
     joints = body.pose(windows.truth).joints

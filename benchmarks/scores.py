@@ -46,23 +46,19 @@ class Fitted:
     """What a method gave back for a batch of windows."""
 
     motion: Motion
-    contacts: Float[Tensor, "clips time 22"] | None = None
-    """Probability of contact; None where the method says nothing of it."""
+    network: Float[Tensor, "clips time 22"] | None = None
+    """Probability of contact by the prior's network; None where it says nothing of it."""
     points: Float[Tensor, "clips time points 3"] | None = None
     """Places that it gives the observation's points."""
     seconds: float | None = None
     """CPU time of one processor for one clip."""
-
-    def without_contacts(self) -> "Fitted":
-        """The fit as that of a method that says nothing of contacts."""
-        return replace(self, contacts=None)
 
     def frames(self, start: int, stop: int) -> "Fitted":
         """Some frames of every clip."""
         return replace(
             self,
             motion=self.motion.window(start, stop),
-            contacts=None if self.contacts is None else self.contacts[:, start:stop],
+            network=None if self.network is None else self.network[:, start:stop],
             points=None if self.points is None else self.points[:, start:stop],
         )
 
@@ -76,7 +72,7 @@ def fit_windows(
 ) -> Fitted:
     """Fit all clips of an observation, so many at once to bound memory; `start` as in `fit`."""
     motions: list[Motion] = []
-    contacts: list[Tensor] = []
+    network: list[Tensor] = []
     points: list[Tensor] = []
     began = time.process_time()
     for first in range(0, len(observed.positions), at_once):
@@ -85,11 +81,12 @@ def fit_windows(
         result = solve([some], method, body, start=None if start is None else start[rows])
         motions.append(result.motion.detach())
         points.append(some.predict(result.estimate).detach())
-        if result.contacts is not None:
-            contacts.append(result.contacts.detach())
+        said = result.estimate.decoded.contacts
+        if said is not None:
+            network.append(said.detach())
     return Fitted(
         motion=concatenate(motions),
-        contacts=torch.cat(contacts) if len(contacts) > 0 else None,
+        network=torch.cat(network) if len(network) > 0 else None,
         points=torch.cat(points),
         seconds=(time.process_time() - began) / len(observed.positions),
     )
@@ -106,8 +103,8 @@ def score(
 
     `sole_height` is the mean distance of a foot's lowest skin from the ground while its toe or
     ankle is in true contact, `accel_ratio` own over true acceleration, `feet_balanced` the
-    balanced accuracy of the contacts of ankles and toes over all windows of a subject. Where the
-    method says nothing of contacts, they are labelled from its motion.
+    balanced accuracy of the contacts of ankles and toes over all windows of a subject, labelled
+    from the motion as in every result.
 
     Args:
         windows: the same frames as were fitted.
@@ -116,10 +113,8 @@ def score(
         truth: where the observation's points truly were; None leaves their columns out.
         visible: which of them were seen.
     """
-    said = fitted.contacts
-    if said is None:
-        heights = rest_heights(body, fitted.motion.shape)
-        said = contact_labels(body.pose(fitted.motion).joints, heights, FPS).double()
+    heights = rest_heights(body, fitted.motion.shape)
+    said = contact_labels(body.pose(fitted.motion).joints, heights, FPS).double()
     clips: list[Row] = []
     for i, touching in enumerate(windows.contacts):
         motion, actual = fitted.motion[i], windows.truth[i]

@@ -9,8 +9,8 @@ deviations (0.90 where they are right), the median standard deviation beside the
 error of an axis, the rank correlation of standard deviations with the errors of joints, and CPU
 seconds beside those of the fit. Joints that were seen and joints that nobody saw are judged apart,
 in the frame of the recording. Where the ground was found, its height below that frame's origin
-(the camera) and its normal are judged likewise, a row per clip. Where the prior predicts contacts
-of feet, the table has how often feet touch where it says so. Constants were chosen on validation.
+(the camera) and its normal are judged likewise, a row per clip. The table has how often feet touch
+where they are said to with some probability. Constants were chosen on validation.
 """
 
 import argparse
@@ -31,6 +31,7 @@ from observations.joints3d import Joints3D
 from recon.api.bench.windows import TrueWindows
 from recon.body.model import BodyModel
 from recon.core.skeleton import FEET
+from recon.diagnosis.examination import fitted_contacts
 from recon.diagnosis.fits.certainty import certainty
 from recon.diagnosis.fits.seen_joints import observed_joints
 from recon.fitting.clip import ClipFit, fit_clip
@@ -160,7 +161,7 @@ def judged(windows: TrueWindows, clip: int, film: Film, prior: str, body: BodyMo
         error, found.joints[:frames], torch.from_numpy(observed), fitted - began, done - fitted
     )
     return replace(
-        _with_ground(judged, fit, found, T), contacts=_contacts(fit, windows.contacts[clip])
+        _with_ground(judged, fit, found, T), contacts=_contacts(fit, found, windows.contacts[clip])
     )
 
 
@@ -179,13 +180,13 @@ def _with_ground(
     return replace(judged, normal=(x, y, found.ground.normal))
 
 
-def _contacts(fit: ClipFit, truth: Tensor) -> tuple[Tensor, Tensor] | None:
-    """What the prior says of feet, and the truth."""
-    said = fit.result.contacts
-    if said is None:
+def _contacts(fit: ClipFit, sure: Deviations, truth: Tensor) -> tuple[Tensor, Tensor] | None:
+    """How likely feet touch the ground, by their motion and how sure it is, and the truth."""
+    if not fit.grounded:
         return None
-    frames, feet = min(said.shape[1], len(truth)), list(FEET)
-    return said[0, :frames, feet].detach().flatten(), truth[:frames, feet].flatten() > 0.5
+    said = fitted_contacts(fit, sure)
+    frames, feet = min(len(said), len(truth)), list(FEET)
+    return said[:frames, feet].flatten(), truth[:frames, feet].flatten() > 0.5
 
 
 def summary(found: Sequence[Judged]) -> dict[str, dict[str, float]]:

@@ -128,7 +128,7 @@ def _rows(
             own.motion[k], windows.truth[k], body, truth_contacts=touching, observed=observed
         )
         flat = chosen.flat[k]
-        said = None if own.contacts is None else own.contacts[k] > 0.5
+        said = None if own.network is None else own.network[k] > 0.5
         yield Row(
             person=windows.subjects[k],
             kind=chosen.kinds[k],

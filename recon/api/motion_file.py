@@ -37,7 +37,7 @@ def described(
         belt: how far the treadmill's belt has come at every frame, metres.
         joint_std: standard deviation of a coordinate of every joint, metres.
         ground_std: standard deviations of a ground that was found; see `MotionFile`.
-        contact_probability: what a motion prior says of contacts.
+        contact_probability: how likely each joint touches the ground.
         angle_std: standard deviations of joint angles; see `MotionFile`.
     """
     joints = body.pose(motion).joints

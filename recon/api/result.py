@@ -95,9 +95,10 @@ class Result(MotionResult):
 
     @property
     def contact_probability(self) -> Float[Tensor, "time 22"] | None:
-        """Probability of contact as the prior predicts it; None for priors that do not.
+        """Probability that a joint touches the ground; None without a ground, and on a treadmill.
 
-        `contacts` are labels, 0 or 1, by height and speed of the joints that were found.
+        By height, speed and standard deviation of the joints that were found; `contacts` are
+        labels, 0 or 1, which are 1 where it is above one half.
         """
         return self.file.contact_probability
 

@@ -10,6 +10,13 @@ from recon.core.skeleton import CONTACT_JOINTS, FEET, JOINTS, TOES
 MAXIMUM_SPEED = 0.25
 """A joint in contact moves more slowly than this, m/s, at any frame rate."""
 
+_HEIGHT_SCALE, _SPEED_SCALE = 0.005, 0.04
+"""Metres and metres per second by which a joint of a well observed body errs about a contact."""
+_SHARE = 0.3
+"""Standard deviation of a joint's height over that of a coordinate."""
+_TIME_SCALE = 0.1
+"""Seconds after which errors of a place that is not known have changed."""
+
 TOE_REACH = 0.04
 LIMB_REACH = 0.08
 """Metres a toe, or an ankle, knee or wrist, may be above the height at which it touches
@@ -52,12 +59,47 @@ def contact_labels(
         rest_height: Of every joint above the sole (see `rest_heights`), metres.
         fps: Frames per second.
     """
+    lower, slower, may_touch = _margins(joints, rest_height, fps)
+    return (lower > 0) & (slower > 0) & may_touch
+
+
+def contact_probabilities(
+    joints: Float[Tensor, "*batch time 22 3"],
+    rest_height: Float[Tensor, "*batch 22"],
+    fps: float,
+    std: Float[Tensor, "*batch time 22"] | None = None,
+) -> Float[Tensor, "*batch time 22"]:
+    """Probability that a joint is in contact, by its height, its speed and how sure both are.
+
+    p = σ(min(lower / √(h² + (k std)²), slower / √(v² + (k std / t)²))), where lower and slower are
+    what the joint is below the limits of `contact_labels`: p is above one half where the label is
+    one, and near one half where a joint's place is not known. The constants were chosen by
+    likelihood on validation people; k < 1 because heights of feet, which the ground holds, are
+    surer than their places.
+
+    Args:
+        joints: World frame, z up, metres.
+        rest_height: Of every joint above the sole (see `rest_heights`), metres.
+        fps: Frames per second.
+        std: Standard deviation of a coordinate of every joint, metres; None takes all as seen.
+    """
+    lower, slower, may_touch = _margins(joints, rest_height, fps)
+    unsure = torch.zeros_like(lower) if std is None else _SHARE * std
+    height = (_HEIGHT_SCALE**2 + unsure.square()).sqrt()
+    speed = (_SPEED_SCALE**2 + (unsure / _TIME_SCALE).square()).sqrt()
+    return torch.minimum(lower / height, slower / speed).sigmoid() * may_touch
+
+
+def _margins(
+    joints: Float[Tensor, "*batch time 22 3"], rest_height: Float[Tensor, "*batch 22"], fps: float
+) -> tuple[Tensor, Tensor, Bool[Tensor, "22"]]:
+    """Metres and metres per second below the limits of a contact, and who may touch at all."""
     limits = [TOE_REACH if j in TOES else LIMB_REACH for j in range(len(JOINTS))]
     may_touch = [j in CONTACT_JOINTS and JOINTS[j] != "pelvis" for j in range(len(JOINTS))]
     height = joints[..., 2] - touching_heights(rest_height)[..., None, :]
-    near = height < height.new_tensor(limits)
-    slow = speeds(joints, fps) < MAXIMUM_SPEED
-    return near & slow & torch.tensor(may_touch, device=joints.device)
+    lower = height.new_tensor(limits) - height
+    slower = MAXIMUM_SPEED - speeds(joints, fps)
+    return lower, slower, torch.tensor(may_touch, device=joints.device)
 
 
 def speeds(joints: Tensor, fps: float) -> Tensor:

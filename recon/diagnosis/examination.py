@@ -10,6 +10,7 @@ from torch import Tensor
 
 from observations.together import kinds
 from observations.together.labelling import labelled
+from recon.body.contacts import contact_probabilities, rest_heights
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.diagnosis.findings import Finding
@@ -87,12 +88,11 @@ class Examined:
         return angles[torch.from_numpy(self._frames(motion, len(angles)))].float().cpu()
 
     def contact_probability_at(self, motion: Motion) -> Float[Tensor, "time 22"] | None:
-        """What the prior says of contacts at the frames of that motion; None where it does not."""
-        contacts = self.fit.result.contacts
-        if contacts is None:
+        """How likely joints touch the ground in frames of that motion; None without a ground."""
+        if not self.fit.grounded:
             return None
-        frames = torch.from_numpy(self._frames(motion, contacts.shape[1]))
-        return contacts[0].detach().cpu()[frames].float()
+        contacts = fitted_contacts(self.fit, self.deviations)
+        return contacts[torch.from_numpy(self._frames(motion, len(contacts)))].float()
 
     @property
     def ground_std(self) -> Float[Tensor, "2"] | None:
@@ -252,6 +252,19 @@ def examine(found: ClipFit, names: Sequence[str], screened: ScreenedClip) -> Exa
         deviations=sure,
         alternatives=others,
         belt=screened.belt,
+    )
+
+
+def fitted_contacts(fit: ClipFit, deviations: Deviations | None) -> Float[Tensor, "time 22"]:
+    """How likely joints touch the ground, by height and speed of a fit and how sure they are."""
+    motion = fit.result.clip(0).detach().to(device="cpu")
+    body = fit.result.estimate.body.model.to(device="cpu")
+    std = None if deviations is None else deviations.joints[: motion.frames].cpu()
+    return contact_probabilities(
+        body.pose(motion).joints,
+        rest_heights(body, motion.shape),
+        motion.fps,
+        None if std is None else std.to(motion.translation),
     )
 
 

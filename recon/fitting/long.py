@@ -17,7 +17,7 @@ from recon.method.protocols import Decoded, Estimate
 from recon.method.reconstruction import Method, Reconstruction, admitted, reconstruct
 from recon.method.stages import Stage, StageReport, Watch
 from recon.method.terms import Term
-from recon.method.windows import Piece, join
+from recon.method.windows import join
 from recon.solver.lbfgs import Progress, Solution
 
 WINDOW, OVERLAP = 4.0, 1.0
@@ -99,14 +99,10 @@ def fit_long(
         return OneShape(prior, (Term("overlap", stack(ties), TIE),))
 
     between = job.fit("tied", every[1::2], shape, tied)
-    pieces = apart.pieces | between.pieces
-    whole = join([pieces[row] for row in every]).map(lambda tensor: tensor[None])
+    motions = apart.motions | between.motions
+    whole = join([motions[row] for row in every]).map(lambda tensor: tensor[None])
     return LongReconstruction(
-        estimate=Estimate(
-            Decoded(whole.motion, contacts=whole.contacts),
-            body.pose(whole.motion),
-            scene,
-        ),
+        estimate=Estimate(Decoded(whole), body.pose(whole), scene),
         windows=tuple(recording.span(row) for row in every),
         failed_windows=tuple(sorted({*apart.failed, *between.failed})),
         reports=(*shapes.reports, *apart.reports, *between.reports),
@@ -143,24 +139,24 @@ class OneShape:
 class _Fitted:
     """Windows fitted alike."""
 
-    pieces: dict[int, Piece]
+    motions: dict[int, Motion]
     failed: tuple[int, ...]
     reports: tuple[StageReport, ...]
 
     @property
     def fps(self) -> float:
         """Frames per second of the results."""
-        return next(iter(self.pieces.values())).motion.fps
+        return next(iter(self.motions.values())).fps
 
-    def beside(self, row: int) -> list[Piece]:
+    def beside(self, row: int) -> list[Motion]:
         """The neighbours of a window, without those that failed."""
-        sound = [k for k in (row - 1, row + 1) if k in self.pieces and k not in self.failed]
-        return [self.pieces[k] for k in sound]
+        sound = [k for k in (row - 1, row + 1) if k in self.motions and k not in self.failed]
+        return [self.motions[k] for k in sound]
 
     def shape(self) -> Float[Tensor, " shape"]:
         """The median over the windows that did not fail, or over all if all did."""
-        good = [piece for row, piece in self.pieces.items() if row not in self.failed]
-        shapes = [piece.motion.shape for piece in good or self.pieces.values()]
+        good = [motion for row, motion in self.motions.items() if row not in self.failed]
+        shapes = [motion.shape for motion in good or self.motions.values()]
         return torch.stack(shapes).quantile(0.5, dim=0)
 
 
@@ -182,7 +178,7 @@ class _Job:
         method: Callable[[Sequence[int]], Method],
     ) -> _Fitted:
         """Fit some windows, from a shape, by the method of their batch."""
-        pieces: dict[int, Piece] = {}
+        motions: dict[int, Motion] = {}
         failed: list[int] = []
         reports: list[tuple[StageReport, ...]] = []
         for batch in self.recording.batches(rows):
@@ -197,14 +193,12 @@ class _Job:
                 watch=self._watch(name),
             )
             for k, row in enumerate(batch):
-                motion = result.motion[k].replace(start_time=self.recording.span(row)[0])
-                contacts = None if result.contacts is None else result.contacts[k]
-                pieces[row] = Piece(motion, contacts)
+                motions[row] = result.motion[k].replace(start_time=self.recording.span(row)[0])
             failed += [row for row, bad in zip(batch, result.failed, strict=True) if bad]
             reports.append(result.reports)
-        order = torch.tensor(list(pieces)).argsort()
+        order = torch.tensor(list(motions)).argsort()
         merged = [_merge(name, stage, order) for stage in zip(*reports, strict=True)]
-        return _Fitted(pieces, tuple(failed), tuple(merged))
+        return _Fitted(motions, tuple(failed), tuple(merged))
 
     def _watch(self, name: str) -> Watch | None:
         watch = self.watch

@@ -20,7 +20,7 @@ from recon.core.robust import squared
 from recon.core.struct import TensorStruct
 from recon.method.newton.model import PointModel
 from recon.method.protocols import REFERENCE_FPS, Estimate, Observation
-from recon.method.windows import Piece, Windows, fade
+from recon.method.windows import Windows, fade, stop_time
 
 AT_ONCE = 8
 """Windows fitted as one batch, so that memory does not grow with the recording."""
@@ -169,14 +169,14 @@ class LongRecording:
             size = math.ceil(len(alike) / math.ceil(len(alike) / AT_ONCE))
             yield from (alike[k : k + size] for k in range(0, len(alike), size))
 
-    def tie(self, row: int, neighbours: Sequence[Piece], fps: float, body: BodyModel) -> Overlap:
+    def tie(self, row: int, neighbours: Sequence[Motion], fps: float, body: BodyModel) -> Overlap:
         """What finished neighbours of a window, at their frames per second, say about it."""
         (start, stop), like = self.span(row), self.guess.translation
         frames = math.floor((stop - start) * fps + 1e-4) + 1
         times = start + torch.arange(frames, dtype=torch.float64, device=like.device) / fps
         joints, weight = like.new_zeros(frames, 22, 3), like.new_zeros(frames)
-        for piece in neighbours:
-            motion, begins, ends = piece.motion, piece.motion.start_time, piece.stop_time
+        for motion in neighbours:
+            begins, ends = motion.start_time, stop_time(motion)
             shared = (times > begins - 1e-6) & (times < ends + 1e-6)
             joints[shared] = body.pose(motion.at(times[shared], fps)).joints
             later = fade(times[shared], max(start, begins), min(stop, ends)).to(weight)

@@ -13,7 +13,7 @@ from recon.core import rotations as so3
 from recon.core.errors import ReconError
 from recon.core.motion import Motion
 from recon.fitting.settling import flies, settled
-from recon.method.windows import Piece, Windows, join
+from recon.method.windows import Windows, join
 
 WINDOW, OVERLAP = 10.0, 3.0
 """Seconds that are retargeted at once (200 frames at 20 Hz), and that neighbours share."""
@@ -133,7 +133,7 @@ def _in_windows(motion: Motion, longest: float, one: Callable[[Motion], Motion])
     shared = OVERLAP * longest / WINDOW
     windows = Windows.cover(motion.frames, int(longest * motion.fps), round(shared * motion.fps))
     parts = [motion.window(first, first + windows.frames) for first in windows.starts]
-    return join([Piece(one(part)) for part in parts]).motion
+    return join([one(part) for part in parts])
 
 
 def _start(motion: Motion, body: BodyModel) -> Float[Tensor, "3"]:

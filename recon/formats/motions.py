@@ -41,7 +41,7 @@ class MotionFile:
     contacts: Float[Tensor, "time 22"] | None = None
     """Probability, from 0 to 1, that a joint touches the ground; a fit writes labels, 0 or 1."""
     contact_probability: Float[Tensor, "time 22"] | None = None
-    """Probability of contact as a motion prior predicts it, where it does."""
+    """Probability of contact, by height, speed and standard deviation of the joint."""
     ground: Float[Tensor, "4"] | None = None
     """(nx, ny, nz, d): the points x of the ground have n·x = d, metres."""
     ground_std: Float[Tensor, "2"] | None = None

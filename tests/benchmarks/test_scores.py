@@ -36,12 +36,11 @@ def standing(count: int = 3, frames: int = 12) -> TrueWindows:
 
 def test_the_truth_is_without_error_and_stands_on_the_ground() -> None:
     windows, body = standing(), BodyModel.load()
-    rows = score(windows, Fitted(windows.truth, windows.contacts.float()), body)
+    rows = score(windows, Fitted(windows.truth), body)
     assert set(rows) == {"a", "b", "mean", WINDOWS}
     for row in (rows[name] for name in ("a", "b", "mean")):
         assert row["joints_all"] == pytest.approx(0.0, abs=1e-6)
         assert row["accel_ratio"] == pytest.approx(1.0)
-        assert row["feet_balanced"] == 1.0
         assert row["sole_height"] == pytest.approx(0.0, abs=1e-4)  # metres
         assert row["seconds"] is None
 
@@ -68,7 +67,7 @@ def test_frames_and_windows_are_taken_together() -> None:
     assert some.subjects == ("a", "b")
     assert some.truth.frames == some.contacts.shape[1] == 6
     assert some.truth.start_time == pytest.approx(2 / 30)
-    fitted = Fitted(windows.truth[[0, 2]], windows.contacts[[0, 2]].float()).frames(2, 8)
+    fitted = Fitted(windows.truth[[0, 2]]).frames(2, 8)
     assert score(some, fitted, BodyModel.load())["mean"]["joints_all"] == pytest.approx(
         0, abs=1e-6
     )
@@ -85,7 +84,7 @@ def test_methods_that_fit_few_windows_are_compared_on_those() -> None:
     truth = body.pose(windows.truth).joints
     observed = noisy_joints(windows.truth, body, 0, 0.01)
     method = PosePrior.load()
-    entries = [Entry("all", method), Entry("one", method, most=1, knows_contacts=False)]
+    entries = [Entry("all", method), Entry("one", method, most=1)]
     rows = fitted_rows(windows, observed, truth, entries, body)
     assert list(rows) == ["all", "one", "truth"]
     assert set(rows["one"]) == {"a", "mean", WINDOWS}

@@ -4,7 +4,12 @@ import pytest
 import torch
 from torch import Tensor
 
-from recon.body.contacts import contact_labels, rest_heights, touching_heights
+from recon.body.contacts import (
+    contact_labels,
+    contact_probabilities,
+    rest_heights,
+    touching_heights,
+)
 from recon.body.model import BodyModel
 from recon.core.skeleton import CONTACT_JOINTS, JOINTS, MIRROR, joint_index
 
@@ -105,3 +110,36 @@ def test_rest_heights_are_of_a_human(body: BodyModel) -> None:
     assert (heights[:, 10] < 0.08).all()  # metres: toes near the sole
     assert (heights[:, 7] < 0.2).all()
     assert (heights[:, 15] > 1.2).all()
+
+
+@pytest.mark.parametrize("std", [None, 0.0, 0.02, 0.5])
+def test_a_contact_is_likelier_than_not_where_its_label_says_so(
+    standing: tuple[Tensor, Tensor], std: float | None
+) -> None:
+    """HuMoR's network was believed instead, and was right less often than the fitted motion."""
+    joints, height = standing
+    for speed, lift in ((0.0, 0.0), (0.2, 0.0), (0.3, 0.0), (0.0, 0.03), (0.0, 0.05), (0.3, 0.1)):
+        moved = moving(joints, speed, 30.0) + torch.tensor([0.0, 0.0, lift], dtype=torch.float64)
+        sure = None if std is None else torch.full(moved.shape[:2], std, dtype=torch.float64)
+        likely = contact_probabilities(moved, height, 30.0, sure)
+        labels = contact_labels(moved, height, 30.0)
+        assert torch.equal(likely > 0.5, labels)
+        assert likely[:, joint_index("head")].max() == 0
+
+
+def test_a_foot_whose_place_is_not_known_may_stand_or_not(
+    standing: tuple[Tensor, Tensor],
+) -> None:
+    joints, height = standing
+    still, moved = moving(joints, 0.0, 30.0), moving(joints, 0.5, 30.0)
+    foot = joint_index("left_foot")
+    for std, low, high in ((0.005, 0.95, 0.05), (0.3, 0.51, 0.49)):
+        sure = torch.full(still.shape[:2], std, dtype=torch.float64)
+        stands = contact_probabilities(still, height, 30.0, sure)[0, foot].item()
+        runs = contact_probabilities(moved, height, 30.0, sure)[0, foot].item()
+        if std < 0.01:
+            assert stands > low
+            assert runs < high
+        else:
+            assert 0.5 < stands < 0.7
+            assert 0.3 < runs < 0.5

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from recon.core import rotations as so3
-from recon.method.windows import Piece, Windows, fade, join
+from recon.method.windows import Windows, fade, join
 from tests import laws
 
 
@@ -37,25 +37,22 @@ def test_windows_that_cannot_be_joined_are_refused(overlap):
         Windows.cover(1000, 121, overlap)
 
 
-def cut(motion, *spans, contacts=None):
-    return [Piece(motion, contacts).window(*span) for span in spans]
+def cut(motion, *spans):
+    return [motion.window(*span) for span in spans]
 
 
 def test_a_motion_cut_and_joined_is_itself(toy_body):
     motion = laws.a_motion(toy_body, clips=1, frames=50)[0].replace(start_time=3.0)
-    contacts = torch.rand(50, 22, dtype=torch.float64)
-    whole = join(cut(motion, (0, 20), (12, 32), (26, 50), contacts=contacts))
-    assert whole.motion.start_time == 3.0
-    assert torch.allclose(whole.motion.translation, motion.translation, atol=1e-12)
-    assert torch.allclose(whole.motion.rotations, motion.rotations, atol=1e-7)
-    assert whole.contacts is not None
-    assert torch.allclose(whole.contacts, contacts)
+    whole = join(cut(motion, (0, 20), (12, 32), (26, 50)))
+    assert whole.start_time == 3.0
+    assert torch.allclose(whole.translation, motion.translation, atol=1e-12)
+    assert torch.allclose(whole.rotations, motion.rotations, atol=1e-7)
 
 
 def test_windows_of_another_clock_are_brought_onto_the_first_ones(toy_body):
     fine = laws.a_motion(toy_body, clips=1, frames=501, fps=300.0)[0]
     first, second = fine.window(0, 300).resample(30.0), fine.window(203, 501).resample(30.0)
-    whole = join([Piece(first), Piece(second)]).motion
+    whole = join([first, second])
     truth = fine.at(whole.times, 30.0)
     assert whole.frames == 50
     assert (whole.translation - truth.translation).norm(dim=-1).max() < 1e-4  # metres
@@ -68,7 +65,7 @@ def test_different_motions_fade_into_each_other(toy_body):
     turn = so3.exp(torch.tensor([0.0, 0.0, 0.5], dtype=torch.float64))
     other = still.replace(translation=still.translation + 0.1, rotations=turn @ still.rotations)
     first, second = still.window(0, 40), other.window(20, 60)
-    whole = join([Piece(first), Piece(second)]).motion
+    whole = join([first, second])
     assert torch.allclose(whole.translation[:21], still.translation[:21])
     assert torch.allclose(whole.translation[39:], other.translation[39:])
     assert torch.allclose(whole.rotations[39:], other.rotations[39:], atol=1e-6)
@@ -85,7 +82,7 @@ def test_what_cannot_be_joined_is_refused(toy_body):
     with pytest.raises(ValueError, match="no frame in common"):
         join(cut(motion, (0, 20), (20, 50)))
     with pytest.raises(ValueError, match="one frame rate"):
-        join([Piece(motion), Piece(motion.resample(60.0))])
+        join([motion, motion.resample(60.0)])
 
 
 def test_a_fade_is_a_partition_and_bounded():

@@ -80,8 +80,7 @@ class _Fitted:
     def __call__(self, seen: PositionsFile) -> MotionFile:
         sensor = sensor_of(seen)
         found = solve([sensor], self.method(noise_of(seen)), self.body)
-        contacts = None if found.contacts is None else found.contacts[0].detach()
-        return MotionFile(found.motion[0].detach(), contacts=contacts)
+        return MotionFile(found.motion[0].detach())
 
 
 def _all_joints(seen: PositionsFile, name: str) -> None:

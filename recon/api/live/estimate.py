@@ -25,7 +25,8 @@ class LiveEstimate:
     observed: Bool[Tensor, " 22"]
     """Joints whose place an observation of this moment tells."""
     contacts: Float[Tensor, " 22"] | None
-    """Probability that a joint touches the ground; None where the prior does not tell it."""
+    """Probability that a joint touches the ground, by its height and speed; None under the pose
+    prior, which knows no ground."""
     earlier: tuple["LiveEstimate", ...] = ()
     """Estimates of moments before this one that became final at the same time: those of the
     beginning, and moments that the sensor dropped."""

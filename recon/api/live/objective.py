@@ -103,9 +103,6 @@ class Equations:
     gradient_shape: Float[Tensor, "active shape"]
     """h, frame by frame."""
 
-    contacts: Float[Tensor, "active 22"] | None
-    """Probability of contact, where a prior tells it."""
-
     def damped(self, damping: float) -> Banded:
         """The matrix of a damped step."""
         inner = self.inner.clone()
@@ -218,13 +215,11 @@ class Objective:
         hessian = Banded.zero(window.frames, self.reach, VARIABLES, 0, pose)
         of_joints = pose.new_zeros(window.frames, self.reach + 1, column.shape[1])
         add_differences(of_joints, _BEND, of_joints.new_tensor([[self.stiffness]]))
-        contacts = None
         if self.steps is not None:
             judged, slope = self._judged(window, held)
             value, gradient = value + judged.energy.detach(), gradient + slope
             motion = self.motion(window, rotations)[0]
             self.steps.add_curvature(motion, judged, hessian, of_joints)
-            contacts = judged.contacts[held:]
         inner = replace(hessian, inner=hessian.inner[held:], border=hessian.border[held:])
         inner.add_products(of_joints[held:], column, column[..., :0])
         inner.inner[:, 0] += alone
@@ -237,7 +232,6 @@ class Objective:
             border=border,
             corner=corner,
             gradient_shape=gradient_shape,
-            contacts=contacts,
         )
 
     def _judged(self, window: Window, held: int) -> tuple[Judged, Float[Tensor, "active 69"]]:

@@ -14,6 +14,7 @@ from recon.api.live.estimate import LiveEstimate
 from recon.api.live.moments import Door, Moment
 from recon.api.live.objective import LivePrior
 from recon.api.live.smoother import Smoothed
+from recon.body.contacts import contact_probabilities, rest_heights
 from recon.body.model import BodyModel
 from recon.core.errors import ReconError
 from recon.diagnosis.findings import Finding
@@ -216,19 +217,26 @@ class Tracking:
         rows = range(self.final, stop)
         if len(rows) == 0:
             return []
-        rotations, _, joints = now.objective.posed(now.window[self.final : stop])
+        # one frame more on either side, for speeds
+        first = max(self.final - 1, 0)
+        objective, own = now.objective, slice(self.final - first, stop - first)
+        rotations, _, places = objective.posed(now.window[first : stop + 1])
+        rotations, joints = rotations[own], places[own]
         held = now.window.frames - now.active
+        contacts = None
+        if objective.steps is not None:
+            heights = rest_heights(self.body, objective.shape)
+            contacts = contact_probabilities(places, heights, objective.fps)[own]
         self.final = stop
-        contacts = None if now.equations is None else now.equations.contacts
         return [
             LiveEstimate(
                 time=self.times[row],
                 translation=now.window.translation[row],
                 rotations=rotations[k],
                 joints=joints[k],
-                shape=now.objective.shape,
+                shape=objective.shape,
                 observed=torch.from_numpy(self._observed(row - held)),
-                contacts=None if contacts is None else contacts[row - held],
+                contacts=None if contacts is None else contacts[k],
             )
             for k, row in enumerate(rows)
         ]
