@@ -36,10 +36,21 @@ def slip(rows: Rows, protocol: str) -> Sums | None:
     return _by_unit(rows, protocol, [None if None in pair else pair for pair in pairs])
 
 
-def contacts(rows: Rows, protocol: str, motion: str = POSE) -> Sums | None:
-    """Counts of contacts by HuMoR's network, then those labelled from the motion of a method."""
-    found = [(b["network"], {POSE: a, HUMOR: b}[motion]) for _, a, b in _pairs(rows, protocol)]
-    pairs = [(own, labelled["labels"]) for own, labelled in found]
+def contacts(rows: Rows, protocol: str) -> Sums | None:
+    """Counts of contacts by the motion under HuMoR, then by that under the pose prior."""
+    return _counts(
+        rows, protocol, [(b["labels"], a["labels"]) for _, a, b in _pairs(rows, protocol)]
+    )
+
+
+def network(rows: Rows, protocol: str) -> Sums | None:
+    """Counts of contacts by HuMoR's network, then by the motion that was found with its help."""
+    return _counts(
+        rows, protocol, [(b["network"], b["labels"]) for _, _, b in _pairs(rows, protocol)]
+    )
+
+
+def _counts(rows: Rows, protocol: str, pairs: Sequence[tuple[Any, Any]]) -> Sums | None:
     counts = [None if None in (own, other) else (*own, *other) for own, other in pairs]
     return _by_unit(rows, protocol, counts)
 

@@ -12,7 +12,7 @@ from benchmarks.tables.values import NONE, markdown, number, present, result, so
 from recon.metrics.intervals import Interval
 
 HEADINGS = ["fold", "noisy joints", "hidden points", "gap of 1 s", "runs, hidden legs",
-            "contacts less pose prior's", "contacts less own motion's",
+            "contacts less pose prior's", "network's contacts less the fit's",
             "slip / true slip"]  # fmt: skip
 PROTOCOLS = ("noisy joints", "hidden points", "gap", "hidden legs")
 ALL = "all"
@@ -44,8 +44,8 @@ def _cells(folds: Sequence[Rows]) -> Iterator[str]:
     for protocol in PROTOCOLS:
         sums = [compare.ratio(rows, protocol) for rows in folds]
         yield estimate_cell(sums, compare.quotient)
-    for motion in (POSE, HUMOR):
-        sums = [compare.contacts(rows, _CONTACTS, motion) for rows in folds]
+    for counted in (compare.contacts, compare.network):
+        sums = [counted(rows, _CONTACTS) for rows in folds]
         yield estimate_cell(sums, compare.more_balanced, factor=100, digits=1)
     yield estimate_cell([compare.slip(rows, _CONTACTS) for rows in folds], compare.quotient)
 
@@ -68,7 +68,7 @@ def estimate_cell(
 def people() -> str:
     """Errors themselves, of both priors, for every fold."""
     headings = ["cm: pose prior, HuMoR", "windows", *HEADINGS[1:5],
-                "contacts %: pose prior's motion, own motion, network",
+                "contacts %: pose prior, HuMoR, its network alone",
                 "drift of ten own steps"]  # fmt: skip
     return _measured(
         lambda found: markdown(headings, [_errors(name, fold) for name, fold in found.items()])
@@ -78,9 +78,9 @@ def people() -> str:
 def _errors(name: str, fold: Mapping[str, Any]) -> list[str]:
     rows = fold["rows"]
     windows = {(row["window"], row["frames"]) for row in rows}
-    counts = [compare.contacts(rows, _CONTACTS, motion) for motion in (POSE, HUMOR)]
+    counts = [counted(rows, _CONTACTS) for counted in (compare.contacts, compare.network)]
     totals = [own.sum(0) for own in counts if own is not None]
-    shares = [*(total[4:] for total in totals), *(total[:4] for total in totals[:1])]
+    shares = [*(total[4:] for total in totals), *(total[:4] for total in totals[1:])]
     said = ", ".join(number(float(compare.balanced(share)), 100) for share in shares) or NONE
     return [
         _name(name, fold),

@@ -73,11 +73,8 @@ def against_pose(base: Rows, variation: Rows) -> Rows:
 
 
 def against_base(base: Rows, variation: Rows) -> Rows:
-    """Rows by HuMoR without edits in the place of the pose prior's, and by that of a variation.
-
-    The labels that contacts are compared with are those of the network without edits.
-    """
-    before = [{**r, "method": POSE, "labels": r["network"]} for r in base if r["method"] == HUMOR]
+    """Rows by HuMoR without edits in the place of the pose prior's, and by that of a variation."""
+    before = [{**r, "method": POSE} for r in base if r["method"] == HUMOR]
     return before + [r for r in variation if r["method"] == HUMOR]
 
 
