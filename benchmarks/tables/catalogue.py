@@ -68,6 +68,7 @@ TABLES: Mapping[str, Table] = {
     "strangers-people": strangers.people,
     "strangers-kinds": strangers.kinds,
     "variety": variety.variety,
+    "variety-scratch": variety.from_scratch,
     "fuzz": others.fuzz,
     "cameras-summary": cameras.summary,
     "cameras": cameras.cameras,

@@ -168,9 +168,11 @@ def shooting() -> str:
         loaded = result(file)
         if "commit" not in loaded["about"]:
             continue  # it kept no values of single windows
-        named.append(file)
         about, found = loaded["windows"]["60 frames"], loaded["tables"]["60 frames"][name]
-        [rolled] = [row for method, row in found.items() if "shooting" in method]
+        rolled = next((row for method, row in found.items() if "shooting" in method), None)
+        if rolled is None:
+            continue
+        named.append(file)
         chosen = rolled["windows"]["names"]
         for label, row in (
             ("stages 1-2, tuned", found["stages 1-2, tuned"]),

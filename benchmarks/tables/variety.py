@@ -35,6 +35,16 @@ def variety() -> str:
     return f"{markdown(HEADINGS, lines(file['variants']))}\n\n{said}.{source('variety')}"
 
 
+def from_scratch() -> str:
+    """Folds trained from scratch with all variations, against those trained without."""
+    if not present(["strangers", "strangers_varied"]):
+        return _LATER
+    plain, varied = (result(name)["folds"] for name in ("strangers", "strangers_varied"))
+    base = {fold: own for fold, own in plain.items() if fold in varied}
+    table = markdown(HEADINGS, lines({BASE: base, "all": varied}))
+    return table + source("strangers", "strangers_varied")
+
+
 def lines(found: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> list[list[str]]:
     """Lines of every fold, and of their mean where a variation has several.
 
