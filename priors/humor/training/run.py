@@ -169,11 +169,12 @@ def export_weights(
     splits = Splits.load(settings.splits)
     learned = Corpus.load(settings.corpus, splits, "train", settings.data, body)
     random = torch.Generator().manual_seed(settings.seed)
-    windows = learned.draw(samples, 2, settings.variation, random)
-    states = windows.states[:, 0]
+    varied = learned.draw(samples, 2, settings.variation, random).states
+    whitening = error_whitening(networks, varied, rest_pelvis(varied[:, 0]))
+    # motions begin as people were recorded, and neither in the air nor on one leg more often
+    states = learned.draw(samples, 2, Variation(), random).states[:, 0]
     features = initial_features(canonical(states, rest_pelvis(states)))
     initial = Mixture.fit(features, distinct_features(), seed=settings.seed)
-    whitening = error_whitening(networks, windows.states, rest_pelvis(states))
 
     about = told_settings(settings) | {"step": found["step"]}
     save_weights(path, networks, initial, whitening, about)
