@@ -189,11 +189,11 @@ def test_ties_bring_neighbours_together(toy_body, monkeypatch):
     observation = seen(toy_body, swaying(toy_body, seconds=3.0), noise=0.1)
     gaps = []
 
-    def comparing(pieces):
-        first, second = (piece.motion for piece in pieces)
+    def comparing(motions):
+        first, second = motions
         there = [toy_body.pose(m.at(second.times[:1], 15.0)).joints for m in (first, second)]
         gaps.append((there[0] - there[1]).norm(dim=-1).mean())
-        return join(pieces)
+        return join(motions)
 
     monkeypatch.setattr(long, "join", comparing)
     for tie in (0.0, 1.0):

@@ -191,11 +191,11 @@ def test_a_result_knows_how_sure_it_is(prior, tmp_path):
     assert loaded.joint_std is not None
     assert torch.allclose(loaded.joint_std, result.joint_std)
     assert result.report()["standard_deviations"]["joints"]["pelvis"] > 0
-    if prior == "humor":
-        assert loaded.contact_probability is not None
-        assert ((loaded.contact_probability >= 0) & (loaded.contact_probability <= 1)).all()
-    else:
-        assert loaded.contact_probability is None
+    assert loaded.contact_probability is not None
+    assert ((loaded.contact_probability >= 0) & (loaded.contact_probability <= 1)).all()
+    assert loaded.contacts is not None
+    # the file has the motion at the rate of the observation, which the fit may not
+    assert ((loaded.contact_probability > 0.5) == (loaded.contacts > 0.5)).float().mean() > 0.98
 
 
 def test_depth_and_images_say_how_sure_they_are():
