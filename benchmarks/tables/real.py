@@ -26,7 +26,7 @@ def means() -> str:
     for kind in ROWS:
         own = [row for row in found if row["row"] == kind]
         people = sorted({row["person"] for row in own})
-        cells = [spread(_mean(own, label), 1, 1) for label in (POSE, HUMOR, EVERYTHING)]
+        cells = [spread(mean_over_people(own, label), 1, 1) for label in (POSE, HUMOR, EVERYTHING)]
         ratio = spread(_over(_sums(own, HUMOR, POSE), quotient))
         count = f"{len(own)} of {sum(one.row == kind for one in listed)}"
         rows.append([kind, str(len(people)), count, *cells, ratio])
@@ -47,7 +47,8 @@ def recordings() -> str:
     return markdown(headings, rows) + source("real")
 
 
-def _mean(rows: Rows, label: str) -> Interval:
+def mean_over_people(rows: Rows, label: str) -> Interval:
+    """The mean error of a kind of fit over people, centimetres."""
     return _over(_sums(rows, label, None), quotient)
 
 
