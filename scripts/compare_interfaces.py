@@ -72,7 +72,10 @@ def members(node: ast.FunctionDef | ast.ClassDef) -> tuple[str, ...]:
 def differences(
     old: list[Offer], new: list[Offer], table: dict[str, tuple[str, ...]]
 ) -> list[str]:
-    """What became of every old offer that is neither where it was nor where the table says."""
+    """Lists one line for every public name that was removed, lost members or moved unannounced.
+
+    A move is announced when the table of modules gives the new place.
+    """
     lines: list[str] = []
     for one in old:
         there = [own for own in new if own.name == one.name]

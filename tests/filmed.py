@@ -18,7 +18,7 @@ from recon.simulation.points import Corruption
 NOISE = 3.0
 """Pixels."""
 BESIDE = (-1.5, 1.5)
-"""Metres to the left and right of a camera's axis where two people are."""
+"""The distances of the two people from the camera's axis, in metres; negative is to the left."""
 
 
 @functools.cache

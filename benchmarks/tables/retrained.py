@@ -7,7 +7,7 @@ from benchmarks.tables.real import ROWS, mean_over_people
 from benchmarks.tables.values import markdown, number, result, source, spread
 
 AGAIN = "_retrained"
-"""What the name of a result file with the weights trained again ends in."""
+"""The ending of the names of result files that were measured with the weights trained again."""
 _MEASURED = (
     ("humor", "noisy joints", "joints_all", "noisy joints"),
     ("humor_hidden", "occluded points", "observed_hidden", "hidden points"),

@@ -44,7 +44,7 @@ they are from each other."""
 _FLAT = 0.1
 """Metres that a person rises above the ground at least, lying; noise of the ground rises less."""
 _WIDE = 3.0
-"""Metres that nobody measures along the ground."""
+"""A cloud that is wider than this along the ground, in metres, cannot be one person alone."""
 _FEW = 0.25
 """Share of the usual points that flat things have where they are noise."""
 _MUCH = 0.1

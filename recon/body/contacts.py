@@ -11,11 +11,13 @@ MAXIMUM_SPEED = 0.25
 """A joint in contact moves more slowly than this, m/s, at any frame rate."""
 
 _HEIGHT_SCALE, _SPEED_SCALE = 0.005, 0.04
-"""Metres and metres per second by which a joint of a well observed body errs about a contact."""
+"""The scales of the logistic function for joints whose places are certain: the first is in metres of
+height, the second in metres per second of speed."""
 _SHARE = 0.3
-"""Standard deviation of a joint's height over that of a coordinate."""
+"""The ratio of the standard deviation of a joint's height to that of any coordinate of the joint."""
 _TIME_SCALE = 0.1
-"""Seconds after which errors of a place that is not known have changed."""
+"""The time in seconds over which the error of an uncertain position changes; it turns a standard
+deviation of position into one of speed."""
 
 TOE_REACH = 0.04
 LIMB_REACH = 0.08
@@ -93,7 +95,11 @@ def contact_probabilities(
 def _margins(
     joints: Float[Tensor, "*batch time 22 3"], rest_height: Float[Tensor, "*batch 22"], fps: float
 ) -> tuple[Tensor, Tensor, Bool[Tensor, "22"]]:
-    """Metres and metres per second below the limits of a contact, and who may touch at all."""
+    """The margins of height (metres) and speed (m/s) below the limits of `contact_labels`.
+
+    Both are positive where a joint is in contact. The last value is true for joints that can be
+    in contact at all.
+    """
     limits = [TOE_REACH if j in TOES else LIMB_REACH for j in range(len(JOINTS))]
     may_touch = [j in CONTACT_JOINTS and JOINTS[j] != "pelvis" for j in range(len(JOINTS))]
     height = joints[..., 2] - touching_heights(rest_height)[..., None, :]

@@ -1,4 +1,4 @@
-"""What `scripts.compare_interfaces` tells of two versions of the sources."""
+"""`scripts.compare_interfaces` reports removed and moved names, and nothing else."""
 
 from scripts.compare_interfaces import differences, moved, offers
 
