@@ -12,7 +12,7 @@ of `base` by so many steps: all have seen the recordings equally long, in a fift
 import argparse
 import json
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,20 +26,20 @@ from benchmarks.strangers.fits import HUMOR, POSE, RUNS, SEED, WHOLE, fits
 from benchmarks.strangers.folds import Fold, corpus_folds
 from benchmarks.strangers.training import Schedule, trained
 from benchmarks.tables.variety import HEADINGS, lines
-from priors.humor.training.variety.variation import Variation
+from priors.humor.training.variety.variation import VARIED, Variation
 from priors.training.dataset import Splits, clip_files
 from recon.body.model import BodyModel
 from recon.formats.files.opening import replacing
 
 BASE = "base"
-EDITS = Variation(raises=0.6, sidesteps=0.4, bends=0.2, flights=0.05, arms=0.2)
+ALL = replace(VARIED, speed=Variation.speed, shape=Variation.shape)
 VARIANTS: Mapping[str, Variation] = {
     BASE: Variation(),
-    "all": Variation(**asdict(EDITS) | {"halves": 0.3, "kinds": 0.5, "people": 0.3}),
-    "edits": EDITS,
-    "mixed": Variation(halves=0.3, kinds=0.5, people=0.3),
-    "halves": Variation(halves=0.3),
-    "balanced": Variation(kinds=0.5, people=0.3),
+    "all": ALL,
+    "edits": replace(ALL, halves=0.0, kinds=0.0, people=0.0),
+    "mixed": Variation(halves=ALL.halves, kinds=ALL.kinds, people=ALL.people),
+    "halves": Variation(halves=ALL.halves),
+    "balanced": Variation(kinds=ALL.kinds, people=ALL.people),
 }
 """Settings by name; `mixed` is `all` without edits of limbs."""
 
@@ -85,7 +85,7 @@ def measured(
     if continued > 0:
         start = folder / BASE / fold.name / "humor.safetensors"
         if not start.is_file():
-            trained(fold, corpus, folder / BASE, schedule)
+            trained(fold, corpus, folder / BASE, schedule, VARIANTS[BASE])
         schedule, folder = Schedule(steps=continued, start=start), folder / f"continued{continued}"
     priors = trained(fold, corpus, folder / name, schedule, VARIANTS[name])
     identity = {"commit": commit(ROOT), "windows": count, "weights": priors.checksums}

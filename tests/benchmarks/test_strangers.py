@@ -2,12 +2,14 @@
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
 from benchmarks.strangers import compare
+from benchmarks.strangers import variety as strangers_variety
 from benchmarks.strangers.choice import kind_of, spread, starts
 from benchmarks.strangers.fits import feet_right
 from benchmarks.strangers.folds import GROUP, folds, without_doubles, write_splits
@@ -16,6 +18,7 @@ from benchmarks.tables import strangers as tables
 from benchmarks.tables import variety
 from priors.humor.training.variety.variation import VARIED, Variation
 from priors.training.dataset import Splits
+from recon.body.model import BodyModel
 
 SECONDS = {
     "01_01": 22.9, "02_01": 15.0, "02_02": 15.0, "06_01": 29.0, "07_01": 36.0, "11_01": 5.0,
@@ -205,3 +208,23 @@ def test_variations_are_compared_on_the_same_windows_with_the_pose_prior_and_wit
     assert against_base[7] == "0.0 [0.0, 0.0]"  # both motions tell the same contacts
     assert other[0] == "60"
     assert {len(line) for line in (plain, against_base)} == {len(variety.HEADINGS)}
+
+
+def test_a_variation_that_goes_on_begins_with_weights_without_edits(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """When edits became the default of a training, the common start was trained with them, too."""
+    asked: list[Variation] = []
+
+    class Trained(Exception):
+        pass
+
+    def trained(*arguments: Any) -> None:
+        asked.append(arguments[-1])
+        raise Trained
+
+    monkeypatch.setattr(strangers_variety, "trained", trained)
+    fold = folds({"35_01": 30.0}, Splits.load())[0]
+    with pytest.raises(Trained):
+        strangers_variety.measured(fold, "all", tmp_path, tmp_path, 8, BodyModel.load(), 400)
+    assert asked == [Variation()]
