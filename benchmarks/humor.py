@@ -148,8 +148,6 @@ class Entry:
     method: Method
     most: int | None = None
     """Windows; None is all."""
-    knows_contacts: bool = True
-    """Whether what it says of contacts, if anything, was learned."""
 
 
 def entries(
@@ -180,9 +178,7 @@ def entries(
         for name, humor in networks.trained.items()
     ]
     for name, humor in networks.ablations.items():
-        own = ABLATIONS[name]
-        method = own.method(humor, noise)
-        found.append(Entry(f"short: {name}", method, knows_contacts=own.knows_contacts))
+        found.append(Entry(f"short: {name}", ABLATIONS[name].method(humor, noise)))
     return found
 
 

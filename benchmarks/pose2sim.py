@@ -26,7 +26,6 @@ from benchmarks.results import recordings_source, write
 from benchmarks.scores import Columns, Row, cell
 from observations.keypoints2d import Keypoints2D
 from recon.body.model import BodyModel
-from recon.core.motion import Motion
 from recon.diagnosis.fits.plausibility import views_error
 from recon.fitting.clip import ClipFit, fit_clip
 from recon.fitting.clip_files import load_clip
@@ -121,7 +120,7 @@ def _against(one: ClipFit, every: ClipFit, body: BodyModel) -> Row:
     """Joints of a single view's fit and of all views', at the frames of both."""
     a, b = one.result.clip(0), every.result.clip(0)
     first = max(a.start_time, b.start_time)
-    last = min(_end(a), _end(b))
+    last = min(a.stop_time, b.stop_time)
     times = first + torch.arange(round((last - first) * b.fps) + 1, dtype=torch.float64) / b.fps
     ours, theirs = (body.pose(m.at(times.clamp(max=last), b.fps)).joints for m in (a, b))
     rooted = metrics.point_errors(metrics.root_aligned(ours), metrics.root_aligned(theirs))
@@ -129,10 +128,6 @@ def _against(one: ClipFit, every: ClipFit, body: BodyModel) -> Row:
         "away": metrics.mean(rooted),
         "world": metrics.mean(metrics.point_errors(ours, theirs)),
     }
-
-
-def _end(motion: Motion) -> float:
-    return motion.start_time + (motion.frames - 1) / motion.fps
 
 
 if __name__ == "__main__":

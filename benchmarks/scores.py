@@ -114,7 +114,7 @@ def score(
         visible: which of them were seen.
     """
     heights = rest_heights(body, fitted.motion.shape)
-    said = contact_labels(body.pose(fitted.motion).joints, heights, FPS).double()
+    said = contact_labels(body.pose(fitted.motion).joints, heights, FPS)
     clips: list[Row] = []
     for i, touching in enumerate(windows.contacts):
         motion, actual = fitted.motion[i], windows.truth[i]
@@ -124,7 +124,7 @@ def score(
         row = clip_row(motion, actual, body, said[i], touching, observed)
         clips.append({**row, "seconds": fitted.seconds})
     rows = by_subject(windows, clips)
-    feet = feet_balanced(windows, said > 0.5)
+    feet = feet_balanced(windows, said)
     return {
         name: row
         if name == WINDOWS

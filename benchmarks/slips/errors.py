@@ -105,8 +105,7 @@ def _in_true_world(found: ClipFit, recording: Recording, clip: int) -> Motion:
 
 def _at_moments_of(motion: Motion, truth: Motion) -> Motion:
     """The motion at the truth's times; beyond its ends it stands still."""
-    last = motion.start_time + (motion.frames - 1) / motion.fps
-    return motion.at(truth.times.clamp(motion.start_time, last), truth.fps)
+    return motion.at(truth.times.clamp(motion.start_time, motion.stop_time), truth.fps)
 
 
 def _speed(joints: Joints, fps: float) -> float:

@@ -22,6 +22,7 @@ _COLUMNS = (
 _LATER = (
     "*To be measured: `python -m benchmarks.strangers.variety CORPUS FOLDS --json variety.json`.*"
 )
+_FOLDS_LATER = "*To be measured: `python -m benchmarks.strangers CORPUS FOLDS --only 60 02`.*"
 
 
 def variety() -> str:
@@ -38,7 +39,7 @@ def variety() -> str:
 def from_scratch() -> str:
     """Folds trained from scratch with all variations, against those trained without."""
     if not present(["strangers", "strangers_varied"]):
-        return _LATER
+        return _FOLDS_LATER
     plain, varied = (result(name)["folds"] for name in ("strangers", "strangers_varied"))
     base = {fold: own for fold, own in plain.items() if fold in varied}
     table = markdown(HEADINGS, lines({BASE: base, "all": varied}))

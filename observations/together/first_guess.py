@@ -107,15 +107,12 @@ def _moved_like(posed: Motion, placed: Motion) -> Motion:
     ended, the path of the first one goes on.
     """
     times = placed.start_time + torch.arange(placed.frames, dtype=torch.float64) / placed.fps
-    last = placed.start_time + (placed.frames - 1) / placed.fps
     begin, end = (
-        min(max(time, placed.start_time), last)
-        for time in (posed.start_time, posed.start_time + (posed.frames - 1) / posed.fps)
+        min(max(time, placed.start_time), placed.stop_time)
+        for time in (posed.start_time, posed.stop_time)
     )
     shared = times.clamp(begin, end).to(placed.translation.device)
-    there = posed.at(
-        shared.clamp(max=posed.start_time + (posed.frames - 1) / posed.fps), placed.fps
-    )
+    there = posed.at(shared.clamp(max=posed.stop_time), placed.fps)
     away = there.translation - placed.at(shared, placed.fps).translation
     return placed.replace(translation=placed.translation + away, rotations=there.rotations)
 

@@ -141,7 +141,7 @@ def predict(
     def repeated(tensor: Tensor) -> Tensor:
         return tensor.expand(samples, *tensor.shape).flatten(0, 1)
 
-    last = motion.start_time + (motion.frames - 1) / motion.fps
+    last = motion.stop_time
     shape = repeated(motion.shape)
     return roll_from(
         humor, first.map(repeated), shape, frames, random, temperature=temperature, start_time=last

@@ -11,10 +11,10 @@ MAXIMUM_SPEED = 0.25
 """A joint in contact moves more slowly than this, m/s, at any frame rate."""
 
 _HEIGHT_SCALE, _SPEED_SCALE = 0.005, 0.04
-"""The scales of the logistic function for joints whose places are certain: the first is in metres of
-height, the second in metres per second of speed."""
+"""The scales of the logistic function for joints whose places are certain: the first is in metres
+of height, the second in metres per second of speed."""
 _SHARE = 0.3
-"""The ratio of the standard deviation of a joint's height to that of any coordinate of the joint."""
+"""The ratio of the standard deviation of a joint's height to that of its coordinates."""
 _TIME_SCALE = 0.1
 """The time in seconds over which the error of an uncertain position changes; it turns a standard
 deviation of position into one of speed."""

@@ -58,6 +58,11 @@ class Motion(TensorStruct):
         count = torch.arange(self.frames, dtype=torch.float64, device=self.translation.device)
         return self.start_time + count / self.fps
 
+    @property
+    def stop_time(self) -> float:
+        """Time of the last frame, seconds."""
+        return self.start_time + (self.frames - 1) / self.fps
+
     def window(self, start: int, stop: int) -> "Motion":
         """Frames start, ..., stop - 1; the clock goes on."""
         return self.replace(

@@ -20,7 +20,7 @@ from recon.core.robust import squared
 from recon.core.struct import TensorStruct
 from recon.method.newton.model import PointModel
 from recon.method.protocols import REFERENCE_FPS, Estimate, Observation
-from recon.method.windows import Windows, fade, stop_time
+from recon.method.windows import Windows, fade
 
 AT_ONCE = 8
 """Windows fitted as one batch, so that memory does not grow with the recording."""
@@ -176,7 +176,7 @@ class LongRecording:
         times = start + torch.arange(frames, dtype=torch.float64, device=like.device) / fps
         joints, weight = like.new_zeros(frames, 22, 3), like.new_zeros(frames)
         for motion in neighbours:
-            begins, ends = motion.start_time, stop_time(motion)
+            begins, ends = motion.start_time, motion.stop_time
             shared = (times > begins - 1e-6) & (times < ends + 1e-6)
             joints[shared] = body.pose(motion.at(times[shared], fps)).joints
             later = fade(times[shared], max(start, begins), min(stop, ends)).to(weight)

@@ -81,7 +81,7 @@ def join(motions: Sequence[Motion]) -> Motion:
         if not 0 < shared <= motion.frames or own < 0:
             raise ValueError(
                 f"the window from {motion.start_time:.3f} s on has no frame in common with "
-                f"the one before, which ends at {stop_time(held):.3f} s"
+                f"the one before, which ends at {held.stop_time:.3f} s"
             )
         done += [
             held.window(0, own),
@@ -96,11 +96,6 @@ def join(motions: Sequence[Motion]) -> Motion:
     )
 
 
-def stop_time(motion: Motion) -> float:
-    """Time of the last frame, seconds."""
-    return motion.start_time + (motion.frames - 1) / motion.fps
-
-
 def _on_grid(motion: Motion, origin: float) -> tuple[int, Motion]:
     """The motion at the frames of a clock that began at `origin`, and its first one's number."""
     place = (motion.start_time - origin) * motion.fps
@@ -111,7 +106,7 @@ def _on_grid(motion: Motion, origin: float) -> tuple[int, Motion]:
 
 
 def _faded(before: Motion, after: Motion) -> Motion:
-    weight = fade(before.times, before.start_time, stop_time(before)).to(before.translation)
+    weight = fade(before.times, before.start_time, before.stop_time).to(before.translation)
     return before.replace(
         translation=before.translation.lerp(after.translation, weight[:, None]),
         rotations=so3.interpolate(

@@ -54,7 +54,7 @@ class People:
         out: dict[str, dict[str, Any]] = {}
         for name, one in zip(self._names(), self.results, strict=True):
             motion = one.motion
-            end = motion.start_time + (motion.frames - 1) / motion.fps
+            end = motion.stop_time
             residuals = ", ".join(f"{r.median:.3g} {r.unit}" for r in one.residuals)
             out[name] = {
                 "from s": round(motion.start_time, 3),

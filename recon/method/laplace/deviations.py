@@ -131,8 +131,7 @@ def _cuts(frames: int) -> list[tuple[int, int]]:
 
 def _during(sensors: Sequence[Sensor], motion: Motion) -> list[Sensor]:
     """What the sensors saw during a motion; the rest of a long recording costs nothing."""
-    stop = motion.start_time + (motion.frames - 1) / motion.fps
-    return [one.window(motion.start_time, stop) for one in sensors]
+    return [one.window(motion.start_time, motion.stop_time) for one in sensors]
 
 
 def _of_window(

@@ -59,8 +59,8 @@ VARIED = Variation(
     kinds=0.5,
     people=0.3,
 )
-"""The default variation of a training. Most windows differ from what was recorded, because the corpus
-shows few people and few motions."""
+"""The default variation of a training. Most windows differ from what was recorded, because the
+corpus shows few people and few motions."""
 
 
 def edited(moments: Moments, variation: Variation, random: torch.Generator) -> Moments:
