@@ -20,6 +20,8 @@ from priors.humor.prior import Humor
 from priors.humor.state import contact_probabilities, posed_states
 from priors.humor.stepwise.curvature import SPAN, bundled_curvature
 from priors.humor.stepwise.energies import ERROR, SURPRISE, CollocationWeights, heavy_tailed
+from priors.humor.stepwise.limbs import unseen_limbs
+from priors.humor.stepwise.particles import UnseenLimbs
 from priors.humor.stepwise.steps import explain
 from priors.humor.terms import contact_velocity
 from priors.pose.density import PoseDensity
@@ -170,7 +172,8 @@ class Collocation:
         only the last stage is minimised to the end. The one before moves slow changes of the
         whole clip first, in cosines of time: where limbs are hidden it comes to better minima than
         Newton's direction does. Where every joint is seen, it is left out, and the poses before
-        are found roughly.
+        are found roughly. Where limbs are never seen, a stage before the last begins from several
+        motions of theirs as well, and the one of the lowest objective goes on.
         """
         root, poses, steps = self.without_feet(data)
         held = Term("contact velocity", contact_velocity, self.weights.contact_velocity)
@@ -182,7 +185,14 @@ class Collocation:
         if seen_whole(data, self.humor.body):
             rough = replace(poses.minimiser, tolerance_decrease=1e-2)
             return root, replace(poses, minimiser=rough), feet
-        return root, poses, steps, feet
+        unseen = unseen_limbs(data, self.humor.body)
+        if unseen is None:
+            return root, poses, steps, feet
+        limbs = replace(
+            feet, name="limbs", proposals=UnseenLimbs(self.humor, unseen), kept=1,
+            minimiser=replace(last, tolerance_decrease=1e-3),
+        )  # fmt: skip
+        return root, poses, steps, limbs, feet
 
     def without_feet(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
         """The stages before the last: root, smooth poses, likely steps."""

@@ -158,6 +158,20 @@ def interpolate(
     return a @ exp(step * fraction[..., None])
 
 
+def between(
+    start: Float[Tensor, "*shape 3"], end: Float[Tensor, "*shape 3"]
+) -> Float[Tensor, "*shape 3 3"]:
+    """The smallest rotation that takes one direction to another; vectors of any length.
+
+    It is the identity where a vector is zero or the two are opposite.
+    """
+    axis = torch.linalg.cross(start, end)
+    sine = axis.norm(dim=-1, keepdim=True)
+    angle = torch.atan2(sine, (start * end).sum(-1, keepdim=True))
+    tiny = torch.finfo(start.dtype).tiny
+    return exp(axis / sine.clamp(min=tiny) * angle)
+
+
 def about_z(angle: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape 3 3"]:
     """Rotation about the vertical, in radians."""
     zero = torch.zeros_like(angle)

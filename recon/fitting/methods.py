@@ -164,7 +164,7 @@ class WithPhysics:
         last = stages[-1]
         # the Hessian of these terms is not known: scaled by that of the others, it ends too early
         minimiser = replace(last.minimiser, max_iterations=self.iterations, scale=0.0)
-        last = replace(last, second_order=None)
+        last = replace(last, second_order=None, proposals=None)
         own = {term.name for term in self.terms}
         terms = (*(term for term in last.terms if term.name not in own), *self.terms)
         return (*stages, replace(last, name="physics", terms=terms, minimiser=minimiser))

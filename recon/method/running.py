@@ -16,7 +16,7 @@ from recon.core.motion import Motion
 from recon.core.scene import Scene
 from recon.core.struct import S, concatenate
 from recon.method.protocols import Estimate, Prior
-from recon.method.stages import Compared, Stage, StageReport, Watch
+from recon.method.stages import Compared, Proposals, Stage, StageReport, Watch
 from recon.method.terms import Term
 from recon.method.unknowns import Layout, Unknowns
 from recon.solver.solution import Solution, in_turn
@@ -60,6 +60,28 @@ class Hypotheses(Generic[S]):
         ordered = value.cpu().nan_to_num(torch.inf).argsort()
         own = [ordered[clip[ordered] == k][:count] for k in range(int(clip.max()) + 1)]
         return torch.cat(own)
+
+    def extended(
+        self, proposals: Proposals, body: BodyModel
+    ) -> tuple["Hypotheses[S]", Int[Tensor, " rows"]]:
+        """These and those that are proposed for each of them, and the row that each comes from."""
+        count = len(self.unknowns.scene.offsets)
+        clips = torch.arange(count) if self.clip is None else self.clip
+        parts, origin = [self.unknowns], list(range(count))
+        for row in range(count):
+            alone = self.rows(torch.tensor([row]))
+            motion = proposals(alone.estimate(body), int(clips[row]))
+            if motion is not None:
+                own = [row] * len(motion.translation)
+                origin += own
+                scene = self.unknowns.scene[torch.tensor(own)]
+                with torch.no_grad():
+                    parts.append(Unknowns.of_world(self.prior, motion, scene, body))
+        if len(parts) == 1:
+            return self, torch.arange(count)
+        rows = torch.tensor(origin)
+        number = None if self.number is None else self.number[rows]
+        return Hypotheses(self.prior, concatenate(parts), clips[rows], number), rows
 
     def rows(self, index: Int[Tensor, " kept"]) -> "Hypotheses[S]":
         """Some of them."""
@@ -116,6 +138,9 @@ def run_hypotheses(
         started = perf_counter()
         if stage.prior is not held.prior:
             held = _encoded_anew(held, stage.prior, body)
+        if stage.proposals is not None:
+            held, origin = held.extended(stage.proposals, body)
+            reports = [report.rows(origin) for report in reports]
         stage, unknowns, solution = _solved(held.of(stage), body, held.unknowns, watch)
         held = replace(held, unknowns=unknowns)
         reports.append(StageReport(stage, solution, perf_counter() - started))

@@ -34,6 +34,11 @@ Reweighting = Callable[["Stage[Any]", Callable[[Any], Estimate], Any], tuple[Ter
 the stage, a function that decodes variables, and the variables."""
 
 
+Proposals = Callable[[Estimate, int], Motion | None]
+"""Finds further hypotheses to begin a stage from: called with what energies see of one row and
+with the number of its clip; gives motions of that clip in the world, or None for none."""
+
+
 SecondOrder = Callable[
     ["Stage[Any]", BodyModel, Any, Callable[[Progress], bool | None] | None],
     tuple[Any, Solution] | None,
@@ -60,6 +65,9 @@ class Stage(Generic[S]):
     iterations each; only where an energy is `Matched`, others are minimised once."""
     reweighting: Reweighting | None = None
     """Finds the weights of the terms at the start of the stage; None leaves them as they are."""
+    proposals: Proposals | None = None
+    """Finds further hypotheses, which are minimised beside what the stage is handed; None finds
+    none."""
     kept: int | None = None
     """Number of hypotheses of every clip that remain after the stage; None keeps them all."""
     ranking: tuple[Term, ...] = ()

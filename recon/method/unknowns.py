@@ -52,6 +52,16 @@ class Unknowns(TensorStruct, Generic[S]):
         variables: Any = prior.encode(motion.carried(T, body.rest_joints(motion.shape)[..., 0, :]))
         return cls(variables.carried(so3.inverse_rigid(T), body), scene)
 
+    @classmethod
+    def of_world(
+        cls, prior: Prior[S], motion: Motion, scene: Scene, body: BodyModel
+    ) -> "Unknowns[S]":
+        """The unknowns of a motion in the world, that of an `Estimate`."""
+        if scene.ground is not None:
+            T = so3.inverse_rigid(scene.ground.T_world_recording)
+            motion = motion.carried(T, body.rest_joints(motion.shape)[..., 0, :])
+        return cls.of(prior, motion, scene, body)
+
     def motion(self, prior: Prior[S], body: BodyModel) -> Motion:
         """The motion of the variables; both are in the frame of the recording."""
         if self.scene.ground is None or not _is_level(prior):

@@ -103,3 +103,15 @@ def test_a_quaternion_turns_as_its_rotation_does():
     twice = 2 * torch.linalg.cross(q[:, :3], v)
     turned = v + q[:, 3:] * twice + torch.linalg.cross(q[:, :3], twice)
     assert torch.allclose(turned, (rotation @ v[..., None])[..., 0], atol=1e-12)
+
+
+def test_the_smallest_rotation_between_directions_takes_one_to_the_other():
+    random = torch.Generator().manual_seed(0)
+    start, end = torch.randn(2, 50, 3, generator=random).double()
+    turn = so3.between(start, 3.0 * end)
+    unit = torch.nn.functional.normalize
+    torch.testing.assert_close((turn @ unit(start, dim=-1)[..., None])[..., 0], unit(end, dim=-1))
+    angle = torch.acos((unit(start, dim=-1) * unit(end, dim=-1)).sum(-1))
+    torch.testing.assert_close(so3.log(turn).norm(dim=-1), angle)
+    same = so3.between(torch.cat((start, start)), torch.cat((start, 0 * start)))
+    torch.testing.assert_close(same, torch.eye(3).double().expand(100, 3, 3))

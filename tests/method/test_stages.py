@@ -7,7 +7,7 @@ import torch
 
 from observations import Joints3D
 from recon.core import rotations as so3
-from recon.core.scene import Scene
+from recon.core.scene import Scene, UnknownGround
 from recon.core.struct import concatenate
 from recon.method import terms
 from recon.method.free import FreeMotion
@@ -236,3 +236,46 @@ def test_only_the_last_round_of_correspondences_is_minimised_to_the_end(toy_body
     stage = Stage("root", FreeMotion(), data, free, LBFGS(9), second_order=noted, rounds=3)
     run_stages((stage,), toy_body, motion, Scene.create(1, like=motion.translation))
     assert tolerances[0] == tolerances[1] > tolerances[2] == stage.minimiser.tolerance_decrease
+
+
+def test_a_stage_goes_on_from_the_best_of_what_is_proposed(toy_body):
+    """Each clip gets proposals of its own, and reports of earlier stages keep to its rows."""
+    truth, start = laws.a_motion(toy_body), laws.a_motion(toy_body, seed=1)
+    data = Term("data", observed(toy_body, truth), 1.0)
+    asked = list[int]()
+
+    def propose(estimate, clip):
+        asked.append(clip)
+        assert len(estimate.motion.translation) == 1
+        return None if clip == 0 else concatenate([truth[[0]], truth[[1]]])
+
+    still = LBFGS(1)
+    first = Stage("root", FreeMotion(), (data,), frozenset({"translation"}), still)
+    chosen = replace(first, name="proposed", proposals=propose, kept=1)
+    scene = Scene.create(2, like=truth.translation)
+    began = Hypotheses.of_motions(first.prior, [start], scene, toy_body)
+    found, reports = run_hypotheses((first, chosen), toy_body, began)
+    assert asked == [0, 1]
+    assert len(found.unknowns.scene.offsets) == 2
+    motion = found.unknowns.motion(found.prior, toy_body)
+    torch.testing.assert_close(motion.rotations[1], truth.rotations[1])
+    torch.testing.assert_close(motion.rotations[0], start.rotations[0])
+    assert [len(report.solution.value) for report in reports] == [2, 2]
+    compared = reports[-1].compared
+    assert compared is not None
+    assert compared.clip.tolist() == [0, 1, 1, 1]
+
+
+def test_proposals_are_motions_in_the_world(toy_body):
+    """A recording whose ground lies elsewhere is searched on the ground of the world."""
+    truth = laws.a_motion(toy_body, clips=1)
+    pivot = torch.zeros(1, 3).to(truth.translation)
+    ground = UnknownGround.create(pivot).replace(lift=pivot[:, 0] + 0.7)
+    scene = replace(Scene.create(1, like=truth.translation), ground=ground)
+    began = Hypotheses.of_motions(FreeMotion(), [truth], scene, toy_body)
+    world = began.estimate(toy_body).motion
+    extended, origin = began.extended(lambda estimate, _: estimate.motion, toy_body)
+    assert origin.tolist() == [0, 0]
+    motion = extended.unknowns.motion(extended.prior, toy_body)
+    torch.testing.assert_close(motion.translation[1], truth.translation[0])
+    assert (world.translation - truth.translation).abs().max() > 0.5

@@ -46,7 +46,7 @@ def alignments_from_rest(
     for joint, child in _CHILD.items():
         if joint not in theirs or child not in theirs:
             return None
-        swing = _smallest(turn @ (ours[child] - ours[joint]), theirs[child] - theirs[joint])
+        swing = so3.between(turn @ (ours[child] - ours[joint]), theirs[child] - theirs[joint])
         if float(torch.rad2deg(so3.log(swing).norm())) > _WORST_BONE:
             return None
         swings[joint] = swing
@@ -54,12 +54,3 @@ def alignments_from_rest(
         swings[joint_index(f"{side}_wrist")] = swings[joint_index(f"{side}_elbow")]
     identity = torch.eye(3, dtype=torch.float64)
     return torch.stack([swings.get(j, identity) @ turn for j in skeleton.bones]).float()
-
-
-def _smallest(start: Float[Tensor, "3"], end: Float[Tensor, "3"]) -> Float[Tensor, "3 3"]:
-    """The smallest rotation that takes one direction to another."""
-    start, end = start / start.norm(), end / end.norm()
-    axis = torch.linalg.cross(start, end)
-    sine = axis.norm()
-    angle = torch.atan2(sine, start @ end)
-    return so3.exp(axis / sine.clamp(min=1e-12) * angle)

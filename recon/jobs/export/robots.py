@@ -150,7 +150,7 @@ def _carried_over(motion: Motion, body: BodyModel, target: BodyModel, count: int
     turns = torch.eye(3).to(rest).repeat(len(JOINTS), 1, 1)
     for name, end in _ALONG.items():
         joint, child = joint_index(name), joint_index(end)
-        turns[joint] = _shortest(theirs[child] - theirs[joint], rest[child] - rest[joint])
+        turns[joint] = so3.between(theirs[child] - theirs[joint], rest[child] - rest[joint])
         if name.endswith("elbow"):
             # the hand goes on where the forearm ends
             turns[child] = turns[joint]
@@ -184,14 +184,6 @@ def _nearest_shape(
         normal = slopes.mT @ slopes + _LENGTH_STD**2 * torch.eye(count).to(rest)
         shape = torch.linalg.solve(normal, slopes.mT @ wanted)
     return shape
-
-
-def _shortest(start: Float[Tensor, "3"], end: Float[Tensor, "3"]) -> Float[Tensor, "3 3"]:
-    """The least rotation that turns one direction into another."""
-    a, b = start / start.norm(), end / end.norm()
-    axis = torch.linalg.cross(a, b)
-    sine, cosine = axis.norm(), a @ b
-    return so3.exp(axis / sine.clamp(min=1e-12) * torch.atan2(sine, cosine))
 
 
 def _gender(smplx: Path) -> str:

@@ -34,7 +34,12 @@ class Member:
         An observation may have no clock to set back. And hypotheses of one clip that are compared
         with each other would be told apart by their rows, as those of other clips are.
         """
-        if problem.others or not all(isinstance(one, Sensor) for one in problem.observations):
+        proposes = any(stage.proposals is not None for stage in problem.stages())
+        if (
+            proposes
+            or problem.others
+            or not all(isinstance(one, Sensor) for one in problem.observations)
+        ):
             return None
         begin, seen = problem.start.start_time, _sensors(problem)
         moved = tuple(one.derived(start_time=one.start_time - begin) for one in seen)

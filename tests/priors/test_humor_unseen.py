@@ -1,0 +1,160 @@
+"""Limbs that no sensor saw: which they are, how they begin, and what the particle filter makes."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from observations.joints3d import Joints3D
+from priors.humor.collocation import Collocation
+from priors.humor.prior import Humor
+from priors.humor.state import states_of
+from priors.humor.stepwise.limbs import LimbDraws, unseen_limbs
+from priors.humor.stepwise.particles import ParticleFilter, UnseenLimbs
+from recon.body.model import BodyModel
+from recon.core.motion import pad
+from recon.core.skeleton import LEGS
+from recon.method.protocols import Estimate
+from recon.method.reconstruction import solve
+from recon.method.terms import Term
+from tests.priors.test_humor import humor
+from tests.priors.test_humor_collocation import demo_clip
+from tests.priors.test_pose import swinging
+
+pytestmark = pytest.mark.numerics
+
+BOTH_LEGS = torch.tensor([joint in (1, 2, *LEGS) for joint in range(22)])
+FEW = ParticleFilter(hypotheses=3, particles=16)
+
+
+def seen_data(hidden: list[int], clips: int = 1, moments: int = 6, share: float = 1.0) -> Term:
+    shown = torch.ones(clips, moments, 22, dtype=torch.bool)
+    shown[-1, : round(share * moments), hidden] = False
+    positions = torch.zeros(clips, moments, 22, 3)
+    return Term("data", Joints3D(positions, shown, tuple(range(22)), 30.0), 1.0)
+
+
+def test_limbs_are_unseen_from_their_first_bone_of_unknown_direction(body: BodyModel) -> None:
+    unseen = unseen_limbs([seen_data(list(LEGS), clips=2)], body)
+    assert unseen is not None
+    assert not unseen[0].any()
+    assert torch.equal(unseen[1], BOTH_LEGS)
+    shin = unseen_limbs([seen_data([7, 10])], body)
+    assert shin is not None
+    assert shin[0].nonzero()[:, 0].tolist() == [4, 7, 10]
+
+
+@pytest.mark.parametrize("hidden", [[], [10, 11], [15]])
+def test_ends_of_limbs_are_no_limbs(body: BodyModel, hidden: list[int]) -> None:
+    """Toes, hands and heads that nobody sees are common, and do not start a search."""
+    assert unseen_limbs([seen_data(hidden)], body) is None
+
+
+def test_a_limb_that_is_seen_for_half_of_the_time_is_seen(body: BodyModel) -> None:
+    assert unseen_limbs([seen_data(list(LEGS), share=0.5)], body) is None
+    assert unseen_limbs([seen_data(list(LEGS), share=0.9)], body) is not None
+
+
+def test_what_another_sensor_may_see_is_not_searched_for(body: BodyModel) -> None:
+    hidden, whole = seen_data(list(LEGS)), seen_data([])
+    assert unseen_limbs([hidden, replace(whole, name="other")], body) is None
+    unknown = Term("other", lambda e: e.motion.shape.sum(-1), 1.0)
+    assert unseen_limbs([hidden, unknown], body) is None
+
+
+def test_first_states_keep_what_was_seen(body: BodyModel) -> None:
+    prior, motion = humor(body), swinging(4, 3)[None]
+    states = states_of(motion, body)
+    draws = LimbDraws.of(prior, motion.shape.expand(20, -1), BOTH_LEGS)
+    first = draws.first(states[:, 0], torch.Generator().manual_seed(1))
+    seen = ~draws.nowhere
+    torch.testing.assert_close(
+        first.joints[:, seen], states.joints[:, 0, seen].expand(20, -1, -1), rtol=0, atol=1e-9
+    )
+    torch.testing.assert_close(first.translation, states.translation[:, 0].expand(20, -1))
+    assert first.joints[:, draws.nowhere].std(0).min() > 0.01  # metres
+
+
+def test_bones_are_aimed_at_what_was_drawn(body: BodyModel) -> None:
+    """Knees and ankles of another pose of the same body are met exactly."""
+    prior, motion = humor(body), swinging(2, 3)[None]
+    states = states_of(motion, body)
+    other = states_of(motion.replace(rotations=motion.rotations.roll(1, 1)), body)
+    turned = other.replace(root=states.root, translation=states.translation)
+    rest = body.rest_joints(motion.shape)
+    draws = LimbDraws.of(prior, motion.shape, BOTH_LEGS)
+    asked = draws.completed(states[:, 0], turned[:, 0])
+    pose = draws._aimed(states[:, 0], asked.joints)  # pyright: ignore[reportPrivateUsage]
+    met = draws.completed(states[:, 0], asked.replace(pose=pose))
+    assert rest.shape == (1, 22, 3)
+    torch.testing.assert_close(met.joints, asked.joints, rtol=0, atol=1e-9)
+
+
+def test_filters_leave_what_was_seen_and_differ_in_the_rest(body: BodyModel) -> None:
+    prior, motion = humor(body), swinging(7, 5)[None]
+    found = FEW(prior, motion, BOTH_LEGS)
+    assert found.shape == (3, 7, 21, 3, 3)
+    seen = ~BOTH_LEGS[1:]
+    given = motion.rotations[:, :, 1:].expand(3, -1, -1, -1, -1)
+    assert torch.equal(found[:, :, seen], given[:, :, seen])
+    assert (found[0] - found[1]).abs().max() > 0.01
+    assert torch.equal(found, FEW(prior, motion, BOTH_LEGS))  # the same each time
+    eye = torch.eye(3, dtype=found.dtype).expand_as(found)
+    torch.testing.assert_close(found @ found.mT, eye, rtol=0, atol=1e-9)
+
+
+def test_frames_that_do_not_exist_change_nothing(body: BodyModel) -> None:
+    prior, short = humor(body), swinging(5, 4)
+    padded = pad([short, swinging(8, 2)])[:1]
+    alone = FEW(prior, short[None], BOTH_LEGS)
+    beside = FEW(prior, padded, BOTH_LEGS)
+    torch.testing.assert_close(beside[:, :5], alone)
+    assert torch.equal(beside[:, 5:], padded.rotations[:, 5:, 1:].expand(3, -1, -1, -1, -1))
+
+
+def test_clips_without_unseen_limbs_get_no_proposals(body: BodyModel) -> None:
+    prior, clip = humor(body), swinging(5, 4)
+    unseen = torch.stack((torch.zeros(22, dtype=torch.bool), BOTH_LEGS))
+    propose = UnseenLimbs(prior, unseen, FEW)
+    estimate = Estimate.of_clip(clip, body)
+    assert propose(estimate, 0) is None
+    motions = propose(estimate, 1)
+    assert motions is not None
+    assert len(motions.translation) == 3
+    torch.testing.assert_close(motions.translation, clip.translation.expand(3, -1, -1))
+
+
+def test_the_stage_is_there_only_where_limbs_are_unseen(body: BodyModel) -> None:
+    method = Collocation(humor(body))
+    names = [stage.name for stage in method.stages((seen_data(list(LEGS)),))]
+    assert names == ["root", "pose", "steps", "limbs", "contacts"]
+    assert "limbs" not in [stage.name for stage in method.stages((seen_data([10]),))]
+
+
+def test_legs_of_a_walk_that_nobody_saw_walk() -> None:
+    """Hidden legs of recorded walks floated above the ground and hardly moved: 13 cm off where
+    minima of lower objective lie at 8."""
+    body, truth = BodyModel.load(), demo_clip()
+    joints = body.pose(truth).joints
+    shown = torch.ones(joints.shape[:-1], dtype=torch.bool)
+    shown[..., list(LEGS)] = False
+    seen = Joints3D(joints, shown, tuple(range(22)), 30.0)
+    method = Collocation.for_noise(Humor.load(), 0.01)
+
+    class Before:
+        """The method without its search."""
+
+        def stages(self, data: tuple[Term, ...]):
+            return tuple(stage for stage in method.stages(data) if stage.name != "limbs")
+
+    def solved(how) -> tuple[float, float]:
+        result = solve([seen], how, body)
+        away = body.pose(result.motion).joints - joints
+        objective = float(result.reports[-1].solution.value[0])
+        return away[..., list(LEGS), :].norm(dim=-1).mean().item(), objective
+
+    error, objective = solved(method)
+    error_before, objective_before = solved(Before())
+    assert objective <= objective_before * (1 + 1e-3)
+    assert error < 0.12  # metres
+    assert error <= error_before + 0.01
