@@ -1,35 +1,54 @@
-"""Weights that were trained again, beside those that are shipped."""
+"""Fits before and after a change that is told in words: of the weights, or of the method."""
 
+from collections.abc import Sequence
 from typing import Any
 
 from benchmarks.real import HUMOR
 from benchmarks.tables.real import ROWS, mean_over_people
 from benchmarks.tables.values import markdown, number, result, source, spread
 
-AGAIN = "_retrained"
-"""The ending of the names of result files that were measured with the weights trained again."""
-_MEASURED = (
-    ("humor", "noisy joints", "joints_all", "noisy joints"),
-    ("humor_hidden", "occluded points", "observed_hidden", "hidden points"),
+_NOISY = ("noisy joints", "joints_all", "noisy joints")
+_HIDDEN = ("occluded points", "observed_hidden", "hidden points")
+_ALL = ("occluded points", "observed_all", "all points")
+_Told = tuple[str, str, str]
+_Pair = tuple[str, str]
+
+_WEIGHTS: Sequence[tuple[_Pair, _Told]] = (
+    (("humor", "humor_retrained"), _NOISY),
+    (("humor_hidden_before", "humor_hidden_retrained"), _HIDDEN),
+)
+_LIMBS: Sequence[tuple[_Pair, _Told]] = (
+    (("humor_hidden_before", "humor_hidden"), _HIDDEN),
+    (("humor_hidden_before", "humor_hidden"), _ALL),
 )
 
 
-def beside() -> str:
-    """Errors of the default method with both."""
+def weights() -> str:
+    """Errors of the default method with weights that were trained again, beside the shipped."""
+    return _beside(_WEIGHTS, ("real_before", "real_retrained"), ("shipped", "trained anew"))
+
+
+def limbs() -> str:
+    """Errors without and with the search for limbs that nobody saw."""
+    return _beside(_LIMBS, ("real_before", "real"), ("without", "with particles"))
+
+
+def _beside(
+    measured: Sequence[tuple[_Pair, _Told]], real: _Pair, headings: tuple[str, str]
+) -> str:
     rows: list[list[str]] = []
-    for name, protocol, metric, told in _MEASURED:
-        both = [_of(own, protocol) for own in (name, name + AGAIN)]
+    for names, (protocol, metric, told) in measured:
+        both = [_of(name, protocol) for name in names]
         for subject in ("mean", *sorted(set(both[0]) - {"mean", "windows"})):
             cells = [number(row[subject][metric], 100, 2) for row in both]
             rows.append([f"test, {told}, {subject}", *cells])
-    real = [list(result(own)["recordings"].values()) for own in ("real", "real" + AGAIN)]
+    found = [list(result(name)["recordings"].values()) for name in real]
     for kind in ROWS:
-        some = [[row for row in found if row["row"] == kind] for found in real]
+        some = [[row for row in own if row["row"] == kind] for own in found]
         cells = [spread(mean_over_people(own, HUMOR), 1, 1) for own in some]
         rows.append([f"recordings, {kind}, markers below 0.9 m hidden", *cells])
-    table = markdown(["cm", "shipped", "trained anew"], rows)
-    names = [*(name for name, *_ in _MEASURED), "real"]
-    return table + source(*(own for name in names for own in (name, name + AGAIN)))
+    names = dict.fromkeys([*(name for pair, _ in measured for name in pair), *real])
+    return markdown(["cm", *headings], rows) + source(*names)
 
 
 def _of(name: str, protocol: str) -> dict[str, Any]:

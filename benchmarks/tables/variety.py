@@ -6,6 +6,7 @@ from typing import Any
 from benchmarks.strangers import compare
 from benchmarks.strangers.compare import Rows
 from benchmarks.strangers.fits import HUMOR, POSE
+from benchmarks.tables import strangers
 from benchmarks.tables.strangers import estimate_cell
 from benchmarks.tables.values import markdown, number, present, result, source
 
@@ -19,6 +20,8 @@ _COLUMNS = (
     ("gap", "error"),
     ("hidden legs", "error"),
 )
+_VARIED = ("strangers_varied", "strangers_varied_more")
+"""Result files of folds with all variations."""
 _LATER = (
     "*To be measured: `python -m benchmarks.strangers.variety CORPUS FOLDS --json variety.json`.*"
 )
@@ -38,12 +41,24 @@ def variety() -> str:
 
 def from_scratch() -> str:
     """Folds trained from scratch with all variations, against those trained without."""
-    if not present(["strangers", "strangers_varied"]):
+    if not present(["strangers", *_VARIED]):
         return _FOLDS_LATER
-    plain, varied = (result(name)["folds"] for name in ("strangers", "strangers_varied"))
+    plain, varied = result("strangers")["folds"], _varied()
     base = {fold: own for fold, own in plain.items() if fold in varied}
+    varied = {fold: own for fold, own in varied.items() if fold in base}
     table = markdown(HEADINGS, lines({BASE: base, "all": varied}))
-    return table + source("strangers", "strangers_varied")
+    return table + source("strangers", *_VARIED)
+
+
+def all_folds() -> str:
+    """Every fold that was trained from scratch with all variations, against the pose prior."""
+    if not present(_VARIED):
+        return _FOLDS_LATER
+    return markdown(strangers.HEADINGS, strangers.lines(_varied())) + source(*_VARIED)
+
+
+def _varied() -> dict[str, Any]:
+    return {fold: own for name in _VARIED for fold, own in result(name)["folds"].items()}
 
 
 def lines(found: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> list[list[str]]:

@@ -55,7 +55,7 @@ class LimbDraws:
 
     humor: Humor
     pelvis: Float[Tensor, "particles 3"]
-    """Of the bodies at rest, horizontally."""
+    """Place of the pelvis of the bodies at rest, horizontally."""
     rest: Float[Tensor, "particles 22 3"]
     """Joints of the unposed bodies, metres."""
     unseen: Bool[Tensor, " 22"]
@@ -67,7 +67,7 @@ class LimbDraws:
     def of(
         cls, humor: Humor, shape: Float[Tensor, "particles shape"], unseen: Bool[Tensor, " 22"]
     ) -> "LimbDraws":
-        """For bodies of these shapes."""
+        """The particles of bodies of these shapes."""
         parents = torch.tensor([max(parent, 0) for parent in PARENTS], device=unseen.device)
         nowhere = unseen[parents]
         return cls(humor, humor.pelvis(shape), humor.body.rest_joints(shape), unseen, nowhere)

@@ -31,7 +31,7 @@ _SEED = 0
 
 @dataclass(frozen=True)
 class ParticleFilter:
-    """Settings of the filter, chosen on recordings of walks with hidden legs."""
+    """Settings of the filter: first guesses, whose neighbours were no better (docs/humor.md)."""
 
     hypotheses: int = 4
     """Filters, each of which gives one motion."""
@@ -40,7 +40,7 @@ class ParticleFilter:
     place: float = 0.015
     """Standard deviation of the seen joints about their prediction, on average, metres."""
     speed: float = 0.15
-    """That of their velocities, m/s."""
+    """Standard deviation of their velocities, m/s."""
     depth: float = 0.03
     """Standard deviation of a foot below the ground, metres."""
     least: float = 0.5
