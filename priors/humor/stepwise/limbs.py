@@ -113,8 +113,8 @@ class LimbDraws:
 
     def _drawn_features(self) -> Bool[Tensor, " 138"]:
         """Which of `initial_features` are drawn: places and velocities of joints."""
-        joints = self.nowhere.cpu().repeat_interleave(3)
-        return torch.cat((joints, joints, torch.zeros(6, dtype=torch.bool)))
+        joints = self.nowhere.repeat_interleave(3)
+        return torch.cat((joints, joints, torch.zeros_like(joints[:6])))
 
     def _deviations(self) -> Float[Tensor, " 138"]:
         """Standard deviations of `initial_features` where they are known."""
