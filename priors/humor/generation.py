@@ -7,6 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from priors.humor.first import first_states
+from priors.humor.networks import HumorNetworks
 from priors.humor.prior import Humor
 from priors.humor.state import Frame, State, compose, contact_probabilities, states_of
 from recon.body.kinematics import forward_kinematics
@@ -51,6 +52,36 @@ def posed_joints(state: State, rest: Float[Tensor, "clips 22 3"]) -> Float[Tenso
     return forward_kinematics(rotations, rest)[1][:, 0] + state.translation[:, None]
 
 
+def drawn_step(
+    networks: HumorNetworks,
+    state: State,
+    pelvis: Float[Tensor, "clips 3"],
+    random: torch.Generator | None,
+    *,
+    temperature: float = 1.0,
+) -> tuple[Frame, State, Float[Tensor, "clips 9"]]:
+    """One step by a latent drawn from the conditional prior, or by the prior's mean.
+
+    Args:
+        networks: in the states' precision and on their device.
+        state: in the world.
+        pelvis: of the bodies at rest, horizontally.
+        random: of the latents; None takes the mean.
+        temperature: factor on the prior's standard deviations.
+
+    Returns:
+        The canonical frame of the state, the next state in it, and the logits of contacts.
+    """
+    frame = Frame.of(state)
+    here = frame.enter(state, pelvis)
+    packed = here.pack()
+    latent, log_variance = networks.prior(packed)
+    if random is not None:
+        noise = torch.randn(latent.shape, generator=random).to(latent)
+        latent = latent + temperature * noise * (0.5 * log_variance).exp()
+    return frame, *compose(here, networks.decode(packed, latent))
+
+
 @torch.no_grad()
 def roll_from(
     humor: Humor,
@@ -80,17 +111,12 @@ def roll_from(
     """
     if frames < 2:
         raise ReconError(f"a motion from HuMoR has two frames at least, asked for {frames}")
-    networks, pelvis, rest = humor.networks, humor.pelvis(shape), humor.body.rest_joints(shape)
+    pelvis, rest = humor.pelvis(shape), humor.body.rest_joints(shape)
     states, logits = [first], []
     for _ in range(frames - 1):
-        frame = Frame.of(states[-1])
-        here = frame.enter(states[-1], pelvis)
-        packed = here.pack()
-        latent, log_variance = networks.prior(packed)
-        if random is not None:
-            noise = torch.randn(latent.shape, generator=random).to(latent)
-            latent = latent + temperature * noise * (0.5 * log_variance).exp()
-        reached, touching = compose(here, networks.decode(packed, latent))
+        frame, reached, touching = drawn_step(
+            humor.networks, states[-1], pelvis, random, temperature=temperature
+        )
         states.append(frame.leave(landing(reached, rest), pelvis))
         logits.append(touching)
 

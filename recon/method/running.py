@@ -54,10 +54,14 @@ class Hypotheses(Generic[S]):
         number = torch.arange(len(motions)).repeat_interleave(len(clips))
         return cls(prior, unknowns, clips.repeat(len(motions)), number)
 
+    @property
+    def clips(self) -> Int[Tensor, " rows"]:
+        """The clip of every row, also where the rows are the clips."""
+        return torch.arange(len(self.unknowns.scene.offsets)) if self.clip is None else self.clip
+
     def best(self, value: Float[Tensor, " rows"], count: int) -> Int[Tensor, " kept"]:
         """The rows of least value, so many of every clip, in the order of clips."""
-        clip = torch.arange(len(value)) if self.clip is None else self.clip
-        ordered = value.cpu().nan_to_num(torch.inf).argsort()
+        clip, ordered = self.clips, value.cpu().nan_to_num(torch.inf).argsort()
         own = [ordered[clip[ordered] == k][:count] for k in range(int(clip.max()) + 1)]
         return torch.cat(own)
 
@@ -66,7 +70,7 @@ class Hypotheses(Generic[S]):
     ) -> tuple["Hypotheses[S]", Int[Tensor, " rows"]]:
         """These and those that are proposed for each of them, and the row that each comes from."""
         count = len(self.unknowns.scene.offsets)
-        clips = torch.arange(count) if self.clip is None else self.clip
+        clips = self.clips
         parts, origin = [self.unknowns], list(range(count))
         for row in range(count):
             alone = self.rows(torch.tensor([row]))
@@ -93,11 +97,12 @@ class Hypotheses(Generic[S]):
         self, value: Float[Tensor, " rows"], kept: Int[Tensor, " kept"], body: BodyModel
     ) -> Compared:
         """All of them as they are told apart by their values, some of which are kept."""
-        clip = torch.arange(len(value)) if self.clip is None else self.clip
         with torch.no_grad():
             motion = self.unknowns.motion(self.prior, body)
         remains = torch.zeros(len(value), dtype=torch.bool).index_fill(0, kept, True)
-        return Compared(clip, value.detach().cpu(), remains, motion.detach().to(device="cpu"))
+        return Compared(
+            self.clips, value.detach().cpu(), remains, motion.detach().to(device="cpu")
+        )
 
     def of(self, stage: Stage[S]) -> Stage[S]:
         """A stage, whose data are of clips, with the data of every row."""

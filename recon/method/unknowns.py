@@ -57,18 +57,13 @@ class Unknowns(TensorStruct, Generic[S]):
         cls, prior: Prior[S], motion: Motion, scene: Scene, body: BodyModel
     ) -> "Unknowns[S]":
         """The unknowns of a motion in the world, that of an `Estimate`."""
-        if scene.ground is not None:
-            T = so3.inverse_rigid(scene.ground.T_world_recording)
-            motion = motion.carried(T, body.rest_joints(motion.shape)[..., 0, :])
-        return cls.of(prior, motion, scene, body)
+        return cls.of(prior, _in_recording(motion, scene, body), scene, body)
 
     def motion(self, prior: Prior[S], body: BodyModel) -> Motion:
         """The motion of the variables; both are in the frame of the recording."""
         if self.scene.ground is None or not _is_level(prior):
             return prior.decode(self.variables).motion
-        motion = self.estimate(prior, body).motion
-        T = so3.inverse_rigid(self.scene.ground.T_world_recording)
-        return motion.carried(T, body.rest_joints(motion.shape)[..., 0, :])
+        return _in_recording(self.estimate(prior, body).motion, self.scene, body)
 
     def estimate(
         self, prior: Prior[S], body: BodyModel, portion: Callable[[S], S] | None = None
@@ -87,6 +82,14 @@ class Unknowns(TensorStruct, Generic[S]):
             variables = portion(variables)
         decoded = prior.decode(variables)
         return Estimate(decoded, decoded.body(body), self.scene)
+
+
+def _in_recording(motion: Motion, scene: Scene, body: BodyModel) -> Motion:
+    """A motion in the world, in the frame of the recording."""
+    if scene.ground is None:
+        return motion
+    T = so3.inverse_rigid(scene.ground.T_world_recording)
+    return motion.carried(T, body.rest_joints(motion.shape)[..., 0, :])
 
 
 def _is_level(prior: Prior[Any]) -> bool:

@@ -7,9 +7,9 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from priors.humor.generation import posed_joints
 from priors.humor.prior import Humor
 from priors.humor.state import Frame, State, initial_features
-from recon.body.kinematics import forward_kinematics
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.skeleton import JOINTS, PARENTS, descendants
@@ -17,7 +17,7 @@ from recon.method.protocols import TrackedJoints
 from recon.method.terms import Term
 
 _SELDOM = 1 / 3
-"""Share of the moments below which a joint counts as not seen."""
+"""A joint that is told in a smaller share of the moments than this counts as not seen."""
 _BENDING = tuple(JOINTS.index(f"{side}_{name}") for side in ("left", "right")
                  for name in ("knee", "elbow"))  # fmt: skip
 """Joints one of which must be unseen for a limb to be."""
@@ -51,7 +51,7 @@ def unseen_limbs(data: Sequence[Term], body: BodyModel) -> Bool[Tensor, "clips 2
 
 @dataclass(frozen=True)
 class LimbDraws:
-    """What particles of one clip have in common."""
+    """Particles of one clip have these bodies and unseen joints in common."""
 
     humor: Humor
     pelvis: Float[Tensor, "particles 3"]
@@ -74,17 +74,12 @@ class LimbDraws:
 
     def completed(self, known: State, drawn: State) -> State:
         """The known states with the unseen limbs of others."""
-        pose = torch.where(self.unseen[1:, None, None], drawn.pose, known.pose)
-        rotations = torch.cat((known.root[:, None], pose), 1)[:, None]
-        joints = forward_kinematics(rotations, self.rest)[1][:, 0]
         velocities = torch.where(
             self.nowhere[:, None], drawn.joint_velocities, known.joint_velocities
         )
-        return known.replace(
-            pose=pose,
-            joints=joints + known.translation[:, None],
-            joint_velocities=velocities,
-        )
+        pose = torch.where(self.unseen[1:, None, None], drawn.pose, known.pose)
+        completed = known.replace(pose=pose, joint_velocities=velocities)
+        return completed.replace(joints=posed_joints(completed, self.rest))
 
     def first(self, state: State, random: torch.Generator) -> State:
         """Draws of a first state: the mixture of initial states, given the seen part of one.
@@ -112,7 +107,7 @@ class LimbDraws:
         return self.completed(state, frame.leave(begun, self.pelvis))
 
     def _drawn_features(self) -> Bool[Tensor, " 138"]:
-        """Which of `initial_features` are drawn: places and velocities of joints."""
+        """The mask of `initial_features` that are drawn: places and velocities of joints."""
         joints = self.nowhere.repeat_interleave(3)
         return torch.cat((joints, joints, torch.zeros_like(joints[:6])))
 

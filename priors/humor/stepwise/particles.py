@@ -1,4 +1,4 @@
-"""What limbs that nobody saw may have done: hypotheses from HuMoR by a particle filter.
+"""A particle filter over HuMoR's steps gives hypotheses of how limbs moved that nobody saw.
 
 A fit that begins with limbs that hang still ends with limbs that hardly move: legs then float, and
 swing by a fraction of what they should. Its objective is lower for legs that walk, but no small
@@ -17,8 +17,9 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from priors.humor.generation import drawn_step
 from priors.humor.prior import Humor
-from priors.humor.state import Frame, State, compose, states_of
+from priors.humor.state import State, states_of
 from priors.humor.stepwise.limbs import LimbDraws
 from recon.core.motion import Motion
 from recon.core.skeleton import TOES
@@ -44,7 +45,7 @@ class ParticleFilter:
     depth: float = 0.03
     """Standard deviation of a foot below the ground, metres."""
     least: float = 0.5
-    """Share of effective particles below which they are drawn anew."""
+    """Particles are drawn anew when the effective ones are a smaller share than this."""
 
     @torch.no_grad()
     def __call__(
@@ -65,7 +66,8 @@ class ParticleFilter:
         weights = states.translation.new_zeros(self.hypotheses, self.particles)
         poses, parents = [state.pose], list[Tensor]()
         for frame in range(1, frames):
-            predicted = self._predicted(humor, draws, state, random)
+            step, reached, _ = drawn_step(humor.networks, state, draws.pelvis, random)
+            predicted = step.leave(reached, draws.pelvis)
             known = states[:, frame].map(lambda tensor: tensor.expand(count, *tensor.shape[1:]))
             state = draws.completed(known, predicted)
             agreement = self._agreement(predicted, state, ~draws.nowhere)
@@ -77,18 +79,6 @@ class ParticleFilter:
         found = _paths(poses, parents, _best(weights))
         beyond = motion.rotations[:, frames:, 1:].expand(self.hypotheses, -1, -1, -1, -1)
         return torch.cat((found, beyond), 1)
-
-    def _predicted(
-        self, humor: Humor, draws: LimbDraws, state: State, random: torch.Generator
-    ) -> State:
-        frame = Frame.of(state)
-        here = frame.enter(state, draws.pelvis)
-        packed = here.pack()
-        latent, log_variance = humor.networks.prior(packed)
-        noise = torch.randn(latent.shape, generator=random).to(latent)
-        latent = latent + noise * (0.5 * log_variance).exp()
-        reached, _ = compose(here, humor.networks.decode(packed, latent))
-        return frame.leave(reached, draws.pelvis)
 
     def _agreement(
         self, predicted: State, completed: State, seen: Bool[Tensor, " 22"]

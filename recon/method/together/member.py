@@ -34,17 +34,14 @@ class Member:
         An observation may have no clock to set back. And hypotheses of one clip that are compared
         with each other would be told apart by their rows, as those of other clips are.
         """
-        proposes = any(stage.proposals is not None for stage in problem.stages())
-        if (
-            proposes
-            or problem.others
-            or not all(isinstance(one, Sensor) for one in problem.observations)
-        ):
+        if problem.others or not all(isinstance(one, Sensor) for one in problem.observations):
             return None
         begin, seen = problem.start.start_time, _sensors(problem)
         moved = tuple(one.derived(start_time=one.start_time - begin) for one in seen)
         start = problem.start.replace(start_time=0.0)
-        return cls(problem, replace(problem, observations=moved, start=start))
+        member = cls(problem, replace(problem, observations=moved, start=start))
+        proposes = any(stage.proposals is not None for stage in member.stages)
+        return None if proposes else member
 
     @cached_property
     def stages(self) -> tuple[Stage[Any], ...]:
