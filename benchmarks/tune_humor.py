@@ -24,7 +24,7 @@ from recon.method.reconstruction import solve
 
 Error = Callable[[CollocationWeights], float]
 
-NAMES = ("step", "latents", "contact_velocity")
+NAMES = ("step", "latents", "contact_velocity", "support")
 
 
 def main() -> None:

@@ -28,12 +28,14 @@ from priors.pose.density import PoseDensity
 from priors.pose.prior import PoseBelief, PosePrior, PoseVariables, PoseWeights
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
+from recon.core.skeleton import KNEES
 from recon.method.newton.model import ClipModel
 from recon.method.newton.preconditioned import Preconditioned
 from recon.method.protocols import REFERENCE_FPS, Decoded, TrackedJoints
 from recon.method.stages import Stage
 from recon.method.terms import PriorEnergy, Term, joint_acceleration, prior_energy, shape
 from recon.method.together.alike import alike
+from recon.physics.support import Support
 from recon.solver.banded import add_differences
 from recon.solver.lbfgs import LBFGS
 
@@ -96,6 +98,9 @@ class CollocatedHumor:
             add_differences(clip.joints, (-1.0, 1.0), weight.repeat_interleave(3, -1))
             return True
         energy = term.energy
+        if isinstance(energy, Support):
+            energy.add_curvature(term.weight, clip.estimate, clip.clip, clip.joints)
+            return True
         if not isinstance(energy, PriorEnergy) or energy.name not in ("step", "latents"):
             return self.poses.add_curvature(term, clip)
         name = energy.name
@@ -173,7 +178,8 @@ class Collocation:
         whole clip first, in cosines of time: where limbs are hidden it comes to better minima than
         Newton's direction does. Where every joint is seen, it is left out, and the poses before
         are found roughly. Where limbs are never seen, a stage before the last begins from several
-        motions of theirs as well, and the one of the lowest objective goes on.
+        motions of theirs as well, and the one of the lowest objective goes on; where legs are
+        among them, gravity asks for a foot that carries the body.
         """
         root, poses, steps = self.without_feet(data)
         held = Term("contact velocity", contact_velocity, self.weights.contact_velocity)
@@ -188,6 +194,8 @@ class Collocation:
         unseen = unseen_limbs(data, self.humor.body)
         if unseen is None:
             return root, poses, steps, feet
+        carried = Term("support", Support(unseen[:, KNEES].any(-1)), self.weights.support)
+        steps, feet = (replace(s, terms=(*s.terms, carried)) for s in (steps, feet))
         limbs = replace(
             feet, name="limbs", proposals=UnseenLimbs(self.humor, unseen), kept=1,
             minimiser=replace(last, tolerance_decrease=1e-3),

@@ -24,6 +24,9 @@ class CollocationWeights:
     """Weight of the KL divergence of the posterior from the prior, in nats per step."""
     contact_velocity: float
     """Weight of ½ c |step|² in metres², where c is the probability of contact of a joint."""
+    support: float
+    """Weight of feet that carry the body where nobody saw them, in nats per frame
+    (`recon.physics.support`)."""
 
     @classmethod
     def for_noise(cls, noise: float) -> "CollocationWeights":
@@ -41,6 +44,7 @@ class CollocationWeights:
             step=0.1 * variance,
             latents=0.3 * variance,
             contact_velocity=2e4 * max(noise, 0.008) ** 2,
+            support=0.6 * variance,
         )
 
 

@@ -1,0 +1,121 @@
+"""Support: a body that does not fall is held by a foot, which rests on the ground.
+
+From joints alone, and so for every body and every step of a minimisation. It says of legs that
+nobody saw what no prior of motion can be trusted with on a stranger: legs that glide above the
+ground are easy to predict, and carry nobody.
+"""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from recon.body.contacts import rest_heights, touching_heights
+from recon.core.skeleton import FEET
+from recon.core.struct import TensorStruct
+from recon.method.protocols import REFERENCE_FPS, Estimate
+from recon.physics.mass import difference_step, inner, second_differences
+from recon.physics.zmp import GRAVITY
+from recon.solver.banded import add_differences
+
+TOLERANCE = 0.02
+"""Metres a joint of a foot that carries the body may be above or below where it touches."""
+HEIGHT = 0.03
+"""Standard deviation of its height beyond that, metres."""
+SPEED = 0.3
+"""Standard deviation of its velocity, m/s."""
+FAR = 5.0
+"""Energy of one foot, in nats, beyond which it counts less and less: stairs, chairs and belts of
+treadmills exist."""
+SOFTNESS = 0.5
+"""Nats over which the least energy of the joints is taken softly, for a continuous gradient."""
+
+
+@dataclass(frozen=True)
+class Support(TensorStruct):
+    """Energy of feet that nobody saw, one of which must carry the body."""
+
+    unseen: Bool[Tensor, "*batch"]
+    """Clips whose legs nobody saw; the others have an energy of zero."""
+
+    def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
+        """Σ_t l_t min_k ρ(½ (h² / σ_h² + v² / σ_v²)) over ankles and toes k, at 30 Hz; nats.
+
+        l is the share of its weight that the ground carries, 1 + a / g between 0 and 1, by the
+        vertical acceleration a of the pelvis: zero in flight. h is how far the joint is from
+        the height at which it touches, v² its mean squared speed in the steps before and after,
+        and ρ(x) = s log(1 + x / s). The first and the last frames, whose acceleration is not
+        known, count nothing.
+        """
+        carried, unrest = _load(estimate), heavy_tailed(_unrest(estimate))
+        least = -SOFTNESS * ((-unrest / SOFTNESS).logsumexp(-1) - math.log(len(FEET)))
+        exists = estimate.motion.inner(_span(estimate)) & self.unseen[..., None]
+        return (carried * least).where(exists, 0.0).sum(-1) * _rate(estimate)
+
+    def add_curvature(
+        self,
+        weight: float,
+        estimate: Estimate,
+        clip: int,
+        joints: Float[Tensor, "time 3 66"],
+    ) -> None:
+        """Add the Gauss-Newton Hessian of the joint that rests: its height and its velocity.
+
+        Args:
+            weight: of the energy.
+            estimate: of all clips.
+            clip: number of the clip.
+            joints: coefficients of products of joints' coordinates that are added to
+                (`recon.solver.banded.add_differences`).
+        """
+        if not bool(self.unseen[clip]):
+            return
+        span, motion = _span(estimate), estimate.motion
+        if motion.frames <= 2 * span:
+            return
+        unrest = _unrest(estimate)[clip].detach()
+        share = (-heavy_tailed(unrest) / SOFTNESS).softmax(-1) / (1 + unrest / FAR)
+        share = share * _load(estimate)[clip, :, None].detach()
+        share = share.where(motion.inner(span)[clip, :, None], 0.0) * weight * _rate(estimate)
+        stiff = joints.new_zeros(len(joints), 22, 3)
+        stiff[span:-span, FEET, 2] = share / HEIGHT**2
+        add_differences(joints, (1.0,), stiff.flatten(1))
+        held = joints.new_zeros(len(joints), 22, 3)
+        held[span:-span, FEET] = (0.5 * (motion.fps / SPEED) ** 2 * share)[..., None]
+        steps = (held[1:] + held[:-1]).flatten(1)
+        add_differences(joints, (-1.0, 1.0), steps)
+
+
+def heavy_tailed(nats: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:
+    """ρ(x) = s log(1 + x / s): as x where it is small, slower where it is large."""
+    return FAR * torch.log1p(nats / FAR)
+
+
+def _load(estimate: Estimate) -> Float[Tensor, "*batch inner"]:
+    """Share of its weight that the ground carries of the body, judged by its pelvis."""
+    pelvis = second_differences(estimate.body.joints[..., :1, :], estimate.motion.fps)
+    return (1 + pelvis[..., 0, 2] / GRAVITY).clamp(0, 1)
+
+
+def _unrest(estimate: Estimate) -> Float[Tensor, "*batch inner 4"]:
+    """½ (h² / σ_h² + v² / σ_v²) of ankles and toes; nats."""
+    posed, fps, span = estimate.body, estimate.motion.fps, _span(estimate)
+    feet = posed.joints[..., FEET, :]
+    resting = touching_heights(rest_heights(posed.model, posed.shape))[..., FEET]
+    height = inner(feet, fps)[..., 2] - resting[..., None, :]
+    away = (height.abs() - TOLERANCE).clamp(min=0)
+    speed = (feet.diff(dim=-3) * (fps / SPEED)).square().sum(-1)
+    frames = height.shape[-2]
+    before, after = speed[..., span - 1 :, :], speed[..., span:, :]
+    both = 0.5 * (before[..., :frames, :] + after[..., :frames, :])
+    return 0.5 * ((away / HEIGHT).square() + both)
+
+
+def _span(estimate: Estimate) -> int:
+    return difference_step(estimate.motion.fps)
+
+
+def _rate(estimate: Estimate) -> float:
+    return REFERENCE_FPS / estimate.motion.fps
