@@ -24,6 +24,7 @@ from benchmarks.arguments import over_windows
 from benchmarks.results import corpus_source, write
 from benchmarks.scores import Columns, Row, Rows, by_subject, cell
 from priors.humor.generation import (
+    TEMPERATURE,
     Landing,
     as_predicted,
     body_at_joints,
@@ -33,6 +34,7 @@ from priors.humor.generation import (
 )
 from priors.humor.prior import Humor
 from priors.humor.state import Frame, State, states_of
+from priors.humor.stepwise.footing import Footing
 from priors.training.dataset import Splits, clip_files
 from recon.api.bench.windows import FPS, FRAMES, TrueWindows, load_windows
 from recon.body.contacts import contact_labels, rest_heights
@@ -55,14 +57,16 @@ UNCONDITIONED = 100
 """Samples from the mixture of first states."""
 _CLIPS_AT_ONCE = 4
 
-OURS = "body at the joints (default)"
-WAYS: dict[str, tuple[Landing, float]] = {
-    "HuMoR": (as_predicted, 1.0),
-    "HuMoR (Qual)": (joints_of_body, 1.0),
-    OURS: (body_at_joints, 1.0),
-    f"default, temperature {WARM}": (body_at_joints, WARM),
+OURS = "held by the ground (default)"
+NETWORKS = "body at the joints"
+WAYS: dict[str, tuple[Landing, float, Footing | None]] = {
+    "HuMoR": (as_predicted, 1.0, None),
+    "HuMoR (Qual)": (joints_of_body, 1.0, None),
+    NETWORKS: (body_at_joints, 1.0, None),
+    OURS: (body_at_joints, TEMPERATURE, Footing()),
+    f"default, temperature {WARM}": (body_at_joints, WARM, Footing()),
 }
-"""What every step starts from, and the temperature of the latents."""
+"""What every step starts from, the temperature of the latents, and who holds the body."""
 
 COLUMNS: Columns = {
     "ade": ("ADE", 100), "fde": ("FDE", 100), "ade_mean": ("ADE, mean sample", 100),
@@ -73,6 +77,7 @@ FEET_COLUMNS: Columns = {
     "count": ("motions", 1), "stays": ("on its feet %", 100), "upright": ("upright %", 100),
     "ground": ("on ground %", 100), "human_speed": ("human speed %", 100),
     "foot_low": ("foot 1 %, cm", 100), "foot_high": ("foot 99 %, cm", 100),
+    "speed": ("mean speed", 1),
 }  # fmt: skip
 CONTACT_COLUMNS: Columns = {"accuracy": ("nine joints %", 100), "feet": ("feet, balanced %", 100)}
 
@@ -152,7 +157,9 @@ def first_states(corpus: Path, windows: TrueWindows, body: BodyModel) -> State:
 
 
 @torch.no_grad()
-def generate(humor: Humor, scene: Scene, landing: Landing, temperature: float) -> Generated:
+def generate(
+    humor: Humor, scene: Scene, landing: Landing, temperature: float, footing: Footing | None
+) -> Generated:
     """All samples of all windows, a few windows at a time to bound memory."""
     random = torch.Generator().manual_seed(SEED)
     shape, count = scene.windows.truth.shape, len(scene.truth)
@@ -173,6 +180,7 @@ def generate(humor: Humor, scene: Scene, landing: Landing, temperature: float) -
             random,
             temperature=temperature,
             landing=landing,
+            footing=footing,
         )
         assert made.contacts is not None
         joints.append(scene.body.pose(made.motion).joints.unflatten(0, (-1, SAMPLES)))
@@ -222,10 +230,15 @@ def feet_rows(
 ) -> dict[str, Row]:
     """Shares of motions that stay on their feet: samples, and the listed clips as recorded."""
     body = scene.body
-    made = sample(humor, round(SECONDS * FPS) + 1, UNCONDITIONED, seeded()).motion
-    rows = {
-        "from the mixture": feet_of([body.pose(made).joints], [rest_heights(body, made.shape)])
-    }
+    rows: dict[str, Row] = {}
+    for name, footing in (("from the mixture", Footing()), ("from the mixture, networks", None)):
+        frames, temperature = round(SECONDS * FPS) + 1, 1.0 if footing is None else TEMPERATURE
+        made = sample(
+            humor, frames, UNCONDITIONED, seeded(), temperature=temperature, footing=footing
+        ).motion
+        joints = body.pose(made).joints
+        rows[name] = feet_of([joints], [rest_heights(body, made.shape)])
+        rows[name]["speed"] = motion_of(joints)["speed"]
     real = list(scene.rest_heights[:, None])
     for name, found in generated.items():
         rows[f"from real states, {name}"] = feet_of(list(found.joints), real)

@@ -11,16 +11,14 @@ _NOISY = ("noisy joints", "joints_all", "noisy joints")
 _HIDDEN = ("occluded points", "observed_hidden", "hidden points")
 _ALL = ("occluded points", "observed_all", "all points")
 _Told = tuple[str, str, str]
-_Pair = tuple[str, str]
+_Names = tuple[str, ...]
 
-_WEIGHTS: Sequence[tuple[_Pair, _Told]] = (
+_WEIGHTS: Sequence[tuple[_Names, _Told]] = (
     (("humor", "humor_retrained"), _NOISY),
     (("humor_hidden_before", "humor_hidden_retrained"), _HIDDEN),
 )
-_LIMBS: Sequence[tuple[_Pair, _Told]] = (
-    (("humor_hidden_before", "humor_hidden"), _HIDDEN),
-    (("humor_hidden_before", "humor_hidden"), _ALL),
-)
+_STEPS = ("humor_hidden_before", "humor_hidden_limbs", "humor_hidden")
+_LIMBS: Sequence[tuple[_Names, _Told]] = ((_STEPS, _HIDDEN), (_STEPS, _ALL))
 
 
 def weights() -> str:
@@ -29,25 +27,26 @@ def weights() -> str:
 
 
 def limbs() -> str:
-    """Errors without and with the search for limbs that nobody saw."""
-    return _beside(_LIMBS, ("real_before", "real"), ("without", "with particles"))
+    """Errors without the search for limbs that nobody saw, with it, and with feet that carry."""
+    headings = ("without", "with particles", "and feet that carry")
+    return _beside(_LIMBS, ("real_before", "real_limbs", "real"), headings)
 
 
 def _beside(
-    measured: Sequence[tuple[_Pair, _Told]], real: _Pair, headings: tuple[str, str]
+    measured: Sequence[tuple[_Names, _Told]], real: _Names, headings: _Names
 ) -> str:
     rows: list[list[str]] = []
     for names, (protocol, metric, told) in measured:
-        both = [_of(name, protocol) for name in names]
-        for subject in ("mean", *sorted(set(both[0]) - {"mean", "windows"})):
-            cells = [number(row[subject][metric], 100, 2) for row in both]
+        every = [_of(name, protocol) for name in names]
+        for subject in ("mean", *sorted(set(every[0]) - {"mean", "windows"})):
+            cells = [number(row[subject][metric], 100, 2) for row in every]
             rows.append([f"test, {told}, {subject}", *cells])
     found = [list(result(name)["recordings"].values()) for name in real]
     for kind in ROWS:
         some = [[row for row in own if row["row"] == kind] for own in found]
         cells = [spread(mean_over_people(own, HUMOR), 1, 1) for own in some]
         rows.append([f"recordings, {kind}, markers below 0.9 m hidden", *cells])
-    names = dict.fromkeys([*(name for pair, _ in measured for name in pair), *real])
+    names = dict.fromkeys([*(name for own, _ in measured for name in own), *real])
     return markdown(["cm", *headings], rows) + source(*names)
 
 

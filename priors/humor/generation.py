@@ -1,6 +1,7 @@
 """New motions from HuMoR: latents drawn from the conditional prior, step after step."""
 
 from collections.abc import Callable
+from functools import partial
 
 import torch
 from jaxtyping import Float
@@ -10,11 +11,19 @@ from priors.humor.first import first_states
 from priors.humor.networks import HumorNetworks
 from priors.humor.prior import Humor
 from priors.humor.state import Frame, State, compose, contact_probabilities, states_of
+from priors.humor.stepwise.footing import Footing
+from recon.body.contacts import rest_heights, touching_heights
 from recon.body.kinematics import forward_kinematics
 from recon.core.errors import ReconError
 from recon.core.motion import Motion
+from recon.core.skeleton import FEET
 from recon.core.struct import stack
 from recon.method.protocols import REFERENCE_FPS, Decoded
+
+TEMPERATURE = 0.9
+"""Factor on the standard deviations of the prior for motions that are made up: with all of the
+spread, errors of steps add up to motions that leave their feet more often."""
+_FOOTING = Footing()
 
 Landing = Callable[[State, Float[Tensor, "clips 22 3"]], State]
 """A function that changes every predicted state, given the unposed joints of its body."""
@@ -92,6 +101,7 @@ def roll_from(
     *,
     temperature: float = 1.0,
     landing: Landing = body_at_joints,
+    footing: Footing | None = _FOOTING,
     start_time: float = 0.0,
 ) -> Decoded:
     """Random continuations of given states, which come first; axes (clips, frames), 30 Hz.
@@ -104,6 +114,7 @@ def roll_from(
         random: of the latents; None takes the prior's mean at every step.
         temperature: factor on the prior's standard deviations; above 1 draws more varied motions.
         landing: what becomes of every step's state before the next one starts from it.
+        footing: how the ground holds the bodies; None leaves it to the networks.
         start_time: of the first frame, seconds.
 
     Raises:
@@ -111,14 +122,25 @@ def roll_from(
     """
     if frames < 2:
         raise ReconError(f"a motion from HuMoR has two frames at least, asked for {frames}")
-    pelvis, rest = humor.pelvis(shape), humor.body.rest_joints(shape)
+    touching = touching_heights(rest_heights(humor.body, shape))[:, FEET]
+    draws = 1 if footing is None or random is None else footing.draws
+    bodies = humor.pelvis(shape), humor.body.rest_joints(shape), touching
+    pelvis, rest, low = (_repeated(tensor, draws) for tensor in bodies)
     states, logits = [first], []
     for _ in range(frames - 1):
-        frame, reached, touching = drawn_step(
-            humor.networks, states[-1], pelvis, random, temperature=temperature
+        before = states[-1].map(partial(_repeated, count=draws))
+        frame, reached, touched = drawn_step(
+            humor.networks, before, pelvis, random, temperature=temperature
         )
-        states.append(frame.leave(landing(reached, rest), pelvis))
-        logits.append(touching)
+        after = frame.leave(landing(reached, rest), pelvis)
+        if footing is not None:
+            if draws > 1:
+                assert random is not None
+                kept = footing.kept(before, after, low, random)
+                after, touched = after[kept], touched[kept]
+            after = footing.grounded(states[-1], after, touching)
+        states.append(after)
+        logits.append(touched)
 
     found = stack(states).map(lambda tensor: tensor.transpose(0, 1))
     contacts = contact_probabilities(torch.stack(logits, 1))
@@ -132,6 +154,10 @@ def roll_from(
     return Decoded(motion, contacts=contacts, joints=found.joints)
 
 
+def _repeated(tensor: Tensor, count: int) -> Tensor:
+    return tensor.repeat_interleave(count, 0)
+
+
 @torch.no_grad()
 def predict(
     humor: Humor,
@@ -140,7 +166,8 @@ def predict(
     samples: int,
     random: torch.Generator | None,
     *,
-    temperature: float = 1.0,
+    temperature: float = TEMPERATURE,
+    footing: Footing | None = _FOOTING,
 ) -> Decoded:
     """Motions that continue the last frame of given ones; axes (samples · clips, frames), 30 Hz.
 
@@ -154,6 +181,7 @@ def predict(
         samples: continuations of every clip.
         random: of the latents; None takes the prior's mean at every step.
         temperature: as of `roll_from`.
+        footing: as of `roll_from`.
 
     Raises:
         ValueError: when a clip is padded or shorter than two frames.
@@ -170,20 +198,34 @@ def predict(
     last = motion.stop_time
     shape = repeated(motion.shape)
     return roll_from(
-        humor, first.map(repeated), shape, frames, random, temperature=temperature, start_time=last
+        humor,
+        first.map(repeated),
+        shape,
+        frames,
+        random,
+        temperature=temperature,
+        footing=footing,
+        start_time=last,
     )
 
 
 @torch.no_grad()
 def sample(
-    humor: Humor, frames: int, samples: int, random: torch.Generator, *, temperature: float = 1.0
+    humor: Humor,
+    frames: int,
+    samples: int,
+    random: torch.Generator,
+    *,
+    temperature: float = TEMPERATURE,
+    footing: Footing | None = _FOOTING,
 ) -> Decoded:
     """Motions drawn from the prior: first states from the mixture, latents from the prior.
 
     Axes (samples, frames), 30 Hz; the bodies are those that the first states ask for.
+    `temperature` and `footing` are as of `roll_from`.
 
     Raises:
         ValueError: when the mixture is a released one, over numbers that repeat each other.
     """
     first, shape = first_states(humor.initial, humor.body, samples, random)
-    return roll_from(humor, first, shape, frames, random, temperature=temperature)
+    return roll_from(humor, first, shape, frames, random, temperature=temperature, footing=footing)

@@ -24,8 +24,8 @@ class GenerationSettings:
     """A SMPL-family file; None is the bundled body."""
     device: Literal["cpu", "cuda"] = "cpu"
     """Device that computes."""
-    temperature: float = 1.0
-    """Factor on the standard deviations of the prior; above 1 motions vary more."""
+    temperature: float | None = None
+    """Factor on the standard deviations of the prior; None is 0.9."""
 
     def arguments(self) -> dict[str, Any]:
         """The settings as arguments of `recon.sample` and `recon.predict`."""

@@ -88,6 +88,28 @@ class Support(TensorStruct):
         add_differences(joints, (-1.0, 1.0), steps)
 
 
+def carried_share(acceleration: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:
+    """1 + a / g between 0 and 1, of the body's vertical acceleration a, m/s²."""
+    return (1 + acceleration / GRAVITY).clamp(0, 1)
+
+
+def foot_energy(
+    height: Float[Tensor, "*shape"], squared_speed: Float[Tensor, "*shape"]
+) -> Float[Tensor, "*shape"]:
+    """ρ(½ (h² / σ_h² + v² / σ_v²)) of joints of feet; nats.
+
+    Args:
+        height: above the height at which the joint touches, metres; h is what exceeds 2 cm.
+        squared_speed: v², m²/s².
+    """
+    return heavy_tailed(_unrest_of(height, squared_speed))
+
+
+def _unrest_of(height: Tensor, squared_speed: Tensor) -> Tensor:
+    away = (height.abs() - TOLERANCE).clamp(min=0)
+    return 0.5 * ((away / HEIGHT).square() + squared_speed / SPEED**2)
+
+
 def heavy_tailed(nats: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:
     """ρ(x) = s log(1 + x / s): as x where it is small, slower where it is large."""
     return FAR * torch.log1p(nats / FAR)
@@ -96,7 +118,7 @@ def heavy_tailed(nats: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:
 def _load(estimate: Estimate) -> Float[Tensor, "*batch inner"]:
     """Share of its weight that the ground carries of the body, judged by its pelvis."""
     pelvis = second_differences(estimate.body.joints[..., :1, :], estimate.motion.fps)
-    return (1 + pelvis[..., 0, 2] / GRAVITY).clamp(0, 1)
+    return carried_share(pelvis[..., 0, 2])
 
 
 def _unrest(estimate: Estimate) -> Float[Tensor, "*batch inner 4"]:
@@ -105,12 +127,10 @@ def _unrest(estimate: Estimate) -> Float[Tensor, "*batch inner 4"]:
     feet = posed.joints[..., FEET, :]
     resting = touching_heights(rest_heights(posed.model, posed.shape))[..., FEET]
     height = inner(feet, fps)[..., 2] - resting[..., None, :]
-    away = (height.abs() - TOLERANCE).clamp(min=0)
-    speed = (feet.diff(dim=-3) * (fps / SPEED)).square().sum(-1)
+    speed = feet.diff(dim=-3).square().sum(-1) * fps**2
     frames = height.shape[-2]
     before, after = speed[..., span - 1 :, :], speed[..., span:, :]
-    both = 0.5 * (before[..., :frames, :] + after[..., :frames, :])
-    return 0.5 * ((away / HEIGHT).square() + both)
+    return _unrest_of(height, 0.5 * (before[..., :frames, :] + after[..., :frames, :]))
 
 
 def _span(estimate: Estimate) -> int:

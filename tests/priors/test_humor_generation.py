@@ -34,7 +34,7 @@ def test_steps_as_predicted_are_those_of_the_roll_out(body: BodyModel) -> None:
     """The prior's means as given latents lead to the same motion, joints and contacts."""
     prior = humor(body)
     state, shape = states_of(motions(), body)[:, 0], motions().shape
-    found = roll_from(prior, state, shape, 5, None, landing=as_predicted)
+    found = roll_from(prior, state, shape, 5, None, landing=as_predicted, footing=None)
     pelvis, frame = prior.pelvis(shape), Frame.of(state)
     start = frame.enter(state, pelvis).pack()
     decoder = FrozenDecoder.of(prior.networks.decoder)
@@ -88,7 +88,7 @@ def test_latents_have_the_priors_spread(body: BodyModel) -> None:
     many = first.map(lambda t: t.expand(4000, *t.shape[1:]))
     shape = motions().shape[:1].expand(4000, -1)
     random = torch.Generator().manual_seed(0)
-    made = roll_from(prior, many, shape, 2, random, landing=as_predicted).motion
+    made = roll_from(prior, many, shape, 2, random, landing=as_predicted, footing=None).motion
     step = made.translation[:, 1, 2] - made.translation[:, 0, 2]
     expected = (0.5 * log_variance[0, 0]).exp()
     torch.testing.assert_close(step.std(), expected, rtol=0.05, atol=0)  # 4000 draws: 1 %
@@ -116,7 +116,7 @@ def test_predictions_start_where_the_motion_ends(body: BodyModel) -> None:
 def test_a_prediction_goes_on_from_the_last_frame_at_any_rate(body: BodyModel) -> None:
     """24 frames at 100 Hz end between two frames at 30 Hz; its velocity is of its last step."""
     motion = swinging(24, 3, fps=100.0)[None]
-    found = predict(humor(body, still=True), motion, 3, 1, None).motion
+    found = predict(humor(body, still=True), motion, 3, 1, None, footing=None).motion
     assert found.fps == 30
     assert found.start_time == pytest.approx(0.23)  # seconds
     torch.testing.assert_close(found.rotations[:, 0], motion.rotations[:, -1])

@@ -27,7 +27,7 @@ def sample(
     seconds: float = 5.0,
     shape: ShapeLike | None = None,
     fps: float | None = None,
-    temperature: float = 1.0,
+    temperature: float | None = None,
     weights: str = "open",
     body: BodyLike = None,
     seed: int = 0,
@@ -45,8 +45,8 @@ def sample(
         seconds: from the first frame of a motion to its last.
         shape: of `humos`: the body, as `recon.retarget` takes it; None is the average body.
         fps: of `humos`: rate of the motions, frames per second; None is 30.
-        temperature: of `humor`: factor on the standard deviations of the prior; above 1 motions
-            vary more, below 1 they are more usual.
+        temperature: of `humor`: factor on the standard deviations of the prior; higher ones make
+            motions that vary more; None is 0.9.
         weights: of a prior that is given by its name: `open`, `nc` (not for commercial use) or a
             file.
         body: a body, a SMPL-family file, or None for the bundled body.
@@ -59,7 +59,7 @@ def sample(
     """
     _counted(count, "count")
     if prior == "humos" or isinstance(prior, Humos):
-        if temperature != 1:
+        if temperature is not None:
             raise ReconError(f"temperature: is HuMoR's; HUMOS has none, got {temperature}")
         if device != "cpu":
             raise ReconError(f"device: HUMOS makes motions on the processor, got {device!r}")
@@ -83,7 +83,7 @@ def predict(
     seconds: float = 2.0,
     samples: int = 1,
     at: float | None = None,
-    temperature: float = 1.0,
+    temperature: float | None = None,
     weights: str = "open",
     body: BodyLike = None,
     seed: int = 0,
@@ -100,7 +100,8 @@ def predict(
         seconds: to come.
         samples: how many continuations.
         at: seconds after the motion's first frame from which on it is not known; None is its end.
-        temperature: factor on the standard deviations of the prior; above 1 motions vary more.
+        temperature: factor on the standard deviations of the prior; higher ones make motions that
+            vary more; None is 0.9.
         weights: of a prior that is given by its name: `open`, `nc` or a file.
         body: the motion's body; a SMPL-family file, or None for the bundled body.
         seed: of everything random.
@@ -209,7 +210,9 @@ def _frames(seconds: float) -> int:
     return round(seconds * REFERENCE_FPS) + 1
 
 
-def _temperature(temperature: float) -> float:
+def _temperature(temperature: float | None) -> float:
+    if temperature is None:
+        return generation.TEMPERATURE
     if not finite(temperature, "temperature") >= 0:
         raise ReconError(f"temperature: expected a number of 0 or more, got {temperature}")
     return temperature

@@ -19,7 +19,7 @@ def predict(
     weights: str | None = None,
     body: Path | None = None,
     device: Literal["cpu", "cuda"] = "cpu",
-    temperature: float = 1.0,
+    temperature: float | None = None,
     json: Annotated[bool, arg(help="Print the report as JSON on stdout.")] = False,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
@@ -38,7 +38,7 @@ def predict(
         weights: `open`, `nc` or a file; default: the bundled ones.
         body: the SMPL-family file of the motion's body; default: the bundled body.
         device: where to compute.
-        temperature: above 1 draws more varied motions, below 1 more usual ones.
+        temperature: factor on the spread of every step; default: 0.9.
         json: print the report as JSON on stdout.
         overwrite: replace files that are there and recon did not write.
         quiet: say nothing but errors and, last, where the result is.
