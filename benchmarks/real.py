@@ -73,6 +73,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
     parser.add_argument("observations", type=Path, help="folder of marker recordings")
+    parser.add_argument("--weights", default="open", help="of HuMoR: open, nc or a file")
     parser.add_argument("--minutes", type=float, default=None, help="begin no recording later")
     parser.add_argument("--pictures", type=Path, default=None)
     parser.add_argument("--json", type=Path, default=None)
@@ -80,7 +81,7 @@ def main() -> None:
     began, listed, body = monotonic(), load_list(), BodyModel.load()
     methods: dict[str, Method] = {
         POSE: PosePrior.load(weights=PoseWeights.for_noise(NOISE)),
-        HUMOR: Collocation.for_noise(Humor.load(body=body), NOISE),
+        HUMOR: Collocation.for_noise(Humor.load(arguments.weights, body=body), NOISE),
     }
     rows: dict[str, dict[str, Any]] = earlier(arguments.json, "recordings")
     source = recordings_source(arguments.observations, [one.path for one in listed])
