@@ -72,7 +72,7 @@ TABLES: Mapping[str, Table] = {
     "variety-scratch": variety.from_scratch,
     "retrained": retrained.weights,
     "limbs": retrained.limbs,
-    "strangers-varied": variety.all_folds,
+    "open-nc": retrained.licences,
     "fuzz": others.fuzz,
     "cameras-summary": cameras.summary,
     "cameras": cameras.cameras,

@@ -41,30 +41,34 @@ def ablations() -> str:
 def generation() -> str:
     """Samples after true states, and how they stay on their feet."""
     rows = []
-    for weights in ("open", "nc"):
-        tables = result(f"generation_{weights}")["tables"]
-        feet = tables["on their feet"]
-        for key, label in (
-            ("body at the joints (default)", f"{weights} weights"),
-            ("default, temperature 1.3", f"{weights}, `--temperature 1.3`"),
-        ):
-            row = tables["prediction"][key]
-            mixture = feet["from the mixture"]["stays"] if "default)" in key else None
-            rows.append(
-                [label, *(_cm(row, metric) for metric in ("ade_mean", "ade", "fde", "apd")),
-                 number(mixture, 100, 0),
-                 number(feet[f"from real states, {key}"]["stays"], 100, 0)]
-            )  # fmt: skip
     tables = result("generation_open")["tables"]
+    feet = tables["on their feet"]
+    for key, label, mixture in (
+        ("held by the ground (default)", "default", "from the mixture"),
+        ("default, temperature 1.3", "`--temperature 1.3`", None),
+        ("body at the joints", "networks alone", "from the mixture, networks"),
+    ):
+        row = tables["prediction"][key]
+        made = None if mixture is None else feet[mixture]
+        rows.append(
+            [label,
+             *(_cm(row, metric) for metric in ("ade_mean", "ade", "fde", "apd_upright")),
+             number(mean(row, "speed"), 1, 2),
+             *(number(None if made is None else made[name], factor, digits)
+               for name, factor, digits in (("stays", 100, 0), ("speed", 1, 2))),
+             number(feet[f"from real states, {key}"]["stays"], 100, 0)]
+        )  # fmt: skip
     guess = tables["prediction"]["constant velocity"]
     rows.append(
-        ["constant velocity", _cm(guess, "ade_mean"), NONE, _cm(guess, "fde"), *[NONE] * 3]
+        ["constant velocity", _cm(guess, "ade_mean"), NONE, _cm(guess, "fde"), *[NONE] * 5]
     )
     recorded = tables["on their feet"]["as recorded, up to 5 s"]["stays"]
-    rows.append(["truth", *[NONE] * 5, number(recorded, 100, 0)])
-    headings = ["cm", "ADE of a sample, mean", "ADE, best of 50", "FDE, best of 50", "APD",
-                "on their feet from the mixture %", "from true states %"]  # fmt: skip
-    return markdown(headings, rows) + source("generation_open", "generation_nc")
+    truth = number(mean(tables["prediction"]["truth"], "speed"), 1, 2)
+    rows.append(["truth", *[NONE] * 4, truth, NONE, NONE, number(recorded, 100, 0)])
+    headings = ["cm", "ADE of a sample, mean", "ADE, best of 50", "FDE, best of 50",
+                "APD on their feet", "mean speed m/s", "on their feet from the mixture %",
+                "their mean speed m/s", "on their feet from true states %"]  # fmt: skip
+    return markdown(headings, rows) + source("generation_open")
 
 
 def _cm(row: dict, key: str) -> str:

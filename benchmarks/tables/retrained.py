@@ -1,4 +1,4 @@
-"""Fits before and after a change that is told in words: of the weights, or of the method."""
+"""Fits by one weights or method beside fits by others, on the same windows and recordings."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -32,9 +32,12 @@ def limbs() -> str:
     return _beside(_LIMBS, ("real_before", "real_limbs", "real"), headings)
 
 
-def _beside(
-    measured: Sequence[tuple[_Names, _Told]], real: _Names, headings: _Names
-) -> str:
+def licences() -> str:
+    """Hidden markers of people whom neither the open nor the nc weights know."""
+    return _beside((), ("real", "real_nc"), ("open", "nc"))
+
+
+def _beside(measured: Sequence[tuple[_Names, _Told]], real: _Names, headings: _Names) -> str:
     rows: list[list[str]] = []
     for names, (protocol, metric, told) in measured:
         every = [_of(name, protocol) for name in names]

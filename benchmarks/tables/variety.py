@@ -6,8 +6,7 @@ from typing import Any
 from benchmarks.strangers import compare
 from benchmarks.strangers.compare import Rows
 from benchmarks.strangers.fits import HUMOR, POSE
-from benchmarks.tables import strangers
-from benchmarks.tables.strangers import estimate_cell
+from benchmarks.tables.strangers import estimate_cell, folds_of
 from benchmarks.tables.values import markdown, number, present, result, source
 
 HEADINGS = ["fold", "learned from", "noisy joints", "legs of noisy joints", "hidden points",
@@ -43,22 +42,11 @@ def from_scratch() -> str:
     """Folds trained from scratch with all variations, against those trained without."""
     if not present(["strangers", *_VARIED]):
         return _FOLDS_LATER
-    plain, varied = result("strangers")["folds"], _varied()
+    plain, varied = result("strangers")["folds"], folds_of(_VARIED)
     base = {fold: own for fold, own in plain.items() if fold in varied}
     varied = {fold: own for fold, own in varied.items() if fold in base}
     table = markdown(HEADINGS, lines({BASE: base, "all": varied}))
     return table + source("strangers", *_VARIED)
-
-
-def all_folds() -> str:
-    """Every fold that was trained from scratch with all variations, against the pose prior."""
-    if not present(_VARIED):
-        return _FOLDS_LATER
-    return markdown(strangers.HEADINGS, strangers.lines(_varied())) + source(*_VARIED)
-
-
-def _varied() -> dict[str, Any]:
-    return {fold: own for name in _VARIED for fold, own in result(name)["folds"].items()}
 
 
 def lines(found: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> list[list[str]]:
