@@ -1,9 +1,10 @@
 """Motions out of nothing, or after the end of a motion file: what `sample` and `predict` do."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
+from priors.humor.generation import TEMPERATURE
 from recon.api.results.motions import MotionResults, file_names
 from recon.api.verbs.generate import predict, sample
 from recon.formats.results.reports import checksums, versions
@@ -25,7 +26,11 @@ class GenerationSettings:
     device: Literal["cpu", "cuda"] = "cpu"
     """Device that computes."""
     temperature: float | None = None
-    """Factor on the standard deviations of the prior; None is 0.9."""
+    """Factor on the standard deviations of the prior; None is 0.9, and all that HUMOS takes."""
+
+    def of_humor(self) -> "GenerationSettings":
+        """The settings with HuMoR's usual temperature where none is asked for."""
+        return self if self.temperature is not None else replace(self, temperature=TEMPERATURE)
 
     def arguments(self) -> dict[str, Any]:
         """The settings as arguments of `recon.sample` and `recon.predict`."""
@@ -56,6 +61,7 @@ def sample_files(
         FileExistsError: when something is there that recon did not write, unless `overwrite`.
     """
     file_names(out, count, "sample")
+    settings = settings.of_humor()
     made = sample(count=count, **settings.arguments())
     return _write(out, made, {"settings": asdict(settings)}, overwrite=overwrite)
 
@@ -116,6 +122,7 @@ def predict_files(
         FileExistsError: as in `sample_files`.
     """
     file_names(out, samples, "prediction")
+    settings = settings.of_humor()
     made = predict(motion, samples=samples, at=at, **settings.arguments())
     about = {
         "settings": asdict(settings),

@@ -58,6 +58,7 @@ def test_samples_are_motion_files(weights: Path, tmp_path: Path, capsys) -> None
     assert [Path(path).name for path in report["files"]] == ["sample_000.npz", "sample_001.npz"]
     assert report.items() <= json.loads((folder / "report.json").read_text()).items()
     assert report["settings"]["seed"] == 0
+    assert report["settings"]["temperature"] == 0.9
     body = BodyModel.load()
     for file in files:
         assert (file.motion.frames, file.motion.fps, file.checksum) == (7, 30, body.checksum)
