@@ -8,12 +8,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from priors.humor.first import first_states
-from priors.humor.networks import HumorNetworks
 from priors.humor.prior import Humor
-from priors.humor.state import Frame, State, compose, contact_probabilities, states_of
+from priors.humor.state import State, contact_probabilities, posed_joints, states_of
+from priors.humor.stepwise.drawn import drawn_step
 from priors.humor.stepwise.footing import Footing
 from recon.body.contacts import rest_heights, touching_heights
-from recon.body.kinematics import forward_kinematics
 from recon.core.errors import ReconError
 from recon.core.motion import Motion
 from recon.core.skeleton import FEET
@@ -53,42 +52,6 @@ def body_at_joints(state: State, rest: Float[Tensor, "clips 22 3"]) -> State:
     return state.replace(
         translation=state.translation + shift, joints=joints + shift[..., None, :]
     )
-
-
-def posed_joints(state: State, rest: Float[Tensor, "clips 22 3"]) -> Float[Tensor, "clips 22 3"]:
-    """Joints of the posed body by its translation and rotations, metres."""
-    rotations = torch.cat((state.root[:, None], state.pose), 1)[:, None]
-    return forward_kinematics(rotations, rest)[1][:, 0] + state.translation[:, None]
-
-
-def drawn_step(
-    networks: HumorNetworks,
-    state: State,
-    pelvis: Float[Tensor, "clips 3"],
-    random: torch.Generator | None,
-    *,
-    temperature: float = 1.0,
-) -> tuple[Frame, State, Float[Tensor, "clips 9"]]:
-    """One step by a latent drawn from the conditional prior, or by the prior's mean.
-
-    Args:
-        networks: in the states' precision and on their device.
-        state: in the world.
-        pelvis: of the bodies at rest, horizontally.
-        random: of the latents; None takes the mean.
-        temperature: factor on the prior's standard deviations.
-
-    Returns:
-        The canonical frame of the state, the next state in it, and the logits of contacts.
-    """
-    frame = Frame.of(state)
-    here = frame.enter(state, pelvis)
-    packed = here.pack()
-    latent, log_variance = networks.prior(packed)
-    if random is not None:
-        noise = torch.randn(latent.shape, generator=random).to(latent)
-        latent = latent + temperature * noise * (0.5 * log_variance).exp()
-    return frame, *compose(here, networks.decode(packed, latent))
 
 
 @torch.no_grad()

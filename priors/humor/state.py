@@ -7,6 +7,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from priors.humor.networks import STATE
+from recon.body.kinematics import forward_kinematics
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion
@@ -227,3 +228,9 @@ def distinct_features() -> Int[Tensor, " features"]:
     joints = 3 * len(JOINTS)
     repeated = {0, 1, joints, joints + 1, joints + 2}
     return torch.tensor([k for k in range(2 * joints + 6) if k not in repeated])
+
+
+def posed_joints(state: State, rest: Float[Tensor, "clips 22 3"]) -> Float[Tensor, "clips 22 3"]:
+    """Joints of the posed body by its translation and rotations, metres."""
+    rotations = torch.cat((state.root[:, None], state.pose), 1)[:, None]
+    return forward_kinematics(rotations, rest)[1][:, 0] + state.translation[:, None]

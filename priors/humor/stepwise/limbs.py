@@ -7,9 +7,8 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from priors.humor.generation import posed_joints
 from priors.humor.prior import Humor
-from priors.humor.state import Frame, State, initial_features
+from priors.humor.state import Frame, State, initial_features, posed_joints
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.skeleton import JOINTS, PARENTS, descendants

@@ -17,9 +17,9 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from priors.humor.generation import drawn_step
 from priors.humor.prior import Humor
 from priors.humor.state import State, states_of
+from priors.humor.stepwise.drawn import drawn_step
 from priors.humor.stepwise.limbs import LimbDraws
 from recon.core.motion import Motion
 from recon.core.skeleton import TOES
