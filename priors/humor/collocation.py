@@ -20,6 +20,7 @@ from priors.humor.prior import Humor
 from priors.humor.state import contact_probabilities, posed_states
 from priors.humor.stepwise.curvature import SPAN, bundled_curvature
 from priors.humor.stepwise.energies import ERROR, SURPRISE, CollocationWeights, heavy_tailed
+from priors.humor.stepwise.likely import LikelyStates
 from priors.humor.stepwise.limbs import unseen_limbs
 from priors.humor.stepwise.particles import UnseenLimbs
 from priors.humor.stepwise.steps import explain
@@ -101,6 +102,8 @@ class CollocatedHumor:
         if isinstance(energy, Support):
             energy.add_curvature(term.weight, clip.estimate, clip.clip, clip.joints)
             return True
+        if isinstance(energy, LikelyStates):
+            return True  # steps are stiffer: L-BFGS learns what this one adds
         if not isinstance(energy, PriorEnergy) or energy.name not in ("step", "latents"):
             return self.poses.add_curvature(term, clip)
         name = energy.name
@@ -178,8 +181,8 @@ class Collocation:
         whole clip first, in cosines of time: where limbs are hidden it comes to better minima than
         Newton's direction does. Where every joint is seen, it is left out, and the poses before
         are found roughly. Where limbs are never seen, a stage before the last begins from several
-        motions of theirs as well, and the one of the lowest objective goes on; where legs are
-        among them, gravity asks for a foot that carries the body.
+        motions of theirs as well, and the one of the lowest objective goes on; states must be
+        likely then, and where legs are unseen, gravity asks for a foot that carries the body.
         """
         root, poses, steps = self.without_feet(data)
         held = Term("contact velocity", contact_velocity, self.weights.contact_velocity)
@@ -195,7 +198,8 @@ class Collocation:
         if unseen is None:
             return root, poses, steps, feet
         carried = Term("support", Support(unseen[:, KNEES].any(-1)), self.weights.support)
-        steps, feet = (replace(s, terms=(*s.terms, carried)) for s in (steps, feet))
+        likely = Term("state", LikelyStates(self.humor, unseen), self.weights.state)
+        steps, feet = (replace(s, terms=(*s.terms, carried, likely)) for s in (steps, feet))
         limbs = replace(
             feet, name="limbs", proposals=UnseenLimbs(self.humor, unseen), kept=1,
             minimiser=replace(last, tolerance_decrease=1e-3),

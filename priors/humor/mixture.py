@@ -108,9 +108,19 @@ class Mixture(TensorStruct):
         """-log p(x), nats."""
         away = x[..., None, self.features] - self.means
         white = torch.einsum("...kd,kde->...ke", away, self.whitening)
+        return -(self._log_heights() - 0.5 * white.square().sum(-1)).logsumexp(-1)
+
+    def rarity(self, x: Float[Tensor, "*batch numbers"]) -> Float[Tensor, "*batch"]:
+        """How far -log p(x) is above that of the highest component's mean, never below zero; nats.
+
+        A draw of one component is about half as many above that component as it has numbers.
+        """
+        return (self.energy(x) + self._log_heights().max()).clamp(min=0)
+
+    def _log_heights(self) -> Float[Tensor, " components"]:
+        """Logarithms of w_k N(m_k; m_k, C_k), what each component is worth at its mean."""
         log_volume = self.whitening.diagonal(dim1=-2, dim2=-1).log().sum(-1)
-        constant = self.log_weights + log_volume - 0.5 * len(self.features) * math.log(2 * math.pi)
-        return -(constant - 0.5 * white.square().sum(-1)).logsumexp(-1)
+        return self.log_weights + log_volume - 0.5 * len(self.features) * math.log(2 * math.pi)
 
     def given(
         self,

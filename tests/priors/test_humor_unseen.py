@@ -9,6 +9,7 @@ from observations.joints3d import Joints3D
 from priors.humor.collocation import Collocation
 from priors.humor.prior import Humor
 from priors.humor.state import states_of
+from priors.humor.stepwise.likely import LikelyStates
 from priors.humor.stepwise.limbs import LimbDraws, unseen_limbs
 from priors.humor.stepwise.particles import ParticleFilter, UnseenLimbs
 from recon.body.model import BodyModel
@@ -17,6 +18,7 @@ from recon.core.skeleton import LEGS
 from recon.method.protocols import Estimate
 from recon.method.reconstruction import solve
 from recon.method.terms import Term
+from tests import laws
 from tests.priors.test_humor import humor
 from tests.priors.test_humor_collocation import demo_clip
 from tests.priors.test_pose import swinging
@@ -158,3 +160,35 @@ def test_legs_of_a_walk_that_nobody_saw_walk() -> None:
     assert objective <= objective_before * (1 + 1e-3)
     assert error < 0.12  # metres
     assert error <= error_before + 0.01
+
+
+def test_likely_states_keep_the_contract_of_energies(body: BodyModel) -> None:
+    unseen = BOTH_LEGS.expand(2, 22)
+    walkers = laws.a_motion(body, frames=8)
+    laws.check_energy(LikelyStates(Humor.load(), unseen), body, walkers, None)
+
+
+def test_clips_whose_limbs_were_seen_have_no_energy_of_states(body: BodyModel) -> None:
+    unseen = torch.stack((BOTH_LEGS, torch.zeros_like(BOTH_LEGS)))
+    estimate = laws.estimate_of(body, laws.a_motion(body, frames=8))
+    energy = LikelyStates(Humor.load(), unseen)
+    some = energy(estimate)
+    assert some[0] > 0
+    assert some[1] == 0
+    # clips that have converged leave the others behind
+    left = laws.estimate_of(body, laws.a_motion(body, frames=8)[1:])
+    assert energy[1:](left).tolist() == [0.0]
+
+
+def test_legs_that_do_not_swing_with_the_arms_are_unlikely_states(body: BodyModel) -> None:
+    """Fits of hidden legs took three steps while the arms swung four times: every step was
+    likely from the one before, and no state was."""
+    walk = demo_clip()
+    later = walk.rotations.roll(12, 1)
+    legs = torch.tensor([joint in LEGS or joint in (1, 2) for joint in range(22)])
+    mixed = walk.replace(rotations=later.where(legs[:, None, None], walk.rotations))
+    energy = LikelyStates(Humor.load(), BOTH_LEGS[None])
+    true, false = (
+        energy(laws.estimate_of(body, m.to(dtype=torch.float64))) for m in (walk, mixed)
+    )
+    assert float(true) < float(false) - 10 * walk.frames

@@ -93,3 +93,16 @@ def test_conditioning_divides_densities() -> None:
     free = mixture.sample(20_000, random)[:, ~known]
     drawn = loose.sample(20_000, random)
     torch.testing.assert_close(drawn.mean(0), free.mean(0), rtol=0, atol=0.15)
+
+
+def test_rarity_is_measured_from_the_highest_mean() -> None:
+    """Nats are negative where variances are small, and an energy with tails needs a zero."""
+    weights = torch.tensor([0.9, 0.1], dtype=torch.float64)
+    means = torch.tensor([[0.0, 0.0], [50.0, 0.0]], dtype=torch.float64)
+    covariances = 1e-4 * torch.eye(2, dtype=torch.float64).expand(2, 2, 2)
+    mixture = Mixture.create(weights, means, covariances)
+    x = means + torch.tensor([0.0, 0.02], dtype=torch.float64)
+    assert (mixture.energy(x) < 0).all()
+    expected = torch.tensor([2.0, 2.0 + np.log(9.0)], dtype=torch.float64)
+    torch.testing.assert_close(mixture.rarity(x), expected)
+    torch.testing.assert_close(mixture.rarity(means)[0], torch.zeros_like(x[0, 0]))

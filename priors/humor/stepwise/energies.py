@@ -10,6 +10,9 @@ from priors.pose.prior import PoseWeights
 ERROR, SURPRISE = 100.0, 20.0
 """Energies of one step, in nats, beyond which it counts less and less. A step that is far from
 the corpus is one that the networks never saw, so the data should decide about it."""
+RARITY = 300.0
+"""Rarity of one state (`priors.humor.stepwise.likely`), in nats, beyond which it counts less and
+less. Draws of the mixture of initial states have 66 on average."""
 
 
 @dataclass(frozen=True)
@@ -27,6 +30,9 @@ class CollocationWeights:
     support: float
     """Weight of feet that carry the body where nobody saw them, in nats per frame
     (`recon.physics.support`)."""
+    state: float
+    """Weight of the rarity of a state where nobody saw a limb, in nats per frame
+    (`priors.humor.stepwise.likely`)."""
 
     @classmethod
     def for_noise(cls, noise: float) -> "CollocationWeights":
@@ -45,6 +51,7 @@ class CollocationWeights:
             latents=0.3 * variance,
             contact_velocity=2e4 * max(noise, 0.008) ** 2,
             support=0.6 * variance,
+            state=0.1 * variance,
         )
 
 
