@@ -221,3 +221,22 @@ def joints_shown(
         [[b == j or PARENTS[j] == b or PARENTS[b] == j for j in range(len(JOINTS))] for b in bones]
     )
     return near & touches
+
+
+def told_joints(
+    shown: Bool[Tensor, "*batch moments points"], shows: Bool[np.ndarray, "points 22"]
+) -> Float[Tensor, "*batch 22"]:
+    """Share of the moments in which the place of each joint is told by a point that was seen.
+
+    Moments before the first and after the last that shows anything do not count: a clip that is
+    fitted beside longer ones is filled up with them.
+
+    Args:
+        shown: which points were seen.
+        shows: joints whose place each point tells (`joints_shown`).
+    """
+    tells = torch.from_numpy(shows).to(device=shown.device, dtype=torch.get_default_dtype())
+    anything = shown.any(-1).to(tells)
+    within = (anything.cumsum(-1) > 0) & (anything.flip(-1).cumsum(-1).flip(-1) > 0)
+    told = ((shown.to(tells) @ tells) > 0) & within[..., None]
+    return told.to(tells).sum(-2) / within.sum(-1, keepdim=True).clamp(min=1)

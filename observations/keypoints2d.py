@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from observations.checks import checked_clock, checked_pixels, checked_places, checked_view
-from observations.correspondences import BodyPoints, joints_shown
+from observations.correspondences import BodyPoints, joints_shown, told_joints
 from observations.noise import LIMITS, estimate_noise
 from observations.records.curvature import of_pixels
 from observations.records.offsets import displaced
@@ -29,6 +29,8 @@ from recon.method.protocols import REFERENCE_FPS, Estimate
 
 SIGMA = 100.0
 """Pixels; HuMoR's (section 6.9)."""
+FAINT = 0.2
+"""Share of the greatest confidence of a clip up to which a keypoint tells nothing of a joint."""
 OFFSET_UNIT = 0.05
 """Metres; an offset is seen in all frames and views at once, so that its variable is stiff."""
 
@@ -213,12 +215,22 @@ class Keypoints2D(SensorRecord):
         del body, step
         return self
 
+    def told_joints(self, body: BodyModel) -> Float[Tensor, "*batch 22"]:
+        """Share of the moments in which a keypoint tells where each joint is in the image.
+
+        Detectors place legs beyond the edge of an image, too, but do not believe in them: a
+        keypoint of less than a fifth of the greatest confidence tells nothing.
+        """
+        greatest = self.confidence.amax((-2, -1), keepdim=True)
+        return told_joints(self.shown & (self.confidence > FAINT * greatest), self._shows(body))
+
     def shown_joints(self, estimate: Estimate) -> Bool[np.ndarray, "moments 22"]:
         """Joints of the first clip that a keypoint tells the place of, at every moment."""
-        body = estimate.body.model
+        return self.shown[0].cpu().numpy() @ self._shows(estimate.body.model)
+
+    def _shows(self, body: BodyModel) -> Bool[np.ndarray, "points 22"]:
         rest = self.points.at_rest(body, body.template.new_zeros(body.shape_size))
-        shows = joints_shown(self.points.bones, rest.double().cpu().numpy(), body)
-        return self.shown[0].cpu().numpy() @ shows
+        return joints_shown(self.points.bones, rest.double().cpu().numpy(), body)
 
     def start(self, body: BodyModel) -> Motion:
         """The rest pose where the torso's keypoints suggest; see `image_start`."""

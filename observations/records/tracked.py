@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from observations.correspondences import joints_shown
+from observations.correspondences import joints_shown, told_joints
 from observations.noise import estimate_noise
 from observations.records.curvature import of_places
 from observations.records.offsets import displaced
@@ -205,21 +205,13 @@ class TrackedPoints(SensorRecord):
         return limbs_towards(start, body, rest, bones, self.positions, self.visible)
 
     def told_joints(self, body: BodyModel) -> Float[Tensor, "*batch 22"]:
-        """Share of the moments in which the place of each joint is told by a visible point.
-
-        Moments before the first and after the last that shows anything do not count: a clip that
-        is fitted beside longer ones is filled up with them.
-        """
-        rest = self.at_rest(body).double().cpu().numpy()
-        tells = torch.from_numpy(joints_shown(self.bones(body), rest, body)).to(self.positions)
-        anything = self.visible.any(-1).to(tells)
-        within = (anything.cumsum(-1) > 0) & (anything.flip(-1).cumsum(-1).flip(-1) > 0)
-        told = ((self.visible.to(tells) @ tells) > 0) & within[..., None]
-        return told.to(tells).sum(-2) / within.sum(-1, keepdim=True).clamp(min=1)
+        """Share of the moments in which the place of each joint is told by a visible point."""
+        return told_joints(self.visible, self._shows(body))
 
     def shown_joints(self, estimate: Estimate) -> Bool[np.ndarray, "moments 22"]:
         """Joints of the first clip that a visible point tells the place of, at every moment."""
-        body = estimate.body.model
+        return self.visible[0].cpu().numpy() @ self._shows(estimate.body.model)
+
+    def _shows(self, body: BodyModel) -> Bool[np.ndarray, "points 22"]:
         rest = self.at_rest(body).double().cpu().numpy()
-        visible = self.visible[0].cpu().numpy()
-        return visible @ joints_shown(self.bones(body), rest, body)
+        return joints_shown(self.bones(body), rest, body)

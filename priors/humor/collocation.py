@@ -226,9 +226,10 @@ class Collocation:
 
 
 def seen_whole(data: tuple[Term, ...], body: BodyModel) -> bool:
-    """Whether one sensor tells the place of every joint in most moments of every clip."""
+    """Whether one sensor tells the place in space of every joint in most moments of every clip."""
     return any(
         isinstance(term.energy, TrackedJoints)
+        and term.energy.unit == "metres"
         and bool((term.energy.told_joints(body) >= _MOST).all())
         for term in data
     )

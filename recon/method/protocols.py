@@ -97,7 +97,10 @@ class Observation(Protocol):
 
 @runtime_checkable
 class TrackedJoints(Protocol):
-    """An observation of points in space that tell where joints are."""
+    """An observation of points that tell where joints are, in space or in an image."""
+
+    unit: ClassVar[Unit]
+    """Metres in space, pixels in an image."""
 
     def told_joints(self, body: BodyModel) -> Float[Tensor, "*batch 22"]:
         """Share of the moments in which the place of each joint is told."""

@@ -5,14 +5,17 @@ from dataclasses import replace
 import pytest
 import torch
 
+from observations.correspondences import BodyPoints
 from observations.joints3d import Joints3D
-from priors.humor.collocation import Collocation
+from observations.keypoints2d import Keypoints2D
+from priors.humor.collocation import Collocation, seen_whole
 from priors.humor.prior import Humor
 from priors.humor.state import states_of
 from priors.humor.stepwise.likely import LikelyStates
 from priors.humor.stepwise.limbs import LimbDraws, unseen_limbs
 from priors.humor.stepwise.particles import ParticleFilter, UnseenLimbs
 from recon.body.model import BodyModel
+from recon.core.camera import full_hd_camera
 from recon.core.motion import pad
 from recon.core.skeleton import LEGS
 from recon.method.protocols import Estimate
@@ -160,6 +163,23 @@ def test_legs_of_a_walk_that_nobody_saw_walk() -> None:
     assert objective <= objective_before * (1 + 1e-3)
     assert error < 0.12  # metres
     assert error <= error_before + 0.01
+
+
+def test_legs_that_no_camera_sees_are_searched_for(body: BodyModel) -> None:
+    """Only points in space were asked, and legs below the edge of an image hung still. What a
+    detector places there has little confidence, but some."""
+    points = BodyPoints.of_layout("smpl22", body)
+    seen = torch.full((2, 6, 22), 0.9)
+    seen[1, :, list(LEGS)] = torch.tensor([0.0, 0.05, 0.1]).repeat(2)[:, None]
+    view = Keypoints2D(torch.zeros(2, 6, 22, 2), seen, points, full_hd_camera(), 30.0)
+    unseen = unseen_limbs([Term("data", view, 1.0)], body)
+    assert unseen is not None
+    assert not unseen[0].any()
+    assert torch.equal(unseen[1], BOTH_LEGS)
+    other = view.replace(confidence=torch.full((2, 6, 22), 0.3))
+    assert unseen_limbs([Term("data", view, 1.0), Term("other", other, 1.0)], body) is None
+    # a place in an image is no place in space
+    assert not seen_whole((Term("other", other, 1.0),), body)
 
 
 def test_likely_states_keep_the_contract_of_energies(body: BodyModel) -> None:

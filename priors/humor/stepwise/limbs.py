@@ -29,8 +29,8 @@ def unseen_limbs(data: Sequence[Term], body: BodyModel) -> Bool[Tensor, "clips 2
     """Joints whose rotations no sensor tells, because it saw nothing that hangs from them.
 
     A joint at the end of a limb, whose rotation moves no other joint, counts as its parent does.
-    Clips in which every knee and elbow is told have none. Only sensors of points in space are
-    asked; None where there is no such sensor, or no clip has unseen limbs.
+    Clips in which every knee and elbow is told have none. None where no clip has unseen limbs,
+    or where a sensor knows no points of the body, as a depth sensor does not.
     """
     told = [
         term.energy.told_joints(body) >= _SELDOM
