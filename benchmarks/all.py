@@ -22,6 +22,7 @@ _CYCLES = ("CORPUS", "--weights", "nc", "--licence", "nc")
 _POINTS = ("noisy joints", "occluded points")
 _COLUMNS = ("--columns", "p=0", "p=50+lm", "f=5+lm", "p=50")
 
+_HALVES = ("half a body, one camera, posed", "half a body, three views")
 _SEGMENTS = ("segments", "CORPUS", "--only", "2", "--protocols")
 _ROLLOUT = ("rollout_fits", "CORPUS", "--part", "validation", "--only", "2", "--protocols")
 COMMANDS: dict[str, tuple[str, ...]] = {
@@ -45,6 +46,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "real_nc": ("real", "OBSERVATIONS", "--weights", "nc"),
     "cameras": ("cameras", "CORPUS", "--only", "24", "--nc", _NC, "--ablations", _RUNS, "--cases",
                 "one camera", "one camera, posed", "moving camera", "three views"),
+    "cameras_half": ("cameras", "CORPUS", "--only", "8", "--cases", *_HALVES),
     "labels": ("labels", "CORPUS", "PEOPLE", "--only", "15"),
     "clouds": ("clouds", "CORPUS", "--part", "test", "--cases", "depth",
                "--methods", "recon", "0.1.0", "--baseline", "BASELINE"),

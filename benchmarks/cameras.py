@@ -4,13 +4,13 @@
     python -m benchmarks.cameras CORPUS --part validation --only 8 --cases "one camera"
 
 Windows of 90 frames. Cameras film in 1920 x 1080 with three pixels of noise, from directions that
-change from window to window; nothing below 0.9 m is seen for the middle third. `one camera` does
-not know where the ground is; the others stand in a calibrated room, and `one camera, posed` is
-what the moving one compares with. Depth is a sensor of 512 x 424 pixels of unknown pose, with
-noise, holes and flying pixels, that sees body and ground; the same third is hidden. Of the points
-above the ground that is found in them, 512 a frame are fitted. Errors about the pelvis need no
-world; the others are taken in the true world by way of the true camera. CPU s is
-the time of one processor for one clip.
+change from window to window; nothing below 0.9 m is seen for the middle third, or from the first
+frame to the last where half a body is seen. `one camera` does not know where the ground is; the
+others stand in a calibrated room, and `one camera, posed` is what the moving one compares with.
+Depth is a sensor of 512 x 424 pixels of unknown pose, with noise, holes and flying pixels, that
+sees body and ground; the same third is hidden. Of the points above the ground that is found in
+them, 512 a frame are fitted. Errors about the pelvis need no world; the others are taken in the
+true world by way of the true camera. CPU s is the time of one processor for one clip.
 """
 
 import math
@@ -202,8 +202,10 @@ def batch_of(filmed: list[Filmed]) -> Filmed:
     )
 
 
-def corruption(truth: Motion, noise: float) -> Corruption:
-    """Legs hidden for the middle third."""
+def corruption(truth: Motion, noise: float, *, whole: bool = False) -> Corruption:
+    """Legs hidden for the middle third, or for the whole clip."""
+    if whole:
+        return Corruption(noise=noise, hide_below=HIDDEN)
     third = truth.frames / truth.fps / 3
     during = (truth.start_time + third, truth.start_time + 2 * third)
     return Corruption(noise=noise, hide_below=HIDDEN, during=during)
@@ -215,11 +217,12 @@ def _around(truth: Motion, body: BodyModel, lens: Camera, count: int, seed: int)
 
 
 def images(
-    cameras: list[Camera], truth: Motion, body: BodyModel, seed: int, *, posed: bool
-) -> Filmed:
-    """Keypoints of fixed or moving cameras."""
+    cameras: list[Camera], truth: Motion, body: BodyModel, seed: int, *, posed: bool,
+    half: bool = False,
+) -> Filmed:  # fmt: skip
+    """Keypoints of fixed or moving cameras, which may never see the legs."""
     files = [
-        keypoints2d(truth, body, camera, corruption(truth, PIXELS), 100 * seed + k)
+        keypoints2d(truth, body, camera, corruption(truth, PIXELS, whole=half), 100 * seed + k)
         for k, camera in enumerate(cameras)
     ]
     visible = torch.stack([torch.from_numpy(f.truth_visible) for f in files]).any(0)  # type: ignore[arg-type]
@@ -248,6 +251,16 @@ def moving_camera(truth: Motion, body: BodyModel, seed: int) -> Filmed:
 
 def three_views(truth: Motion, body: BodyModel, seed: int) -> Filmed:
     return images(_around(truth, body, full_hd_camera(), 3, seed), truth, body, seed, posed=True)
+
+
+def half_body(truth: Motion, body: BodyModel, seed: int) -> Filmed:
+    cameras = _around(truth, body, full_hd_camera(), 1, seed)
+    return images(cameras, truth, body, seed, posed=True, half=True)
+
+
+def half_body_three_views(truth: Motion, body: BodyModel, seed: int) -> Filmed:
+    cameras = _around(truth, body, full_hd_camera(), 3, seed)
+    return images(cameras, truth, body, seed, posed=True, half=True)
 
 
 def depth(truth: Motion, body: BodyModel, seed: int) -> Filmed:
@@ -286,6 +299,8 @@ CASES: dict[str, Callable[[Motion, BodyModel, int], Filmed]] = {
     "one camera, posed": one_camera_posed,
     "moving camera": moving_camera,
     "three views": three_views,
+    "half a body, one camera, posed": half_body,
+    "half a body, three views": half_body_three_views,
     "depth": depth,
     "2D of the sensor": keypoints_of_sensor,
     "2D + depth": depth_and_keypoints,
