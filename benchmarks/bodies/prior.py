@@ -1,6 +1,6 @@
 """HUMOS as a prior of fits, person by person, beside stages 1-2 and the same fit without networks.
 
-`physics` is the fit of `--prior humos` with its networks' two terms at weight zero: poses,
+`physics` is the fit of `HumosFit` with its networks' two terms at weight zero: poses,
 smoothness, and penetration and slide in the last stage. What HUMOS has above it is what the
 networks bring; what it has above stages 1-2 may be physics alone.
 """

@@ -17,9 +17,9 @@ _METHODS = {
     "copy-G": "copy, on the ground (-G)",
     "scaled": "path scaled by the legs, on the ground",
     "foot IK": "the same with inverse kinematics of the feet",
-    "physics only": "physics alone, from the scaled motion",
+    "physics only": "**physics alone**, from the scaled motion (default)",
     "open, proposed": "open weights, proposed",
-    "open": "**open weights** (default)",
+    "open": "open weights",
     "nc, proposed": "nc weights, proposed",
     "nc": "nc weights",
 }

@@ -1,4 +1,4 @@
-"""The HUMOS prior fitted to a motion as a whole (collocation): the default of `--prior humos`.
+"""The HUMOS prior fitted to a motion as a whole (collocation): what `Humos` is fitted by.
 
 The motion itself is moved, in the well-scaled variables of the pose prior, and judged by the
 networks: how surprising are its codes, and how far from it do they decode. Both together bound

@@ -68,7 +68,7 @@ def fit(
         observations: one or several of `Joints3D`, `Markers3D`, `Keypoints2D`, `PointCloud`,
             without a leading axis or with one of length one; `recon.load_observation` reads them
             from files. Or paths of such files and folders, or what `recon.simulate` returned.
-        prior: a name (`humor`, `pose`, `anchor` for one gait cycle, `humos`), a loaded prior, a
+        prior: a name (`humor`, `pose`, `anchor` for one gait cycle), a loaded prior, a
             method with `stages(data)`, or "package.module:Class".
         weights: of a prior given by its name: `open`, `nc` (not for commercial use) or a file.
         method: the way in which the prior is fitted, one of its `methods`; None is the usual one.

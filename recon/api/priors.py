@@ -11,7 +11,7 @@ def prior_of(given: Any, weights: str, method: str | None = None) -> str | Prior
     """A name or place whose class is there, or a prior that is loaded.
 
     Args:
-        given: a registered name (ours are humor, pose, anchor, humos and recording), a place
+        given: a registered name (ours are humor, pose, anchor and recording), a place
             "package.module:Class", or an object: a loaded prior, or anything with `stages(data)`,
             a method.
         weights: of a prior that is given by its name or place.

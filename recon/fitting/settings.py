@@ -12,10 +12,8 @@ class FitSettings:
     prior: str = "humor"
     """What is likely: `humor` is every step from pose to pose and where feet touch, `pose` single
     poses and smoothness (stages 1-2 of HuMoR), `anchor` one whole cycle of gait, `recording`
-    HuMoR with cycles of gait where little was seen, `humos` codes of stretches of 0.8 s for the
-    body that moves (for experiments: no better than `pose` on noisy joints, and mostly worse than
-    `humor`; docs/retargeting.md). Or one that another package registered, or the
-    class of one of your own, package.module:Class."""
+    HuMoR with cycles of gait where little was seen. Or one that another package registered, or
+    the class of one of your own, package.module:Class."""
     weights: str = "open"
     """Weights of the prior: `open`, `nc` (not for commercial use; in a source checkout) or a
     file."""

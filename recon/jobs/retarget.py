@@ -14,8 +14,8 @@ class RetargetSettings:
 
     shape: str
     """The body to move, as `recon.body.identities.identity` takes it."""
-    method: str = "network"
-    """What is settled on the ground: the prior's proposal, or the scaled copy (`physics`)."""
+    method: str = "physics"
+    """What is settled on the ground: the scaled copy, or the prior's proposal (`network`)."""
     weights: str = "open"
     """Weights of the network: `open`, `nc` or a file."""
     body: Path | None = None

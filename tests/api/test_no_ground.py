@@ -61,7 +61,7 @@ def test_with_a_ground_the_same_points_are_said_to_float():
     assert "floor" in codes
 
 
-@pytest.mark.parametrize("prior", ["humor", "humos", "anchor"])
+@pytest.mark.parametrize("prior", ["humor", "anchor"])
 def test_priors_that_judge_heights_are_refused(prior):
     with pytest.raises(ReconError, match=f"'{prior}' judges; fit with the prior 'pose'"):
         recon.fit(lifted(0.0), prior, ground=None)

@@ -20,7 +20,7 @@ from tests import laws
 from tests.filmed import bundled, cameras, joint_error, view, walk
 from tests.own import PRIOR, NearPoses
 
-OURS = ("humor", "pose", "anchor", "humos")
+OURS = ("humor", "pose", "anchor")
 
 
 def prior() -> NearPoses:
@@ -36,8 +36,14 @@ def test_it_keeps_the_laws_of_priors(toy_body):
 def test_ours_are_registered_through_the_same_door():
     """A name was written into eight places of the library; now into `pyproject.toml` alone."""
     assert set(OURS) <= set(plugins.registered(plugins.PRIORS))
-    assert [traits(name).completes for name in OURS] == [False, False, True, False]
-    assert [traits(name).knows_gravity for name in OURS] == [True, False, True, True]
+    assert [traits(name).completes for name in OURS] == [False, False, True]
+    assert [traits(name).knows_gravity for name in OURS] == [True, False, True]
+
+
+def test_what_did_not_earn_a_name_has_a_place():
+    """HUMOS is fitted by its place: for some people feet slip more than without it."""
+    assert "humos" not in plugins.registered(plugins.PRIORS)
+    assert traits("priors.humos.prior:Humos").knows_gravity
 
 
 def test_a_registered_prior_has_a_name(monkeypatch):
@@ -49,7 +55,7 @@ def test_a_registered_prior_has_a_name(monkeypatch):
 
 
 def test_names_of_nobody_are_refused():
-    with pytest.raises(WeightsError, match=r"prior: expected .*humos"):
+    with pytest.raises(WeightsError, match=r"prior: expected .*humor"):
         class_of("humr")
     with pytest.raises(WeightsError, match="cannot be imported"):
         recon.fit(joints3d(walk(4), bundled(), Corruption(), 0), "nobody:Nothing")

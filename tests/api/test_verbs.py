@@ -143,6 +143,7 @@ def test_a_motion_is_continued_from_any_moment(forms):
         (lambda: recon.retarget(walk(40), [[1.0]]), "shape: expected 1 to 16 coefficients"),
         (lambda: recon.retarget(walk(40), "tall", fps=0.0), "fps: expected"),
         (lambda: recon.retarget(walk(40), "tall", method="copy"), "method: expected one of"),
+        (lambda: recon.retarget(walk(40), "tall", weights="nc"), "weights: 'nc' are of the net"),
         (lambda: recon.convert("nothing.xyz", fps=-1.0), "fps: expected"),
         (lambda: recon.simulate(walk(4), "joints3d", frames=(2, 9)), "has 4 frames"),
         (lambda: recon.evaluate(walk(4), walk(4, 8)), "truth does not cover"),
@@ -178,7 +179,7 @@ def test_physics_alone_asks_for_no_weights(monkeypatch):
         raise AssertionError("weights were loaded")
 
     monkeypatch.setattr(retarget_module.Humos, "load", no_weights)
-    made = recon.retarget(walk(40), "tall", method="physics")
+    made = recon.retarget(walk(40), "tall")
     assert made.about["method"] == "physics"
     assert made.motion.frames == 40
 

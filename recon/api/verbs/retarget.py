@@ -31,7 +31,7 @@ from recon.physics.samples import NO_GROUND, PhysicsSamples, physics_samples
 
 RATE = FPS
 """Hz, of the prior and of HUMOS's metrics."""
-METHODS = ("network", "physics")
+METHODS = ("physics", "network")
 """Methods of retargeting."""
 _LEVEL = math.cos(math.radians(1.0))
 """Cosine of the tilt up to which a ground is level."""
@@ -41,7 +41,7 @@ def retarget(
     motion: MotionLike,
     shape: ShapeLike,
     *,
-    method: str = "network",
+    method: str = "physics",
     weights: str = "open",
     body: BodyLike = None,
     fps: float | None = None,
@@ -49,10 +49,10 @@ def retarget(
 ) -> Made:
     """The motion of one body as a body of another shape would perform it.
 
-    By `network`, the HUMOS prior proposes a motion, and by `physics` the scaled copy is the
-    proposal (equal rotations, a path that grows with the legs); the nearest motion to it that
-    obeys physics is the result. It begins at the same place. Nothing is random, and everything is
-    computed on the processor. docs/retargeting.md compares the two.
+    By `physics` the scaled copy is proposed (equal rotations, a path that grows with the legs),
+    and by `network` what the HUMOS prior makes of the motion for that body; the nearest motion to
+    the proposal that obeys physics is the result. It begins at the same place. Nothing is random,
+    and everything is computed on the processor. docs/retargeting.md compares the two.
 
     `about` of the result has both bodies (`source` and `target`: height in metres, weight in
     kilograms, shape), the `method`, `rotation_change` (radians, on average over joints and
@@ -64,7 +64,7 @@ def retarget(
         motion: a motion of one clip of a second or longer, at any rate.
         shape: the other body: coefficients, measures ("height=1.80,weight=75"; metres,
             kilograms), words ("woman,tall"), or a motion, result or motion file of somebody.
-        method: `network` or `physics`.
+        method: `physics` or `network`.
         weights: of the network: `open`, `nc` (not for commercial use) or a file.
         body: the motion's body; a SMPL-family file, or None for the bundled body.
         fps: rate of the result, frames per second; None is the motion's.
@@ -79,6 +79,8 @@ def retarget(
     if method not in METHODS:
         names = ", ".join(METHODS)
         raise ReconError(f"method: expected one of {names}, got {method!r:.60}")
+    if method != "network" and weights != "open":
+        raise ReconError(f"weights: {weights!r:.60} are of the network; ask for method='network'")
     model = body_given(body)
     rate = None if fps is None else positive(fps, "fps")
     asked = None if ground is None else finite(ground, "ground")

@@ -13,7 +13,7 @@ def retarget(
     motion: Positional[Path],
     out: Path,
     shape: str,
-    method: Literal["network", "physics"] = "network",
+    method: Literal["physics", "network"] = "physics",
     weights: str = "open",
     body: Path | None = None,
     fps: float | None = None,
@@ -36,9 +36,9 @@ def retarget(
         motion: motion file (.npz) of a second or longer, at any rate.
         out: motion file to write.
         shape: the other body.
-        method: what is settled on the ground: what a network that knows the body proposes, or the
-            scaled copy of the motion (`physics`), which is as good in all that was measured
-            (docs/retargeting.md).
+        method: what is settled on the ground: the scaled copy of the motion (`physics`), or what
+            a network that knows the body proposes (`network`), which is no better in anything
+            that was measured (docs/retargeting.md).
         weights: of the network: `open`, `nc` or a file.
         body: the SMPL-family file of the motion's body; default: the bundled body.
         fps: of the result; default: the motion's rate.
