@@ -7,7 +7,10 @@ _CASES = {
     "one camera, posed": ("cameras", "one camera of known pose"),
     "moving camera": ("cameras", "moving camera of known poses"),
     "three views": ("cameras", "three views"),
+    "half a body, one camera, posed": ("cameras_half", "legs never seen, one posed camera"),
+    "half a body, three views": ("cameras_half", "legs never seen, three views"),
 }
+_FILES = tuple(dict.fromkeys(file for file, _ in _CASES.values()))
 _METHODS = {
     "stages 1-2": "stages 1-2",
     "HuMoR": "collocation",
@@ -31,7 +34,7 @@ def cameras() -> str:
                 continue
             cells = {m: number(mean(found, m), f, d) for m, (_, f, d) in columns.items()}
             rows.append([f"{name}: {label}", *cells.values()])
-    return markdown(["case", *(h for h, _, _ in columns.values())], rows) + source("cameras")
+    return markdown(["case", *(h for h, _, _ in columns.values())], rows) + source(*_FILES)
 
 
 def summary() -> str:
@@ -49,7 +52,7 @@ def summary() -> str:
         apart = " / ".join(number(row.get(APART, {}).get("root_hidden"), 100, 1) for row in pair)
         rows.append([name, seen, unseen, apart])
     headings = ["stages 1-2 / collocation, cm", "visible", "hidden", "16 apart, hidden"]
-    return markdown(headings, rows) + source("cameras")
+    return markdown(headings, rows) + source(*_FILES)
 
 
 def ablations() -> str:

@@ -14,22 +14,23 @@ _Told = tuple[str, str, str]
 _Names = tuple[str, ...]
 
 _WEIGHTS: Sequence[tuple[_Names, _Told]] = (
-    (("humor", "humor_retrained"), _NOISY),
-    (("humor_hidden_before", "humor_hidden_retrained"), _HIDDEN),
+    (("humor_former", "humor"), _NOISY),
+    (("humor_hidden_states", "humor_hidden"), _HIDDEN),
 )
-_STEPS = ("humor_hidden_before", "humor_hidden_limbs", "humor_hidden")
+_STEPS = ("humor_hidden_before", "humor_hidden_limbs", "humor_hidden_carried",
+          "humor_hidden_states")  # fmt: skip
 _LIMBS: Sequence[tuple[_Names, _Told]] = ((_STEPS, _HIDDEN), (_STEPS, _ALL))
 
 
 def weights() -> str:
-    """Errors of the default method with weights that were trained again, beside the shipped."""
-    return _beside(_WEIGHTS, ("real_before", "real_retrained"), ("shipped", "trained anew"))
+    """Errors of the default method with the open weights of 0.1.0, and with today's."""
+    return _beside(_WEIGHTS, ("real_states", "real"), ("weights of 0.1.0", "trained anew"))
 
 
 def limbs() -> str:
-    """Errors without the search for limbs that nobody saw, with it, and with feet that carry."""
-    headings = ("without", "with particles", "and feet that carry")
-    return _beside(_LIMBS, ("real_before", "real_limbs", "real"), headings)
+    """Errors without the search for limbs that nobody saw, and with each step towards today's."""
+    headings = ("without", "with particles", "and feet that carry", "and likely states")
+    return _beside(_LIMBS, ("real_before", "real_limbs", "real_carried", "real_states"), headings)
 
 
 def licences() -> str:
