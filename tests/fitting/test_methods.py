@@ -22,7 +22,7 @@ def data() -> tuple[Term, ...]:
     return (Term("data", lambda estimate: estimate.motion.translation.sum((-1, -2)), 1.0),)
 
 
-@pytest.mark.parametrize("prior", ["pose", "humor", "humos"])
+@pytest.mark.parametrize("prior", ["pose", "humor", "priors.humos.prior:Humos"])
 def test_every_prior_goes_with_physics(prior):
     """Terms of the same name are there once."""
     settings = FitOptions(prior=prior, physics=1.0)
