@@ -40,14 +40,15 @@ class CollocationWeights:
 
         Chosen on validation subjects (`benchmarks.tune_humor`). A calibrated bound would have
         multipliers of noise² for both of its parts; errors of neighbouring steps repeat each
-        other, so less is better. Where points are exact, 14 mm remain: nobody moves just like
-        the people of the corpus.
+        other, so less is better. Where points are exact, 14 mm remain, and 16 mm for steps:
+        nobody moves just like the people of the corpus. The steps tell how smooth a motion is; a
+        twenty-fifth of the pose prior's smoothness is left, which would make accelerations small.
         """
         pose = PoseWeights.for_noise(noise)
         variance = max(noise, 0.014) ** 2
         return cls(
-            pose=PoseWeights(0.5 * pose.pose, pose.shape, acceleration=0.15 * pose.acceleration),
-            step=0.1 * variance,
+            pose=PoseWeights(0.5 * pose.pose, pose.shape, acceleration=0.04 * pose.acceleration),
+            step=0.15 * max(noise, 0.016) ** 2,
             latents=0.3 * variance,
             contact_velocity=2e4 * max(noise, 0.008) ** 2,
             support=0.6 * variance,
