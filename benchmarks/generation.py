@@ -69,7 +69,8 @@ WAYS: dict[str, tuple[Landing, float, Footing | None]] = {
 """What every step starts from, the temperature of the latents, and who holds the body."""
 
 COLUMNS: Columns = {
-    "ade": ("ADE", 100), "fde": ("FDE", 100), "ade_mean": ("ADE, mean sample", 100),
+    "ade": ("ADE", 100), "fde": ("FDE", 100), "ade_mean": ("ADE, a sample", 100),
+    "ade_of_mean": ("ADE, mean of all", 100),
     "apd_upright": ("APD, on their feet", 100), "apd": ("APD, all", 100),
     "speed": ("speed", 1), "accel": ("accel", 1),
 }  # fmt: skip
@@ -209,6 +210,7 @@ def predicted(found: Generated, scene: Scene) -> Rows:
                 "ade": average.min().item(),
                 "fde": away[average.argmin(), -1].item(),
                 "ade_mean": average.mean().item(),
+                "ade_of_mean": displacements(joints[:, 1:FRAMES].mean(0), truth[1:]).mean().item(),
                 "apd": pairwise_distance(joints),
                 "apd_upright": pairwise_distance(joints[stays]),
                 **motion_of(joints[:, :FRAMES]),

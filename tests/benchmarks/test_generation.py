@@ -57,6 +57,7 @@ def test_the_nearest_sample_is_the_prediction(scene: tuple[generation.Scene, Pat
     assert mean["ade"] == pytest.approx(0, abs=1e-6)
     assert mean["fde"] == pytest.approx(0, abs=1e-6)
     assert mean["ade_mean"] == pytest.approx(0.25)
+    assert mean["ade_of_mean"] == pytest.approx(0.25)  # half way to the one that is off
     assert mean["apd"] == pytest.approx(0.5)
     assert mean["apd_upright"] is None  # one of the two floats 40 cm above the ground for 2 s
 
