@@ -34,7 +34,11 @@ class _Joints(TensorStruct):
 
 
 def first_states(
-    initial: Mixture, body: BodyModel, count: int, random: torch.Generator
+    initial: Mixture,
+    body: BodyModel,
+    count: int,
+    random: torch.Generator,
+    temperature: float = 1.0,
 ) -> tuple[State, Float[Tensor, "clips shape"]]:
     """Canonical states and the shapes of their bodies.
 
@@ -46,7 +50,7 @@ def first_states(
     """
     if not torch.equal(initial.features.cpu(), distinct_features()):
         raise ValueError("first states need a mixture over our features; the released one is not")
-    drawn = initial.sample(count, random).to(body.template)
+    drawn = initial.sample(count, random, temperature).to(body.template)
     full = drawn.new_zeros(count, 6 * len(JOINTS) + 6)
     full[:, initial.features] = drawn
     positions, velocities = (

@@ -185,10 +185,11 @@ def sample(
     """Motions drawn from the prior: first states from the mixture, latents from the prior.
 
     Axes (samples, frames), 30 Hz; the bodies are those that the first states ask for.
-    `temperature` and `footing` are as of `roll_from`.
+    `temperature` and `footing` are as of `roll_from`; the first states are drawn with the same
+    temperature.
 
     Raises:
         ValueError: when the mixture is a released one, over numbers that repeat each other.
     """
-    first, shape = first_states(humor.initial, humor.body, samples, random)
+    first, shape = first_states(humor.initial, humor.body, samples, random, temperature)
     return roll_from(humor, first, shape, frames, random, temperature=temperature, footing=footing)

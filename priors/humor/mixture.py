@@ -155,12 +155,14 @@ class Mixture(TensorStruct):
         left = covariances[:, other][:, :, other] - shared.mT @ shared
         return Mixture.create(likely.softmax(0), means, left, self.features[other])
 
-    def sample(self, count: int, random: torch.Generator) -> Float[Tensor, "count features"]:
-        """Draws of the numbers in `features`."""
+    def sample(
+        self, count: int, random: torch.Generator, temperature: float = 1.0
+    ) -> Float[Tensor, "count features"]:
+        """Draws of the numbers in `features`; `temperature` multiplies standard deviations."""
         chance = self.log_weights.exp().cpu()
         which = torch.multinomial(chance, count, replacement=True, generator=random)
         white = torch.randn(count, len(self.features), generator=random).to(self.means)
         which = which.to(self.means.device)
         lower = self.whitening[which].mT  # Uᵀ (x - m) = y is solved for x
         away = torch.linalg.solve_triangular(lower, white[..., None], upper=False)
-        return self.means[which] + away[..., 0]
+        return self.means[which] + temperature * away[..., 0]

@@ -56,6 +56,8 @@ def test_a_planted_mixture_is_found_and_sampled() -> None:
     mean, covariance = drawn.mean(0), drawn.mT.cov()
     torch.testing.assert_close(mean, samples[:, features].mean(0), rtol=0, atol=0.05)
     torch.testing.assert_close(covariance, samples[:, features].mT.cov(), rtol=0, atol=0.1)
+    nearest = (found.sample(500, random, 0.1)[:, None] - found.means).norm(dim=-1).amin(1)
+    assert nearest.max() < 0.1  # a tenth of 0.2 in each of three directions, with margin
 
 
 def test_the_energy_integrates_to_one() -> None:
