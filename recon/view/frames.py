@@ -57,8 +57,9 @@ def write_png(
         pictures = [paint_scene(show, frame, views[frame]) for frame in frames]
         for frame, picture in zip(frames, pictures, strict=True):
             label(picture, seconds(show, frame))
-        write_line(pictures[0], show.title, (text // 2, 3 * text // 2), text * 5 // 4, BOLD, INK)
-        rows.append(join(pictures, axis=1))
+        row = join(pictures, axis=1)
+        write_line(row, show.title, (text // 2, 3 * text // 2), text * 5 // 4, BOLD, INK)
+        rows.append(row)
     sheet = join(rows, axis=0)
     entries = dict.fromkeys(entry for show in shows for entry in show.legend)
     sheet = np.concatenate([sheet, legend_strip(tuple(entries), sheet.shape[1], text)])
