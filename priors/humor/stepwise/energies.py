@@ -40,7 +40,7 @@ class CollocationWeights:
 
         Chosen on validation subjects (`benchmarks.tune_humor`). A calibrated bound would have
         multipliers of noise² for both of its parts; errors of neighbouring steps repeat each
-        other, so less is better. Where points are exact, 14 mm remain, and 16 mm for steps:
+        other, so less is better. Where points are exact, 14 mm remain, and 18.5 mm for steps:
         nobody moves just like the people of the corpus. The steps tell how smooth a motion is; a
         twenty-fifth of the pose prior's smoothness is left, which would make accelerations small.
         """
@@ -48,7 +48,7 @@ class CollocationWeights:
         variance = max(noise, 0.014) ** 2
         return cls(
             pose=PoseWeights(0.5 * pose.pose, pose.shape, acceleration=0.04 * pose.acceleration),
-            step=0.15 * max(noise, 0.016) ** 2,
+            step=0.125 * max(noise, 0.0185) ** 2,
             latents=0.3 * variance,
             contact_velocity=2e4 * max(noise, 0.008) ** 2,
             support=0.6 * variance,
