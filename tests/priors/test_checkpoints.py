@@ -10,6 +10,7 @@ import torch
 from safetensors.torch import save_file
 
 from priors.checkpoints import load_checkpoint, named_checkpoint, save_checkpoint
+from recon.formats.files.checksums import file_checksum
 from scripts.sign_weights import sign
 
 ROOT = Path(__file__).parents[2]
@@ -64,6 +65,12 @@ def test_every_kind_of_weights_is_shipped() -> None:
     kinds = {"pose", "humor", "humor_steps", "anchor", "humos", "labels"}
     assert {path.stem for path in SHIPPED} == kinds
     assert named_checkpoint("open", "humor").path in SHIPPED
+
+
+def test_the_mean_hessian_of_steps_was_made_of_the_shipped_networks_and_poses() -> None:
+    made_of = named_checkpoint("open", "humor_steps").settings["made_of"]
+    shipped = {path.stem: path for path in SHIPPED if path.parent.name == "weights"}
+    assert made_of == {kind: file_checksum(shipped[kind]) for kind in ("humor", "pose")}
 
 
 def test_files_without_a_checksum_are_read_and_can_be_signed(tmp_path: Path) -> None:
