@@ -14,8 +14,8 @@ _Told = tuple[str, str, str]
 _Names = tuple[str, ...]
 
 _WEIGHTS: Sequence[tuple[_Names, _Told]] = (
-    (("humor_former", "humor"), _NOISY),
-    (("humor_hidden_states", "humor_hidden"), _HIDDEN),
+    (("humor_former", "humor_anew", "humor"), _NOISY),
+    (("humor_hidden_states", "humor_hidden_anew", "humor_hidden"), _HIDDEN),
 )
 _STEPS = ("humor_hidden_before", "humor_hidden_limbs", "humor_hidden_carried",
           "humor_hidden_states")  # fmt: skip
@@ -23,8 +23,9 @@ _LIMBS: Sequence[tuple[_Names, _Told]] = ((_STEPS, _HIDDEN), (_STEPS, _ALL))
 
 
 def weights() -> str:
-    """Errors of the default method with the open weights of 0.1.0, and with today's."""
-    return _beside(_WEIGHTS, ("real_states", "real"), ("weights of 0.1.0", "trained anew"))
+    """Errors of the default method with the open weights of 0.1.0, and on the way to today's."""
+    headings = ("weights of 0.1.0", "trained anew", "today")
+    return _beside(_WEIGHTS, ("real_states", "real_anew", "real"), headings)
 
 
 def limbs() -> str:
