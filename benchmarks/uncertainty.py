@@ -31,8 +31,8 @@ from observations.joints3d import Joints3D
 from recon.api.bench.windows import TrueWindows
 from recon.body.model import BodyModel
 from recon.core.skeleton import FEET
-from recon.diagnosis.examination import fitted_contacts
 from recon.diagnosis.fits.certainty import certainty
+from recon.diagnosis.fits.contacts import fitted_contacts
 from recon.diagnosis.fits.seen_joints import observed_joints
 from recon.fitting.clip import ClipFit, fit_clip
 from recon.fitting.options import FitOptions

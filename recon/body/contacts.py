@@ -13,9 +13,7 @@ MAXIMUM_SPEED = 0.25
 _HEIGHT_SCALE, _SPEED_SCALE = 0.005, 0.04
 """The scales of the logistic function for joints whose places are certain: the first is in metres
 of height, the second in metres per second of speed."""
-_SHARE = 0.3
-"""The ratio of the standard deviation of a joint's height to that of its coordinates."""
-_TIME_SCALE = 0.1
+_TIME_SCALE = 0.3
 """The time in seconds over which the error of an uncertain position changes; it turns a standard
 deviation of position into one of speed."""
 
@@ -73,20 +71,19 @@ def contact_probabilities(
 ) -> Float[Tensor, "*batch time 22"]:
     """Probability that a joint is in contact, by its height, its speed and how sure both are.
 
-    p = σ(min(lower / √(h² + (k std)²), slower / √(v² + (k std / t)²))), where lower and slower are
+    p = σ(min(lower / √(h² + std²), slower / √(v² + (std / t)²))), where lower and slower are
     what the joint is below the limits of `contact_labels`: p is above one half where the label is
-    one, and near one half where a joint's place is not known. The constants were chosen by
-    likelihood on validation people; k < 1 because heights of feet, which the ground holds, are
-    surer than their places.
+    one, and near one half where a joint's height is not known. The constants were chosen by
+    likelihood on validation people.
 
     Args:
         joints: World frame, z up, metres.
         rest_height: Of every joint above the sole (see `rest_heights`), metres.
         fps: Frames per second.
-        std: Standard deviation of a coordinate of every joint, metres; None takes all as seen.
+        std: Standard deviation of the height of every joint, metres; None takes all as seen.
     """
     lower, slower, may_touch = _margins(joints, rest_height, fps)
-    unsure = torch.zeros_like(lower) if std is None else _SHARE * std
+    unsure = torch.zeros_like(lower) if std is None else std
     height = (_HEIGHT_SCALE**2 + unsure.square()).sqrt()
     speed = (_SPEED_SCALE**2 + (unsure / _TIME_SCALE).square()).sqrt()
     return torch.minimum(lower / height, slower / speed).sigmoid() * may_touch

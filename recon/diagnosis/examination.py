@@ -10,7 +10,6 @@ from torch import Tensor
 
 from observations.together import kinds
 from observations.together.labelling import labelled
-from recon.body.contacts import contact_probabilities, rest_heights
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.diagnosis.findings import Finding
@@ -18,6 +17,7 @@ from recon.diagnosis.fits.agreement import agreement_warnings
 from recon.diagnosis.fits.alternatives import Alternative, alternatives
 from recon.diagnosis.fits.angles import MOST
 from recon.diagnosis.fits.certainty import certainty
+from recon.diagnosis.fits.contacts import fitted_contacts
 from recon.diagnosis.fits.doubts import guessed_findings, undecided_findings
 from recon.diagnosis.fits.lens import lens_doubtful, lens_finding
 from recon.diagnosis.fits.plausibility import body_warnings, child_findings, mirror_warnings
@@ -252,19 +252,6 @@ def examine(found: ClipFit, names: Sequence[str], screened: ScreenedClip) -> Exa
         deviations=sure,
         alternatives=others,
         belt=screened.belt,
-    )
-
-
-def fitted_contacts(fit: ClipFit, deviations: Deviations | None) -> Float[Tensor, "time 22"]:
-    """How likely joints touch the ground, by height and speed of a fit and how sure they are."""
-    motion = fit.result.clip(0).detach().to(device="cpu")
-    body = fit.result.estimate.body.model.to(device="cpu")
-    std = None if deviations is None else deviations.joints[: motion.frames].cpu()
-    return contact_probabilities(
-        body.pose(motion).joints,
-        rest_heights(body, motion.shape),
-        motion.fps,
-        None if std is None else std.to(motion.translation),
     )
 
 
