@@ -136,10 +136,24 @@ def _whose_cells(
               for b in bodies for k, one in enumerate(recorded[b])]  # fmt: skip
     known = [value for value in itself if value is not None]
     cells = [number(float(np.mean(known)), 1, 2) if known else NONE]
-    cells += [spread(interval(away(copies, "own"), clips, pairs))]
-    cells += [spread(interval(away(by_method[m]), clips, pairs)) for m in by_method]
-    cells += [spread(paired(away(by_method[m]), away(copies), clips, pairs)) for m in methods]
+    apart = [away(copies, "own"), *(away(by_method[m]) for m in by_method)]
+    cells += [_spread_of(values, clips, pairs) for values in apart]
+    more = [_less(away(by_method[m]), away(copies)) for m in methods]
+    cells += [_spread_of(values, clips, pairs) for values in more]
     return cells + [_way(by_method[m], copies, keys, units) for m in methods]
+
+
+def _less(values: Sequence[float | None], others: Sequence[float | None]) -> list[float | None]:
+    """Differences where both are known."""
+    pairs = zip(values, others, strict=True)
+    return [None if a is None or b is None else a - b for a, b in pairs]
+
+
+def _spread_of(values: Sequence[float | None], clips: Sequence[str], pairs: Sequence[str]) -> str:
+    """A mean with its interval; nothing where no walk has steps to measure."""
+    if all(value is None for value in values):
+        return NONE
+    return spread(interval(values, clips, pairs))
 
 
 def _distance(
