@@ -211,12 +211,17 @@ class _Job:
         return self.size_untold and not kinds.views(self.observations)[0].focal_known
 
     @property
+    def one_view(self) -> bool:
+        """Whether one view is all there is: only standing feet tell how large the person is."""
+        return len(self.observations) == len(kinds.views(self.observations)) == 1
+
+    @property
     def size_untold(self) -> bool:
         """Whether one view of a camera that stands at an unknown place is all there is."""
-        views = kinds.views(self.observations)
-        if not len(self.observations) == len(views) == 1 or views[0].ground_known:
+        if not self.one_view:
             return False
-        return views[0].camera.T_camera_world.shape[-3] == 1
+        (view,) = kinds.views(self.observations)
+        return not view.ground_known and view.camera.T_camera_world.shape[-3] == 1
 
     def scene(self, start: Motion, ground: UnknownGround | None = None) -> Scene:
         """A scene with no offsets of keypoints, and a ground."""
@@ -241,7 +246,7 @@ class _Job:
             method = OneShape(method)
         elif options.shape_prior is not None:
             method = WithShape(method, options.shape_prior.terms(self.body, noise))
-        elif self.size_untold:
+        elif self.one_view:
             method = WithSizeHeld(method)
         terms = options.terms
         if moved >= OFFSETS:

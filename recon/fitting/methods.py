@@ -76,9 +76,11 @@ class WithoutRoot:
 class WithSizeHeld:
     """A method that takes the shape from its first stage that finds one.
 
-    One view of unknown pose does not tell whether somebody is large and far or small and near. A
-    prior over steps does not either, yet it finds the short steps of small people likelier: what
-    it judges would shrink them by a fifth (CMU 02_01), and bend their poses to fit.
+    One view does not tell whether somebody is large and far or small and near, but for the feet
+    that stand on a ground that is known. A prior over steps does not either, yet it finds the
+    short steps of small people likelier: what it judges would shrink them by a fifth (CMU 02_01),
+    and bend their poses to fit. Whoever turns cartwheels before a camera of known pose became a
+    child that floated a metre in front of it.
     """
 
     method: Method
