@@ -69,7 +69,7 @@ def network_paired() -> str:
 def network_differences(found: Found) -> str:
     """First method minus second on the same clips and bodies, with 95 % intervals."""
     rows = [r for r in found["rows"] if not r["flies"] and r["subject"] not in found["apart"]]
-    named = {row["method"] for row in rows}
+    named = dict.fromkeys(str(row["method"]) for row in rows)
     compared = [*_COMPARED]
     compared += [(m, m.split(": ", 1)[1]) for m in named if ": " in m]
     groups: Mapping[str, Callable[[Mapping[str, Any]], bool]] = {
