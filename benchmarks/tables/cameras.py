@@ -61,7 +61,7 @@ def ablations() -> str:
         "root_visible": ("visible cm", 100, 1), "root_hidden": ("hidden cm", 100, 1),
         "penetration_freq": ("penetration %", 100, 0), "normal": ("normal °", 1, 1),
     }  # fmt: skip
-    found = result("cameras")["tables"]["one camera"]
+    found = result("cameras_ablations")["tables"]["one camera"]
     names = ("full", "no-delta", "no-contacts", "no-smpl", "standard-prior", "mvae")
     rows = [
         [
@@ -70,7 +70,7 @@ def ablations() -> str:
         ]
         for name in names
     ]
-    return markdown(["networks", *(h for h, _, _ in columns.values())], rows) + source("cameras")
+    return markdown(["networks", *(h for h, _, _ in columns.values())], rows) + source("cameras_ablations")
 
 
 def detections() -> str:
