@@ -33,15 +33,13 @@ from recon.formats.files.opening import replacing
 
 BASE = "base"
 ALL = replace(VARIED, speed=Variation.speed, shape=Variation.shape)
+_ALONE = ("halves", "raises", "sidesteps", "bends", "flights", "arms", "kinds", "people")
 VARIANTS: Mapping[str, Variation] = {
     BASE: Variation(),
     "all": ALL,
-    "edits": replace(ALL, halves=0.0, kinds=0.0, people=0.0),
-    "mixed": Variation(halves=ALL.halves, kinds=ALL.kinds, people=ALL.people),
-    "halves": Variation(halves=ALL.halves),
-    "balanced": Variation(kinds=ALL.kinds, people=ALL.people),
+    **{name: replace(Variation(), **{name: getattr(ALL, name)}) for name in _ALONE},
 }
-"""Settings by name; `mixed` is `all` without edits of limbs."""
+"""Settings by name: all of them, and each alone."""
 
 
 def main() -> None:
@@ -124,7 +122,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("corpus", type=Path, help="folder of all converted motions")
     parser.add_argument("folds", type=Path, help="folder of the variations' weights and fits")
     parser.add_argument("--only", nargs="+", default=None, help="names of folds, in this order")
-    parser.add_argument("--variants", nargs="+", choices=VARIANTS, default=[BASE, "all"])
+    parser.add_argument("--variants", nargs="+", choices=VARIANTS, default=list(VARIANTS))
     parser.add_argument("--continued", type=int, default=0,
                         help="steps from the weights of base; 0 begins from scratch")  # fmt: skip
     parser.add_argument("--windows", type=int, default=8, help="fitted of every fold")

@@ -70,7 +70,9 @@ def ablations() -> str:
         ]
         for name in names
     ]
-    return markdown(["networks", *(h for h, _, _ in columns.values())], rows) + source("cameras_ablations")
+    return markdown(["networks", *(h for h, _, _ in columns.values())], rows) + source(
+        "cameras_ablations"
+    )
 
 
 def detections() -> str:
