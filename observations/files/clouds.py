@@ -45,6 +45,8 @@ _FLAT = 0.1
 """Metres that a person rises above the ground at least, lying; noise of the ground rises less."""
 _WIDE = 3.0
 """A cloud that is wider than this along the ground, in metres, cannot be one person alone."""
+_SHOWN = 0.03
+"""Share of the frames in which a person is in sight at least."""
 _FEW = 0.25
 """Share of the usual points that flat things have where they are noise."""
 _MUCH = 0.1
@@ -166,16 +168,18 @@ def cloud_of(
 def _without_noise_of_ground(clouds: list[np.ndarray]) -> list[np.ndarray]:
     """The clouds of frames in which somebody is in sight, others emptied.
 
-    What is flat and has few points beside the frames in which something rises is noise.
+    What is flat and has few points beside the frames in which something rises is noise, and so is
+    something that rises in hardly any frame.
 
     Raises:
-        ObservationError: when nothing rises above the ground in any frame.
+        ObservationError: when nothing rises above the ground in at least `_SHOWN` of the frames.
     """
     rises = [len(cloud) >= _LEAST and _rises(cloud) for cloud in clouds]
-    if not any(rises):
+    if sum(rises) <= _SHOWN * len(clouds):
+        where = f", but in {sum(rises)} of {len(clouds)} frames" if any(rises) else ""
         raise ObservationError(
-            f"the ground is seen, but nothing rises more than {_FLAT} m above it: nobody is in "
-            "the sensor's reach, or the person was cut out; expected points of a person"
+            f"the ground is seen, but nothing rises more than {_FLAT} m above it{where}: nobody "
+            "is in the sensor's reach, or the person was cut out; expected points of a person"
         )
     usual = np.median([len(cloud) for cloud, up in zip(clouds, rises, strict=True) if up])
     return [

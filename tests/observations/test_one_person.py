@@ -69,13 +69,15 @@ def test_a_wall_behind_the_person_is_left_out(posed, body):
     assert np.ptp(cloud.points[cloud.present].numpy(), axis=0).max() < 1.8
 
 
-def test_a_ground_with_nobody_on_it_is_refused(body):
+@pytest.mark.parametrize("hand", [0, 100])
+def test_a_ground_with_nobody_on_it_is_refused(body, hand):
     """The noise of the ground was taken for a person: a runner had been out of the sensor's reach,
-    and a body was fitted 1.7 m wrong."""
+    but for a hand in one frame, and a body was fitted 1.7 m wrong."""
     random = np.random.default_rng(0)
-    frames = 10
+    frames = 40
     ground = random.uniform((-3, -3, 0), (3, 3, 0), (frames * 2000, 3))
     ground[:, 2] += random.normal(0, 0.02, len(ground))
+    ground[:hand] = random.normal((0, 0, 1), 0.05, (hand, 3))
     level = np.array([[1.0, 0, 0, 0], [0, 0, -1, 1], [0, 1, 0, 4], [0, 0, 0, 1]])
     matrix = np.array([[525.0, 0, 320], [0, 525, 240], [0, 0, 1]])
     camera = CameraArrays(matrix, (640, 480), T_camera_world=level[None])
