@@ -51,9 +51,9 @@ _WRONG = 0.1
 """Mean error of joints about the pelvis, metres, from which on a fit should say something."""
 
 
-_FILES = ("clouds_again", "clouds", "clouds_people", "clouds_mixed", "clouds_before")
-"""Result files: windows that were fitted again, clouds alone, of other people, other cases, and
-version 0.1.0. A window that several have is taken from the first."""
+_FILES = ("clouds", "clouds_people", "clouds_mixed", "clouds_before")
+"""Result files: clouds alone, of other people, other cases, and version 0.1.0. A window that
+several have is taken from the first."""
 
 
 def _clouds() -> dict[str, Any]:
