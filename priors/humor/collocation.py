@@ -24,6 +24,7 @@ from priors.humor.stepwise.likely import LikelyStates
 from priors.humor.stepwise.limbs import unseen_limbs
 from priors.humor.stepwise.particles import UnseenLimbs
 from priors.humor.stepwise.steps import explain
+from priors.humor.stepwise.tempo import at_tempo, tempo
 from priors.humor.terms import contact_velocity
 from priors.pose.density import PoseDensity
 from priors.pose.prior import PoseBelief, PosePrior, PoseVariables, PoseWeights
@@ -32,7 +33,7 @@ from recon.core.motion import Motion
 from recon.core.skeleton import KNEES
 from recon.method.newton.model import ClipModel
 from recon.method.newton.preconditioned import Preconditioned
-from recon.method.protocols import REFERENCE_FPS, Decoded, TrackedJoints
+from recon.method.protocols import Decoded, TrackedJoints
 from recon.method.stages import Stage
 from recon.method.terms import PriorEnergy, Term, joint_acceleration, prior_energy, shape
 from recon.method.together.alike import alike
@@ -54,14 +55,16 @@ class CollocatedHumor:
     reach: ClassVar[int] = SPAN - 1
     humor: Humor
     poses: PosePrior
+    tempo: float = 1.0
+    """Share of its speed at which the networks read a motion (`priors.humor.stepwise.tempo`)."""
 
     def encode(self, motion: Motion) -> PoseVariables:
-        """The motion at 30 Hz; exact but for the resampling.
+        """The motion at 30 Hz of the time that the networks see; exact but for the resampling.
 
         Raises:
             ValueError: when it has fewer than two frames.
         """
-        motion = motion.resample(REFERENCE_FPS)
+        motion = at_tempo(motion, self.tempo)
         if bool((motion.valid.sum(-1) < 2).any()):
             raise ValueError(
                 "HuMoR judges steps between frames: expected at least two at 30 Hz, got one; "
@@ -76,7 +79,11 @@ class CollocatedHumor:
 
     def decodes_like(self, other: "CollocatedHumor") -> bool:
         """Whether the other has the same networks, and a pose prior that decodes alike."""
-        return self.poses.decodes_like(other.poses) and alike(self.humor, other.humor)
+        return (
+            self.tempo == other.tempo
+            and self.poses.decodes_like(other.poses)
+            and alike(self.humor, other.humor)
+        )
 
     def from_steps(
         self, variables: PoseVariables, steps: Float[Tensor, "clips time 69"]
@@ -182,7 +189,8 @@ class Collocation:
         Newton's direction does. Where every joint is seen, it is left out, and the poses before
         are found roughly. Where limbs are never seen, a stage before the last begins from several
         motions of theirs as well, and the one of the lowest objective goes on; states must be
-        likely then, and where legs are unseen, gravity asks for a foot that carries the body.
+        likely then, where legs are unseen, gravity asks for a foot that carries the body, and who
+        moves faster than the networks know is read slower.
         """
         root, poses, steps = self.without_feet(data)
         held = Term("contact velocity", contact_velocity, self.weights.contact_velocity)
@@ -199,7 +207,10 @@ class Collocation:
             return root, poses, steps, feet
         carried = Term("support", Support(unseen[:, KNEES].any(-1)), self.weights.support)
         likely = Term("state", LikelyStates(self.humor, unseen), self.weights.state)
-        steps, feet = (replace(s, terms=(*s.terms, carried, likely)) for s in (steps, feet))
+        read = CollocatedHumor(self.humor, self._poses, tempo(data))
+        steps, feet = (
+            replace(s, prior=read, terms=(*s.terms, carried, likely)) for s in (steps, feet)
+        )
         limbs = replace(
             feet, name="limbs", proposals=UnseenLimbs(self.humor, unseen), kept=1,
             minimiser=replace(last, tolerance_decrease=1e-3),

@@ -1,5 +1,6 @@
 """Recordings of any length: overlapping windows of one shape, tied where they overlap."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, cast
@@ -99,8 +100,9 @@ def fit_long(
         return OneShape(prior, (Term("overlap", stack(ties), TIE),))
 
     between = job.fit("tied", every[1::2], shape, tied)
-    motions = apart.motions | between.motions
-    whole = join([motions[row] for row in every]).map(lambda tensor: tensor[None])
+    motions, rate = apart.motions | between.motions, min(apart.fps, between.fps)
+    joined = join([motions[row].resample(rate) for row in every])
+    whole = joined.map(lambda tensor: tensor[None])
     return LongReconstruction(
         estimate=Estimate(Decoded(whole), body.pose(whole), scene),
         windows=tuple(recording.span(row) for row in every),
@@ -145,8 +147,8 @@ class _Fitted:
 
     @property
     def fps(self) -> float:
-        """Frames per second of the results."""
-        return next(iter(self.motions.values())).fps
+        """The fewest frames per second of a result: a prior may read fast windows at more."""
+        return min((motion.fps for motion in self.motions.values()), default=math.inf)
 
     def beside(self, row: int) -> list[Motion]:
         """The neighbours of a window, without those that failed."""
