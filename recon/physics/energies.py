@@ -53,7 +53,7 @@ def floating(estimate: Estimate) -> Float[Tensor, "*batch"]:
     of the weight is carried (`zmp.supported`). The first and last frames take their
     neighbour's weight; a clip too short for accelerations is all supported.
     """
-    weight = _edges_repeated(supported(_dynamics(estimate)), estimate)
+    weight = _edges_repeated(supported(dynamics_of(estimate)), estimate)
     return 0.5 * _over_frames(weight * _floating_height(estimate).square(), estimate)
 
 
@@ -97,7 +97,7 @@ def dynamic_stability(estimate: Estimate) -> Float[Tensor, "*batch"]:
     surface = SampledSurface.of(estimate.body.model)
     step = difference_step(estimate.motion.fps)
     points = inner(_points(estimate.body), estimate.motion.fps)
-    moving = _dynamics(estimate)
+    moving = dynamics_of(estimate)
     away = (centre_of_pressure(points, surface.areas) - zmp(moving)).square().sum(-1)
     near = 1 - smoothstep(lowest_point(points[..., 2]), *NEAR_GROUND)
     cost = supported(moving) * near * _bounded(away, BALANCE_SCALE)
@@ -139,7 +139,8 @@ def _points(posed: PosedBody) -> Float[Tensor, "*batch time points 3"]:
     return _POINTS[posed]
 
 
-def _dynamics(estimate: Estimate) -> Dynamics:
+def dynamics_of(estimate: Estimate) -> Dynamics:
+    """The motion of the body's mass, computed once for all energies of an estimate."""
     posed = estimate.body
     if posed not in _DYNAMICS:
         masses = vertex_masses(posed.model, posed.shape)

@@ -1,12 +1,13 @@
-"""Support: a body that does not fall is held by a foot, which rests on the ground.
+"""Support: a body that does not fall is held by feet that rest on the ground below it.
 
-From joints alone, and so for every body and every step of a minimisation. It says of legs that
-nobody saw what no prior of motion can be trusted with on a stranger: legs that glide above the
-ground are easy to predict, and carry nobody.
+From the body alone, and so for every step of a minimisation. It says of legs that nobody saw what
+no prior of motion can be trusted with on a stranger: legs that glide above the ground are easy to
+predict, and carry nobody; and a foot beside the point about which the ground must push does not.
 """
 
 import math
 from dataclasses import dataclass
+from itertools import combinations_with_replacement
 
 import torch
 from jaxtyping import Bool, Float
@@ -16,8 +17,9 @@ from recon.body.contacts import rest_heights, touching_heights
 from recon.core.skeleton import FEET
 from recon.core.struct import TensorStruct
 from recon.method.protocols import REFERENCE_FPS, Estimate
+from recon.physics.energies import dynamics_of
 from recon.physics.mass import difference_step, inner, second_differences
-from recon.physics.zmp import GRAVITY
+from recon.physics.zmp import GRAVITY, zmp
 from recon.solver.banded import add_differences
 
 TOLERANCE = 0.02
@@ -26,31 +28,39 @@ HEIGHT = 0.03
 """Standard deviation of its height beyond that, metres."""
 SPEED = 0.3
 """Standard deviation of its velocity, m/s."""
+REACH = 0.05
+"""Metres that soles reach beyond the line between two joints of feet."""
+BALANCE = 0.1
+"""Standard deviation of how far the zero-moment point is beyond that reach, metres."""
 FAR = 5.0
 """Energy of one foot, in nats, beyond which it counts less and less: stairs, chairs and belts of
 treadmills exist."""
 SOFTNESS = 0.5
-"""Nats over which the least energy of the joints is taken softly, for a continuous gradient."""
+"""Nats over which the least energy of the pairs is taken softly, for a continuous gradient."""
+_FIRST, _SECOND = zip(*combinations_with_replacement(range(len(FEET)), 2), strict=True)
+"""Joints of feet that may carry the body together, or one alone, as places in `FEET`."""
 
 
 @dataclass(frozen=True)
 class Support(TensorStruct):
-    """Energy of feet that nobody saw, one of which must carry the body."""
+    """Energy of feet that nobody saw, which must carry the body."""
 
     unseen: Bool[Tensor, "*batch"]
     """Clips whose legs nobody saw; the others have an energy of zero."""
 
     def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
-        """Σ_t l_t min_k ρ(½ (h² / σ_h² + v² / σ_v²)) over ankles and toes k, at 30 Hz; nats.
+        """Σ_t l_t min_jk ρ(max(u_j, u_k) + ½ d_jk² / σ_d²) at 30 Hz; nats.
 
-        l is the share of its weight that the ground carries, 1 + a / g between 0 and 1, by the
-        vertical acceleration a of the pelvis: zero in flight. h is how far the joint is from
-        the height at which it touches, v² its mean squared speed in the steps before and after,
-        and ρ(x) = s log(1 + x / s). The first and the last frames, whose acceleration is not
-        known, count nothing.
+        j and k are ankles and toes, also twice the same. l is the share of its weight that the
+        ground carries, 1 + a / g between 0 and 1, by the vertical acceleration a of the pelvis:
+        zero in flight. u = ½ (h² / σ_h² + v² / σ_v²) says how far a joint is from rest: h is the
+        distance from the height at which it touches, v² its mean squared speed in the steps
+        before and after. d is how far the zero-moment point of the body is from the line between
+        the two joints, less the reach of soles, and ρ(x) = s log(1 + x / s). The first and the
+        last frames, whose acceleration is not known, count nothing.
         """
-        carried, unrest = _load(estimate), heavy_tailed(_unrest(estimate))
-        least = -SOFTNESS * ((-unrest / SOFTNESS).logsumexp(-1) - math.log(len(FEET)))
+        carried, nats = _load(estimate), heavy_tailed(_pairs(estimate, _unrest(estimate)))
+        least = -SOFTNESS * ((-nats / SOFTNESS).logsumexp(-1) - math.log(len(_FIRST)))
         exists = estimate.motion.inner(_span(estimate)) & self.unseen[..., None]
         return (carried * least).where(exists, 0.0).sum(-1) * _rate(estimate)
 
@@ -61,7 +71,7 @@ class Support(TensorStruct):
         clip: int,
         joints: Float[Tensor, "time 3 66"],
     ) -> None:
-        """Add the Gauss-Newton Hessian of the joint that rests: its height and its velocity.
+        """Add the Gauss-Newton Hessian of the joints that rest: their heights and velocities.
 
         Args:
             weight: of the energy.
@@ -75,9 +85,10 @@ class Support(TensorStruct):
         span, motion = _span(estimate), estimate.motion
         if motion.frames <= 2 * span:
             return
-        unrest = _unrest(estimate)[clip].detach()
-        share = (-heavy_tailed(unrest) / SOFTNESS).softmax(-1) / (1 + unrest / FAR)
-        share = share * _load(estimate)[clip, :, None].detach()
+        unrest = _unrest(estimate)
+        nats, unrest = _pairs(estimate, unrest)[clip].detach(), unrest[clip].detach()
+        held = (-heavy_tailed(nats) / SOFTNESS).softmax(-1) / (1 + nats / FAR)
+        share = _to_restless(held, unrest) * _load(estimate)[clip, :, None].detach()
         share = share.where(motion.inner(span)[clip, :, None], 0.0) * weight * _rate(estimate)
         stiff = joints.new_zeros(len(joints), 22, 3)
         stiff[span:-span, FEET, 2] = share / HEIGHT**2
@@ -131,6 +142,31 @@ def _unrest(estimate: Estimate) -> Float[Tensor, "*batch inner 4"]:
     frames = height.shape[-2]
     before, after = speed[..., span - 1 :, :], speed[..., span:, :]
     return _unrest_of(height, 0.5 * (before[..., :frames, :] + after[..., :frames, :]))
+
+
+def _pairs(
+    estimate: Estimate, unrest: Float[Tensor, "*batch inner 4"]
+) -> Float[Tensor, "*batch inner 10"]:
+    """max(u_j, u_k) + ½ d_jk² / σ_d² of every pair of joints of feet; nats."""
+    feet = inner(estimate.body.joints[..., FEET, :2], estimate.motion.fps)
+    first, second = feet[..., _FIRST, :], feet[..., _SECOND, :]
+    line, away = second - first, zmp(dynamics_of(estimate))[..., None, :] - first
+    share = ((away * line).sum(-1) / line.square().sum(-1).clamp(min=1e-8)).clamp(0, 1)
+    # the root of a distance of zero has no derivative
+    distance = ((away - share[..., None] * line).square().sum(-1) + 1e-8).sqrt()
+    beyond = (distance - REACH).clamp(min=0) / BALANCE
+    return unrest[..., _FIRST].maximum(unrest[..., _SECOND]) + 0.5 * beyond.square()
+
+
+def _to_restless(
+    pairs: Float[Tensor, "inner 10"], unrest: Float[Tensor, "inner 4"]
+) -> Float[Tensor, "inner 4"]:
+    """Shares of pairs given to the joint of each whose rest the energy asks for."""
+    first, second = (
+        unrest.new_tensor(side).long().expand(pairs.shape) for side in (_FIRST, _SECOND)
+    )
+    restless = torch.where(unrest.gather(-1, first) >= unrest.gather(-1, second), first, second)
+    return torch.zeros_like(unrest).scatter_add(-1, restless, pairs)
 
 
 def _span(estimate: Estimate) -> int:

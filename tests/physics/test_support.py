@@ -5,9 +5,20 @@ from dataclasses import replace
 import pytest
 import torch
 
+from recon.core import rotations as so3
+from recon.core.motion import Motion
 from recon.core.skeleton import FEET
-from recon.physics.support import HEIGHT, SPEED, TOLERANCE, Support
-from recon.physics.zmp import GRAVITY
+from recon.physics.energies import dynamics_of
+from recon.physics.support import (
+    BALANCE,
+    HEIGHT,
+    REACH,
+    SPEED,
+    TOLERANCE,
+    Support,
+    heavy_tailed,
+)
+from recon.physics.zmp import GRAVITY, zmp
 from tests import laws
 from tests.standing_body import path, standing, times
 
@@ -27,7 +38,8 @@ def test_who_stands_is_carried_and_who_glides_above_the_ground_is_not(body):
     time = times(2.0, 30.0)
     stands = value(body, standing(body, path(like=time), 30.0))
     glides = value(body, standing(body, path(x=1.3 * time, z=0.13, like=time), 30.0))
-    assert stands == pytest.approx(0, abs=1e-6)
+    # the least of ten pairs, some of which carry, is taken softly
+    assert 0 <= stands < 57 * 0.3
     assert glides > 57 * 4
 
 
@@ -37,7 +49,8 @@ def test_who_flies_needs_no_foot(body):
     assert value(body, standing(body, path(z=rise, like=time), 30.0)) == pytest.approx(0, abs=1e-6)
 
 
-def test_one_foot_carries_as_well_as_two(body):
+def test_one_foot_carries_who_leans_over_it(body):
+    """A foot was enough wherever it stood: dancers' legs hung below bodies that leaned aside."""
     time = times(1.0, 30.0)
     both = standing(body, path(like=time), 30.0)
     turned = both.rotations.clone()
@@ -46,8 +59,21 @@ def test_one_foot_carries_as_well_as_two(body):
     one = both.replace(rotations=turned)
     raised = laws.estimate_of(body, one.map(lambda t: t[None])).body.joints[0, 0]
     assert raised[7, 2] > raised[8, 2] + 0.2
-    # the least of four is taken softly: less than a nat per frame between two feet and one
-    assert abs(value(body, one) - value(body, both)) < 27 * 1.0
+    beside = float((raised[8, :2] - raised[0, :2]).norm()) - REACH
+    assert value(body, one) > 27 * heavy_tailed(torch.tensor(0.5 * (0.7 * beside / BALANCE) ** 2))
+    leaning = leaning_over(one, raised[8] - raised[0])
+    # the least of ten is taken softly: less than a nat per frame between two feet and one
+    assert abs(value(body, leaning) - value(body, both)) < 27 * 1.0
+    assert value(body, leaning) < value(body, one)
+
+
+def leaning_over(motion: Motion, foot: torch.Tensor) -> Motion:
+    """The body turned about the direction it faces until its pelvis is above the foot."""
+    angle = torch.atan2(foot[0], -foot[2])
+    turn = so3.exp(torch.stack((0 * angle, angle, 0 * angle)))
+    rotations = motion.rotations.clone()
+    rotations[:, 0] = turn @ rotations[:, 0]
+    return motion.replace(rotations=rotations)
 
 
 def test_clips_whose_legs_were_seen_have_no_energy(body):
@@ -83,6 +109,7 @@ def test_its_curvature_is_that_of_the_foot_that_rests(body):
     joints[0, :, [8, 11], 2] += 1.0
     joints[0, :, 7, 2] += 0.5
     joints[0, :, 10, 2] += TOLERANCE + 0.002
+    joints[0, :, 10, :2] = zmp(dynamics_of(estimate))[0, 0]
     estimate = replace(estimate, body=replace(estimate.body, joints=joints))
     coefficients = torch.zeros(len(time), 3, 66, dtype=torch.float64)
     UNSEEN.add_curvature(2.0, estimate, 0, coefficients)
