@@ -42,6 +42,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
                   "--ablations", _RUNS),
     "physics_fit": ("physics_fit", "CORPUS", "--only", "24"),
     "generation_open": ("generation", "CORPUS"),
+    "generation_nc": ("generation", "CORPUS", "--weights", "nc"),
     "real": ("real", "OBSERVATIONS"),
     "real_nc": ("real", "OBSERVATIONS", "--weights", "nc"),
     "cameras": ("cameras", "CORPUS", "--only", "24", "--nc", _NC, "--cases", "one camera",

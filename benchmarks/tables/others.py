@@ -9,6 +9,7 @@ from benchmarks.tables.values import (
     markdown,
     mean,
     number,
+    present,
     result,
     source,
 )
@@ -40,25 +41,18 @@ def ablations() -> str:
 
 def generation() -> str:
     """Samples after true states, and how they stay on their feet."""
-    rows = []
+    files = ["generation_open", *(["generation_nc"] if present(["generation_nc"]) else [])]
     tables = result("generation_open")["tables"]
-    feet = tables["on their feet"]
-    for key, label, mixture in (
-        ("held by the ground (default)", "default", "from the mixture"),
-        ("default, temperature 1.3", "`--temperature 1.3`", None),
-        ("body at the joints", "networks alone", "from the mixture, networks"),
-    ):
-        row = tables["prediction"][key]
-        made = None if mixture is None else feet[mixture]
-        rows.append(
-            [label,
-             *(_cm(row, metric)
-               for metric in ("ade_mean", "ade_of_mean", "ade", "fde", "apd_upright")),
-             number(mean(row, "speed"), 1, 2),
-             *(number(None if made is None else made[name], factor, digits)
-               for name, factor, digits in (("stays", 100, 0), ("speed", 1, 2))),
-             number(feet[f"from real states, {key}"]["stays"], 100, 0)]
-        )  # fmt: skip
+    rows = [
+        _generated(tables, "held by the ground (default)", "default", "from the mixture"),
+        _generated(tables, "default, temperature 1.3", "`--temperature 1.3`", None),
+        _generated(tables, "body at the joints", "networks alone", "from the mixture, networks"),
+        *(
+            _generated(result(nc)["tables"], "held by the ground (default)",
+                       "default, nc weights", "from the mixture")
+            for nc in files[1:]
+        ),
+    ]  # fmt: skip
     guess = tables["prediction"]["constant velocity"]
     rows.append(
         ["constant velocity", *[_cm(guess, "ade_mean")] * 2, NONE, _cm(guess, "fde"), *[NONE] * 5]
@@ -70,7 +64,21 @@ def generation() -> str:
                 "FDE, best of 50", "APD on their feet", "mean speed m/s",
                 "on their feet from the mixture %", "their mean speed m/s",
                 "on their feet from true states %"]  # fmt: skip
-    return markdown(headings, rows) + source("generation_open")
+    return markdown(headings, rows) + source(*files)
+
+
+def _generated(tables: dict, key: str, label: str, mixture: str | None) -> list[str]:
+    """One way to generate."""
+    row, feet = tables["prediction"][key], tables["on their feet"]
+    made = None if mixture is None else feet[mixture]
+    return [
+        label,
+        *(_cm(row, metric) for metric in ("ade_mean", "ade_of_mean", "ade", "fde", "apd_upright")),
+        number(mean(row, "speed"), 1, 2),
+        *(number(None if made is None else made[name], factor, digits)
+          for name, factor, digits in (("stays", 100, 0), ("speed", 1, 2))),
+        number(feet[f"from real states, {key}"]["stays"], 100, 0),
+    ]  # fmt: skip
 
 
 def _cm(row: dict, key: str) -> str:
