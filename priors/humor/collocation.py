@@ -24,7 +24,7 @@ from priors.humor.stepwise.likely import LikelyStates
 from priors.humor.stepwise.limbs import unseen_limbs
 from priors.humor.stepwise.particles import UnseenLimbs
 from priors.humor.stepwise.steps import explain
-from priors.humor.stepwise.tempo import at_tempo, tempo
+from priors.humor.stepwise.tempo import as_read, at_tempo, tempo
 from priors.humor.terms import contact_velocity
 from priors.pose.density import PoseDensity
 from priors.pose.prior import PoseBelief, PosePrior, PoseVariables, PoseWeights
@@ -134,7 +134,7 @@ class CollocatedHumor:
         decoded = self.poses.decode(variables)
         motion, humor = decoded.motion, self.humor.like(variables.translation)
         posed = humor.body.pose(motion)
-        states = posed_states(motion, posed.joints)
+        states = posed_states(as_read(motion), posed.joints)
         pelvis = humor.pelvis(motion.shape)
         found = explain(humor.networks, states, pelvis)
         exists = motion.valid[:, 1:]

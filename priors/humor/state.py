@@ -13,7 +13,6 @@ from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.skeleton import CONTACT_JOINTS, JOINTS
 from recon.core.struct import TensorStruct
-from recon.method.protocols import REFERENCE_FPS
 
 _SIZES = (3, 3, 9, 3, 189, 66, 66)
 """Sizes of the parts of a packed state, in the order of `State`'s fields."""
@@ -179,9 +178,8 @@ def states_of(motion: Motion, body: BodyModel) -> State:
 def posed_states(motion: Motion, joints: Float[Tensor, "*batch time 22 3"]) -> State:
     """States along a motion and its joints, axes (clips, time); velocities by finite differences.
 
-    Central differences inside, one-sided at both ends of what exists (HuMoR, section 1.5). A
-    frame is one thirtieth of a second to the networks, whatever the motion's rate; motions at
-    other rates are read faster or slower than they are (`priors.humor.stepwise.tempo`).
+    Central differences inside, one-sided at both ends of what exists (HuMoR, section 1.5, at
+    the motion's own rate).
 
     Raises:
         ValueError: when a clip has fewer than two frames.
@@ -202,13 +200,13 @@ def posed_states(motion: Motion, joints: Float[Tensor, "*batch time 22 3"]) -> S
 
 
 def _rate(steps: Float[Tensor, "*batch steps numbers"], motion: Motion) -> Tensor:
-    """Mean of the steps before and after each frame, of those that exist, per 30th frame."""
+    """Mean of the steps before and after each frame, of those that exist, per second."""
     exists = (motion.valid[..., 1:] & motion.valid[..., :-1])[..., None].to(steps)
     end = torch.zeros_like(exists[..., :1, :])
     after, before = torch.cat((exists, end), -2), torch.cat((end, exists), -2)
     none = torch.zeros_like(steps[..., :1, :])
     total = torch.cat((steps * exists, none), -2) + torch.cat((none, steps * exists), -2)
-    return total / (after + before).clamp(min=1) * REFERENCE_FPS
+    return total / (after + before).clamp(min=1) * motion.fps
 
 
 def initial_features(state: State) -> Float[Tensor, "*batch 138"]:

@@ -9,7 +9,7 @@ from observations.joints3d import Joints3D
 from priors.humor.collocation import CollocatedHumor, Collocation
 from priors.humor.prior import Humor
 from priors.humor.state import states_of
-from priors.humor.stepwise.tempo import FASTEST, at_tempo, tempo
+from priors.humor.stepwise.tempo import FASTEST, as_read, at_tempo, tempo
 from recon.body.model import BodyModel
 from recon.core.skeleton import LEGS
 from recon.method.reconstruction import solve
@@ -71,7 +71,7 @@ def test_networks_see_frames_and_not_the_clock(body: BodyModel) -> None:
     """What they think of a motion read at a rate is what they think of it slowed down to 30 Hz."""
     clip = swinging(9, 3)[None]
     fast = clip.replace(fps=45.0)
-    slow, quick = states_of(clip, body), states_of(fast, body)
+    slow, quick = states_of(clip, body), states_of(as_read(fast), body)
     torch.testing.assert_close(quick.pack(), slow.pack(), rtol=0, atol=0)
     method = Collocation(humor(body))
     prior = method.stages((travelling(8.0, hidden=tuple(LEGS)),))[-1].prior
@@ -110,3 +110,12 @@ def test_what_is_read_slower_is_found_in_its_own_time(monkeypatch: pytest.Monkey
     assert result.motion.stop_time == pytest.approx(truth.stop_time, abs=1e-6)
     away = (body.pose(result.motion.resample(truth.fps)).joints - joints)[..., list(LEGS), :]
     assert away.norm(dim=-1).mean() < 0.15  # metres
+
+
+def test_states_of_a_motion_are_of_its_own_rate(body: BodyModel) -> None:
+    """Velocities of first states of recordings at 120 Hz were a quarter of the true ones."""
+    clip = swinging(9, 3)[None]
+    fast = states_of(clip.replace(fps=120.0), body)
+    slow = states_of(clip, body)
+    torch.testing.assert_close(fast.joint_velocities, 4 * slow.joint_velocities)
+    torch.testing.assert_close(fast.angular_velocity, 4 * slow.angular_velocity)

@@ -14,6 +14,7 @@ from torch import Tensor
 from priors.humor.prior import Humor
 from priors.humor.state import canonical, initial_features, posed_states
 from priors.humor.stepwise.energies import RARITY, heavy_tailed
+from priors.humor.stepwise.tempo import as_read
 from recon.core.struct import TensorStruct
 from recon.method.protocols import Estimate
 
@@ -35,7 +36,7 @@ class LikelyStates(TensorStruct):
         """
         motion = estimate.motion
         humor = self.humor.like(motion.translation)
-        states = posed_states(motion, estimate.body.joints)
+        states = posed_states(as_read(motion), estimate.body.joints)
         states = canonical(states, humor.pelvis(motion.shape)[:, None])
         rarity = humor.initial.rarity(initial_features(states))
         exists = motion.valid & self.unseen.any(-1)[:, None]

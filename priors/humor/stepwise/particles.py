@@ -21,6 +21,7 @@ from priors.humor.prior import Humor
 from priors.humor.state import State, states_of
 from priors.humor.stepwise.drawn import drawn_step
 from priors.humor.stepwise.limbs import LimbDraws
+from priors.humor.stepwise.tempo import as_read
 from recon.core.motion import Motion
 from recon.core.skeleton import TOES
 from recon.method.protocols import Estimate
@@ -55,12 +56,13 @@ class ParticleFilter:
 
         Args:
             humor: the prior, of the motion's precision.
-            motion: of one clip in the world at 30 Hz, on the ground z = 0; axes (1, time).
+            motion: of one clip in the world, on the ground z = 0, whose frames are steps of the
+                networks; axes (1, time).
             unseen: joints whose rotations are to be found.
         """
         random = torch.Generator().manual_seed(_SEED)
         count = self.hypotheses * self.particles
-        states, frames = states_of(motion, humor.body), int(motion.valid.sum())
+        states, frames = states_of(as_read(motion), humor.body), int(motion.valid.sum())
         draws = LimbDraws.of(humor, motion.shape.expand(count, -1), unseen)
         state = draws.first(states[:, 0], random)
         weights = states.translation.new_zeros(self.hypotheses, self.particles)

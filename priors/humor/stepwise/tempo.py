@@ -79,6 +79,11 @@ def at_tempo(motion: Motion, tempo: float) -> Motion:
     return motion.resample(steps / seconds)
 
 
+def as_read(motion: Motion) -> Motion:
+    """A motion with `REFERENCE_FPS` frames in every second that networks see, on their clock."""
+    return motion.replace(fps=REFERENCE_FPS)
+
+
 def _speed(sensor: SeenPoints) -> Float[Tensor, " clips"]:
     """Mean speed of the middle of the points that two moments `_APART` show, m/s."""
     places, shown = sensor.places, sensor.shown
