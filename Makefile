@@ -11,8 +11,9 @@ PYTHON ?= python3
 BIN := .venv/bin
 PIP := $(BIN)/pip install --quiet --constraint constraints.txt
 OUT ?= out
-# On the kernels of other processors, from inputs off by a few units in the last place.
-NUMERICS = $(BIN)/pytest -q -n 2 --dist loadfile -m 'numerics and not slow' --ulps 4
+# On the kernels of other processors, from inputs off by a few units in the last place. Shapes
+# hang on neither, and were checked before.
+NUMERICS = JAXTYPING_DISABLE=1 $(BIN)/pytest -q -n 2 --dist loadfile -m 'numerics and not slow' --ulps 4
 
 .PHONY: demo test test-slow dist docs mutants tables clients bench clean
 
@@ -26,10 +27,10 @@ test: .venv/developed
 	$(BIN)/lint-imports
 	$(BIN)/pytest -q -n 2 --dist loadfile -m 'not slow'
 	ATEN_CPU_CAPABILITY=default MKL_CBWR=COMPATIBLE $(NUMERICS)
-	ATEN_CPU_CAPABILITY=avx2 $(NUMERICS)
 
 test-slow: .venv/developed
 	$(BIN)/pytest -q -n 2 --dist loadfile -m slow
+	ATEN_CPU_CAPABILITY=avx2 $(NUMERICS)
 
 dist: .venv/developed
 	$(BIN)/python -m scripts.distributions --out dist

@@ -61,6 +61,7 @@ def test_names_of_nobody_are_refused():
         recon.fit(joints3d(walk(4), bundled(), Corruption(), 0), "nobody:Nothing")
 
 
+@pytest.mark.slow
 def test_long_recordings_and_unknown_ground():
     slow = walk(43).replace(fps=4.0)
     slow = slow.replace(translation=slow.translation + torch.tensor([0.0, 0.0, 0.5]))

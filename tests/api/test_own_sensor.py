@@ -67,6 +67,7 @@ def test_beside_a_camera_its_posture_is_better():
     assert posture_error(both, truth) < 0.9 * posture_error(alone, truth)
 
 
+@pytest.mark.slow
 def test_long_recordings_are_cut_into_windows():
     slow = walk(43).replace(fps=4.0)
     every = joints3d(slow, bundled(), Corruption(noise=0.02), 0)

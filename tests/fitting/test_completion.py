@@ -90,6 +90,7 @@ def test_few_frames(settings):
     assert vertex_error(found.result.clip(0), walk) < 0.05
 
 
+@pytest.mark.slow
 def test_dense_points_tell_what_no_code_has(settings):
     walk = truth(2)
     raised = walk.rotations.clone()
@@ -124,6 +125,7 @@ def test_a_batch_is_its_clips(settings):
         assert vertex_error(together.result.clip(k), alone) < 0.003
 
 
+@pytest.mark.slow
 def test_published_weights_fit_as_well(settings):
     walk = truth(1, 2.5)
     found = complete([landmarks(walk), cloud(walk, 40)], settings, BODY, kind=PublishedAnchorFit)

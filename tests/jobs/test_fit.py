@@ -145,27 +145,23 @@ def test_the_stated_remedies_work(truth, tmp_path):
     assert load_motion(tmp_path / "b.npz").motion.translation.isfinite().all()
 
 
-def test_hard_but_honest_data_never_gives_nan(truth, tmp_path):
-    rng = np.random.default_rng(0)
-    for trial in range(6):
-        corruption = {
-            "noise": float(rng.choice([0.0, 0.04, 0.2])),
-            "missing_points": float(rng.uniform(0, 0.95)),
-            "missing_frames": float(rng.choice([0.0, 0.5])),
-            "outliers": float(rng.choice([0.0, 0.4])),
-        }
-        kind = "joints3d" if trial % 2 else "markers3d"
-        seen = observation(truth, tmp_path, kind, **corruption)
-        with np.load(seen) as file:
-            if not file["visible"].any():
-                continue
-        out = tmp_path / "motion.npz"
-        report = fit_files(
-            [seen], out, FitSettings(prior="pose", robust=0.1 if trial % 3 else None)
-        )
-        assert not report["failed"]
-        motion = load_motion(out).motion
-        assert motion.rotations.isfinite().all()
+@pytest.mark.parametrize(
+    "trial", [0, 1, *(pytest.param(k, marks=pytest.mark.slow) for k in range(2, 8))]
+)
+def test_hard_but_honest_data_never_gives_nan(trial, truth, tmp_path):
+    rng = np.random.default_rng(trial)
+    corruption = {
+        "noise": float(rng.choice([0.0, 0.04, 0.2])),
+        "missing_points": float(rng.uniform(0, 0.9)),
+        "missing_frames": float(rng.choice([0.0, 0.5])),
+        "outliers": float(rng.choice([0.0, 0.4])),
+    }
+    seen = observation(truth, tmp_path, "joints3d" if trial % 2 else "markers3d", **corruption)
+    out = tmp_path / "motion.npz"
+    report = fit_files([seen], out, FitSettings(prior="pose", robust=0.1 if trial % 3 else None))
+    assert not report["failed"]
+    motion = load_motion(out).motion
+    assert motion.rotations.isfinite().all()
 
 
 def test_an_unknown_ground_is_found_under_the_feet(truth, tmp_path):

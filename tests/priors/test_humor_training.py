@@ -206,6 +206,7 @@ def test_own_predictions_are_fed_back_without_gradient(folder: Path) -> None:
     torch.testing.assert_close(rest_pelvis(target), pelvis, rtol=0, atol=1e-5)  # metres
 
 
+@pytest.mark.slow
 def test_a_run_that_was_interrupted_goes_on_exactly(folder: Path, tmp_path: Path) -> None:
     whole = replace(settings_of(folder, tmp_path / "whole"), validate_every=6)
     train(whole)

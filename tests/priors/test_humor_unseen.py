@@ -136,6 +136,7 @@ def test_the_stage_is_there_only_where_limbs_are_unseen(body: BodyModel) -> None
     assert "limbs" not in [stage.name for stage in method.stages((seen_data([10]),))]
 
 
+@pytest.mark.slow
 def test_legs_of_a_walk_that_nobody_saw_walk() -> None:
     """Hidden legs of recorded walks floated above the ground and hardly moved: 13 cm off where
     minima of lower objective lie at 8."""
