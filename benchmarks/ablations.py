@@ -22,11 +22,11 @@ from priors.humor.collocation import Collocation
 from priors.humor.networks import LATENT, RAW, HumorNetworks
 from priors.humor.prior import Humor
 from priors.humor.state import Frame, State, compose
-from priors.humor.training.run import HumorTraining, LossWeights, export_weights
-from priors.humor.training.scaling import ScaledNetworks, Scaling
-from priors.humor.training.train import train
-from priors.training.dataset import SPLITS
+from recon.benchmark.dataset import SPLITS
 from recon.core import rotations as so3
+from training.humor.run import HumorTraining, LossWeights, export_weights
+from training.humor.scaling import ScaledNetworks, Scaling
+from training.humor.train import train
 
 WIDTH = 512
 STEPS = 1500

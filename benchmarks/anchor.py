@@ -12,9 +12,9 @@ from torch import Tensor
 
 from priors.anchor.frames import Anchors
 from priors.anchor.prior import AnchorFrames
-from priors.anchor.training.corpus import CycleBatch, CycleCorpus
-from priors.training.dataset import SPLITS, Licence, Part, Splits
+from recon.benchmark.dataset import SPLITS, Licence, Part, Splits
 from recon.core import rotations as so3
+from training.anchor.corpus import CycleBatch, CycleCorpus
 
 TURNS = 30.0
 """Degrees by which a cycle turns at least: clips named after turns also walk straight."""

@@ -7,9 +7,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from priors.anchor.frames import ANCHORS, ROW_NUMBERS, Anchors
-from priors.anchor.training.corpus import CycleBatch
 from recon.core import rotations as so3
 from recon.core.struct import TensorStruct
+from training.anchor.corpus import CycleBatch
 
 COMPONENTS = 72
 """64 for the code and 8 for the shape, as in the paper."""

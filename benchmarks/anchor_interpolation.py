@@ -7,7 +7,7 @@
 Pairs of cycles, of one subject where there are two: running and walking, walking forward and
 backward, turning left and right. Codes and shapes are mixed by the
 prior, linear coefficients by PCA-72, and anchors by slerp (Marsot et al., section 5.2); each as it
-is, and settled (`recon.fitting.settling`), as `recon interpolate` leaves it.
+is, and settled (`recon.fitting.retargeting`), as `recon interpolate` leaves it.
 
 Pairs stand on the same feet, each told by which foot is lower: hips of backward walking swing as
 those of forward walking do, while the other foot stands.
@@ -36,15 +36,15 @@ from benchmarks.anchor_structure import learned
 from benchmarks.results import corpus_source, show, write
 from priors.anchor.frames import ANCHORS, POSED, Anchors
 from priors.anchor.prior import AnchorFrames
-from priors.anchor.training.corpus import CycleBatch
-from priors.training.dataset import Part
+from recon.benchmark.dataset import Part
 from recon.body.contacts import TOE_REACH, rest_heights, touching_heights
 from recon.core.skeleton import FEET
 from recon.core.struct import concatenate
 from recon.fitting.interpolation import agreement, foot_lift
-from recon.fitting.settling import flies, settled
-from recon.formats.files.opening import replacing
+from recon.fitting.retargeting import flies, settled
+from recon.formats.opening import replacing
 from recon.metrics import errors as metrics
+from training.anchor.corpus import CycleBatch
 
 KINDS = {
     "run - walk": ("run", "walk"),

@@ -30,14 +30,13 @@ from benchmarks.results import corpus_source, show, write
 from priors.anchor.frames import Anchors
 from priors.anchor.prior import AnchorFrames
 from recon.body.model import BodyModel
-from recon.body.spread import spread_vertices
-from recon.core.geometry.normals import vertex_normals
-from recon.core.geometry.raster import rasterise
+from recon.body.sampled import spread_vertices
 from recon.core.motion import Motion
+from recon.core.raster import rasterise, vertex_normals
 from recon.core.skeleton import PARENTS
-from recon.view.drawing.lettering import join, label, save_picture
-from recon.view.show.scene import Figure
-from recon.view.show.viewpoint import follow
+from recon.view.drawing.marks import join, label, save_picture
+from recon.view.scene import Figure
+from recon.view.viewpoint import follow
 
 DIRECTIONS = (0, 1)
 """Shape directions that are looked at."""

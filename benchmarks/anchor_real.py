@@ -35,13 +35,12 @@ from observations.markers3d import Markers3D
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.fitting.clip import fit_clip
-from recon.fitting.cycles.completion import NAMED_NOISE, complete
-from recon.fitting.options import FitOptions
+from recon.fitting.cycles import NAMED_NOISE, complete
+from recon.fitting.methods import FitOptions
 from recon.formats.mocap.reader import read_recording
 from recon.formats.mocap.recording import MarkerRecording
 from recon.view.frames import write_png
-from recon.view.show.colours import GREY
-from recon.view.show.scene import Figure, Points, Show
+from recon.view.scene import GREY, Figure, Points, Show
 
 RECORDINGS = {
     "cmu_c3d/02_01.c3d": "walk, training subject",

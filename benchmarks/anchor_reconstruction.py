@@ -28,9 +28,9 @@ from benchmarks.anchor_baselines import COMPONENTS, LinearCycles
 from benchmarks.results import corpus_source, show, write
 from priors.anchor.frames import Anchors
 from priors.anchor.prior import AnchorFrames
-from priors.anchor.training.corpus import CycleBatch
-from recon.body.spread import spread_vertices
-from recon.formats.files.opening import replacing
+from recon.body.sampled import spread_vertices
+from recon.formats.opening import replacing
+from training.anchor.corpus import CycleBatch
 
 POINTS = 200
 _AT_ONCE = 50

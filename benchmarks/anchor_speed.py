@@ -26,10 +26,10 @@ from benchmarks.complete import COLUMNS, observe, together
 from benchmarks.cycles import chosen, found_cycles
 from benchmarks.results import corpus_source, show, write
 from benchmarks.scans import ScannedCycle, scanned_cycle
-from observations.together.kinds import InSpace
+from observations.kinds import InSpace
 from recon.body.model import BodyModel
-from recon.fitting.cycles.completion import complete
-from recon.fitting.options import FitOptions
+from recon.fitting.cycles import complete
+from recon.fitting.methods import FitOptions
 from recon.formats.observations import save_observation
 
 _SINGLE = 4

@@ -22,9 +22,9 @@ from benchmarks.anchor import LABELS, Ask, Cycles, asked, parser, weights_name
 from benchmarks.anchor_baselines import LinearCycles
 from benchmarks.results import corpus_source, show, write
 from priors.anchor.prior import AnchorFrames
-from priors.training.dataset import Part
+from recon.benchmark.dataset import Part
 from recon.core.struct import concatenate
-from recon.formats.files.opening import replacing
+from recon.formats.opening import replacing
 
 MOST = 12
 """Cycles of an action."""

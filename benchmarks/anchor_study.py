@@ -20,15 +20,13 @@ from torch import Tensor
 from benchmarks.anchor import asked, parser
 from benchmarks.results import corpus_source, write
 from priors.anchor.frames import Anchors
-from priors.anchor.training.corpus import CycleCorpus
-from priors.anchor.training.export import export_learned
-from priors.anchor.training.losses import some_of
-from priors.anchor.training.run import AnchorTraining
-from priors.anchor.training.train import train_on
-from priors.anchor.weights import load_weights
+from priors.anchor.networks import load_weights
 from recon.body.model import BodyModel
-from recon.body.spread import spread_vertices
-from recon.formats.files.opening import replacing
+from recon.body.sampled import spread_vertices
+from recon.formats.opening import replacing
+from training.anchor.corpus import CycleCorpus
+from training.anchor.run import AnchorTraining, export_learned
+from training.anchor.train import some_of, train_on
 
 SIZES = (8, 16, 32, 64, 128, 256)
 KL = (1e-1, 1e-2, 1e-3, 1e-4)

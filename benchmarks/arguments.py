@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from priors.training.dataset import SPLITS
+from recon.benchmark.dataset import SPLITS
 
 
 def over_windows(about: str | None) -> argparse.ArgumentParser:

@@ -29,8 +29,8 @@ from rich.table import Table
 
 from benchmarks.arguments import over_windows
 from benchmarks.results import ROOT, corpus_source, write
-from priors.training.dataset import Splits
-from recon.api.bench.windows import FRAMES, load_windows
+from recon.benchmark.dataset import Splits
+from recon.benchmark.windows import FRAMES, load_windows
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS

@@ -31,14 +31,14 @@ from benchmarks.results import corpus_source, write
 from benchmarks.scores import Columns, Row, Rows, by_subject, tables
 from observations.files.clouds import cloud_of
 from observations.files.images import keypoints_of
-from priors.training.dataset import Splits
-from recon.api.bench.windows import TrueWindows, load_windows
+from recon.benchmark.dataset import Splits
+from recon.benchmark.windows import TrueWindows, load_windows
 from recon.body.model import BodyModel
 from recon.core.camera import Camera, depth_camera, full_hd_camera
 from recon.core.motion import Motion
 from recon.core.struct import concatenate
 from recon.fitting.clip import fit_clip
-from recon.fitting.options import FitOptions
+from recon.fitting.methods import FitOptions
 from recon.method.protocols import Sensor as Seen
 from recon.metrics.evaluation import evaluate, ground_errors
 from recon.simulation.depth import Surface, depth_points, without_pose

@@ -18,8 +18,8 @@ from benchmarks.cloud_cases import Seen
 from benchmarks.labels import worn_by
 from benchmarks.people import People
 from recon.core.motion import Motion
-from recon.simulation.clothes import Clothing
 from recon.simulation.depth import Shown
+from recon.simulation.scenery import Clothing
 
 _COMPARED = 3
 """Every so many true vertices are compared."""

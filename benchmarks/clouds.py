@@ -51,11 +51,10 @@ from benchmarks.scores import Columns, Row, by_subject, rounded, tables
 from benchmarks.spoiled_labels import spoiled, vertices_of
 from benchmarks.uncertainty import NINE_TENTHS
 from observations.depth import PointCloud
-from observations.together.first_guess import first_guess
-from observations.together.labelling import labelled
-from priors.training.dataset import Splits
-from recon.api.bench.windows import TrueWindows, load_windows
+from observations.first_guess import first_guess, labelled
 from recon.api.fit import fit
+from recon.benchmark.dataset import Splits
+from recon.benchmark.windows import TrueWindows, load_windows
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.errors import ObservationError

@@ -30,21 +30,21 @@ from benchmarks.scans import (
     thinned_landmarks,
     thinned_points,
 )
+from observations.curvature import Surfels
 from observations.depth import PointCloud
 from observations.files.points import positions_of
-from observations.surfels import Surfels
-from observations.together.kinds import InSpace
+from observations.kinds import InSpace
 from priors.anchor.fit import AnchorFit, PublishedAnchorFit
 from priors.pose.prior import PosePrior, PoseWeights
-from priors.training.dataset import Part, Splits
+from recon.benchmark.dataset import Part, Splits
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.struct import concatenate
 from recon.fitting.clip import fit_clip
-from recon.fitting.cycles.completion import NAMED_NOISE, complete
-from recon.fitting.options import FitOptions
+from recon.fitting.cycles import NAMED_NOISE, complete
+from recon.fitting.methods import FitOptions
 from recon.method.reconstruction import solve
-from recon.metrics.chamfer import chamfer_of_clip
+from recon.metrics.errors import chamfer_of_clip
 
 READ = 512
 """Most points of a frame that the command keeps when it reads scans."""

@@ -35,9 +35,9 @@ from observations.joints3d import Joints3D
 from observations.markers3d import Markers3D
 from priors.humor.collocation import Collocation
 from priors.humor.prior import Humor
-from priors.training.dataset import Splits
-from recon.api.bench.sensors import noisy_joints, occluded_points, with_gap
-from recon.api.bench.windows import TrueWindows, load_windows
+from recon.benchmark.dataset import Splits
+from recon.benchmark.protocols import noisy_joints, occluded_points, with_gap
+from recon.benchmark.windows import TrueWindows, load_windows
 from recon.body.model import BodyModel
 from recon.core.scene import Scene
 from recon.core.struct import concatenate

@@ -33,8 +33,8 @@ from benchmarks.arguments import over_windows
 from benchmarks.results import corpus_source, write
 from observations.correspondences import BodyPoints
 from observations.people.tracks import Track, follow
-from priors.training.dataset import Part, Splits
-from recon.api.bench.windows import TrueWindows, load_windows
+from recon.benchmark.dataset import Part, Splits
+from recon.benchmark.windows import TrueWindows, load_windows
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.camera import Camera, full_hd_camera

@@ -6,7 +6,7 @@
 Columns as in `benchmarks.complete`: p points of every frame, or f of 100 frames with all points,
 with the 16 landmarks or without. Methods: the anchor-frame VAE (`network`, made by `recon train
 anchor`), principal components of the same cycles with their Gaussian in the same optimiser (by
-`python -m priors.anchor.training.components`), the pose prior with its smoothness (`pose`) and
+`python -m training.anchor.components`), the pose prior with its smoothness (`pose`) and
 HuMoR (`humor`), which are told the same noise; `recon.complete` is the library's own choice by
 what was seen. Seeds draw other people, clothes, offsets of
 landmarks and noise for the same cycles.
@@ -42,14 +42,14 @@ from benchmarks.cycles import FoundCycle, chosen, found_cycles
 from benchmarks.results import corpus_source, earlier, write
 from benchmarks.scans import ScannedCycle, scanned_cycle
 from observations.depth import PointCloud
-from observations.together.kinds import InSpace
+from observations.kinds import InSpace
 from priors.anchor.prior import AnchorFrames
-from priors.training.dataset import Splits, clip_files
+from recon.benchmark.dataset import Splits, clip_files
+from recon.benchmark.table import interval, paired
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
-from recon.fitting.cycles.completion import NAMED_NOISE
-from recon.fitting.options import FitOptions
-from recon.metrics.intervals import interval, paired
+from recon.fitting.cycles import NAMED_NOISE
+from recon.fitting.methods import FitOptions
 
 USUAL = ("p=0", "f=5+lm", "f=20+lm", "p=100+lm", "p=1000+lm")
 """Cases of table 1 of Marsot et al. that are run by default, the cheap ones first."""

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.results import corpus_source, show, write
-from priors.training.dataset import SPLITS, Part, Splits, clip_files, is_flat
+from recon.benchmark.dataset import SPLITS, Part, Splits, clip_files, is_flat
 from recon.body.cycles import RATE, Cycle, find_cycles, hip_flexion
 from recon.core.motion import Motion
 from recon.formats.motions import load_motion

@@ -24,9 +24,9 @@ from benchmarks.results import corpus_source, write
 from benchmarks.tables.drift import HEADINGS, lines
 from priors.humor.prior import Humor
 from priors.humor.state import states_of
-from priors.humor.stepwise.steps import explain, latents_of
-from priors.training.dataset import Splits
-from recon.api.bench.windows import TrueWindows, load_windows
+from priors.humor.steps import explain, latents_of
+from recon.benchmark.dataset import Splits
+from recon.benchmark.windows import TrueWindows, load_windows
 from recon.body.model import BodyModel
 
 SEED = 0

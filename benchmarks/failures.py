@@ -13,17 +13,16 @@ import torch
 
 from benchmarks.arguments import over_windows
 from benchmarks.results import corpus_source, write
-from priors.training.dataset import Splits, clip_files
-from priors.training.kinds import OTHER, described, kind_of
-from recon.api.bench.methods import method_named
-from recon.api.bench.protocols import PROTOCOLS, SeenWindow, seen_windows
-from recon.api.bench.sources import bench_source
-from recon.api.verbs.bench import bench
+from recon.benchmark.dataset import Splits, clip_files
+from recon.benchmark.judged import bench
+from recon.benchmark.methods import method_named
+from recon.benchmark.protocols import PROTOCOLS, SeenWindow, seen_windows
+from recon.benchmark.sources import bench_source
 from recon.body.model import BodyModel
 from recon.formats.motions import MotionFile
 from recon.view.frames import write_png
-from recon.view.show.colours import GREY
-from recon.view.show.scene import Figure, Points, Show
+from recon.view.scene import GREY, Figure, Points, Show
+from training.humor.corpus import OTHER, described, kind_of
 
 METHODS = ("pose", "collocation")
 MEASURED = {"noisy-joints": "joints_all", "hidden-points": "observed_hidden"}

@@ -15,11 +15,11 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from observations.first_guess import first_guess
 from recon.clip_files import load_clip
 from recon.fit_files import fit_files
 from recon.settings import FitSettings
 
+from observations.first_guess import first_guess
 from recon.body import BodyModel
 
 

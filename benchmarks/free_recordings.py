@@ -23,13 +23,12 @@ from typing import Any, Literal
 import numpy as np
 
 from benchmarks.results import show, write
-from priors.training.dataset import SPLITS, Splits, clip_files
+from recon.benchmark.dataset import SPLITS, Splits, clip_files
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.skeleton import FEET
-from recon.formats.files.checksums import file_checksum
-from recon.formats.files.replacing import replacing
 from recon.formats.motions import load_motion
+from recon.formats.replacing import file_checksum, replacing
 from recon.ingest.single import convert
 from recon.physics.mass import centre_of_mass, vertex_masses_of_segments
 

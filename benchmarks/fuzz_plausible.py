@@ -10,12 +10,12 @@ import torch
 from priors.checkpoints import Checkpoint
 from recon.core import limits
 from recon.core.limits import Limit, check_camera, check_pose
-from recon.formats.bodies.smpl import SmplArrays
-from recon.formats.calibration.cameras import Calibration
+from recon.formats.calibration import Calibration
 from recon.formats.detections.records import Detections
 from recon.formats.mocap.recording import MarkerRecording, SkeletonRecording
 from recon.formats.motions import MotionFile
 from recon.formats.observations import CameraArrays, KeypointsFile, PointsFile, PositionsFile
+from recon.formats.smpl import SmplArrays
 
 _RANGES: dict[type, dict[str, Limit]] = {
     SkeletonRecording: {

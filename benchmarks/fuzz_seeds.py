@@ -21,16 +21,16 @@ from benchmarks.fuzz_mutations import (
     inside_image,
     inside_xz,
 )
-from observations.people.masks import Silhouettes, load_silhouettes
+from observations.people.places import Silhouettes, load_silhouettes
 from recon.core.skeleton import PARENTS
-from recon.formats.bodies.smpl import load_smpl
-from recon.formats.calibration.cameras import load_cameras
-from recon.formats.clouds.depth_images import read_depth_images
-from recon.formats.clouds.scans import read_scans, write_scans
+from recon.formats.calibration import load_cameras
+from recon.formats.depth_images import read_depth_images
 from recon.formats.detections.reader import read_keypoints
 from recon.formats.mocap.reader import read_recording
 from recon.formats.motions import load_motion
 from recon.formats.observations import CameraArrays, PointsFile, load_observation
+from recon.formats.scans import read_scans, write_scans
+from recon.formats.smpl import load_smpl
 from recon.jobs.simulate import simulate_file
 from recon.simulation.points import Corruption
 

@@ -25,6 +25,7 @@ from benchmarks.results import corpus_source, write
 from benchmarks.scores import Columns, Row, Rows, by_subject, cell
 from priors.humor.generation import (
     TEMPERATURE,
+    Footing,
     Landing,
     as_predicted,
     body_at_joints,
@@ -34,9 +35,8 @@ from priors.humor.generation import (
 )
 from priors.humor.prior import Humor
 from priors.humor.state import Frame, State, states_of
-from priors.humor.stepwise.footing import Footing
-from priors.training.dataset import Splits, clip_files
-from recon.api.bench.windows import FPS, FRAMES, TrueWindows, load_windows
+from recon.benchmark.dataset import Splits, clip_files
+from recon.benchmark.windows import FPS, FRAMES, TrueWindows, load_windows
 from recon.body.contacts import contact_labels, rest_heights
 from recon.body.model import BodyModel
 from recon.core.motion import Motion

@@ -49,9 +49,9 @@ from priors.humor.collocation import Collocation
 from priors.humor.prior import Humor
 from priors.humor.shooting import Shooting
 from priors.pose.prior import PosePrior, PoseWeights
-from priors.training.dataset import Splits
-from recon.api.bench.sensors import noisy_joints, occluded_points
-from recon.api.bench.windows import FRAMES, TrueWindows, load_windows
+from recon.benchmark.dataset import Splits
+from recon.benchmark.protocols import noisy_joints, occluded_points
+from recon.benchmark.windows import FRAMES, TrueWindows, load_windows
 from recon.body.model import BodyModel
 from recon.method.reconstruction import Method
 

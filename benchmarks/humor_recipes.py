@@ -10,8 +10,8 @@ from benchmarks.scores import Columns, Fitted, Rows, fit_windows, score
 from priors.humor.collocation import Collocation
 from priors.humor.prior import Humor
 from priors.pose.prior import PosePrior, PoseWeights
-from recon.api.bench.sensors import UPPER_BODY, noisy_joints, with_gap
-from recon.api.bench.windows import FPS, TrueWindows
+from recon.benchmark.protocols import UPPER_BODY, noisy_joints, with_gap
+from recon.benchmark.windows import FPS, TrueWindows
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.method.reconstruction import Method

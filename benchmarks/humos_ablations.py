@@ -24,16 +24,15 @@ from benchmarks.retarget_baselines import copied
 from benchmarks.retarget_clips import Job, load_jobs
 from benchmarks.retarget_shapes import reconstruction
 from priors.humos.prior import Humos
-from priors.humos.training.corpus import BodyCorpus
-from priors.humos.training.export import export_learned
-from priors.humos.training.run import HumosTraining
-from priors.humos.training.train import train_on
-from priors.training.dataset import Splits
+from recon.benchmark.dataset import Splits
 from recon.body.model import BodyModel
 from recon.core.struct import concatenate
 from recon.fitting.retargeting import proposed
-from recon.physics.metrics import physics_metrics
-from recon.physics.samples import PhysicsSamples
+from recon.physics.metrics import PhysicsSamples, physics_metrics
+from training.humos.corpus import BodyCorpus
+from training.humos.export import export_learned
+from training.humos.run import HumosTraining
+from training.humos.train import train_on
 
 STEPS = 400
 _ONE_CODE = 320

@@ -15,13 +15,12 @@ from benchmarks.scores import Rows, tables
 from benchmarks.stage12 import SEED
 from priors.humor.collocation import Collocation
 from priors.humor.prior import Humor
-from priors.humos.codes import CodesFit
-from priors.humos.collocation import HumosFit
+from priors.humos.collocation import CodesFit, HumosFit
 from priors.humos.prior import Humos
 from priors.pose.prior import PosePrior, PoseWeights
-from priors.training.dataset import Splits
-from recon.api.bench.sensors import noisy_joints, occluded_points
-from recon.api.bench.windows import load_windows
+from recon.benchmark.dataset import Splits
+from recon.benchmark.protocols import noisy_joints, occluded_points
+from recon.benchmark.windows import load_windows
 from recon.body.model import BodyModel
 
 

@@ -9,7 +9,7 @@ one of MakeHuman's (`benchmarks.people`) in drawn clothes, and our body in a dra
 the whole cloud; half of its points on the body hidden by a plane in a drawn direction; the cloud
 and its sensor turned in any way, without a word on where gravity points; what a coarse
 segmentation leaves around the body; scans from all sides. Intervals are those of
-`recon.metrics.intervals`.
+`recon.benchmark.table`.
 """
 
 import time
@@ -26,18 +26,16 @@ from scipy.spatial.transform import Rotation
 from benchmarks.arguments import over_windows
 from benchmarks.people import People
 from benchmarks.results import corpus_source, write
-from priors.labels.looking import CloudLabeller
-from priors.labels.record import PointLabels
+from priors.labels.looking import CloudLabeller, PointLabels
 from priors.labels.regions import MIRRORED_REGIONS, Regions
-from priors.training.dataset import Splits
-from recon.api.bench.windows import TrueWindows, load_windows
+from recon.benchmark.dataset import Splits
+from recon.benchmark.table import interval
+from recon.benchmark.windows import TrueWindows, load_windows
 from recon.body.model import BodyModel
-from recon.core.geometry.normals import vertex_normals
-from recon.metrics.intervals import interval
-from recon.simulation.clothes import Clothing, clothed, offsets
-from recon.simulation.labelled.people import drawn_shape
-from recon.simulation.labelled.postures import SPACING
-from recon.simulation.labelled.rooms import Glimpse, all_around, drawn_room, glimpse
+from recon.core.raster import vertex_normals
+from recon.simulation.scenery import Clothing, clothed, offsets
+from training.labels.people import SPACING, drawn_shape
+from training.labels.rooms import Glimpse, all_around, drawn_room, glimpse
 
 POINTS = 512
 FRAMES = 90

@@ -29,7 +29,7 @@ from rich.table import Table
 from torch import Tensor
 
 from benchmarks.results import corpus_source, write
-from priors.training.dataset import SPLITS, Splits, clip_files
+from recon.benchmark.dataset import SPLITS, Splits, clip_files
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion

@@ -25,15 +25,14 @@ from benchmarks.arguments import over_windows
 from benchmarks.long import there_and_back
 from benchmarks.results import corpus_source, write
 from observations.joints3d import Joints3D
-from priors.training.dataset import Splits, clip_files
-from recon.api.bench.sensors import noisy_joints
-from recon.api.bench.windows import FPS
-from recon.api.live.stream import Stream
+from recon.benchmark.dataset import Splits, clip_files
+from recon.benchmark.protocols import noisy_joints
+from recon.benchmark.windows import FPS
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
-from recon.fitting.methods import method_of
-from recon.fitting.options import FitOptions
+from recon.fitting.methods import FitOptions, method_of
 from recon.formats.motions import load_motion
+from recon.live.stream import Stream
 from recon.method.reconstruction import solve
 
 SEED, NOISE = 0, 0.04

@@ -29,14 +29,13 @@ from torch import Tensor
 
 from benchmarks.arguments import over_windows
 from benchmarks.results import corpus_source, write
-from priors.training.dataset import Splits, clip_files
-from recon.api.bench.sensors import noisy_joints
-from recon.api.bench.windows import FPS
+from recon.benchmark.dataset import Splits, clip_files
+from recon.benchmark.protocols import noisy_joints
+from recon.benchmark.windows import FPS
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.fitting.long import fit_long
-from recon.fitting.methods import method_of
-from recon.fitting.options import FitOptions
+from recon.fitting.methods import FitOptions, method_of
 from recon.formats.motions import load_motion
 from recon.method.reconstruction import solve
 

@@ -30,7 +30,7 @@ from scipy.spatial.transform import Rotation
 from benchmarks.results import ROOT
 from recon.body.model import BodyModel
 from recon.core.skeleton import JOINTS, PARENTS
-from recon.formats.files.opening import load_arrays, save_arrays
+from recon.formats.opening import load_arrays, save_arrays
 
 COUNT = 24
 SEED = 20_26

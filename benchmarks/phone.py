@@ -36,18 +36,18 @@ from benchmarks.scores import Columns, Row, Rows, by_subject, tables
 from benchmarks.track_files import write_arkit, write_colmap, write_droid, write_tum
 from observations.files.images import keypoints_of
 from observations.keypoints2d import Keypoints2D
-from priors.training.dataset import Splits
-from recon.api.bench.windows import FPS, TrueWindows, load_windows
+from recon.benchmark.dataset import Splits
+from recon.benchmark.windows import FPS, TrueWindows, load_windows
 from recon.body.model import BodyModel
 from recon.core.camera import Camera, transform
 from recon.core.motion import Motion
 from recon.core.struct import concatenate
 from recon.fitting.clip import ClipFit, fit_clip
-from recon.fitting.options import FitOptions
-from recon.formats.calibration.guessed import guessed_camera
-from recon.formats.calibration.tracks import read_track
+from recon.fitting.methods import FitOptions
+from recon.formats.calibration import guessed_camera
 from recon.formats.camera_path import CameraPath
 from recon.formats.observations import KeypointsFile
+from recon.formats.tracks import read_track
 from recon.simulation.images import dome, keypoints2d, orbiting
 from recon.simulation.points import Corruption
 

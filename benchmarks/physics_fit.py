@@ -28,9 +28,9 @@ from benchmarks.scores import Columns, Fitted, Row, Rows, cell, fit_windows, sco
 from benchmarks.stage12 import SEED
 from priors.humor.collocation import Collocation
 from priors.humor.prior import Humor
-from priors.training.dataset import Splits
-from recon.api.bench.sensors import noisy_joints, occluded_points
-from recon.api.bench.windows import TrueWindows, load_windows
+from recon.benchmark.dataset import Splits
+from recon.benchmark.protocols import noisy_joints, occluded_points
+from recon.benchmark.windows import TrueWindows, load_windows
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.struct import concatenate
@@ -38,8 +38,7 @@ from recon.fitting.methods import WithPhysics, physics_terms
 from recon.method.reconstruction import Method
 from recon.method.stages import Stage
 from recon.method.terms import Term
-from recon.physics.metrics import physics_metrics
-from recon.physics.samples import physics_samples
+from recon.physics.metrics import physics_metrics, physics_samples
 
 PHYSICS_FPS = 20.0
 """Rate of HUMOS's metrics, Hz."""

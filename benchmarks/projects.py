@@ -23,7 +23,7 @@ import numpy as np
 from jaxtyping import Float
 
 from observations.people.views import load_views
-from recon.core.layouts import keypoint_names
+from recon.core.skeleton import keypoint_names
 from recon.formats.observations import KeypointsFile
 
 FPS = 60

@@ -36,8 +36,7 @@ from recon.formats.mocap.recording import MarkerRecording
 from recon.ingest.markers.coverage import full_body_markers
 from recon.method.reconstruction import Method, solve
 from recon.view.frames import write_png
-from recon.view.show.colours import GREY
-from recon.view.show.scene import Figure, Points, Show
+from recon.view.scene import GREY, Figure, Points, Show
 
 LIST = Path(__file__).parent / "hidden_markers.toml"
 PICTURED = "cmu_c3d/02_01.c3d"

@@ -29,13 +29,13 @@ from benchmarks.complete import cloud_from
 from benchmarks.results import corpus_source, earlier, write
 from benchmarks.scans import FPS, ScannedCycle, scanned, thinned_points
 from observations.files.points import positions_of
-from observations.together.kinds import InSpace
-from priors.training.dataset import Splits, clip_files
+from observations.kinds import InSpace
+from recon.benchmark.dataset import Splits, clip_files
+from recon.benchmark.table import interval, paired
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
-from recon.fitting.cycles.recording import WholeRecording
+from recon.fitting.recording import WholeRecording
 from recon.formats.motions import load_motion
-from recon.metrics.intervals import interval, paired
 
 LONGEST, POINTS = 10.0, 500
 CLIPS = {

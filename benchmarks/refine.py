@@ -23,9 +23,9 @@ from torch import Tensor
 from benchmarks.results import corpus_source, write
 from benchmarks.slips.recordings import evenly, windows_of
 from observations.joints3d import Joints3D
-from recon.api.bench.windows import FPS
 from recon.api.fit import fit
-from recon.api.verbs.refine import refine
+from recon.api.refine import refine
+from recon.benchmark.windows import FPS
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.skeleton import FEET, JOINTS, TOES

@@ -20,9 +20,9 @@ from rich.table import Table
 import recon
 from recon import __version__
 from recon.core.motion import Motion
-from recon.formats.files.checksums import files_checksum
-from recon.formats.files.opening import replacing
 from recon.formats.motions import load_motion
+from recon.formats.opening import replacing
+from recon.formats.replacing import files_checksum
 
 ROOT = Path(__file__).parents[1]
 """The source checkout."""

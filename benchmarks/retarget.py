@@ -38,17 +38,15 @@ from benchmarks.retarget_baselines import (
 )
 from benchmarks.retarget_clips import SEED, Job, load_jobs
 from priors.humos.prior import Humos
-from priors.training.dataset import Splits
+from recon.benchmark.dataset import Splits
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.struct import concatenate
 from recon.fitting.retargeting import proposed, retarget
-from recon.physics.metrics import physics_metrics
-from recon.physics.samples import PhysicsSamples, physics_samples
+from recon.physics.metrics import PhysicsSamples, physics_metrics, physics_samples
 from recon.view.frames import write_png
-from recon.view.show.colours import CORAL
-from recon.view.show.scene import Figure, Show
+from recon.view.scene import CORAL, Figure, Show
 
 Retargeter = Callable[[BodyModel, Motion, Float[Tensor, " shape"]], Motion]
 Row = dict[str, float | None]

@@ -9,12 +9,12 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from benchmarks.retarget_clips import grounded
-from recon.body import reshape
+from recon.body import motion_files as reshape
 from recon.body.model import BodyModel, PosedBody
-from recon.body.reshape import leg_length, with_shape
+from recon.body.motion_files import leg_length, with_shape
 from recon.core import rotations as so3
 from recon.core.motion import Motion
-from recon.fitting.settling import flies, settled
+from recon.fitting.retargeting import flies, settled
 
 LEGS = ((1, 4, 7, 10), (2, 5, 8, 11))
 """Hip, knee, ankle and toe joints of the left and the right leg."""

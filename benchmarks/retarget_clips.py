@@ -22,12 +22,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from priors.training.dataset import SPLITS, Licence, Part, Splits, clip_files, is_flat
+from recon.benchmark.dataset import SPLITS, Licence, Part, Splits, clip_files, is_flat
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
-from recon.formats.files.opening import replacing
 from recon.formats.motions import load_motion
-from recon.physics.samples import NO_GROUND
+from recon.formats.opening import replacing
+from recon.physics.metrics import NO_GROUND
 
 IDENTITIES = Path(__file__).parent / "identities.toml"
 FPS = 20.0

@@ -25,15 +25,15 @@ from benchmarks.anchor import asked, parser, weights_name
 from benchmarks.results import corpus_source, show, write
 from benchmarks.retarget_clips import Job, load_jobs
 from priors.humos.prior import FPS, Humos
-from priors.humos.training.corpus import AS_RECORDED, BodyCorpus
-from priors.humos.training.losses import encoded
 from recon.body.identities import identity
-from recon.body.reshape import with_shape
+from recon.body.motion_files import with_shape
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.skeleton import joint_index
 from recon.fitting.retargeting import retarget
-from recon.formats.files.opening import replacing
+from recon.formats.opening import replacing
+from training.humos.corpus import AS_RECORDED, BodyCorpus
+from training.humos.train import encoded
 
 ENDS = ("woman,short,slim", "man,tall,heavy")
 """Bodies between which 100 are taken."""

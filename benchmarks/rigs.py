@@ -30,17 +30,17 @@ from benchmarks.humor import evenly
 from benchmarks.results import corpus_source, write
 from observations.files.images import keypoints_of
 from observations.keypoints2d import Keypoints2D
-from priors.training.dataset import Splits
-from recon.api.bench.windows import FPS, load_windows
+from recon.benchmark.dataset import Splits
+from recon.benchmark.windows import FPS, load_windows
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.camera import full_hd_camera
 from recon.core.motion import Motion
 from recon.diagnosis.examination import screen
 from recon.diagnosis.views.images import Images
-from recon.diagnosis.views.rigs.corrections import corrections
+from recon.diagnosis.views.rigs import corrections
 from recon.fitting.clip import fit_clip
-from recon.fitting.options import FitOptions
+from recon.fitting.methods import FitOptions
 from recon.simulation.images import dome, keypoints2d
 from recon.simulation.points import Corruption
 

@@ -27,7 +27,7 @@ from benchmarks.results import write
 from priors.humor.networks import HumorNetworks
 from priors.humor.prior import Humor, HumorVariables
 from priors.humor.shooting import Shooting
-from recon.api.bench.sensors import noisy_joints
+from recon.benchmark.protocols import noisy_joints
 from recon.core import rotations as so3
 from recon.core.scene import Scene
 from recon.core.struct import stack

@@ -31,10 +31,10 @@ from benchmarks.results import corpus_source, write
 from benchmarks.rollout_protocols import PROTOCOLS, SEED
 from benchmarks.tables.rollouts import HEADINGS, METHODS, lines
 from priors.humor.prior import Humor
-from priors.training.dataset import Splits
-from recon.api.bench.windows import TrueWindows, load_windows
+from recon.benchmark.dataset import Splits
+from recon.benchmark.windows import TrueWindows, load_windows
 from recon.body.model import BodyModel
-from recon.fitting.options import FitOptions
+from recon.fitting.methods import FitOptions
 
 AT_ONCE = 4
 

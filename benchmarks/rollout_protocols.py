@@ -12,14 +12,13 @@ from benchmarks.converged import Protocol as Seen
 from benchmarks.converged import protocols as in_space
 from observations.files.clouds import cloud_of
 from observations.markers3d import Markers3D
-from recon.api.bench.sensors import noisy_joints
-from recon.api.bench.windows import TrueWindows
+from recon.benchmark.protocols import noisy_joints
+from recon.benchmark.windows import TrueWindows
 from recon.body.model import BodyModel
 from recon.core.camera import depth_camera
 from recon.core.struct import concatenate
 from recon.fitting.clip import fit_clip
-from recon.fitting.methods import method_of
-from recon.fitting.options import FitOptions
+from recon.fitting.methods import FitOptions, method_of
 from recon.method.reconstruction import Reconstruction, solve
 from recon.simulation.depth import depth_points
 from recon.simulation.images import dome

@@ -13,12 +13,11 @@ from jaxtyping import Int
 
 from recon.body.landmarks import LANDMARKS_16
 from recon.body.model import BodyModel
-from recon.body.reshape import with_shape
+from recon.body.motion_files import with_shape
 from recon.core.motion import Motion
 from recon.formats.observations import PointsFile, PositionsFile
-from recon.simulation.clothes import clothed
-from recon.simulation.points import Corruption, landmarks3d, visible_joints
-from recon.simulation.scans import scan_points
+from recon.simulation.points import Corruption, landmarks3d, scan_points, visible_joints
+from recon.simulation.scenery import clothed
 
 FPS = 50.0
 POINTS = 10_000

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from observations.joints3d import Joints3D
 from observations.markers3d import Markers3D
-from recon.api.bench.scores import (
+from recon.benchmark.answers import (
     WINDOWS,
     Row,
     Rows,
@@ -23,11 +23,11 @@ from recon.api.bench.scores import (
     clip_row,
     feet_balanced,
 )
-from recon.api.bench.scores import mean_of as mean_of
-from recon.api.bench.scores import rounded as rounded
-from recon.api.bench.scores import subject_mean as subject_mean
-from recon.api.bench.windows import FPS
-from recon.api.bench.windows import TrueWindows as Windows
+from recon.benchmark.answers import mean_of as mean_of
+from recon.benchmark.answers import rounded as rounded
+from recon.benchmark.answers import subject_mean as subject_mean
+from recon.benchmark.windows import FPS
+from recon.benchmark.windows import TrueWindows as Windows
 from recon.body.contacts import contact_labels, rest_heights
 from recon.body.model import BodyModel
 from recon.core.motion import Motion

@@ -31,8 +31,8 @@ from benchmarks.tables.segments import HEADINGS, lines
 from priors.humor.prior import Humor, HumorVariables
 from priors.humor.segments import SegmentedHumor, SegmentedVariables
 from priors.humor.shooting import Shooting
-from priors.training.dataset import Splits
-from recon.api.bench.windows import TrueWindows, load_windows
+from recon.benchmark.dataset import Splits
+from recon.benchmark.windows import TrueWindows, load_windows
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.scene import Scene

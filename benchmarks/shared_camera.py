@@ -25,16 +25,16 @@ from benchmarks.arguments import over_windows
 from benchmarks.crossings import LAYOUT, SEED, Scene, scenes, walkers
 from benchmarks.results import corpus_source, write
 from benchmarks.scores import cell
-from observations.people.everyone import everyone
 from observations.people.views import SeenViews
-from priors.training.dataset import Splits
-from recon.api.many import fit_clips
 from recon.api.result import Result
-from recon.api.verbs.people import fit_people
+from recon.batch.clips import fit_clips
+from recon.benchmark.dataset import Splits
 from recon.body.model import BodyModel
 from recon.core.camera import transform
 from recon.fitting.clip_files import PersonClip, clip_from
-from recon.formats.calibration.guessed import guessed_camera
+from recon.formats.calibration import guessed_camera
+from recon.people.everyone import everyone
+from recon.people.together import fit_people
 
 SCENES = 6
 COLUMNS = {"about": ("about the pelvis cm", 100.0), "between": ("between people cm", 100.0),

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from observations.depth import PointCloud
-from priors.labels.record import PointLabels
+from priors.labels.looking import PointLabels
 from priors.labels.regions import MIRRORED_REGIONS, REGIONS, Regions
 from recon.body.model import BodyModel
 from recon.core.motion import Motion

@@ -31,10 +31,10 @@ from benchmarks.scores import (
     tables,
 )
 from priors.pose.prior import PosePrior, PoseWeights
-from priors.training.dataset import Splits
-from recon.api.bench.sensors import noisy_joints, occluded_points
-from recon.api.bench.smoothers import butterworth, whittaker
-from recon.api.bench.windows import FPS, TrueWindows, load_windows
+from recon.benchmark.dataset import Splits
+from recon.benchmark.methods import butterworth, whittaker
+from recon.benchmark.protocols import noisy_joints, occluded_points
+from recon.benchmark.windows import FPS, TrueWindows, load_windows
 from recon.body.model import BodyModel
 from recon.method.protocols import Observation
 from recon.method.reconstruction import solve

@@ -15,9 +15,9 @@ from pathlib import Path
 from benchmarks.scores import subject_mean
 from benchmarks.stage12 import SEED
 from priors.pose.prior import PosePrior, PoseWeights
-from priors.training.dataset import SPLITS, Splits
-from recon.api.bench.sensors import noisy_joints, occluded_points
-from recon.api.bench.windows import load_windows
+from recon.benchmark.dataset import SPLITS, Splits
+from recon.benchmark.protocols import noisy_joints, occluded_points
+from recon.benchmark.windows import load_windows
 from recon.body.model import BodyModel
 from recon.method.reconstruction import solve
 

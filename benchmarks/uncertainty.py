@@ -28,15 +28,14 @@ from benchmarks.cameras import depth
 from benchmarks.results import corpus_source, write
 from benchmarks.slips.recordings import Sensor, evenly, recording_of, windows_of
 from observations.joints3d import Joints3D
-from recon.api.bench.windows import TrueWindows
+from recon.benchmark.windows import TrueWindows
 from recon.body.model import BodyModel
 from recon.core.skeleton import FEET
-from recon.diagnosis.fits.certainty import certainty
-from recon.diagnosis.fits.contacts import fitted_contacts
-from recon.diagnosis.fits.seen_joints import observed_joints
+from recon.diagnosis.certainty import certainty, fitted_contacts
+from recon.diagnosis.doubts import observed_joints
 from recon.fitting.clip import ClipFit, fit_clip
-from recon.fitting.options import FitOptions
-from recon.method.laplace.deviations import Deviations
+from recon.fitting.methods import FitOptions
+from recon.method.laplace import Deviations
 from recon.method.protocols import Sensor as Observed
 from recon.simulation.points import Corruption
 

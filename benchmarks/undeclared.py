@@ -34,8 +34,8 @@ from benchmarks.arguments import over_windows
 from benchmarks.results import corpus_source, write
 from observations.files.images import keypoints_of
 from observations.keypoints2d import Keypoints2D
-from priors.training.dataset import Splits
-from recon.api.bench.windows import TrueWindows, load_windows
+from recon.benchmark.dataset import Splits
+from recon.benchmark.windows import TrueWindows, load_windows
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.camera import Camera, looking
@@ -45,8 +45,8 @@ from recon.diagnosis.motions.carried import carried_finding
 from recon.diagnosis.views.images import Images
 from recon.diagnosis.views.rest import Rest, rest_of
 from recon.fitting.clip import fit_clip
-from recon.fitting.options import FitOptions
-from recon.formats.calibration.guessed import guessed_camera
+from recon.fitting.methods import FitOptions
+from recon.formats.calibration import guessed_camera
 from recon.simulation.images import dome, keypoints2d, orbiting
 from recon.simulation.points import Corruption
 

@@ -11,11 +11,11 @@ from importlib import resources
 from pathlib import Path
 
 import recon
+from recon.batch.batch import fit_all
+from recon.batch.worklog import read_manifest
 from recon.core.skeleton import JOINTS
 from recon.fitting.settings import FitSettings
 from recon.formats.observations import PositionsFile, save_observation
-from recon.jobs.many.batch import fit_all
-from recon.jobs.many.manifest import read_manifest
 from recon.simulation.points import Corruption, joints3d
 
 

@@ -14,7 +14,7 @@ from importlib import resources
 import numpy as np
 
 import recon
-from recon.jobs.stream import stream_lines
+from recon.live.lines import stream_lines
 
 FPS, MOMENTS = 30.0, 45
 

@@ -11,8 +11,7 @@ from torch import Tensor
 from recon.body.landmarks import landmark
 from recon.body.model import BodyModel, PosedBody
 from recon.core.errors import ObservationError
-from recon.core.layouts import JOINT, keypoint_names
-from recon.core.skeleton import JOINTS, PARENTS, joint_index
+from recon.core.skeleton import JOINT, JOINTS, PARENTS, joint_index, keypoint_names
 
 _APART = 0.03
 """Metres at rest between two points whose distance tells something."""
@@ -81,7 +80,7 @@ PLACES: Mapping[str, BodyPlace] = {
     ),
     **{f"{joint}{JOINT}": BodyPlace((joint,)) for joint in JOINTS},
 }
-"""Every keypoint of `recon.core.layouts` but those of `smpl22`, which are the joints themselves.
+"""Every keypoint of `recon.core.skeleton` but those of `smpl22`, which are the joints themselves.
 
 Two places follow what detectors mean more than the words: the top of the head is found where the
 hair begins, the upper neck at its base (triangulated BODY_25B detections of a person at rest).

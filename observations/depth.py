@@ -10,12 +10,11 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from observations.checks import checked_clock, checked_positions, checked_view
+from observations.curvature import Surfels, to_discs, tukey, tukey_scale, within
 from observations.records.sensor import SensorRecord
-from observations.records.surfaces import to_discs, tukey, tukey_scale, within
 from observations.start.depth import depth_start
-from observations.start.label_costs import costs_of_points, kinds_of_surfels
 from observations.start.labelled import labelled_start
-from observations.surfels import Surfels
+from observations.start.surface_steps import costs_of_points, kinds_of_surfels
 from observations.timing import (
     at_observation_times,
     between_moments,
@@ -23,15 +22,14 @@ from observations.timing import (
     moments_between,
     padded,
 )  # fmt: skip
-from priors.labels.record import PointLabels
+from priors.labels.looking import PointLabels
 from recon.body.model import BodyModel
 from recon.core.arrays import Numbers, float_tensor
 from recon.core.camera import Camera, transform
 from recon.core.errors import ObservationError
-from recon.core.geometry.alike import nearest_alike
-from recon.core.geometry.nearest import nearest
-from recon.core.geometry.visible import facing
 from recon.core.motion import Motion
+from recon.core.nearest import nearest, nearest_alike
+from recon.core.raster import facing
 from recon.core.residuals import Noise, Residuals, Unit
 from recon.method.protocols import REFERENCE_FPS, Estimate
 

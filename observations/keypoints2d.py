@@ -10,10 +10,10 @@ from torch import Tensor
 
 from observations.checks import checked_clock, checked_pixels, checked_places, checked_view
 from observations.correspondences import BodyPoints, joints_shown, told_joints
+from observations.curvature import of_pixels
 from observations.noise import LIMITS, estimate_noise
-from observations.records.curvature import of_pixels
-from observations.records.offsets import displaced
 from observations.records.sensor import SensorRecord
+from observations.records.tracked import displaced
 from observations.start.images import image_start
 from observations.timing import at_observation_times, moment_numbers, moments_between, padded
 from recon.body.derivatives import CarriedPoints
@@ -24,8 +24,8 @@ from recon.core.motion import Motion
 from recon.core.residuals import Noise, Residuals, Unit
 from recon.core.robust import geman_mcclure
 from recon.core.scene import Scene
-from recon.method.newton.model import PointModel
 from recon.method.protocols import REFERENCE_FPS, Estimate
+from recon.method.quadratic import PointModel
 
 SIGMA = 100.0
 """Pixels; HuMoR's (section 6.9)."""

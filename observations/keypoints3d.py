@@ -12,8 +12,8 @@ from torch import Tensor
 from observations.checks import checked_clock, checked_places, checked_positions, checked_std
 from observations.correspondences import TRUNK, BodyPoints
 from observations.records.tracked import TrackedPoints
-from observations.start.planted import planted_path
 from observations.start.rigid import rigid_start
+from observations.start.standing import planted_path
 from recon.body.derivatives import CarriedPoints
 from recon.body.model import BodyModel, PosedBody
 from recon.core.arrays import Numbers
@@ -78,7 +78,7 @@ class Keypoints3D(TrackedPoints):
     ) -> None:
         """Arrays of numpy become tensors in single precision; what is not visible becomes zero.
 
-        `points` may be the name of a layout (`recon.core.layouts.LAYOUTS`) or the names of the
+        `points` may be the name of a layout (`recon.core.skeleton.LAYOUTS`) or the names of the
         keypoints in their order, which are then points of the bundled body. `std` may have any
         shape that broadcasts to (moments, points).
 

@@ -13,7 +13,7 @@ from observations.checks import (
     checked_positions,
     checked_std,
 )
-from observations.records.vertices import Offset, VertexPoints
+from observations.records.tracked import Offset, VertexPoints
 from recon.core.arrays import Numbers
 from recon.core.robust import squared
 

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 
 from recon.core.errors import WeightsError
 from recon.core.limits import BINARY, NETWORK_WEIGHT
-from recon.formats.files.opening import replacing
+from recon.formats.opening import replacing
 from recon.formats.weight_files import weights_path
 
 _ABOUT = "recon"
@@ -179,3 +179,7 @@ def load_checkpoint(path: str | Path, kind: str) -> Checkpoint:
         if tensor.is_floating_point():
             NETWORK_WEIGHT.check(tensor.float().numpy(), path, name)
     return Checkpoint(path, tensors, settings)
+
+
+FIRST = "pose"
+"""Name of the prior that finds first motions: it does not ask where the ground is."""

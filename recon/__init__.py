@@ -15,31 +15,23 @@ if TYPE_CHECKING:
     from observations.keypoints2d import Keypoints2D as Keypoints2D
     from observations.keypoints3d import Keypoints3D as Keypoints3D
     from observations.markers3d import Markers3D as Markers3D
+    from recon.api.complete import complete as complete
+    from recon.api.convert import convert as convert
+    from recon.api.convert import to_body as to_body
+    from recon.api.evaluate import evaluate as evaluate
     from recon.api.fit import fit as fit
-    from recon.api.live.estimate import LiveEstimate as LiveEstimate
-    from recon.api.live.stream import Stream as Stream
-    from recon.api.load import load_observation as load_observation
-    from recon.api.many import fit_clips as fit_clips
+    from recon.api.generate import predict as predict
+    from recon.api.generate import sample as sample
+    from recon.api.given import Shape as Shape
+    from recon.api.interpolate import interpolate as interpolate
+    from recon.api.observations import load_observation as load_observation
+    from recon.api.refine import refine as refine
     from recon.api.result import Result as Result
-    from recon.api.results.laboratory import LaboratoryReport as LaboratoryReport
-    from recon.api.results.motion import MotionResult as MotionResult
-    from recon.api.shapes import Shape as Shape
-    from recon.api.verbs.angles import joint_angles as joint_angles
-    from recon.api.verbs.bench import bench as bench
-    from recon.api.verbs.complete import complete as complete
-    from recon.api.verbs.convert import convert as convert
-    from recon.api.verbs.evaluate import evaluate as evaluate
-    from recon.api.verbs.generate import predict as predict
-    from recon.api.verbs.generate import sample as sample
-    from recon.api.verbs.interpolate import interpolate as interpolate
-    from recon.api.verbs.people import fit_people as fit_people
-    from recon.api.verbs.people import load_people as load_people
-    from recon.api.verbs.people_results import People as People
-    from recon.api.verbs.refine import refine as refine
-    from recon.api.verbs.report import report as report
-    from recon.api.verbs.retarget import retarget as retarget
-    from recon.api.verbs.simulate import simulate as simulate
-    from recon.api.verbs.to_body import to_body as to_body
+    from recon.api.results import MotionResult as MotionResult
+    from recon.api.retarget import retarget as retarget
+    from recon.api.simulate import simulate as simulate
+    from recon.batch.clips import fit_clips as fit_clips
+    from recon.benchmark.judged import bench as bench
     from recon.body.model import BodyModel as BodyModel
     from recon.body.motion_files import load_motion_of as load_motion_of
     from recon.core.camera import Camera as Camera
@@ -53,37 +45,45 @@ if TYPE_CHECKING:
     from recon.fitting.long import fit_long as fit_long
     from recon.formats.motions import load_motion as load_motion
     from recon.formats.motions import save_motion as save_motion
+    from recon.gait.angles import joint_angles as joint_angles
+    from recon.gait.laboratory import LaboratoryReport as LaboratoryReport
+    from recon.gait.report import report as report
+    from recon.live.estimate import LiveEstimate as LiveEstimate
+    from recon.live.stream import Stream as Stream
     from recon.method.reconstruction import Reconstruction as Reconstruction
     from recon.method.reconstruction import solve as solve
     from recon.method.stages import Stage as Stage
     from recon.method.terms import Term as Term
+    from recon.people.results import People as People
+    from recon.people.together import fit_people as fit_people
+    from recon.people.together import load_people as load_people
 
 _HOMES = {
     "fit": "recon.api.fit",
-    "load_observation": "recon.api.load",
-    "fit_clips": "recon.api.many",
-    "fit_people": "recon.api.verbs.people",
-    "load_people": "recon.api.verbs.people",
-    "People": "recon.api.verbs.people_results",
-    "Stream": "recon.api.live.stream",
-    "LiveEstimate": "recon.api.live.estimate",
+    "load_observation": "recon.api.observations",
+    "fit_clips": "recon.batch.clips",
+    "fit_people": "recon.people.together",
+    "load_people": "recon.people.together",
+    "People": "recon.people.results",
+    "Stream": "recon.live.stream",
+    "LiveEstimate": "recon.live.estimate",
     "Result": "recon.api.result",
-    "Shape": "recon.api.shapes",
-    "joint_angles": "recon.api.verbs.angles",
-    "bench": "recon.api.verbs.bench",
-    "complete": "recon.api.verbs.complete",
-    "refine": "recon.api.verbs.refine",
-    "retarget": "recon.api.verbs.retarget",
-    "sample": "recon.api.verbs.generate",
-    "predict": "recon.api.verbs.generate",
-    "interpolate": "recon.api.verbs.interpolate",
-    "convert": "recon.api.verbs.convert",
-    "evaluate": "recon.api.verbs.evaluate",
-    "simulate": "recon.api.verbs.simulate",
-    "report": "recon.api.verbs.report",
-    "to_body": "recon.api.verbs.to_body",
-    "LaboratoryReport": "recon.api.results.laboratory",
-    "MotionResult": "recon.api.results.motion",
+    "Shape": "recon.api.given",
+    "joint_angles": "recon.gait.angles",
+    "bench": "recon.benchmark.judged",
+    "complete": "recon.api.complete",
+    "refine": "recon.api.refine",
+    "retarget": "recon.api.retarget",
+    "sample": "recon.api.generate",
+    "predict": "recon.api.generate",
+    "interpolate": "recon.api.interpolate",
+    "convert": "recon.api.convert",
+    "evaluate": "recon.api.evaluate",
+    "simulate": "recon.api.simulate",
+    "report": "recon.gait.report",
+    "to_body": "recon.api.convert",
+    "LaboratoryReport": "recon.gait.laboratory",
+    "MotionResult": "recon.api.results",
     "Joints3D": "observations.joints3d",
     "Markers3D": "observations.markers3d",
     "Keypoints2D": "observations.keypoints2d",

@@ -1,4 +1,4 @@
-"""Choose the test windows of the benchmarks and write them into priors/training/splits.toml.
+"""Choose the test windows of the benchmarks and write them into recon/benchmark/splits.toml.
 
     python scripts/choose_windows.py CORPUS --manifests DATA/mocap
 
@@ -22,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
-from priors.training.dataset import SPLITS, Splits, clip_files
+from recon.benchmark.dataset import SPLITS, Splits, clip_files
 from recon.formats.motions import load_motion
 
 FPS = 30.0

@@ -31,7 +31,7 @@ def places() -> dict[str, str]:
         "NOTICE": "notice.md",
         "LICENSE": "licence.md",
         "CITATION.cff": "citation.md",
-        "priors/training/splits.toml": "splits.md",
+        "recon/benchmark/splits.toml": "splits.md",
     }
     return {**own, **cards, **examples}
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from jaxtyping import install_import_hook
 
-install_import_hook(["recon", "priors", "observations"], "beartype.beartype")
+install_import_hook(["recon", "priors", "observations", "training"], "beartype.beartype")
 
 import numpy as np  # noqa: E402
 import torch  # noqa: E402

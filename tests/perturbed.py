@@ -39,7 +39,7 @@ def moved_tensor(values: torch.Tensor, ulps: int, random: np.random.Generator) -
 def install(ulps: int) -> None:
     """From now on bodies, weights and arrays of files are moved; called before tests load."""
     from priors import checkpoints
-    from recon.formats.files import opening as files
+    from recon.formats import opening as files
 
     load_body = BodyModel.load
 

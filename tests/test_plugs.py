@@ -13,32 +13,31 @@ SENSORS = {"Joints3D", "Markers3D", "Keypoints2D", "PointCloud"}
 MAKERS = ("simulation/", "ingest/", "fitting/cycles/gait.py", "api/bench/sensors.py")
 """Places that make observations, from motions or recordings, and so call their classes."""
 VERBS = {
-    "recon/api/verbs/generate.py",
-    "recon/api/verbs/interpolate.py", "recon/api/verbs/retarget.py",
+    "recon/api/generate.py",
+    "recon/api/interpolate.py", "recon/api/retarget.py",
     "recon/cli/verbs/complete.py", "recon/cli/verbs/generation/sample.py",
     "recon/cli/verbs/train.py",
-    "recon/fitting/cycles/recording.py", "recon/fitting/interpolation.py",
+    "recon/fitting/recording.py", "recon/fitting/interpolation.py",
     "recon/fitting/retargeting.py", "recon/jobs/demo.py", "recon/jobs/generate.py",
-    "recon/simulation/labelled/shards.py",
+    "training/labels/shards.py",
 }  # fmt: skip
 """Files about what one prior alone can do: training it, drawing from it, changing bodies."""
 TOOLS = {
-    "recon/api/live/beginning.py", "recon/api/live/objective.py", "recon/api/live/smoother.py",
-    "recon/api/live/stream.py", "recon/api/live/tracking.py", "recon/api/live/window.py",
-    "recon/diagnosis/points/quick.py", "recon/fitting/settling.py",
+    "recon/live/tracking.py", "recon/live/objective.py", "recon/live/smoother.py",
+    "recon/live/stream.py", "recon/diagnosis/points/quick.py", "recon/fitting/retargeting.py",
     "recon/ingest/markers/poses.py",
 }  # fmt: skip
 """Files that use the pose prior for a step of their own, not for the fit that was asked for."""
 BENCH = {
-    "recon/api/bench/methods.py", "recon/api/bench/protocols.py", "recon/api/bench/sources.py",
-    "recon/api/bench/windows.py",
+    "recon/benchmark/methods.py", "recon/benchmark/protocols.py", "recon/benchmark/sources.py",
+    "recon/benchmark/windows.py",
 }  # fmt: skip
 """Files that judge priors by name, on windows of people from whom none of them learned."""
 DEFAULTS = {
-    "recon/api/fit.py", "recon/api/many.py", "recon/api/verbs/people.py",
-    "recon/api/verbs/refine.py",
+    "recon/api/fit.py", "recon/batch/clips.py", "recon/people/together.py",
+    "recon/api/refine.py",
     "recon/fitting/settings.py",
-    "recon/fitting/options.py",
+    "recon/fitting/methods.py",
 }  # fmt: skip
 """Files with the default argument."""
 
@@ -89,7 +88,7 @@ def _priors_in(path: Path) -> set[str]:
     for node in ast.walk(tree):
         match node:
             case ast.ImportFrom(module=str(module)) if re.match(r"priors\.", module):
-                found |= set() if module == "priors.roles" else {module}
+                found |= set() if module == "priors.checkpoints" else {module}
             case ast.Constant(value=str(text)) if text in names:
                 found.add(text)
             case ast.Compare(left=ast.Attribute(attr="prior"), comparators=[ast.Constant()]):

@@ -6,10 +6,8 @@ from pathlib import Path
 
 import torch
 
-from priors.anchor.basis import CycleBasis
-from priors.anchor.frames import Alignment, Anchors, rest_pelvis
-from priors.anchor.networks import AnchorNetworks
-from priors.anchor.weights import AnchorWeights, CodeSpread, save_weights
+from priors.anchor.frames import Alignment, Anchors, CycleBasis, rest_pelvis
+from priors.anchor.networks import AnchorNetworks, AnchorWeights, CodeSpread, save_weights
 from recon.body.cycles import Cycle, find_cycles
 from recon.body.model import BodyModel
 from recon.core import rotations as so3

@@ -29,10 +29,10 @@ from benchmarks.results import ROOT, commit, corpus_source, write
 from benchmarks.retarget_clips import SEED, load_jobs
 from benchmarks.tables import humos as tables
 from priors.humos.prior import Humos
-from priors.training.dataset import Splits
-from recon.api.bench.windows import load_windows
+from recon.benchmark.dataset import Splits
+from recon.benchmark.windows import load_windows
 from recon.body.model import BodyModel
-from recon.formats.files.checksums import file_checksum
+from recon.formats.replacing import file_checksum
 
 STUDIES = ("network", "whose", "prior")
 ONE_CODE = "one code per clip"

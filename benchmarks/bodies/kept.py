@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.results import dumps
-from recon.formats.files.opening import replacing
+from recon.formats.opening import replacing
 
 
 @dataclass(frozen=True)

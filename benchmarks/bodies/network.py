@@ -20,8 +20,7 @@ from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.fitting.retargeting import by_physics, proposed, retarget
 from recon.metrics import errors as metrics
-from recon.physics.metrics import physics_metrics
-from recon.physics.samples import physics_samples
+from recon.physics.metrics import physics_metrics, physics_samples
 
 TRUTH, COPY, SCALED, PHYSICS = "truth", "copy", "scaled copy", "physics"
 NETWORK, SETTLED = "network", "network, settled"

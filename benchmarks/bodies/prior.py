@@ -15,8 +15,8 @@ from observations.markers3d import Markers3D
 from priors.humos.collocation import HumosFit
 from priors.humos.prior import Humos
 from priors.pose.prior import PosePrior, PoseWeights
-from recon.api.bench.sensors import noisy_joints, occluded_points
-from recon.api.bench.windows import TrueWindows
+from recon.benchmark.protocols import noisy_joints, occluded_points
+from recon.benchmark.windows import TrueWindows
 from recon.body.model import BodyModel
 from recon.method.reconstruction import Method
 from recon.metrics.evaluation import ObservedPoints, evaluate

@@ -20,17 +20,16 @@ from benchmarks.retarget_baselines import scaled
 from benchmarks.retarget_clips import evenly
 from benchmarks.retarget_shapes import codes_only
 from priors.humos.prior import Humos
-from priors.training.dataset import Splits, clip_files, is_flat
-from priors.training.kinds import described, kind_of
+from recon.benchmark.dataset import Splits, clip_files, is_flat
 from recon.body.model import BodyModel
-from recon.body.reshape import leg_length
+from recon.body.motion_files import leg_length
 from recon.core.motion import Motion
 from recon.core.skeleton import joint_index
 from recon.fitting.retargeting import proposed
 from recon.formats.motions import load_motion
-from recon.metrics.gait.cycles import GaitCycle, find_gait_cycles
-from recon.metrics.gait.events import find_stances
-from recon.metrics.gait.feet import Feet
+from recon.gait.analysis import GaitCycle, find_gait_cycles
+from recon.gait.feet import Feet, find_stances
+from training.humor.corpus import described, kind_of
 
 FPS = 60.0
 """Frames per second at which gait is told; the recordings have 120."""

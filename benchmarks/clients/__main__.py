@@ -27,9 +27,9 @@ from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS, PARENTS
 from recon.core.units import to_z_up
+from recon.export.motion import export_file
+from recon.export.tables import markers_of
 from recon.formats.motions import load_motion
-from recon.jobs.export.markers import markers_of
-from recon.jobs.export.motion import export_file
 
 HERE = ROOT / "scripts" / "clients"
 DEMO = Path(recon.__file__).parent / "assets" / "demo.npz"

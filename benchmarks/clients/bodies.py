@@ -3,13 +3,13 @@
 import numpy as np
 import torch
 
-from recon.body.angles.segments import carried, opensim_axes
 from recon.body.landmarks import landmark
 from recon.body.model import BodyModel
+from recon.body.segments import carried, opensim_axes
 from recon.core.motion import Motion
 from recon.core.skeleton import joint_index
 from recon.core.units import to_z_up
-from recon.jobs.export.markers import places_of
+from recon.export.tables import places_of
 
 _ABOVE = {
     "femur": ("pelvis", "hip"), "tibia": ("femur", "knee"), "foot": ("tibia", "ankle"),

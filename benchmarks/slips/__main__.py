@@ -46,7 +46,7 @@ from benchmarks.slips.table import (
     totals,
 )
 from recon.body.model import BodyModel
-from recon.fitting.options import FitOptions
+from recon.fitting.methods import FitOptions
 
 CLIPS = 20
 

@@ -25,8 +25,8 @@ from pathlib import Path
 
 from benchmarks.slips.recorded import VIEWS, cut, views
 from benchmarks.slips.recordings import Sensor, recording_of, windows_of
-from priors.training.dataset import Part
-from recon.api.bench.windows import TrueWindows
+from recon.benchmark.dataset import Part
+from recon.benchmark.windows import TrueWindows
 from recon.body.model import BodyModel
 from recon.diagnosis.findings import Code, Finding
 from recon.formats.mocap.reader import read_recording

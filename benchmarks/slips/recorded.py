@@ -7,7 +7,7 @@ from pathlib import Path
 import torch
 
 from observations.markers3d import Markers3D
-from recon.api.bench.windows import FPS, FRAMES
+from recon.benchmark.windows import FPS, FRAMES
 from recon.body.model import BodyModel
 from recon.fitting.clip_files import load_clip
 from recon.fitting.settings import FitSettings

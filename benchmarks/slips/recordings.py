@@ -11,8 +11,8 @@ from torch import Tensor
 
 from observations.files.images import keypoints_of
 from observations.keypoints2d import Keypoints2D
-from priors.training.dataset import Part, Splits, clip_files
-from recon.api.bench.windows import FRAMES, TrueWindows, load_windows
+from recon.benchmark.dataset import Part, Splits, clip_files
+from recon.benchmark.windows import FRAMES, TrueWindows, load_windows
 from recon.body.model import BodyModel
 from recon.core.camera import Camera, full_hd_camera
 from recon.core.motion import Motion

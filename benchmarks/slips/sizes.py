@@ -25,7 +25,7 @@ from benchmarks.slips.recordings import SENSORS, Recording, evenly, recording_of
 from recon.body.model import BodyModel
 from recon.core.struct import concatenate
 from recon.fitting.clip import ClipFit, fit_clip
-from recon.fitting.options import FitOptions
+from recon.fitting.methods import FitOptions
 from recon.method.protocols import Sensor as Seen
 
 SIZES = Path(__file__).parents[1] / "results" / "slip_sizes.json"

@@ -11,11 +11,11 @@ from benchmarks.slips.good import GoodWindow, GoodWindows, alarms
 from benchmarks.slips.kinds import Slip
 from benchmarks.slips.recordings import SENSORS, Recording, recording_of
 from benchmarks.slips.verdict import Verdict, verdict_of
-from recon.api.bench.windows import TrueWindows
+from recon.benchmark.windows import TrueWindows
 from recon.body.model import BodyModel
 from recon.diagnosis.examination import fit_examined
 from recon.fitting.clip import ClipFit, fit_clip
-from recon.fitting.options import FitOptions
+from recon.fitting.methods import FitOptions
 
 
 @dataclass(frozen=True)

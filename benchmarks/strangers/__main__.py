@@ -30,9 +30,9 @@ from benchmarks.strangers.fits import RUNS, SEED, WHOLE, fits
 from benchmarks.strangers.folds import Fold, corpus_folds
 from benchmarks.strangers.training import Schedule, trained
 from benchmarks.tables.strangers import HEADINGS, lines
-from priors.training.dataset import SPLITS, Splits, clip_files
+from recon.benchmark.dataset import SPLITS, Splits, clip_files
 from recon.body.model import BodyModel
-from recon.formats.files.opening import replacing
+from recon.formats.opening import replacing
 
 
 def main() -> None:

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.strangers.folds import Fold
-from priors.training.dataset import clip_files, is_flat
-from priors.training.kinds import described, kind_of
-from recon.api.bench.windows import FPS, TrueWindows, load_windows
+from recon.benchmark.dataset import clip_files, is_flat
+from recon.benchmark.windows import FPS, TrueWindows, load_windows
 from recon.body.model import BodyModel
 from recon.formats.motions import load_motion
+from training.humor.corpus import described, kind_of
 
 FRAMES = 60
 RUN_FRAMES = 30

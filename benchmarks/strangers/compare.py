@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from benchmarks.strangers.fits import HUMOR, POSE
-from recon.metrics.intervals import DRAWS, LEVEL, Interval
+from recon.benchmark.table import DRAWS, LEVEL, Interval
 
 Rows = Sequence[Mapping[str, Any]]
 """Fields of `benchmarks.strangers.fits.Row`, as a result file keeps them."""

@@ -14,8 +14,8 @@ from observations.joints3d import Joints3D
 from observations.markers3d import Markers3D
 from priors.humor.collocation import Collocation
 from priors.pose.prior import PosePrior, PoseWeights
-from recon.api.bench.sensors import noisy_joints, occluded_points, with_gap
-from recon.api.bench.windows import FPS, TrueWindows
+from recon.benchmark.protocols import noisy_joints, occluded_points, with_gap
+from recon.benchmark.windows import FPS, TrueWindows
 from recon.body.contacts import contact_labels, rest_heights
 from recon.body.model import BodyModel
 from recon.core.skeleton import FEET

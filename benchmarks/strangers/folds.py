@@ -8,7 +8,7 @@ from pathlib import Path
 import torch
 
 from benchmarks.likeness import NEAR, Directions, directions, distance
-from priors.training.dataset import Splits, clip_files
+from recon.benchmark.dataset import Splits, clip_files
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.formats.motions import load_motion

@@ -5,17 +5,16 @@ from pathlib import Path
 
 from benchmarks.strangers.folds import Fold, write_splits
 from priors.humor.prior import Humor
-from priors.humor.training.run import HumorTraining, export_weights
-from priors.humor.training.train import train
-from priors.humor.training.variety.variation import VARIED, Variation
 from priors.pose.density import PoseDensity
 from priors.pose.prior import PosePrior
-from priors.pose.training import PoseTraining
-from priors.pose.training import train as train_pose
-from priors.training.dataset import files_on_flat_ground
-from priors.training.run import CHECKPOINT, read_state, trained_state
-from priors.training.run_settings import identity, same_run
-from recon.formats.files.checksums import file_checksum
+from recon.benchmark.dataset import files_on_flat_ground
+from recon.formats.replacing import file_checksum
+from training.humor.run import HumorTraining, export_weights
+from training.humor.train import train
+from training.humor.variation import VARIED, Variation
+from training.pose import PoseTraining
+from training.pose import train as train_pose
+from training.run import CHECKPOINT, identity, read_state, same_run, trained_state
 
 SAVED_EVERY = 60.0
 """Seconds."""

@@ -26,10 +26,10 @@ from benchmarks.strangers.fits import HUMOR, POSE, RUNS, SEED, WHOLE, fits
 from benchmarks.strangers.folds import Fold, corpus_folds
 from benchmarks.strangers.training import Schedule, trained
 from benchmarks.tables.variety import HEADINGS, lines
-from priors.humor.training.variety.variation import VARIED, Variation
-from priors.training.dataset import Splits, clip_files
+from recon.benchmark.dataset import Splits, clip_files
 from recon.body.model import BodyModel
-from recon.formats.files.opening import replacing
+from recon.formats.opening import replacing
+from training.humor.variation import VARIED, Variation
 
 BASE = "base"
 ALL = replace(VARIED, speed=Variation.speed, shape=Variation.shape)

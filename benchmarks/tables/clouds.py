@@ -5,7 +5,7 @@ from typing import Any
 
 from benchmarks.cloud_cases import ALONE, OTHERS
 from benchmarks.tables.values import markdown, number, present, result, source, spread
-from recon.metrics.intervals import interval, paired
+from recon.benchmark.table import interval, paired
 
 
 def labels() -> str:

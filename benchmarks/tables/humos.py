@@ -7,7 +7,7 @@ import numpy as np
 
 from benchmarks.strangers.compare import FEWEST
 from benchmarks.tables.values import NONE, markdown, number, present, result, source, spread
-from recon.metrics.intervals import Interval, interval, paired
+from recon.benchmark.table import Interval, interval, paired
 
 Rows = Sequence[Mapping[str, Any]]
 Found = Mapping[str, Any]

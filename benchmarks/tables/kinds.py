@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from benchmarks.tables.values import markdown, present, result, source, spread
-from recon.metrics.intervals import interval
+from recon.benchmark.table import interval
 
 HEADINGS = ["kind of motion", "windows", "noisy joints cm: pose prior", "collocation",
             "hidden points cm: pose prior", "collocation"]  # fmt: skip

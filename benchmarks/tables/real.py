@@ -9,7 +9,7 @@ from jaxtyping import Float
 from benchmarks.real import EVERYTHING, HUMOR, POSE, load_list
 from benchmarks.strangers.compare import Statistic, estimated, over_people, quotient
 from benchmarks.tables.values import markdown, number, result, source, spread
-from recon.metrics.intervals import Interval
+from recon.benchmark.table import Interval
 
 Rows = Sequence[Mapping[str, Any]]
 ROWS = ("runs", "walks", "jumps")

@@ -9,7 +9,7 @@ from benchmarks.strangers import compare
 from benchmarks.strangers.compare import Rows, Statistic, Sums
 from benchmarks.strangers.fits import HUMOR, POSE
 from benchmarks.tables.values import NONE, markdown, number, present, result, source, spread
-from recon.metrics.intervals import Interval
+from recon.benchmark.table import Interval
 
 HEADINGS = ["fold", "noisy joints", "hidden points", "gap of 1 s", "runs, hidden legs",
             "contacts less pose prior's", "network's contacts less the fit's",

@@ -6,7 +6,7 @@ from typing import Any
 
 from benchmarks.slips.verdict import Verdict
 from benchmarks.tables.values import NONE, markdown, number, result, source
-from recon.metrics.intervals import interval
+from recon.benchmark.table import interval
 
 
 def slips() -> str:

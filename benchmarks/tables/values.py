@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.results import RESULTS
-from priors.training.dataset import Splits
-from recon.metrics.intervals import Interval, interval, paired
+from recon.benchmark.dataset import Splits
+from recon.benchmark.table import Interval, interval, paired
 
 SUBJECTS = ("07", "49", "d2C")
 """The test subjects over whom means are taken; 16 stands in a row of its own."""

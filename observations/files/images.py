@@ -6,13 +6,12 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
+from observations.camera_paths import keypoint_feet, with_unit
 from observations.correspondences import BodyPoints
 from observations.keypoints2d import SIGMA, Keypoints2D
-from observations.together.camera_paths import keypoint_feet, with_unit
 from recon.body.model import BodyModel
-from recon.core.camera import Camera
+from recon.core.camera import Camera, Ground, world_from_camera
 from recon.core.errors import ObservationError
-from recon.core.ground import Ground, world_from_camera
 from recon.formats.camera_path import CameraPath
 from recon.formats.observations import CameraArrays, KeypointsFile
 

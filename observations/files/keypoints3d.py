@@ -9,10 +9,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from observations.correspondences import BodyPoints
-from observations.files.body_layout import GOOD, bone_lengths, settle_body_layout
+from observations.files.points import GOOD, bone_lengths, settle_body_layout
 from recon.body.model import BodyModel
 from recon.core.errors import FormatError, UnitsError
-from recon.core.layouts import JOINT, keypoint_names
+from recon.core.skeleton import JOINT, keypoint_names
 from recon.core.units import METRES, Up, check_override, decide_any_up, to_z_up
 from recon.formats.keypoints3d.labels import meant_keypoints
 from recon.formats.keypoints3d.reader import with_rate

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from recon.core.errors import ObservationError
-from recon.core.geometry.planes import find_ground, find_walls
+from recon.core.planes import find_ground, find_walls
 from recon.formats.observations import PointsFile
 
 _PLACES, _SHARE = 5, 0.06

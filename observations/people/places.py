@@ -1,12 +1,20 @@
 """Sizes, distances and doubles of detections in an image."""
 
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
-from recon.core.layouts import keypoint_names
+from recon.core.errors import ObservationError
+from recon.core.skeleton import keypoint_names
+from recon.formats.depth_images import read_png
 from recon.formats.detections.records import Detections
+from recon.formats.json_files import frame_numbers
+from recon.formats.masks import PackedMask, read_packed_masks
+from recon.formats.observations import KeypointsFile
 
 FEWEST_KEYPOINTS = 4
 """Detections with fewer are no people."""
@@ -95,3 +103,214 @@ def whole(detections: Detections, rows: Sequence[int], last: Sequence[int]) -> l
 
 def _larger(detections: Detections, a: int, b: int) -> float:
     return max(size_of(detections, a), size_of(detections, b))
+
+
+_FOLDERS = ("annots", "pose-associated", "pose-sync", "pose", "openpose", "json")
+"""Folders in which projects of EasyMocap and Pose2Sim keep those of their cameras; the first
+wins."""
+_SAME = {"camera": "cam", "view": "cam", "c": "cam"}
+_NOISE = {"json", "keypoints", "pose", "mp4", "avi", "mov", "openpose"}
+
+
+def expand(paths: Sequence[Path]) -> tuple[list[Path], tuple[str, ...]]:
+    """The views that files and folders stand for, and what was decided about folders.
+
+    A file is a view, and so is a folder of .json files. A folder of such folders, or of one .csv
+    table per camera, stands for them; a project for those of its first folder among `annots`,
+    `pose-associated`, `pose-sync`, `pose`.
+
+    Raises:
+        FileNotFoundError: when something is not there.
+        ValueError: when a folder holds no views, or there are none at all.
+    """
+    views: list[Path] = []
+    notes: list[str] = []
+    for path in paths:
+        if not path.exists():
+            raise FileNotFoundError(f"{path}: no such file or folder")
+        inside = [path] if path.is_file() or _holds(path, ".json") else _inside(path)
+        project = next((path / name for name in _FOLDERS if (path / name).is_dir()), None)
+        if len(inside) == 0 and project is not None:
+            inside = [project] if _holds(project, ".json") else _inside(project)
+        if len(inside) == 0:
+            raise ObservationError(
+                f"{path}: expected .json files of one camera, or a folder per camera with them"
+            )
+        if inside != [path]:
+            notes.append(f"{path}: {len(inside)} views, {', '.join(str(one) for one in inside)}")
+        views += inside
+    if len(views) == 0:
+        raise ObservationError("expected at least one file or folder of keypoints")
+    return views, tuple(notes)
+
+
+def view_name(path: Path) -> str:
+    """The name under which a view is matched: of its folder, or of its file without ending."""
+    return path.name if path.is_dir() else path.stem
+
+
+def match_cameras(
+    views: Sequence[str], cameras: Sequence[str], given: Sequence[str] | None
+) -> tuple[list[str], tuple[str, ...]]:
+    """The camera of every view, and what was matched with what.
+
+    Names are the same when their words and numbers are: cam01_json, cam_01 and Camera 1. A view
+    whose name contains that of exactly one camera (trial2_cam_01) belongs to it. One view and one
+    camera belong together whatever their names.
+
+    Raises:
+        ValueError: when a view has no camera or two, two views have one, or a given camera is
+            not in the calibration; the message lists both sides.
+    """
+    both = f"views: {', '.join(views)}; cameras: {', '.join(cameras)}"
+    if given is not None:
+        if len(given) != len(views):
+            raise ObservationError(
+                f"expected a camera name for each of {len(views)} views; {both}"
+            )
+        if unknown := [name for name in given if name not in cameras]:
+            raise ObservationError(f"no camera {', '.join(unknown)} in the calibration; {both}")
+        chosen = list(given)
+    elif len(views) == len(cameras) == 1:
+        chosen = list(cameras)
+    else:
+        found = [_matching(view, cameras) for view in views]
+        for view, candidates in zip(views, found, strict=True):
+            if len(candidates) != 1:
+                which = " and ".join(candidates) or "no camera"
+                raise ObservationError(
+                    f"view {view} matches {which} by name; rename it or give the camera's name. "
+                    f"There are {both}"
+                )
+        chosen = [candidates[0] for candidates in found]
+    if twice := sorted({name for name in chosen if chosen.count(name) > 1}):
+        same = [view for view, name in zip(views, chosen, strict=True) if name in twice]
+        raise ObservationError(
+            f"camera {', '.join(twice)} belongs to several views, {', '.join(same)}; give each "
+            f"camera once. There are {both}"
+        )
+    notes = [f"view {view}: camera {name}" for view, name in zip(views, chosen, strict=True)]
+    if unused := [name for name in cameras if name not in chosen]:
+        notes.append(f"cameras without a view: {', '.join(unused)}")
+    return chosen, tuple(notes)
+
+
+def _matching(view: str, cameras: Sequence[str]) -> list[str]:
+    words = _words(view)
+    same = [name for name in cameras if _words(name) == words]
+    return same or [name for name in cameras if _contains(words, _words(name))]
+
+
+def _words(name: str) -> tuple[str, ...]:
+    """Words and numbers of a name, in lower case and without leading zeros."""
+    parts: list[str] = re.findall(r"[a-z]+|\d+", name.lower())
+    words = [str(int(part)) if part.isdigit() else _SAME.get(part) or part for part in parts]
+    return tuple(word for word in words if word not in _NOISE)
+
+
+def _contains(words: tuple[str, ...], part: tuple[str, ...]) -> bool:
+    size = len(part)
+    return size > 0 and any(words[k : k + size] == part for k in range(len(words) - size + 1))
+
+
+def _holds(folder: Path, suffix: str) -> bool:
+    return any(one.suffix.lower() == suffix and one.is_file() for one in folder.iterdir())
+
+
+def _inside(folder: Path) -> list[Path]:
+    """Camera folders and tables of a folder, by name."""
+    return sorted(
+        one
+        for one in folder.iterdir()
+        if (one.is_dir() and _holds(one, ".json")) or one.suffix.lower() == ".csv"
+    )
+
+
+MARGIN = 8
+"""Pixels by which a silhouette is widened: joints lie inside, ears and toes at the rim."""
+
+
+@dataclass(frozen=True)
+class Silhouettes:
+    """Masks of one view, by frame number."""
+
+    name: str
+    images: Mapping[int, Path | PackedMask]
+    """Image files, read when needed, or arrays of one bit per pixel."""
+
+    def visible(self, frame: int) -> Bool[np.ndarray, "height width"] | None:
+        """The pixels in which the person is seen; None for a frame without a mask.
+
+        Raises:
+            ValueError: when the image is damaged.
+        """
+        found = self.images.get(frame)
+        if isinstance(found, PackedMask):
+            return found.unpacked()
+        if found is None:
+            return None
+        image = read_png(found)
+        if image.ndim == 3:
+            image = image[..., :3].max(-1)
+        return image != 0
+
+
+def load_silhouettes(path: str | Path) -> Silhouettes:
+    """Masks from a folder of .png files numbered by frame, or an .npz file with `mask (T, H, W)`.
+
+    Raises:
+        FileNotFoundError: when there is nothing there.
+        ValueError: when there are no images, their names do not number them, or the array is no
+            mask.
+    """
+    path = Path(path)
+    if path.is_dir():
+        files = sorted(one for one in path.iterdir() if one.suffix.lower() == ".png")
+        if len(files) == 0:
+            raise ObservationError(f"{path}: expected one .png mask per frame, found none")
+        numbers = frame_numbers([one.stem for one in files], str(path))
+        return Silhouettes(str(path), dict(zip(numbers, files, strict=True)))
+    return Silhouettes(str(path), dict(enumerate(read_packed_masks(path))))
+
+
+def masked(file: KeypointsFile, masks: Silhouettes, *, first_frame: int = 0) -> KeypointsFile:
+    """The observation without the keypoints that fall outside the silhouette of their frame.
+
+    A silhouette is widened by `MARGIN` pixels. Keypoints outside the image go too; frames
+    without a mask stay as they are; an empty mask hides the whole person.
+
+    Args:
+        file: 2D keypoints of the view.
+        masks: of the same view, in its size.
+        first_frame: frame number of the observation's first frame.
+
+    Raises:
+        ValueError: when no mask belongs to a frame of the observation, or the sizes differ.
+    """
+    import cv2
+
+    frames = range(first_frame, first_frame + len(file.confidence))
+    if not any(frame in masks.images for frame in frames):
+        raise ObservationError(
+            f"{masks.name}: no mask is of a frame from {frames[0]} to {frames[-1]}; masks are "
+            f"numbered from {min(masks.images)} to {max(masks.images)}"
+        )
+    width, height = file.camera.image_size
+    kernel = np.ones((2 * MARGIN + 1, 2 * MARGIN + 1), np.uint8)
+    confidence = file.confidence.copy()
+    for t, frame in enumerate(frames):
+        visible = masks.visible(frame)
+        if visible is None:
+            continue
+        if visible.shape != (height, width):
+            raise ObservationError(
+                f"{masks.name}, frame {frame}: expected a mask of {width} x {height} pixels, got "
+                f"{visible.shape[1]} x {visible.shape[0]}"
+            )
+        wide = cv2.dilate(visible.astype(np.uint8), kernel) != 0
+        column, row = np.floor(file.pixels[t]).astype(np.int64).T
+        inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+        seen = wide[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)]
+        confidence[t, ~(inside & seen)] = 0.0
+    pixels = np.where(confidence[..., None] > 0, file.pixels, 0.0)
+    return replace(file, pixels=pixels, confidence=confidence)

@@ -5,8 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from observations.people.track_pairs import TrackedView, TrackPair, joint_errors, triangulated
-from observations.people.tracks import Track
+from observations.people.tracks import Track, TrackedView, TrackPair, joint_errors, triangulated
 from recon.core.errors import ObservationError
 from recon.core.units import AXES, Axis, head_above_feet
 

@@ -6,22 +6,26 @@ from pathlib import Path
 
 import numpy as np
 
-from observations.people.camera_names import expand, match_cameras, view_name
+from observations.people.places import expand, match_cameras, view_name
 from observations.people.same_person import across_views
-from observations.people.track_pairs import TrackedView
-from observations.people.tracks import Track, choose, follow
+from observations.people.tracks import Track, TrackedView, choose, follow
 from recon.core.errors import ObservationError
 from recon.core.limits import FRAME_RATE
 from recon.core.units import Axis
-from recon.formats.calibration.camera import CameraFields, settle_camera
-from recon.formats.calibration.cameras import Calibration, CameraUnit, load_cameras
-from recon.formats.calibration.guessed import guessed_camera, guessed_size
-from recon.formats.calibration.tracks import CameraTrack, read_track
+from recon.formats.calibration import (
+    Calibration,
+    CameraUnit,
+    guessed_camera,
+    guessed_size,
+    load_cameras,
+)
 from recon.formats.camera_path import CameraPath
-from recon.formats.clocks.scan_times import crowded
 from recon.formats.detections.reader import read_keypoints
 from recon.formats.detections.records import Detections
 from recon.formats.observations import CameraArrays, KeypointsFile
+from recon.formats.opencv_yaml import CameraFields, settle_camera
+from recon.formats.scan_times import crowded
+from recon.formats.tracks import CameraTrack, read_track
 
 _OUTSIDE = 0.5
 """Share of the keypoints outside the image from which something is wrong."""
@@ -61,7 +65,7 @@ def load_views(
     Args:
         paths: files or folders of `recon.formats.detections.reader`, one per view; a folder that
             holds such folders, or a project of Pose2Sim or EasyMocap, stands for all its views.
-        calibration: file or folder of `recon.formats.calibration.cameras`, or what was read from
+        calibration: file or folder of `recon.formats.calibration`, or what was read from
             it. None guesses the camera of one view, a phone's, from the size of its images.
         fps: frames per second; no format of keypoints states it.
         layout: which keypoints; None to tell it from the files.
@@ -72,7 +76,7 @@ def load_views(
         camera_up: axis of the calibration's world that points up; None for z, checked.
         image_size: width and height, pixels, for calibrations that do not state it.
         track: how the one camera was carried, as a tracker wrote it; see
-            `recon.formats.calibration.tracks`.
+            `recon.formats.tracks`.
 
     Raises:
         FileNotFoundError: when a file or folder is not there.

@@ -16,7 +16,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from observations.records.vertices import VertexPoints
+from observations.records.tracked import VertexPoints
 from observations.timing import at_observation_times, moments_between
 from recon.body.model import BodyModel
 from recon.core.errors import ObservationError

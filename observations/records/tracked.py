@@ -1,7 +1,7 @@
 """What joints and markers have in common: points with names, tracked in space."""
 
 from abc import abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, ClassVar, TypeVar
 
@@ -11,12 +11,10 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from observations.correspondences import joints_shown, told_joints
+from observations.curvature import of_places
 from observations.noise import estimate_noise
-from observations.records.curvature import of_places
-from observations.records.offsets import displaced
 from observations.records.sensor import SensorRecord
-from observations.start.limbs import limbs_towards
-from observations.start.rigid import rigid_start
+from observations.start.rigid import limbs_towards, rigid_start
 from observations.timing import (
     between_moments,
     moments_between,
@@ -24,13 +22,39 @@ from observations.timing import (
     point_residuals,
 )
 from recon.body.derivatives import CarriedPoints
+from recon.body.landmarks import landmarks
 from recon.body.model import BodyModel, PosedBody
 from recon.core.camera import transform
 from recon.core.motion import Motion
 from recon.core.residuals import Noise, Residuals
 from recon.core.robust import geman_mcclure
-from recon.method.newton.model import PointModel
+from recon.core.skeleton import JOINTS
 from recon.method.protocols import REFERENCE_FPS, Estimate
+from recon.method.quadratic import PointModel
+
+
+def displaced(
+    points: Float[Tensor, "*batch time points 3"],
+    estimate: Estimate,
+    bones: Sequence[int],
+    rows: tuple[int, int] | None,
+    unit: float = 1.0,
+) -> Float[Tensor, "*batch time points 3"]:
+    """Points of the model with their `Scene.offsets` added, which turn with their bones.
+
+    Args:
+        points: world, metres.
+        estimate: the bones' orientations and the offsets.
+        bones: of every point.
+        rows: of the offsets, first and one past the last; None leaves the points where they are.
+        unit: of the offsets, metres.
+    """
+    if rows is None:
+        return points
+    turns = estimate.body.orientations[..., list(bones), :, :]
+    offsets = estimate.scene.offsets[..., None, slice(*rows), :, None]
+    return points + unit * (turns @ offsets)[..., 0]
+
 
 P = TypeVar("P", bound="TrackedPoints")
 
@@ -215,3 +239,54 @@ class TrackedPoints(SensorRecord):
     def _shows(self, body: BodyModel) -> Bool[np.ndarray, "points 22"]:
         rest = self.at_rest(body).double().cpu().numpy()
         return joints_shown(self.bones(body), rest, body)
+
+
+Offset = tuple[float, float, float]
+"""A vector in the frame of a bone, metres."""
+
+
+class VertexPoints(TrackedPoints):
+    """Points that are vertices of the body, or that its bones carry at known offsets from them."""
+
+    on_skin: ClassVar[bool] = True
+    vertices: tuple[int, ...]
+    offsets: tuple[Offset, ...] | None = None
+    """Constant offset of every point from its vertex, in the frame of the bone that moves it
+    most, metres; None where the points are the vertices."""
+    labels: tuple[str, ...] | None = None
+    """What the recording calls every point; None where landmarks name them."""
+
+    def on(self, posed: PosedBody) -> Float[Tensor, "*batch time points 3"]:
+        """The points on a posed body, world, metres."""
+        points = posed.points(torch.tensor(self.vertices, device=self.positions.device))
+        if self.offsets is None:
+            return points
+        turns = posed.orientations[..., list(self.bones(posed.model)), :, :]
+        return points + (turns @ points.new_tensor(self.offsets)[..., None])[..., 0]
+
+    def on_bones(self, body: BodyModel, shape: Float[Tensor, " shape"]) -> CarriedPoints:
+        """The points on a body of some shape."""
+        vertices = torch.tensor(self.vertices, device=shape.device)
+        identity = torch.eye(len(vertices), dtype=shape.dtype, device=shape.device)
+        none = shape.new_zeros(len(vertices), len(JOINTS))
+        found = CarriedPoints.create(body, shape, none, identity, vertices)
+        if self.offsets is None:
+            return found
+        return found.displaced(self.bones(body), shape.new_tensor(self.offsets))
+
+    def at_rest(self, body: BodyModel) -> Float[Tensor, "points 3"]:
+        """The points on the average body in its rest pose, metres."""
+        rest = body.template[list(self.vertices)]
+        return rest if self.offsets is None else rest + rest.new_tensor(self.offsets)
+
+    def bones(self, body: BodyModel) -> tuple[int, ...]:
+        """The bone that moves each marker most."""
+        return tuple(body.weights[list(self.vertices)].argmax(-1).tolist())
+
+    def point_names(self, body: BodyModel) -> tuple[str, ...]:
+        """Labels of the recording, or landmarks that points sit on, or numbers of vertices."""
+        del body
+        if self.labels is not None:
+            return self.labels
+        named = {vertex: name for name, vertex in landmarks().items()}
+        return tuple(named.get(vertex, f"vertex {vertex}") for vertex in self.vertices)

@@ -12,6 +12,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from observations.curvature import Surfels
 from observations.start.bone_poses import (
     BonePoses,
     BoneTargets,
@@ -19,10 +20,9 @@ from observations.start.bone_poses import (
     Springs,
     placed_rigidly,
 )
-from observations.start.evidence import evidence
+from observations.start.depth import evidence
 from observations.start.surface_steps import SeenSurface
-from observations.surfels import Surfels
-from priors.labels.record import PointLabels
+from priors.labels.looking import PointLabels
 from priors.labels.regions import MIRRORED_REGIONS, REGION_OF_JOINT, REGIONS
 from priors.pose.prior import PosePrior
 from recon.body.model import BodyModel

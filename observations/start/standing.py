@@ -2,12 +2,15 @@
 
 from collections.abc import Sequence
 
+import numpy as np
 import torch
+from jaxtyping import Bool, Float
 
 from observations.start.images import UPRIGHT
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion
+from recon.core.skeleton import JOINT
 
 
 def standing(
@@ -28,3 +31,84 @@ def standing(
         (place - rest[0]).expand(*clips, moments, 3).clone(), rotations,
         rest.new_zeros(*clips, body.shape_size), fps, start_time=start_time,
     )  # fmt: skip
+
+
+_PARTS = {"heel": 0.015, "big_toe": 0.015, f"foot{JOINT}": 0.02, "ankle": 0.08}
+"""Points of a foot, and metres above the ground of each where the foot stands."""
+_SMOOTH = 0.15
+"""Seconds over which points of feet and the path are averaged."""
+_LOWER = 0.02
+"""Metres by which the other foot must be lower to take the weight over."""
+
+
+def planted_path(
+    names: tuple[str, ...],
+    positions: Float[np.ndarray, "time points 3"],
+    visible: Bool[np.ndarray, "time points"],
+    fps: float,
+) -> Float[np.ndarray, "time 3"]:
+    """Translations, metres, that keep the lower foot where it stands, and on z = 0.
+
+    It is only where to begin from: a prior that knows how feet touch the ground says more.
+
+    Args:
+        names: of the keypoints.
+        positions: relative to the pelvis, metres, z up.
+        visible: where they were seen.
+        fps: frames per second.
+    """
+    width = max(round(_SMOOTH * fps) // 2 * 2 + 1, 1)
+    feet = [
+        foot
+        for side in ("left", "right")
+        if (foot := _foot(side, names, positions, visible, width)) is not None
+    ]
+    path = np.zeros((len(positions), 3))
+    if not feet:
+        return path
+    middle = np.stack([foot.mean(1) for foot in feet])
+    path[:, 2] = -np.stack([foot[..., 2].min(1) for foot in feet]).min(0)
+    stance = int(middle[:, 0, 2].argmin())
+    anchor = middle[stance, 0, :2].copy()
+    for t in range(len(path)):
+        other = 1 - stance
+        # heights of whole feet: toes of a swinging foot pass close above the ground
+        if len(feet) > 1 and middle[other, t, 2] < middle[stance, t, 2] - _LOWER:
+            here = anchor - middle[stance, t, :2]
+            stance, anchor = other, here + middle[other, t, :2]
+        path[t, :2] = anchor - middle[stance, t, :2]
+    return _averaged(path, width)
+
+
+def _foot(
+    side: str,
+    names: tuple[str, ...],
+    positions: Float[np.ndarray, "time points 3"],
+    visible: Bool[np.ndarray, "time points"],
+    width: int,
+) -> Float[np.ndarray, "time parts 3"] | None:
+    """Points of a foot as if each lay on its sole, without gaps; None where none is ever seen."""
+    found: list[np.ndarray] = []
+    for part, lift in _PARTS.items():
+        if f"{side}_{part}" not in names:
+            continue
+        row = names.index(f"{side}_{part}")
+        if visible[:, row].any():
+            seen = np.where(visible[:, row, None], positions[:, row], np.nan)
+            found.append(_averaged(_filled(seen), width) - (0.0, 0.0, lift))
+    return np.stack(found, 1) if found else None
+
+
+def _filled(path: Float[np.ndarray, "time 3"]) -> Float[np.ndarray, "time 3"]:
+    """Gaps bridged by straight lines, ends held."""
+    seen = np.all(np.isfinite(path), axis=-1)
+    moments = np.arange(len(path))
+    return np.stack([np.interp(moments, moments[seen], path[seen, k]) for k in range(3)], 1)
+
+
+def _averaged(path: Float[np.ndarray, "time 3"], width: int) -> Float[np.ndarray, "time 3"]:
+    """A moving mean of odd width; the ends are held."""
+    half = width // 2
+    padded = np.pad(path, ((half, half), (0, 0)), mode="edge")
+    kernel = np.full(width, 1 / width)
+    return np.stack([np.convolve(padded[:, k], kernel, mode="valid") for k in range(3)], 1)

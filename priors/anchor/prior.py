@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from priors.anchor.frames import ANCHORS, POSED, Alignment, Anchors, rest_pelvis
-from priors.anchor.weights import AnchorWeights, load_weights
+from priors.anchor.networks import AnchorWeights, load_weights
 from priors.cosines import cosines
 from recon.body.model import BodyModel
 from recon.core import rotations as so3

@@ -16,27 +16,31 @@ from typing import Any, ClassVar
 from jaxtyping import Float
 from torch import Tensor
 
+from priors.humor.likely import LikelyStates, as_read, at_tempo, tempo
+from priors.humor.limbs import UnseenLimbs, unseen_limbs
 from priors.humor.prior import Humor
 from priors.humor.state import contact_probabilities, posed_states
-from priors.humor.stepwise.curvature import SPAN, bundled_curvature
-from priors.humor.stepwise.energies import ERROR, SURPRISE, CollocationWeights, heavy_tailed
-from priors.humor.stepwise.likely import LikelyStates
-from priors.humor.stepwise.limbs import unseen_limbs
-from priors.humor.stepwise.particles import UnseenLimbs
-from priors.humor.stepwise.steps import explain
-from priors.humor.stepwise.tempo import as_read, at_tempo, tempo
+from priors.humor.steps import (
+    ERROR,
+    SPAN,
+    SURPRISE,
+    CollocationWeights,
+    bundled_curvature,
+    explain,
+    heavy_tailed,
+)
 from priors.humor.terms import contact_velocity
 from priors.pose.density import PoseDensity
 from priors.pose.prior import PoseBelief, PosePrior, PoseVariables, PoseWeights
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.skeleton import KNEES
-from recon.method.newton.model import ClipModel
-from recon.method.newton.preconditioned import Preconditioned
+from recon.method.alike import alike
+from recon.method.marquardt import Preconditioned
 from recon.method.protocols import Decoded, TrackedJoints
+from recon.method.quadratic import ClipModel
 from recon.method.stages import Stage
 from recon.method.terms import PriorEnergy, Term, joint_acceleration, prior_energy, shape
-from recon.method.together.alike import alike
 from recon.physics.support import Support
 from recon.solver.banded import add_differences
 from recon.solver.lbfgs import LBFGS
@@ -56,7 +60,7 @@ class CollocatedHumor:
     humor: Humor
     poses: PosePrior
     tempo: float = 1.0
-    """Share of its speed at which the networks read a motion (`priors.humor.stepwise.tempo`)."""
+    """Share of its speed at which the networks read a motion (`priors.humor.likely`)."""
 
     def encode(self, motion: Motion) -> PoseVariables:
         """The motion at 30 Hz of the time that the networks see; exact but for the resampling.

@@ -12,9 +12,9 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from priors.humor.decoder.rollout import FrozenDecoder, Rollout, roll_out
 from priors.humor.mixture import Mixture
 from priors.humor.networks import HumorNetworks
+from priors.humor.rollout import FrozenDecoder, Rollout, roll_out
 from priors.humor.state import (
     Frame,
     State,
@@ -39,7 +39,7 @@ from recon.method.protocols import REFERENCE_FPS, Decoded
 from recon.method.reconstruction import Method
 
 if TYPE_CHECKING:
-    from priors.humor.stepwise.live import LiveSteps
+    from priors.humor.live import LiveSteps
 
 _LOG = logging.getLogger(__name__)
 
@@ -186,7 +186,7 @@ class Humor:
 
     def live(self, noise: float) -> "LiveSteps":
         """The energies of steps for a stream whose points are off by `noise` metres."""
-        return imported("priors.humor.stepwise.live:LiveSteps", "live").for_noise(self, noise)
+        return imported("priors.humor.live:LiveSteps", "live").for_noise(self, noise)
 
     def to(
         self, *, device: torch.device | str | None = None, dtype: torch.dtype | None = None

@@ -14,11 +14,17 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from priors.cosines import cosines
-from priors.humos.basis import existing_windows, windows_of
-from priors.humos.frames import BodyFrames, levers, lowest_of, turn_of
-from priors.humos.weights import HumosWeights, load_weights
+from priors.humos.frames import (
+    BodyFrames,
+    existing_windows,
+    levers,
+    lowest_of,
+    turn_of,
+    windows_of,
+)
+from priors.humos.networks import HumosWeights, load_weights
 from recon.body.model import BodyModel
-from recon.body.reshape import leg_length
+from recon.body.motion_files import leg_length
 from recon.core import rotations as so3
 from recon.core.errors import ReconError, WeightsError
 from recon.core.motion import Motion

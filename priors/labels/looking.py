@@ -6,13 +6,167 @@ from pathlib import Path
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
+from torch.nn.functional import normalize
 
 from priors.checkpoints import named_checkpoint
-from priors.labels.networks import SPACING, STEPS, LabelNetwork, RawLabels
-from priors.labels.record import PointLabels
-from priors.labels.regions import MIRRORED_REGIONS, mirrored_places
-from priors.labels.standard import standard
-from recon.core.struct import concatenate, stack
+from priors.labels.networks import SPACING, STEPS, LabelNetwork, RawLabels, SeenClouds
+from priors.labels.regions import MIRRORED_REGIONS, REGIONS, Regions, mirrored_places
+from recon.body.model import BodyModel
+from recon.core.robust import lower_median
+from recon.core.struct import TensorStruct, concatenate, stack
+
+
+@dataclass(frozen=True)
+class PointLabels(TensorStruct):
+    """Region and place of the points of a cloud; all numbers are zero where there is no point.
+
+    Left and right, front and back look alike in a single moment: where a region's probability is
+    divided between its two sides, `places` holds the more likely of both.
+    """
+
+    present: Bool[Tensor, "*batch moments points"]
+    """Whether a row holds a point, as in the cloud that was labelled."""
+    regions: Float[Tensor, "*batch moments points 12"]
+    """Probability of each of `REGIONS`, given that the point lies on the body: they sum to one."""
+    on_body: Float[Tensor, "*batch moments points"]
+    """Probability that the point lies on the body, not on the floor, furniture, another thing, or
+    in the air as a flying pixel does."""
+    places: Float[Tensor, "*batch moments points 3"]
+    """Most likely place on the unposed body of average shape, metres, in the frame of
+    `BodyModel.template` (y up, facing z, left +x), given that the point lies on the body."""
+    log_std: Float[Tensor, "*batch moments points"]
+    """Natural logarithm of the standard deviation of every coordinate of `places`, metres, given
+    that left and right of the moment are not exchanged."""
+
+    @property
+    def region(self) -> Int[Tensor, "*batch moments points"]:
+        """Number in `REGIONS` of the most likely region; -1 where there is no point."""
+        return self.regions.argmax(-1).where(self.present, -1)
+
+    @property
+    def confidence(self) -> Float[Tensor, "*batch moments points"]:
+        """Probability that the point lies on the body and in its most likely region."""
+        return self.on_body * self.regions.amax(-1)
+
+    @property
+    def std(self) -> Float[Tensor, "*batch moments points"]:
+        """Standard deviation of every coordinate of `places`, metres; zero without a point."""
+        return self.log_std.exp().where(self.present, 0.0)
+
+    @classmethod
+    def known(
+        cls,
+        body: BodyModel,
+        vertices: Int[Tensor, "*batch moments points"],
+        present: Bool[Tensor, "*batch moments points"],
+        std: float = 0.01,
+    ) -> "PointLabels":
+        """Labels without error, of points that simulation put at known vertices.
+
+        Args:
+            body: whose vertices they are.
+            vertices: nearest to each point; -1 for a point that is not on the body.
+            present: whether a row holds a point.
+            std: that the labels state for places, metres.
+        """
+        regions = Regions.of(body)
+        on_body = present & (vertices >= 0)
+        index = vertices.clamp(min=0)
+        one = torch.nn.functional.one_hot(regions.of_vertex[index], len(REGIONS))
+        exact = torch.log(regions.places.new_tensor(std)).expand(present.shape)
+        return cls(
+            present=present,
+            regions=one.to(regions.places).where(present[..., None], 0.0),
+            on_body=on_body.to(regions.places),
+            places=regions.places[index].where(on_body[..., None], 0.0),
+            log_std=exact.where(present, 0.0),
+        )
+
+
+_STEEP = 1e-2
+"""Horizontal share of a view from which on the sensor stands above the cloud."""
+
+
+def standard(
+    points: Float[Tensor, "moments points 3"],
+    present: Bool[Tensor, "moments points"],
+    eyes: Float[Tensor, "moments 3"],
+    has_eye: Bool[Tensor, " moments"],
+    level: Bool[Tensor, " moments"],
+) -> SeenClouds:
+    """Clouds about their medians, turned by `standard_turns`.
+
+    Args:
+        points: positions, metres; zero where not present.
+        present: whether a row holds a point.
+        eyes: place of the sensor, metres; anything where there is none.
+        has_eye: whether there is a sensor.
+        level: whether z is known to point up.
+    """
+    middle = lower_median(points.mT, present[:, None].expand(points.mT.shape))
+    about = (points - middle[:, None]).where(present[..., None], 0.0)
+    views = (eyes - middle).where(has_eye[:, None], 0.0)
+    turns = standard_turns(about, present, views, has_eye, level)
+    return SeenClouds(
+        points=about @ turns.mT,
+        present=present,
+        eyes=(turns @ views[..., None])[..., 0],
+        has_eye=has_eye,
+        level=level,
+    )
+
+
+def standard_turns(
+    points: Float[Tensor, "moments points 3"],
+    present: Bool[Tensor, "moments points"],
+    views: Float[Tensor, "moments 3"],
+    has_eye: Bool[Tensor, " moments"],
+    level: Bool[Tensor, " moments"],
+) -> Float[Tensor, "moments 3 3"]:
+    """Rotations to the frame in which z is up and x points to the sensor.
+
+    One of both that is not known lies along the longest axis of the points across the other. Where
+    there is no sensor, the longest axis of the points across z is y; where nothing is known, their
+    longest axis of all is z. Axes point to where the points reach farther.
+    """
+    vertical = points.new_tensor([0.0, 0.0, 1.0]).expand(len(points), 3)
+    view = normalize(views, dim=-1)
+    first = torch.where(has_eye[:, None], view, longest(points, present, None))
+    first = torch.where(level[:, None], vertical, first)
+    across = view - (view * first).sum(-1, keepdim=True) * first
+    seen = level & has_eye & (across.norm(dim=-1) > _STEEP)
+    second = torch.where(seen[:, None], normalize(across, dim=-1), longest(points, present, first))
+    third = torch.linalg.cross(first, second, dim=-1)
+    towards = (has_eye & ~level)[:, None, None]
+    turned = torch.where(
+        towards,
+        torch.stack((first, -third, second), -2),
+        torch.stack((-third, second, first), -2),
+    )
+    return torch.where(seen[:, None, None], torch.stack((second, third, first), -2), turned)
+
+
+def longest(
+    points: Float[Tensor, "moments points 3"],
+    present: Bool[Tensor, "moments points"],
+    across: Float[Tensor, "moments 3"] | None,
+) -> Float[Tensor, "moments 3"]:
+    """Unit vector along which points vary most, of all or of those across another unit vector."""
+    count = present.sum(-1, keepdim=True).clamp(min=1)[..., None]
+    away = (points - points.sum(-2, keepdim=True) / count).where(present[..., None], 0.0)
+    if across is not None:
+        away = away - (away * across[:, None]).sum(-1, keepdim=True) * across[:, None]
+    axis = torch.linalg.eigh(away.mT @ away / count).eigenvectors[..., -1]
+    if across is not None:
+        # where all points lie on one line, any axis across it will do, but it must be across
+        axis = axis - (axis * across).sum(-1, keepdim=True) * across
+        other = torch.eye(3).to(points)[across.abs().argmin(-1)]
+        other = other - (other * across).sum(-1, keepdim=True) * across
+        axis = torch.where(axis.norm(dim=-1, keepdim=True) > 0.1, axis, other)
+        axis = normalize(axis, dim=-1)
+    reach = (away * axis[:, None]).sum(-1).pow(3).sum(-1, keepdim=True)
+    return torch.where(reach < 0, -axis, axis)
+
 
 _CHUNK = 256
 """Moments that are looked at at once."""

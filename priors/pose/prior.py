@@ -17,11 +17,12 @@ from recon.core import rotations as so3
 from recon.core.motion import Motion, carried_translation
 from recon.core.skeleton import JOINTS
 from recon.core.struct import TensorStruct
+from recon.method.alike import alike
 from recon.method.free import FreeMotion
-from recon.method.newton.marquardt import Marquardt
-from recon.method.newton.model import ClipModel
+from recon.method.marquardt import Marquardt
 from recon.method.priors import Traits
 from recon.method.protocols import REFERENCE_FPS, Decoded
+from recon.method.quadratic import ClipModel
 from recon.method.stages import Stage
 from recon.method.terms import (
     PriorEnergy,
@@ -31,7 +32,6 @@ from recon.method.terms import (
     prior_energy,
     shape,
 )
-from recon.method.together.alike import alike
 from recon.solver.lbfgs import LBFGS
 
 _SHAPES = {

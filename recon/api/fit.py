@@ -8,7 +8,15 @@ from typing import Any
 import numpy as np
 import torch
 
-from recon.api.given import BodyLike, body_given, motion_given
+from recon.api.given import (
+    BodyLike,
+    Shape,
+    ShapeLike,
+    body_given,
+    motion_given,
+    prior_of,
+    shape_known,
+)
 from recon.api.observations import (
     GroundChoice,
     ObservationsLike,
@@ -17,10 +25,7 @@ from recon.api.observations import (
     counted_less_beyond,
     on_ground,
 )
-from recon.api.priors import prior_of
-from recon.api.result import Result, result_of
-from recon.api.shapes import Shape, ShapeLike, shape_known
-from recon.api.stopping import Stopper
+from recon.api.result import Result, Stopper, result_of
 from recon.body.model import BodyModel
 from recon.core.arrays import finite, positive
 from recon.core.errors import ObservationError
@@ -29,7 +34,7 @@ from recon.core.motion import Motion
 from recon.diagnosis.examination import fit_examined
 from recon.diagnosis.findings import Finding
 from recon.fitting.clip_files import Clip, window
-from recon.fitting.options import FitOptions, PriorObject
+from recon.fitting.methods import FitOptions, PriorObject
 from recon.method.stages import Watch
 from recon.method.terms import Term
 

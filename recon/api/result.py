@@ -1,31 +1,143 @@
 """What comes out of a fit: the motion, what is known about it, and how to keep it."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
+from time import monotonic
 from typing import Any
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
-from observations.together.frames import unposed_camera
-from recon.api.motion_file import described
-from recon.api.report import describe
-from recon.api.results.motion import MotionResult
-from recon.api.results.printing import described_residuals, in_ten_lines
+from observations.kinds import unposed_camera
+from recon.api.results import MotionResult, described_residuals, in_ten_lines
+from recon.body.contacts import contact_labels, rest_heights
 from recon.body.model import BodyModel
+from recon.core import rotations as so3
+from recon.core.motion import Motion
 from recon.core.residuals import Noise
+from recon.diagnosis.agreement import ResidualSummary
+from recon.diagnosis.certainty import certainty_report
+from recon.diagnosis.domain import cycle_report
+from recon.diagnosis.doubts import Alternative
 from recon.diagnosis.examination import Examined
 from recon.diagnosis.findings import Finding
-from recon.diagnosis.fits.alternatives import Alternative
-from recon.diagnosis.fits.certainty import certainty_report
-from recon.diagnosis.fits.domain import cycle_report
-from recon.diagnosis.fits.summaries import ResidualSummary
-from recon.diagnosis.motions.treadmill import in_room, path_of_belt
+from recon.diagnosis.motions.belt import in_room, path_of_belt
 from recon.fitting.clip_files import Clip
-from recon.fitting.cycles.recording import RecordingFit, Stretch
-from recon.method.laplace.grounds import GroundDeviation
+from recon.fitting.long import LongReconstruction
+from recon.fitting.recording import RecordingFit, Stretch
+from recon.formats.motions import MotionFile
+from recon.formats.reports import versions
+from recon.method.derivatives import GroundDeviation
 from recon.method.reconstruction import Reconstruction
+from recon.method.stages import StageReport, Watch
+from recon.solver.lbfgs import Progress, Termination
+
+
+def describe(
+    result: Reconstruction, inputs: Mapping[str, str], settings: Mapping[str, Any]
+) -> dict[str, Any]:
+    """What happened, and to what: the beginning of OUT.json.
+
+    Args:
+        result: of the fit.
+        inputs: SHA-256 of everything that was read, by path (`recon.fitting.clip_inputs`).
+        settings: of the fit, by name.
+    """
+    windows = result.windows if isinstance(result, LongReconstruction) else ()
+    failed = result.failed_windows if isinstance(result, LongReconstruction) else ()
+    return {
+        "failed": result.failed[0],
+        "stages": [_stage(report) for report in result.reports],
+        "windows": [
+            {"start": start, "stop": stop, "failed": row in failed}
+            for row, (start, stop) in enumerate(windows)
+        ],
+        "settings": dict(settings),
+        "inputs": dict(inputs),
+        "versions": versions(),
+    }
+
+
+def _stage(report: StageReport) -> dict[str, Any]:
+    """One line; of several windows the most steps, the sums of energies, all reasons to end."""
+    solution = report.solution
+    energies = solution.trace[:, -1].sum(0).tolist()
+    reasons = [reason for reason in Termination if reason in solution.termination]
+    return {
+        "name": report.stage.name,
+        "seconds": round(report.seconds, 4),
+        "iterations": int(solution.iterations.max()),
+        "evaluations": int(solution.evaluations.max()),
+        "termination": "; ".join(reason.value for reason in reasons),
+        "energies": {
+            term.name: value for term, value in zip(report.stage.terms, energies, strict=True)
+        },
+    }
+
+
+def described(
+    motion: Motion,
+    body: BodyModel,
+    ground: float | None = 0.0,
+    T_world_camera: Float[Tensor, "4 4"] | None = None,
+    observed: Bool[Tensor, "time 22"] | None = None,
+    belt: Float[Tensor, "time 3"] | None = None,
+    joint_std: Float[Tensor, "time 22"] | None = None,
+    ground_std: Float[Tensor, "2"] | None = None,
+    contact_probability: Float[Tensor, "time 22"] | None = None,
+    angle_std: Float[Tensor, "time 42"] | None = None,
+) -> MotionFile:
+    """A motion with its joints, contacts and ground; without a ground no contacts are told.
+
+    Where a camera's pose was found, the file has it and the root in the camera's frame besides.
+    On a treadmill, contacts are told against the belt, by how far it has come.
+
+    Args:
+        motion: one clip, no batch axis.
+        body: whose motion it is.
+        ground: height of the ground, metres; None where there is none.
+        T_world_camera: of a camera whose pose was found, metres.
+        observed: false where a joint was inferred rather than seen.
+        belt: how far the treadmill's belt has come at every frame, metres.
+        joint_std: standard deviation of a coordinate of every joint, metres.
+        ground_std: standard deviations of a ground that was found; see `MotionFile`.
+        contact_probability: how likely each joint touches the ground.
+        angle_std: standard deviations of joint angles; see `MotionFile`.
+    """
+    joints = body.pose(motion).joints
+    contacts = None
+    if ground is not None:
+        above = joints - joints.new_tensor([0.0, 0.0, ground])
+        if belt is not None:
+            above = above - belt[:, None]
+        heights = rest_heights(body, motion.shape)
+        contacts = contact_labels(above, heights, motion.fps).to(joints)
+    return MotionFile(
+        motion,
+        body=body.name,
+        checksum=body.checksum,
+        joints=joints,
+        contacts=contacts,
+        ground=None if ground is None else torch.tensor([0.0, 0.0, 1.0, ground]),
+        ground_std=None if ground is None else ground_std,
+        contact_probability=None if ground is None else contact_probability,
+        joint_std=joint_std,
+        angle_std=angle_std,
+        observed=observed,
+        T_world_camera=None if T_world_camera is None else T_world_camera[None],
+        in_camera=None if T_world_camera is None else in_camera(motion, T_world_camera, body),
+    )
+
+
+def in_camera(
+    motion: Motion, T_world_camera: Float[Tensor, "4 4"], body: BodyModel
+) -> Float[Tensor, "time 6"]:
+    """SMPL translation and root rotation vector of the same motion in the camera's frame."""
+    pelvis = body.rest_joints(motion.shape)[..., 0, :]
+    seen = motion.carried(torch.linalg.inv(T_world_camera), pelvis)
+    return torch.cat((seen.translation, so3.log(seen.rotations[:, 0].double()).float()), -1)
+
 
 _UP = (0.0, 0.0, 1.0)
 
@@ -240,3 +352,37 @@ def result_of(
         cycle=None if cycle is None else cycle.numbers,
         arguments=arguments,
     )
+
+
+class Stopper:
+    """Watches a fit and stops all that is left of it once it was asked to.
+
+    A fit is several minimisations in turn, and some of them are needed to make a motion at all.
+    After the first stop each of them ends at its first step, so that the estimate so far passes
+    through the rest within moments.
+    """
+
+    def __init__(
+        self,
+        callback: Watch | None,
+        max_seconds: float | None,
+        clock: Callable[[], float] = monotonic,
+    ) -> None:
+        self._callback, self._clock, self._seconds = callback, clock, max_seconds
+        self._deadline = None if max_seconds is None else clock() + max_seconds
+        self.reason: str | None = None
+        """The reason why the fit was stopped; None while it was not."""
+
+    def __call__(self, stage: str, progress: Progress) -> bool:
+        """Whether to stop; the callback is asked until it says so."""
+        if self.reason is None:
+            self.reason = self._why(stage, progress)
+        return self.reason is not None
+
+    def _why(self, stage: str, progress: Progress) -> str | None:
+        """A reason to stop now."""
+        if self._callback is not None and self._callback(stage, progress) is True:
+            return "the callback"
+        if self._deadline is not None and self._clock() > self._deadline:
+            return f"max_seconds = {self._seconds:g}"
+        return None

@@ -16,7 +16,7 @@ from recon.body.kinematics import forward_kinematics
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS
 from recon.core.struct import TensorStruct
-from recon.formats.bodies.smpl import SmplArrays, load_smpl
+from recon.formats.smpl import SmplArrays, load_smpl
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ EXPECTED = {
     "predictions": "a folder with one prediction for every window of `recon bench`",
     "result": _MOTION,
     "smplx": "a SMPL-X file (.npz, .pkl)",
-    "splits": "a TOML file of parts and windows, as priors/training/splits.toml",
+    "splits": "a TOML file of parts and windows, as recon/benchmark/splits.toml",
     "trial": "a recording (.bvh, .amc, .c3d, .trc, .mat) or a motion file (.npz)",
     "truth": _MOTION,
 }

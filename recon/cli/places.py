@@ -15,8 +15,7 @@ from tyro.conf import arg
 
 from recon.cli import console
 from recon.cli.inputs import check_inputs
-from recon.formats.results.inputs import paths_in
-from recon.formats.results.outputs import Kind, Output, check_outputs
+from recon.formats.outputs import Kind, Output, check_outputs, paths_in
 
 Overwrite = Annotated[bool, arg(help="Replace files that are there and recon did not write.")]
 """The option of every verb that writes."""

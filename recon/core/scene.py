@@ -7,8 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from recon.core import rotations as so3
-from recon.core.camera import Camera
-from recon.core.ground import Ground
+from recon.core.camera import Camera, Ground
 from recon.core.struct import TensorStruct
 
 TILT = 0.2

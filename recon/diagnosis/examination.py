@@ -8,36 +8,41 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from observations.together import kinds
-from observations.together.labelling import labelled
+from observations import kinds
+from observations.first_guess import labelled
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
+from recon.diagnosis.agreement import ResidualSummary, agreement_warnings, summarise
+from recon.diagnosis.certainty import MOST, certainty, fitted_contacts
+from recon.diagnosis.doubts import (
+    Alternative,
+    alternatives,
+    guessed_findings,
+    observed_joints,
+    undecided_findings,
+    unseen_findings,
+)
 from recon.diagnosis.findings import Finding
-from recon.diagnosis.fits.agreement import agreement_warnings
-from recon.diagnosis.fits.alternatives import Alternative, alternatives
-from recon.diagnosis.fits.angles import MOST
-from recon.diagnosis.fits.certainty import certainty
-from recon.diagnosis.fits.contacts import fitted_contacts
-from recon.diagnosis.fits.doubts import guessed_findings, undecided_findings
-from recon.diagnosis.fits.lens import lens_doubtful, lens_finding
-from recon.diagnosis.fits.plausibility import body_warnings, child_findings, mirror_warnings
-from recon.diagnosis.fits.seen_joints import observed_joints, unseen_findings
-from recon.diagnosis.fits.summaries import ResidualSummary, summarise
-from recon.diagnosis.motions.belt import treadmill_finding
+from recon.diagnosis.motions.belt import on_belt, treadmill_finding, with_belt
 from recon.diagnosis.motions.carried import carried_finding
-from recon.diagnosis.motions.pace import rate_finding
+from recon.diagnosis.motions.gravity import rate_finding
 from recon.diagnosis.motions.support import support_findings
-from recon.diagnosis.motions.treadmill import on_belt, with_belt
+from recon.diagnosis.plausibility import (
+    body_warnings,
+    child_findings,
+    lens_doubtful,
+    lens_finding,
+    mirror_warnings,
+)
 from recon.diagnosis.points.screening import screen_points
 from recon.diagnosis.views.images import Images
 from recon.diagnosis.views.rest import moving_finding, rest_of
 from recon.diagnosis.views.screening import screen_views
 from recon.fitting.clip import ClipFit, fit_clip
-from recon.fitting.cycles.completion import complete
-from recon.fitting.cycles.recording import WholeRecording, complete_recording
-from recon.fitting.options import FitOptions
-from recon.fitting.priors import loaded
-from recon.method.laplace.deviations import Deviations
+from recon.fitting.cycles import complete
+from recon.fitting.methods import FitOptions, loaded
+from recon.fitting.recording import WholeRecording, complete_recording
+from recon.method.laplace import Deviations
 from recon.method.protocols import Estimate, Sensor
 from recon.method.stages import Watch
 
@@ -128,7 +133,7 @@ def fit_examined(
 
     Raises:
         ValueError: as `recon.fitting.clip.fit_clip` and
-            `recon.fitting.cycles.completion.complete` do.
+            `recon.fitting.cycles.complete` do.
     """
     if options.completes and start is not None:
         raise ValueError("gait cycles are searched from many starts: leave `start` out")

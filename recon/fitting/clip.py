@@ -8,14 +8,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from observations import kinds
+from observations.camera_paths import with_unit
+from observations.first_guess import FirstGuess, first_guess, labelled
 from observations.keypoints2d import OFFSET_UNIT
 from observations.noise import weights_of
 from observations.timing import at_observation_times
-from observations.together import kinds
-from observations.together.camera_paths import with_unit
-from observations.together.first_guess import FirstGuess, first_guess
-from observations.together.labelling import labelled
-from priors.roles import FIRST
+from priors.checkpoints import FIRST
 from recon.body.model import BodyModel
 from recon.core.errors import ObservationError
 from recon.core.motion import Motion
@@ -25,8 +24,7 @@ from recon.core.skeleton import joint_index
 from recon.core.struct import concatenate
 from recon.fitting.ground import ground_below, pelvis_path, sole_heights, upright_ground
 from recon.fitting.long import WINDOW, OneShape, fit_long
-from recon.fitting.methods import WithoutRoot, WithScene, WithSizeHeld, method_of
-from recon.fitting.options import FitOptions
+from recon.fitting.methods import FitOptions, WithoutRoot, WithScene, WithSizeHeld, method_of
 from recon.method.protocols import Sensor
 from recon.method.reconstruction import Method, Reconstruction, solve
 from recon.method.shape_prior import WithShape

@@ -11,17 +11,15 @@ from observations.files.clouds import cloud_of
 from observations.files.images import camera_above, keypoints_of
 from observations.files.keypoints3d import settled
 from observations.files.points import positions_of
-from observations.people.everyone import everyone
-from observations.people.masks import load_silhouettes, masked
+from observations.people.places import load_silhouettes, masked
 from observations.people.views import load_views, read_views
 from recon.body.model import BodyModel
 from recon.core.errors import FormatError, ObservationError
 from recon.fitting.readers import PlaceMarkers, read_by, readers
 from recon.fitting.settings import DEFAULTS, FitSettings
-from recon.formats.calibration.cameras import load_cameras
-from recon.formats.clouds.depth_images import read_depth_images
-from recon.formats.clouds.scans import read_scans
-from recon.formats.detections.arrays import holds_detections
+from recon.formats.calibration import load_cameras
+from recon.formats.depth_images import read_depth_images
+from recon.formats.detections.tables import holds_detections
 from recon.formats.keypoints3d.labels import are_keypoints
 from recon.formats.keypoints3d.reader import (
     RECORDINGS,
@@ -40,7 +38,9 @@ from recon.formats.observations import (
     load_observation,
 )
 from recon.formats.projects import Project, project_at
+from recon.formats.scans import read_scans
 from recon.method.protocols import Sensor
+from recon.people.everyone import everyone
 
 _CLOUDS, _IMAGES, _DETECTIONS = {".ply", ".pcd"}, {".png"}, {".json", ".csv"}
 

@@ -7,12 +7,12 @@ from importlib.util import find_spec
 from os.path import commonpath
 from pathlib import Path
 
-from observations.people.camera_names import expand
-from priors.roles import FIRST
+from observations.people.places import expand
+from priors.checkpoints import FIRST
 from recon.fitting.settings import FitSettings
-from recon.formats.files.checksums import MISSING, file_checksum, files_checksum, value_checksum
-from recon.formats.keypoints3d.session import body_file, time_stamps
+from recon.formats.keypoints3d.reader import body_file, time_stamps
 from recon.formats.projects import project_at
+from recon.formats.replacing import MISSING, file_checksum, files_checksum, value_checksum
 from recon.formats.weight_files import weights_path
 
 _CLOUDS, _IMAGES, _KEYPOINTS = (".ply", ".pcd"), (".png",), (".json",)
@@ -88,7 +88,7 @@ def _project(path: Path) -> Input | None:
 
 
 def camera_input(path: Path) -> Input:
-    """What `recon.formats.calibration.cameras.load_cameras` reads of a calibration."""
+    """What `recon.formats.calibration.load_cameras` reads of a calibration."""
     pair = {"intri.yml", "extri.yml"}
     if path.is_dir() and (path / "intri.yml").is_file():
         return Input(path, tuple(path / name for name in sorted(pair)))
@@ -100,7 +100,7 @@ def camera_input(path: Path) -> Input:
 
 
 def track_input(path: Path) -> Input:
-    """What `recon.formats.calibration.tracks.read_track` reads: COLMAP's texts, or the file."""
+    """What `recon.formats.tracks.read_track` reads: COLMAP's texts, or the file."""
     folder = path if path.is_dir() else path.parent
     if path.is_dir() or path.name == "images.txt":
         return Input(path, tuple(folder / name for name in ("cameras.txt", "images.txt")))

@@ -11,15 +11,15 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from observations.records.curvature import of_places
+from observations.curvature import of_places
 from observations.timing import at_observation_times
 from recon.body.derivatives import CarriedPoints
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.robust import squared
 from recon.core.struct import TensorStruct
-from recon.method.newton.model import PointModel
 from recon.method.protocols import REFERENCE_FPS, Estimate, Observation
+from recon.method.quadratic import PointModel
 from recon.method.windows import Windows, fade
 
 AT_ONCE = 8

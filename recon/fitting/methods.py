@@ -3,15 +3,150 @@
 from dataclasses import dataclass, replace
 from typing import Any
 
+from jaxtyping import Float
+from torch import Tensor
+
 from recon.body.model import BodyModel
-from recon.core.errors import ReconError
-from recon.fitting.options import FitOptions
-from recon.fitting.priors import checked_method, loaded
-from recon.method.priors import ManyMethods, NoisyPrior, traits_of
+from recon.core.errors import ReconError, WeightsError
+from recon.method.plugins import PRIORS, imported, registered
+from recon.method.priors import CyclePrior, ManyMethods, NoisyPrior, Traits, methods_of, traits_of
 from recon.method.reconstruction import Method
+from recon.method.shape_prior import ShapePrior
 from recon.method.stages import Stage
 from recon.method.terms import Term
 from recon.physics import energies as physics
+
+PriorObject = Method | NoisyPrior | CyclePrior
+"""A prior that is loaded already, or a method of the caller's own."""
+
+
+def class_of(prior: str) -> Any:
+    """The class of a prior, by its registered name or its place "package.module:Class".
+
+    Raises:
+        WeightsError: when there is no such prior.
+    """
+    known = registered(PRIORS)
+    if prior not in known and ":" not in prior:
+        raise WeightsError(
+            f"prior: expected {', '.join(known)} or 'package.module:Class', got {prior!r}"
+        )
+    try:
+        return imported(known.get(prior, prior), "prior")
+    except ReconError as error:
+        raise WeightsError(str(error)) from error
+
+
+def loaded(prior: str | PriorObject, weights: str, body: BodyModel) -> PriorObject:
+    """The prior with its weights, those of an object being its own.
+
+    A class is loaded by `load(weights, body)`; without such a method it is made without arguments.
+
+    Raises:
+        FileNotFoundError: when there are no such weights.
+        WeightsError: when there is no such prior, or it takes no weights.
+    """
+    if not isinstance(prior, str):
+        return prior
+    kind = class_of(prior)
+    if hasattr(kind, "load"):
+        found = kind.load(weights, body)
+    elif weights == "open":
+        found = kind()
+    else:
+        raise WeightsError(f"weights: {prior!r} has none: it has no method load(weights, body)")
+    if not isinstance(found, PriorObject):
+        raise WeightsError(
+            f"prior: {prior!r} needs a method stages(data) or method(noise, body), got a "
+            f"{type(found).__name__}"
+        )
+    return found
+
+
+def traits(prior: str | PriorObject) -> Traits:
+    """What is known of a prior without its weights."""
+    return traits_of(class_of(prior) if isinstance(prior, str) else prior)
+
+
+def checked_method(prior: str | PriorObject, name: str | None) -> str | None:
+    """The name of a way to fit a prior, one of its `methods`, or None for the usual one.
+
+    Raises:
+        ReconError: when the prior has no such method.
+    """
+    if name is None:
+        return None
+    known = methods_of(class_of(prior) if isinstance(prior, str) else prior)
+    if name in known:
+        return name
+    whose = repr(prior) if isinstance(prior, str) else f"a {type(prior).__name__}"
+    if len(known) == 0:
+        raise ReconError(f"method: {whose} is fitted in one way only, got {name!r}; leave it out")
+    raise ReconError(f"method: {whose} is fitted by {' or '.join(known)}, got {name!r}")
+
+
+@dataclass(frozen=True)
+class FitOptions:
+    """The prior of a fit, the noise of the data, and what else the fit should heed."""
+
+    prior: str | PriorObject = "humor"
+    """A registered name, the place of a class, a loaded prior, or a method with `stages`."""
+    weights: str = "open"
+    """Weights of a prior that is given by its name: `open`, `nc` or a file."""
+    method: str | None = None
+    """One of the prior's `methods`, the ways in which it can be fitted; None is the usual one."""
+    noise: tuple[float | None, ...] = ()
+    """Standard deviation of each observation's coordinates in its own unit (metres, or pixels of
+    keypoints); None, and an empty tuple, estimate it from the data."""
+    physics: float = 0.0
+    """Multiplier of the physics energies; 0 leaves them out."""
+    ground_given: bool = False
+    """Whether the caller gave the plane that lies at z = 0 of the recording."""
+    grounded: bool = True
+    """Whether there is a ground at all; there is none in water, on ropes and on stairs."""
+    repair: bool = True
+    """Whether faults of the data are repaired before the fit."""
+    shape: Float[Tensor, " shape"] | None = None
+    """Shape coefficients that are held; None estimates them."""
+    shape_prior: ShapePrior | None = None
+    """What is known of the shape, where it is not held."""
+    terms: tuple[Term, ...] = ()
+    """Further energies, added in every stage that moves poses."""
+
+    def __post_init__(self) -> None:
+        """Refuse to judge heights above a ground that is not there.
+
+        Raises:
+            ReconError: when the prior or physics need a ground and there is none.
+        """
+        if self.grounded:
+            return
+        if self.knows_gravity:
+            name = self.prior if isinstance(self.prior, str) else type(self.prior).__name__
+            raise ReconError(
+                f"without a ground, nothing can be said about heights above it, which the prior "
+                f"{name!r} judges; fit with the prior 'pose', or with one of your own whose "
+                "traits are Traits(knows_gravity=False)"
+            )
+        if self.physics != 0:
+            raise ReconError(
+                f"physics is of a body on the ground, and there is none: expected physics=0, got "
+                f"{self.physics:g}"
+            )
+
+    @property
+    def completes(self) -> bool:
+        """Whether the prior knows whole gait cycles, for which beginnings are searched."""
+        return traits(self.prior).completes
+
+    @property
+    def knows_gravity(self) -> bool:
+        """Whether the prior judges heights above the ground and which way is up."""
+        return traits(self.prior).knows_gravity
+
+    def noise_of(self, row: int) -> float | None:
+        """The standard deviation given for an observation, by its number."""
+        return self.noise[row] if self.noise else None
 
 
 def method_of(options: FitOptions, noise: float, body: BodyModel) -> Method:
@@ -33,7 +168,7 @@ def _of_prior(options: FitOptions, noise: float, body: BodyModel) -> Method:
     if options.completes:
         raise ReconError(
             "this prior is of one whole cycle, for which beginnings are searched: call "
-            "recon.fitting.cycles.completion.complete, or `recon complete`"
+            "recon.fitting.cycles.complete, or `recon complete`"
         )
     given, name = options.prior, checked_method(options.prior, options.method)
     if not isinstance(given, str) and isinstance(given, Method):

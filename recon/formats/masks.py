@@ -9,8 +9,7 @@ from jaxtyping import Bool, UInt8
 
 from recon.core.errors import FormatError
 from recon.core.limits import IMAGE, MASKS
-from recon.formats.files.npz_headers import DAMAGE, check_sizes
-from recon.formats.files.opening import existing
+from recon.formats.opening import DAMAGE, check_sizes, existing
 
 _KEY = "mask"
 

@@ -18,7 +18,7 @@ from recon.core.errors import FormatError
 from recon.core.limits import Limit, check_pose
 from recon.core.motion import Motion
 from recon.core.units import snapped_rate
-from recon.formats.files.opening import load_arrays, save_arrays
+from recon.formats.opening import load_arrays, save_arrays
 
 FORMAT_VERSION = 1
 _RATES = ("mocap_framerate", "mocap_frame_rate", "fps")
@@ -51,7 +51,7 @@ class MotionFile:
     """Standard deviation of every joint, metres."""
     angle_std: Float[Tensor, "time 42"] | None = None
     """Standard deviations of joint angles after the ISB, degrees, in the order of
-    `recon.body.angles.isb.ISB_ANGLES`."""
+    `recon.body.angles.ISB_ANGLES`."""
     observed: Bool[Tensor, "time 22"] | None = None
     """False where a joint was inferred rather than seen."""
     truth_visible: Bool[Tensor, "time 22"] | None = None

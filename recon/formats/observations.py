@@ -12,8 +12,8 @@ from recon.core.errors import FormatError
 from recon.core.limits import Limit, check_camera, check_pose
 from recon.core.units import METRES, Axis, check_override, to_z_up
 from recon.formats.camera_path import CameraPath
-from recon.formats.clocks.point_clock import PointClock, settled_clock
-from recon.formats.files.opening import load_arrays, save_arrays
+from recon.formats.opening import load_arrays, save_arrays
+from recon.formats.scan_times import PointClock, settled_clock
 
 _KEYS = {
     "joints3d": ("positions", "visible", "names", "fps", "up_axis"),

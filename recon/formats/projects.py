@@ -15,7 +15,7 @@ from typing import Any
 
 from recon.core.errors import FormatError, ObservationError
 from recon.core.limits import FRAME_NUMBER, FRAME_RATE
-from recon.formats.files.opening import decode, read_bytes
+from recon.formats.opening import decode, read_bytes
 
 _POSES = ("pose-associated", "pose-sync", "pose")
 """Folders of 2D detections of Pose2Sim; those after association with a person come first."""

@@ -2,4 +2,4 @@
 
 from recon.ingest.conversion import Conversion as Conversion
 from recon.ingest.single import convert as convert
-from recon.ingest.skeletons.subject import SubjectModel as SubjectModel
+from recon.ingest.subject import SubjectModel as SubjectModel

@@ -19,12 +19,12 @@ from recon.core.motion import Motion
 from recon.core.skeleton import FEET, JOINTS
 from recon.diagnosis.findings import Finding
 from recon.diagnosis.motions.belt import belt_velocity, treadmill_finding
-from recon.diagnosis.motions.pace import rate_finding
+from recon.diagnosis.motions.gravity import rate_finding
 from recon.diagnosis.motions.support import support_findings
 from recon.formats.mocap.recording import SkeletonRecording
 from recon.formats.motions import MotionFile, save_motion
-from recon.ingest.skeletons.solve import Solved, residual_names, solve
-from recon.ingest.skeletons.subject import SubjectModel
+from recon.ingest.skeleton import Solved, residual_names, solve
+from recon.ingest.subject import SubjectModel
 from recon.metrics.errors import slip_speed
 
 GLITCH_SPEED = 20.0

@@ -8,9 +8,9 @@ from recon.core.units import Axis
 from recon.formats.mocap.reader import read_recording
 from recon.formats.mocap.recording import MarkerRecording, SkeletonRecording, drop_lead_in
 from recon.ingest.conversion import Conversion, convert_skeletons, resampled
+from recon.ingest.maps import recognise
 from recon.ingest.markers.conversion import convert_markers
-from recon.ingest.skeletons.maps import recognise
-from recon.ingest.skeletons.subject import SubjectModel, calibrate
+from recon.ingest.subject import SubjectModel, calibrate
 
 
 def convert(

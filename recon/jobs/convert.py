@@ -4,10 +4,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from recon.api.verbs.convert import convert
+from recon.api.convert import convert
 from recon.core.units import Axis
 from recon.formats.mocap.asf_amc import find_skeleton
-from recon.formats.results.reports import checksums, versions
+from recon.formats.reports import checksums, versions
 
 
 @dataclass(frozen=True)

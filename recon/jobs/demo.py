@@ -15,9 +15,9 @@ from priors.pose.prior import PosePrior, PoseWeights
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.formats.motions import load_motion
-from recon.formats.results.outputs import Kind, Output
-from recon.formats.results.reports import versions
-from recon.formats.results.writing import writing
+from recon.formats.outputs import Kind, Output
+from recon.formats.reports import versions
+from recon.formats.writing import writing
 from recon.method.reconstruction import Method, Reconstruction, solve
 from recon.metrics.evaluation import (
     ObservedPoints,
@@ -30,8 +30,7 @@ from recon.simulation import points as simulate
 from recon.simulation.points import Corruption
 from recon.view.frames import write_png
 from recon.view.html import write_html
-from recon.view.show.colours import GREY
-from recon.view.show.scene import Figure, Points, Show
+from recon.view.scene import GREY, Figure, Points, Show
 
 Metrics = dict[str, float | None]
 

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from recon.api.verbs.evaluate import evaluate
-from recon.formats.results.reports import checksums, versions
+from recon.api.evaluate import evaluate
+from recon.formats.reports import checksums, versions
 
 
 def evaluate_files(

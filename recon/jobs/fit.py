@@ -9,20 +9,18 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from recon.api.fit import fit
-from recon.api.motion_file import described
-from recon.api.result import Result
-from recon.api.verbs.people import fit_people
+from recon.api.result import Result, described
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.fitting.clip_files import Clip, load_clip, load_people
 from recon.fitting.clip_inputs import input_checksums
 from recon.fitting.settings import FitSettings
 from recon.formats.motions import save_motion
-from recon.formats.results.inputs import paths_in
-from recon.formats.results.outputs import Kind, Output, check_outputs
-from recon.formats.results.writing import writing_file
+from recon.formats.outputs import Kind, Output, check_outputs, paths_in
+from recon.formats.writing import writing_file
 from recon.ingest.markers.observation import seen_markers
 from recon.method.stages import Watch
+from recon.people.together import fit_people
 
 
 def fit_files(

@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 from priors.humor.generation import TEMPERATURE
-from recon.api.results.motions import MotionResults, file_names
-from recon.api.verbs.generate import predict, sample
-from recon.formats.results.reports import checksums, versions
+from recon.api.generate import predict, sample
+from recon.api.results import MotionResults, file_names
+from recon.formats.reports import checksums, versions
 from recon.method.protocols import REFERENCE_FPS
 
 

@@ -4,8 +4,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from recon.api.verbs.interpolate import interpolate
-from recon.formats.results.reports import checksums, versions
+from recon.api.interpolate import interpolate
+from recon.formats.reports import checksums, versions
 
 
 @dataclass(frozen=True)

@@ -4,11 +4,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from recon.api.verbs.refine import refine
+from recon.api.refine import refine
 from recon.fitting.settings import RefineSettings
-from recon.formats.results.inputs import paths_in
-from recon.formats.results.outputs import Output, check_outputs
-from recon.formats.results.reports import checksums
+from recon.formats.outputs import Output, check_outputs, paths_in
+from recon.formats.reports import checksums
 from recon.method.stages import Watch
 
 

@@ -4,8 +4,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from recon.api.verbs.retarget import retarget
-from recon.formats.results.reports import checksums, versions
+from recon.api.retarget import retarget
+from recon.formats.reports import checksums, versions
 
 
 @dataclass(frozen=True)

@@ -3,9 +3,9 @@
 from dataclasses import asdict
 from pathlib import Path
 
-from recon.api.verbs.simulate import simulate
-from recon.formats.results.inputs import paths_in
-from recon.formats.results.reports import checksums, versions
+from recon.api.simulate import simulate
+from recon.formats.outputs import paths_in
+from recon.formats.reports import checksums, versions
 from recon.simulation.points import Corruption
 from recon.simulation.settings import (
     FILM_DEFAULTS,

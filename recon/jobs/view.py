@@ -7,16 +7,15 @@ from pathlib import Path
 from recon.body.identities import height, weight
 from recon.body.model import BodyModel
 from recon.body.motion_files import load_motion_of
-from recon.core.ground import Ground
+from recon.core.camera import Ground
 from recon.core.motion import Motion
 from recon.formats.motions import MotionFile
-from recon.formats.results.outputs import Output
-from recon.formats.results.reports import checksums, versions
-from recon.formats.results.writing import writing
-from recon.view.show.beside import beside, common
-from recon.view.show.colours import CORAL, GREY
-from recon.view.show.observed import observed
-from recon.view.show.scene import Figure, Show
+from recon.formats.outputs import Output
+from recon.formats.reports import checksums, versions
+from recon.formats.writing import writing
+from recon.view.beside import beside, common
+from recon.view.observed import observed
+from recon.view.scene import CORAL, GREY, Figure, Show
 
 
 def view_files(

@@ -8,8 +8,8 @@ from torch import Tensor
 
 from recon.body.contacts import contact_labels, rest_heights
 from recon.body.model import BodyModel, PosedBody
+from recon.core.camera import Ground
 from recon.core.errors import ReconError
-from recon.core.ground import Ground
 from recon.core.motion import Motion
 from recon.core.skeleton import LEGS, TOES
 from recon.core.struct import TensorStruct

@@ -13,12 +13,11 @@ from torch.utils.weak import WeakIdKeyDictionary
 
 from recon.body.model import PosedBody
 from recon.body.parts import PARTS
-from recon.body.sampled_surface import SampledSurface
+from recon.body.sampled import SampledSurface
 from recon.core.struct import TensorStruct
 from recon.method.protocols import REFERENCE_FPS, Estimate
 from recon.physics.mass import Dynamics, body_dynamics, difference_step, inner, vertex_masses
-from recon.physics.pressure import centre_of_pressure
-from recon.physics.zmp import smoothstep, supported, zmp
+from recon.physics.zmp import centre_of_pressure, smoothstep, supported, zmp
 
 TOLERANCE = 0.005
 """Metres below and above the ground that are neither penetration nor float (HUMOS)."""

@@ -3,9 +3,207 @@
 Rates other than 20 Hz keep the meaning of every threshold; published numbers are at 20 Hz.
 """
 
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from recon.body.model import BodyModel
+from recon.body.parts import Parts
+from recon.core.motion import Motion
+from recon.core.skeleton import FEET
+from recon.core.struct import TensorStruct, concatenate
 from recon.metrics import errors as metrics
 from recon.physics.energies import TOLERANCE
-from recon.physics.samples import PhysicsSamples
+from recon.physics.mass import (
+    SPAN,
+    Dynamics,
+    body_dynamics,
+    centre_of_mass,
+    difference_step,
+    vertex_masses,
+    vertex_masses_as_published,
+)
+from recon.physics.zmp import distances_to_support, supported, supporting, zmp, zmp_as_released
+
+JOINT_CONTACT = 0.015
+"""Metres below which a foot joint is in contact (HUMOS): SMPL's toe joints sink as deep only
+when the foot does."""
+
+SOLE_CONTACT = 0.015
+"""Metres below which the lowest point of a foot is in contact."""
+
+NO_GROUND = 0.05
+"""Metres above which the body's lowest point has left the ground."""
+
+_SIDES = ((7, 10), (8, 11))
+_CHUNK = 64
+"""Frames whose surface is computed at once, to bound memory."""
+
+
+@dataclass(frozen=True)
+class PhysicsSamples(TensorStruct):
+    """Measurements in every frame; steps lead to the next frame."""
+
+    lowest: Float[Tensor, " frames"]
+    """Height of the lowest vertex, metres."""
+    stepped: Bool[Tensor, " frames"]
+    """Whether there is a next frame."""
+    joints_touch: Bool[Tensor, "frames 4"]
+    """Ankles and toes under 1.5 cm in this frame and the next, and not in the same place."""
+    sunk_step: Float[Tensor, " frames"]
+    """Mean horizontal step of vertices at or below the ground in both frames, m per 1/20 s."""
+    soles_touch: Bool[Tensor, "frames 2"]
+    """Feet in contact in this frame and the next."""
+    slip: Float[Tensor, "frames 2"]
+    """Horizontal speed of the lowest vertex of each foot, m/s."""
+    has_base: Bool[Tensor, " frames"]
+    released_distance: Float[Tensor, " frames"]
+    """Distance of the released ZMP from the base of support, negative inside, metres."""
+    distance: Float[Tensor, " frames"]
+    """Distance of the ZMP from the base of support, negative inside, metres."""
+    known: Bool[Tensor, " frames"]
+    """Frames with a ZMP of their own: not the first and the last."""
+    carried: Bool[Tensor, " frames"]
+    """The ground carries a fifth of the weight or more, and is within 5 cm."""
+
+
+def physics_samples(
+    motion: Motion, body: BodyModel, contacts: Bool[Tensor, "time 2"] | None = None
+) -> PhysicsSamples:
+    """Measure the existing frames of one clip.
+
+    Args:
+        motion: One clip; the ground is z = 0.
+        body: Of any shape space; the motion has its shape.
+        contacts: Of the left and right foot where they are known, as those of the clip that this
+            one was retargeted from; else feet whose lowest point is under 1.5 cm.
+
+    Raises:
+        ValueError: when the motion is a batch or too short for accelerations, or the contacts
+            are those of other frames.
+    """
+    if motion.translation.dim() != 2:
+        raise ValueError(
+            f"expected one clip, got a batch of shape {tuple(motion.translation.shape[:-2])}; "
+            "measure its clips one by one"
+        )
+    if contacts is not None and contacts.shape != (motion.frames, 2):
+        raise ValueError(
+            f"expected contacts of two feet in {motion.frames} frames, got an array of shape "
+            f"{tuple(contacts.shape)}; bring labels to the motion's own frames first"
+        )
+    motion = motion.window(0, int(motion.valid.long().cumprod(0).sum()))
+    step = difference_step(motion.fps)
+    if motion.frames < 2 * step + 1:
+        raise ValueError(
+            f"accelerations need {2 * step + 1} frames at {motion.fps:g} frames per second, got "
+            f"{motion.frames}; give a longer clip"
+        )
+    body = body.to(device=motion.translation.device, dtype=torch.float64)
+    motion = motion.to(dtype=torch.float64)
+    points, carrying = _zero_moment_points(motion, body)
+    pieces = []
+    for start in range(0, motion.frames, _CHUNK):
+        stop = min(start + _CHUNK, motion.frames)
+        held = None if contacts is None else contacts[start : stop + 1]
+        # the frame before gives the last frame of a clip its speed, the one after a step
+        pieces.append(
+            _surface_samples(
+                motion, body, max(start - 1, 0), start, stop, held, points[start:stop]
+            )
+        )
+    samples = concatenate(pieces)
+    frame = torch.arange(motion.frames, device=samples.lowest.device)
+    return samples.replace(
+        known=(frame >= step) & (frame < motion.frames - step),
+        carried=carrying & (samples.lowest < NO_GROUND),
+    )
+
+
+def _zero_moment_points(motion: Motion, body: BodyModel) -> tuple[Tensor, Tensor]:
+    """The released and the corrected ZMP in every frame, and where the ground carries the body.
+
+    The first and last frames take their neighbour's acceleration and spin (released code).
+    """
+    posed = body.pose(motion)
+    first = body.pose(motion.window(0, 1)).vertices[0]
+    kinds = (
+        vertex_masses_as_published(first, Parts.of(body)),
+        vertex_masses(body, motion.shape),
+    )
+    step = difference_step(motion.fps)
+    last = motion.frames - 2 * step - 1
+    nearest = (torch.arange(motion.frames, device=first.device) - step).clamp(0, last)
+    old, new = (
+        Dynamics(found.mass, centre_of_mass(posed, mass), *_at(found, nearest))
+        for mass in kinds
+        for found in (body_dynamics(posed, mass, motion.fps),)
+    )
+    return torch.stack((zmp_as_released(old), zmp(new)), -2), supported(new) >= 0.5
+
+
+def _at(dynamics: Dynamics, frames: Tensor) -> tuple[Tensor, Tensor]:
+    return dynamics.acceleration[frames], dynamics.spin[frames]
+
+
+def _surface_samples(
+    motion: Motion,
+    body: BodyModel,
+    before: int,
+    start: int,
+    stop: int,
+    contacts: Tensor | None,
+    points: Tensor,
+) -> PhysicsSamples:
+    """Frames start, ..., stop - 1, with the surface of the frames around them."""
+    posed = body.pose(motion.window(before, min(stop + 1, motion.frames)))
+    skin, own = posed.vertices, slice(start - before, stop - before)
+    step_exists = torch.arange(start, stop, device=skin.device) + 1 < motion.frames
+    # the frame after the last stands for itself, and its steps count nothing
+    following = torch.arange(own.start + 1, own.stop + 1).clamp(max=len(skin) - 1)
+    steps = (skin[following, :, :2] - skin[own, :, :2]).norm(dim=-1)
+    sunk = (skin[own, :, 2] <= 0) & (skin[following, :, 2] <= 0)
+    feet = posed.joints[:, list(FEET)]
+    low = feet[..., 2] < JOINT_CONTACT
+    moved = (feet[following, :, :2] != feet[own, :, :2]).any(-1)
+    touch, slip = _slips(body, skin, own, following, steps, motion.fps)
+    if contacts is not None:
+        after = torch.arange(1, stop - start + 1).clamp(max=len(contacts) - 1)
+        touch = contacts[: stop - start] & contacts[after]
+    distances, has_base = distances_to_support(
+        points, skin[own], supporting(skin, motion.fps)[own]
+    )
+    return PhysicsSamples(
+        lowest=skin[own, :, 2].amin(-1),
+        stepped=step_exists,
+        joints_touch=low[own] & low[following] & moved & step_exists[:, None],
+        sunk_step=(steps * sunk).sum(-1) / sunk.sum(-1).clamp(min=1) * motion.fps * SPAN,
+        soles_touch=touch & step_exists[:, None],
+        slip=slip,
+        has_base=has_base,
+        released_distance=distances[:, 0],
+        distance=distances[:, 1],
+        known=step_exists,
+        carried=step_exists,
+    )
+
+
+def _slips(
+    body: BodyModel, skin: Tensor, own: slice, following: Tensor, steps: Tensor, fps: float
+):
+    """Whether the lowest vertex of each foot stays low, and its speed."""
+    owner = body.weights.argmax(-1)
+    touch, slip = [], []
+    for side in _SIDES:
+        foot = torch.isin(owner, owner.new_tensor(side)).nonzero()[:, 0]
+        height, lowest = skin[own][:, foot, 2].min(-1)
+        later = skin[following][:, foot, 2].gather(-1, lowest[:, None])[:, 0]
+        touch.append((height < SOLE_CONTACT) & (later < SOLE_CONTACT))
+        slip.append(steps[:, foot].gather(-1, lowest[:, None])[:, 0] * fps)
+    return torch.stack(touch, -1), torch.stack(slip, -1)
+
 
 SLIPPING = 0.1
 """m/s from which a foot in contact slips."""

@@ -13,12 +13,12 @@ from jaxtyping import Bool, Float, Int
 from recon.body.model import BodyModel
 from recon.core.camera import NEAREST, Camera
 from recon.core.errors import ReconError
-from recon.core.geometry.raster import rasterise
 from recon.core.motion import Motion
+from recon.core.raster import rasterise
 from recon.formats.observations import PointsFile
-from recon.simulation.furniture import FurnitureMesh
 from recon.simulation.images import camera_arrays, in_sight
 from recon.simulation.points import Corner, Corruption
+from recon.simulation.scenery import FurnitureMesh
 
 POINTS = 4096
 

@@ -17,13 +17,17 @@ from recon.formats.observations import (
     PointsFile,
     PositionsFile,
 )
-from recon.simulation.cameras import cameras_around, mean_heading
-from recon.simulation.clothes import clothed
 from recon.simulation.depth import DepthSensor, Surface, depth_points, without_pose
-from recon.simulation.furniture import FurnitureMesh, furnished
-from recon.simulation.images import keypoints2d
-from recon.simulation.points import Corruption, joints3d, landmarks3d, markers3d, visible_joints
-from recon.simulation.scans import scan_points
+from recon.simulation.images import cameras_around, keypoints2d, mean_heading
+from recon.simulation.points import (
+    Corruption,
+    joints3d,
+    landmarks3d,
+    markers3d,
+    scan_points,
+    visible_joints,
+)
+from recon.simulation.scenery import FurnitureMesh, clothed, furnished
 from recon.simulation.settings import (
     FILM_DEFAULTS,
     SURFACE_DEFAULTS,

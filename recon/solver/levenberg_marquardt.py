@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from recon.core.struct import S
-from recon.solver.tied import Ties, solve_tied
+from recon.solver.blocks import Ties, solve_tied
 
 _FIRST_RAISE = 1e-3
 """Damping of a frame whose undamped step was refused."""

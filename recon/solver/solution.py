@@ -1,7 +1,8 @@
 """Records of a solver: its objective and callback, and its solution."""
 
 import enum
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -84,3 +85,18 @@ def in_turn(solutions: Sequence[Solution]) -> Solution:
         evaluations=torch.stack([s.evaluations for s in solutions]).sum(0),
         trace=torch.cat([s.trace for s in solutions], 1),
     )
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Run torch on one thread, and on as many as before afterwards.
+
+    Batches of small matrices gain nothing from several: threads that wait for each other spin, and
+    where other processes want the processors too, that costs many times the work.
+    """
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)

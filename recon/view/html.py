@@ -15,10 +15,10 @@ from viser import SceneApi, ViserServer
 
 from recon.core import rotations as so3
 from recon.core.skeleton import CONTACT_JOINTS
-from recon.formats.files.opening import replacing
+from recon.formats.opening import replacing
 from recon.view.drawing.stage import Plane
-from recon.view.layers import camera_node, legend, node_of
-from recon.view.show.colours import (
+from recon.view.layers import Spheres, camera_node, legend, node_of
+from recon.view.scene import (
     CAMERA,
     CERTAINTY,
     CLOUD,
@@ -27,11 +27,12 @@ from recon.view.show.colours import (
     MISSING,
     VISIBLE,
     Colour,
+    Figure,
+    Points,
+    Show,
 )
-from recon.view.show.scene import Figure, Points, Show
-from recon.view.show.viewpoint import Viewpoint, follow, viewpoints
-from recon.view.show.views import View
-from recon.view.spheres import Spheres
+from recon.view.viewpoint import Viewpoint, follow, viewpoints
+from recon.view.views import View
 
 logger = logging.getLogger(__name__)
 

@@ -5,25 +5,24 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from recon.view.drawing.image_plane import FRAME, paint_view
-from recon.view.drawing.lettering import (
+from recon.view.drawing.marks import (
     BOLD,
+    FRAME,
     PAPER,
     Picture,
     join,
     label,
     legend_strip,
+    paint_view,
     save_picture,
     text_size,
     write_line,
 )
-from recon.view.film import write_film
-from recon.view.frames import evenly, paint_scene, seconds
-from recon.view.show.colours import FAINT, INK
-from recon.view.show.regions import Region, clip_region, close_ups
-from recon.view.show.scene import Show
-from recon.view.show.viewpoint import viewpoints
-from recon.view.show.views import View
+from recon.view.frames import evenly, paint_scene, seconds, write_film
+from recon.view.regions import Region, clip_region, close_ups
+from recon.view.scene import FAINT, INK, Show
+from recon.view.viewpoint import viewpoints
+from recon.view.views import View
 
 MAP_SHARE = 0.13
 """Width of the little map as a share of the picture's."""

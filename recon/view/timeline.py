@@ -12,11 +12,10 @@ import numpy as np
 import torch
 
 from recon.core.errors import ReconError
-from recon.core.geometry.normals import vertex_normals
+from recon.core.raster import vertex_normals
 from recon.core.skeleton import CONTACT_JOINTS, JOINTS, PARENTS
-from recon.view.show.colours import CERTAINTY, CLOUD, CONTACT, MISSING, VISIBLE
-from recon.view.show.scene import Figure, Points, Show
-from recon.view.show.views import View
+from recon.view.scene import CERTAINTY, CLOUD, CONTACT, MISSING, VISIBLE, Figure, Points, Show
+from recon.view.views import View
 
 TIME, FRAME = "time", "frame"
 """Names of the timelines: seconds of the recording's clock, and numbers of frames."""

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 import recon
-from priors.training.dataset import Splits
 from recon import cli
-from recon.api.bench.methods import BUILT_IN, method_named
-from recon.api.bench.protocols import (
+from recon.benchmark.dataset import Splits
+from recon.benchmark.judged import bench, write_windows
+from recon.benchmark.methods import BUILT_IN, method_named
+from recon.benchmark.protocols import (
     GAP,
     PROTOCOLS,
     free_windows,
@@ -18,9 +19,8 @@ from recon.api.bench.protocols import (
     protocol_named,
     seen_windows,
 )
-from recon.api.bench.sources import bench_source
-from recon.api.bench.windows import FRAMES
-from recon.api.verbs.bench import bench, write_windows
+from recon.benchmark.sources import bench_source
+from recon.benchmark.windows import FRAMES
 from recon.core.errors import ReconError
 from recon.formats.motions import save_motion
 from recon.formats.observations import load_observation

@@ -11,8 +11,8 @@ import torch
 
 import recon
 from priors import PosePrior
+from recon.api.given import prior_of
 from recon.api.observations import clip_of, on_ground
-from recon.api.priors import prior_of
 from recon.body.identities import height
 from recon.core.skeleton import JOINTS
 from recon.fitting import clip as clip_module

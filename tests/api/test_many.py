@@ -5,7 +5,7 @@ import pytest
 import torch
 
 import recon
-from recon.api.many import shared_shape
+from recon.batch.clips import shared_shape
 from tests.api.test_front_door import Quick, noisy, seen
 
 
@@ -56,6 +56,6 @@ def test_the_first_look_at_shapes_has_a_method_of_its_own(monkeypatch):
         asked.append((prior, arguments.get("method")))
         return recon.fit(clip, Quick())
 
-    monkeypatch.setattr("recon.api.many.fit", fit)
+    monkeypatch.setattr("recon.batch.clips.fit", fit)
     recon.fit_clips([seen(noisy(4))], method="rollout", subject=True)
     assert asked == [("pose", None), ("humor", "rollout")]

@@ -12,7 +12,7 @@ from observations.files.images import LEVEL_CAMERA, camera_above
 from priors import PosePrior
 from recon.core.errors import ReconError
 from recon.core.skeleton import JOINTS
-from recon.fitting.options import FitOptions
+from recon.fitting.methods import FitOptions
 from recon.fitting.settings import FitSettings
 from recon.formats.observations import PositionsFile, save_observation
 from recon.jobs.fit import fitted

@@ -9,9 +9,7 @@ import recon
 from recon import cli
 from recon.core.errors import WeightsError
 from recon.core.skeleton import JOINTS
-from recon.fitting.methods import method_of
-from recon.fitting.options import FitOptions
-from recon.fitting.priors import class_of, traits
+from recon.fitting.methods import FitOptions, class_of, method_of, traits
 from recon.formats.motions import save_motion
 from recon.formats.observations import PositionsFile, save_observation
 from recon.method import plugins
@@ -48,7 +46,7 @@ def test_what_did_not_earn_a_name_has_a_place():
 
 def test_a_registered_prior_has_a_name(monkeypatch):
     names = {**plugins.registered(plugins.PRIORS), "near": PRIOR}
-    monkeypatch.setattr("recon.fitting.priors.registered", lambda _: names)
+    monkeypatch.setattr("recon.fitting.methods.registered", lambda _: names)
     assert class_of("near") is NearPoses
     found = method_of(FitOptions(prior="near"), 0.05, bundled())
     assert found.noise == 0.05

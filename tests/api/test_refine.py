@@ -10,7 +10,7 @@ import recon
 from recon import cli
 from recon.core import rotations as so3
 from recon.core.skeleton import FEET, JOINTS, MIRROR
-from recon.diagnosis.estimates.exchanges import exchanged_frames, mirrored_limbs
+from recon.diagnosis.estimates import exchanged_frames, mirrored_limbs
 from recon.simulation.regressor import RegressorErrors, estimated
 from tests.filmed import bundled, walk
 

@@ -11,9 +11,9 @@ import torch
 
 import recon
 from recon import cli
-from recon.api.motion_file import described
+from recon.api.result import described
 from recon.core.skeleton import JOINTS
-from recon.metrics.gait.curves import CURVES
+from recon.gait.analysis import CURVES
 
 DEMO = Path(recon.__file__).parent / "assets" / "demo.npz"
 

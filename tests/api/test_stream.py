@@ -8,7 +8,7 @@ import torch
 
 import recon
 from recon.body.landmarks import KEYPOINTS_43, landmark
-from recon.jobs.stream import stream_lines
+from recon.live.lines import stream_lines
 from tests.filmed import cameras, view, walk
 
 BEGINNING = 8
@@ -18,7 +18,7 @@ FPS, FRAMES, NOISE = 30.0, 36, 0.02
 @pytest.fixture(autouse=True)
 def soon(monkeypatch):
     """Streams begin after eight moments, to be quick."""
-    monkeypatch.setattr("recon.api.live.tracking.BEGINNING", BEGINNING)
+    monkeypatch.setattr("recon.live.tracking.BEGINNING", BEGINNING)
 
 
 @pytest.fixture(scope="module")
@@ -110,7 +110,7 @@ def test_there_is_no_seam(seen, truth):
 
 
 def test_the_shape_is_learned_and_then_held(seen, monkeypatch):
-    monkeypatch.setattr("recon.api.live.tracking._LEARNED", 6)
+    monkeypatch.setattr("recon.live.tracking._LEARNED", 6)
     found = played(stream(lag=3), seen)
     shapes = torch.stack([one.shape for one in found])
     moved = shapes.diff(dim=0).abs().amax(-1)

@@ -8,9 +8,9 @@ import pytest
 import torch
 
 import recon
+from recon.api import retarget as retarget_module
 from recon.api.given import motion_given
-from recon.api.verbs import retarget as retarget_module
-from recon.body.reshape import with_shape
+from recon.body.motion_files import with_shape
 from recon.formats.motions import MotionFile, save_motion
 from recon.formats.observations import PositionsFile
 from tests.filmed import bundled, walk

@@ -10,10 +10,10 @@ from benchmarks.anchor_morphology import skinned
 from benchmarks.anchor_reconstruction import box
 from benchmarks.anchor_structure import clusters
 from priors.anchor.frames import ANCHORS, Anchors
-from priors.anchor.training.corpus import CycleBatch
 from recon.body.contacts import rest_heights, touching_heights
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
+from training.anchor.corpus import CycleBatch
 
 
 def random_cycles(count, size=4, turn=0.3):

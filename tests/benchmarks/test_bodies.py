@@ -10,7 +10,7 @@ from benchmarks.bodies.kept import Kept
 from benchmarks.retarget_clips import Job
 from benchmarks.tables import humos as tables
 from recon.body.model import BodyModel
-from recon.body.reshape import leg_length
+from recon.body.motion_files import leg_length
 from tests.walking import a_walk
 
 BODY = BodyModel.load()

@@ -15,7 +15,7 @@ from benchmarks.free_recordings import (
     load_list,
     note_licence,
 )
-from priors.training.dataset import Splits, clip_files
+from recon.benchmark.dataset import Splits, clip_files
 from recon.body.model import BodyModel
 from tests.standing_body import standing
 

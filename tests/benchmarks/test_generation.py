@@ -8,8 +8,8 @@ import torch
 from benchmarks import generation
 from priors.humor.generation import as_predicted
 from priors.humor.state import states_of
-from priors.training.dataset import Splits
-from recon.api.bench.windows import load_windows
+from recon.benchmark.dataset import Splits
+from recon.benchmark.windows import load_windows
 from recon.body.model import BodyModel
 from recon.formats.motions import save_motion
 from tests.benchmarks.test_windows import turning

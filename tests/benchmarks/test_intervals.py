@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from recon.metrics.intervals import interval, paired
+from recon.benchmark.table import interval, paired
 
 
 def test_equal_values_leave_no_doubt() -> None:

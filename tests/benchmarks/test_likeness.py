@@ -9,7 +9,7 @@ import torch
 
 from benchmarks.likeness import NEAR, directions, distance
 from benchmarks.results import RESULTS
-from priors.training.dataset import SPLITS, Splits
+from recon.benchmark.dataset import SPLITS, Splits
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from tests.benchmarks.test_windows import turning

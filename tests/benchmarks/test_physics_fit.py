@@ -5,7 +5,7 @@ import torch
 
 from benchmarks.physics_fit import COLUMNS, PHYSICS_COLUMNS, compared, pooled, table
 from priors.pose.prior import PosePrior
-from recon.api.bench.sensors import noisy_joints
+from recon.benchmark.protocols import noisy_joints
 from recon.body.model import BodyModel
 from tests.benchmarks.test_scores import standing
 

@@ -31,13 +31,13 @@ from benchmarks.retarget_clips import (
     lowest,
     middle,
 )
-from priors.training.dataset import Splits
+from recon.benchmark.dataset import Splits
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.struct import concatenate
 from recon.formats.motions import MotionFile, save_motion
-from recon.physics.samples import PhysicsSamples
+from recon.physics.metrics import PhysicsSamples
 from tests.benchmarks.test_windows import splits_of
 
 BODY = BodyModel.load()
@@ -161,7 +161,7 @@ def slip_of(samples: PhysicsSamples) -> float:
 def test_physics_alone_lowers_slip_and_stays_near(monkeypatch: pytest.MonkeyPatch) -> None:
     random = torch.Generator().manual_seed(0)
     shape, motion = 2 * torch.randn(16, generator=random), squatting()
-    monkeypatch.setattr("recon.fitting.settling.SETTLING_ITERATIONS", 8)
+    monkeypatch.setattr("recon.fitting.retargeting.SETTLING_ITERATIONS", 8)
     job = Job("clip", "one", motion, shape, False, False)
     (before, _), (after, more) = (measured(f, [job], BODY) for f in (scaled, physics_only))
     a, b = (concatenate(samples) for samples in (before, after))

@@ -17,7 +17,7 @@ from benchmarks.scans import (
 from recon.body.landmarks import landmark
 from recon.core.motion import Motion
 from recon.formats.motions import load_motion
-from recon.metrics.chamfer import chamfer_of_clip
+from recon.metrics.errors import chamfer_of_clip
 
 
 @pytest.fixture(scope="module")

@@ -10,8 +10,8 @@ from benchmarks.humor import Entry, evenly, fitted_rows
 from benchmarks.humor_recipes import UPPER_BODY, interpolated
 from benchmarks.scores import WINDOWS, Fitted, constant_contacts, fit_windows, score, tables
 from priors.pose.prior import PosePrior
-from recon.api.bench.sensors import noisy_joints
-from recon.api.bench.windows import TrueWindows
+from recon.benchmark.protocols import noisy_joints
+from recon.benchmark.windows import TrueWindows
 from recon.body.contacts import rest_heights
 from recon.body.model import BodyModel
 from recon.core.motion import Motion

@@ -16,9 +16,9 @@ from benchmarks.strangers.folds import GROUP, folds, without_doubles, write_spli
 from benchmarks.strangers.training import Schedule, humor_settings
 from benchmarks.tables import strangers as tables
 from benchmarks.tables import variety
-from priors.humor.training.variety.variation import VARIED, Variation
-from priors.training.dataset import Splits
+from recon.benchmark.dataset import Splits
 from recon.body.model import BodyModel
+from training.humor.variation import VARIED, Variation
 
 SECONDS = {
     "01_01": 22.9, "02_01": 15.0, "02_02": 15.0, "06_01": 29.0, "07_01": 36.0, "11_01": 5.0,

@@ -6,10 +6,10 @@ import numpy as np
 import torch
 
 from benchmarks.scores import WINDOWS, by_subject
-from priors.training.dataset import Splits
-from recon.api.bench.sensors import noisy_joints, occluded_points, with_gap
-from recon.api.bench.smoothers import butterworth, whittaker
-from recon.api.bench.windows import TrueWindows, draw_girth, load_windows
+from recon.benchmark.dataset import Splits
+from recon.benchmark.methods import butterworth, whittaker
+from recon.benchmark.protocols import noisy_joints, occluded_points, with_gap
+from recon.benchmark.windows import TrueWindows, draw_girth, load_windows
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion

@@ -5,7 +5,7 @@ from importlib import resources
 import pytest
 import torch
 
-from recon.body.reshape import with_shape
+from recon.body.motion_files import with_shape
 from recon.core.skeleton import TOES
 from recon.formats.motions import load_motion
 

@@ -8,11 +8,11 @@ import torch
 from torch import Tensor
 
 from recon.core import rotations as so3
-from recon.core.camera import transform
-from recon.core.ground import (
+from recon.core.camera import (
     Ground,
     canonical_rotation,
     tangent_basis,
+    transform,
     world_from_camera,
 )
 

@@ -13,9 +13,9 @@ from recon.core.camera import full_hd_camera
 from recon.core.scene import ZOOM, Scene, UnknownLens
 from recon.diagnosis.examination import fit_examined
 from recon.fitting.clip_files import load_clip
-from recon.fitting.options import FitOptions
+from recon.fitting.methods import FitOptions
 from recon.fitting.settings import FitSettings
-from recon.formats.calibration.guessed import guessed_camera, guessed_size
+from recon.formats.calibration import guessed_camera, guessed_size
 from recon.simulation.images import keypoints2d
 from recon.simulation.points import Corruption
 from tests.filmed import NOISE, bundled, cameras, view, walk

@@ -13,18 +13,18 @@ import numpy as np
 import pytest
 import scipy.sparse
 
-from observations.people.masks import load_silhouettes
+from observations.people.places import load_silhouettes
 from recon.core import limits
 from recon.core.limits import LIMITS, Limit, check_camera, check_pose
 from recon.core.units import to_z_up
-from recon.formats.bodies.smpl import load_smpl
-from recon.formats.clocks.scan_times import timed
-from recon.formats.clouds.ply import read_ply
+from recon.formats.depth_images import read_png
 from recon.formats.detections.reader import read_keypoints
-from recon.formats.files.npz_headers import check_sizes
-from recon.formats.files.png_files import read_png
 from recon.formats.motions import load_motion, save_motion
 from recon.formats.observations import CameraArrays, PointsFile, load_observation, save_observation
+from recon.formats.opening import check_sizes
+from recon.formats.scan_times import timed
+from recon.formats.scans import read_ply
+from recon.formats.smpl import load_smpl
 from tests.formats.test_npz import KEYPOINTS, POINTS, POSITIONS, amass, make_file
 
 CAMERA = np.array([[1000.0, 0.0, 320.0], [0.0, 1000.0, 240.0], [0.0, 0.0, 1.0]])

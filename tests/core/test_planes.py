@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from recon.core.geometry.planes import above, clusters, find_ground
+from recon.core.planes import above, clusters, find_ground
 
 pytestmark = pytest.mark.numerics
 

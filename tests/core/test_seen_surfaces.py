@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from recon.core.geometry.alike import nearest_alike
-from recon.core.geometry.roughness import depth_noise
+from recon.core.nearest import nearest_alike
+from recon.core.planes import depth_noise
 
 
 def test_points_take_the_nearest_of_their_kind():

@@ -5,7 +5,7 @@ import torch
 from observations.keypoints2d import Keypoints2D
 from recon.body.identities import height
 from recon.core.motion import Motion
-from recon.diagnosis.fits.plausibility import (
+from recon.diagnosis.plausibility import (
     body_warnings,
     child_findings,
     distance_warnings,

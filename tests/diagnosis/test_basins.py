@@ -2,15 +2,13 @@
 
 import torch
 
+from observations.curvature import Surfels
 from observations.depth import PointCloud
-from observations.surfels import Surfels
-from priors.labels.record import PointLabels
+from priors.labels.looking import PointLabels
 from recon.core.camera import depth_camera
 from recon.core.residuals import Noise
-from recon.diagnosis.fits import silhouette
-from recon.diagnosis.fits.labels import label_distance
-from recon.diagnosis.fits.silhouette import basin_findings
-from recon.diagnosis.fits.summaries import summarise
+from recon.diagnosis import agreement as silhouette
+from recon.diagnosis.agreement import basin_findings, label_distance, summarise
 from tests import laws
 from tests.filmed import bundled, turned, walk
 

@@ -13,7 +13,7 @@ from recon.core.skeleton import JOINTS
 from recon.diagnosis.examination import fit_examined
 from recon.diagnosis.motions.belt import belt_velocity
 from recon.diagnosis.motions.carried import carried_finding
-from recon.fitting.options import FitOptions
+from recon.fitting.methods import FitOptions
 from recon.simulation.images import keypoints2d, orbiting
 from recon.simulation.points import Corruption
 from tests.filmed import bundled, cameras, walk

@@ -4,10 +4,9 @@ import torch
 
 from observations.joints3d import Joints3D
 from recon.core.skeleton import FEET, JOINTS, LEGS
-from recon.diagnosis.fits.certainty import certainty
-from recon.diagnosis.fits.contacts import fitted_contacts
+from recon.diagnosis.certainty import certainty, fitted_contacts
 from recon.fitting.clip import fit_clip
-from recon.fitting.options import FitOptions
+from recon.fitting.methods import FitOptions
 from tests.filmed import bundled, walk
 
 FRAMES = 24

@@ -8,13 +8,12 @@ import torch
 from observations.files.images import keypoints_of
 from observations.keypoints2d import Keypoints2D
 from recon.core.skeleton import JOINTS, LEGS
-from recon.diagnosis.fits.alternatives import Alternative
-from recon.diagnosis.fits.certainty import certainty
-from recon.diagnosis.fits.doubts import guessed_findings, undecided_findings
-from recon.diagnosis.fits.size import size_is_unknown, with_unknown_size
+from recon.diagnosis.certainty import certainty
+from recon.diagnosis.doubts import Alternative, guessed_findings, undecided_findings
+from recon.diagnosis.plausibility import size_is_unknown, with_unknown_size
 from recon.fitting.clip import fit_clip
-from recon.fitting.options import FitOptions
-from recon.method.laplace.deviations import Deviations
+from recon.fitting.methods import FitOptions
+from recon.method.laplace import Deviations
 from recon.simulation.images import keypoints2d
 from recon.simulation.points import Corruption
 from tests.filmed import bundled, cameras, walk

@@ -13,7 +13,7 @@ from recon.core.camera import Camera
 from recon.diagnosis.examination import fit_examined
 from recon.diagnosis.views.images import Images
 from recon.diagnosis.views.rest import moving_finding, rest_of
-from recon.fitting.options import FitOptions
+from recon.fitting.methods import FitOptions
 from recon.simulation.images import keypoints2d
 from recon.simulation.points import Corruption
 from tests.filmed import bundled, cameras, walk

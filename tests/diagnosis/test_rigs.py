@@ -11,10 +11,10 @@ from observations.keypoints2d import Keypoints2D
 from recon.core import rotations as so3
 from recon.diagnosis.examination import screen
 from recon.diagnosis.views.images import Images
-from recon.diagnosis.views.rigs.corrections import corrections
-from recon.diagnosis.views.rigs.registration import registered
+from recon.diagnosis.views.registration import registered
+from recon.diagnosis.views.rigs import corrections
 from recon.diagnosis.views.screening import screen_views
-from recon.fitting.options import FitOptions
+from recon.fitting.methods import FitOptions
 from tests.filmed import bundled, cameras, view, walk
 
 NAMES = ("one", "two", "three")

@@ -7,12 +7,11 @@ import torch
 from observations.joints3d import Joints3D
 from recon.core import rotations as so3
 from recon.core.skeleton import JOINTS
-from recon.diagnosis.motions.treadmill import in_room, with_belt
+from recon.diagnosis.motions.belt import in_room, with_belt
 from recon.diagnosis.points import quick
-from recon.diagnosis.points.named_points import NamedPoints
-from recon.diagnosis.points.predicted import Predicted
+from recon.diagnosis.points.exchanged import exchanged_pairs
+from recon.diagnosis.points.named_points import NamedPoints, Predicted
 from recon.diagnosis.points.screening import Screened, screen_points
-from recon.diagnosis.points.sides import exchanged_pairs
 from recon.method.protocols import Estimate
 from recon.simulation.points import Corruption, joints3d, markers3d
 from tests.filmed import bundled, walk

@@ -13,12 +13,12 @@ import torch
 from observations.files.images import keypoints_of
 from observations.keypoints2d import Keypoints2D
 from recon.core import rotations as so3
-from recon.core.layouts import keypoint_names
 from recon.core.motion import Motion
+from recon.core.skeleton import keypoint_names
 from recon.diagnosis.examination import screen
 from recon.diagnosis.findings import Finding
 from recon.diagnosis.views.screening import screen_views
-from recon.fitting.options import FitOptions
+from recon.fitting.methods import FitOptions
 from recon.simulation.images import keypoints2d
 from recon.simulation.points import Corruption
 from tests.filmed import bundled, cameras, turned, view, walk

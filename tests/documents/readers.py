@@ -18,8 +18,7 @@ from recon.core import rotations as so3
 from recon.core.skeleton import JOINTS
 from recon.formats.observations import KeypointsFile, PositionsFile, save_observation
 from recon.simulation.images import keypoints2d
-from recon.simulation.points import Corruption, joints3d
-from recon.simulation.scans import scan_points
+from recon.simulation.points import Corruption, joints3d, scan_points
 from tests.documents.blocks import ROOT
 from tests.filmed import before_two, bundled, cameras, two_people, walk
 

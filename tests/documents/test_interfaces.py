@@ -32,8 +32,8 @@ def test_a_name_in_another_module_than_the_table_says_has_all_its_places(tmp_pat
     """The first of several things of one name was given as where it had moved to."""
     old = written(tmp_path / "old", {"recon/robust.py": "def tukey(x): ...\n"})
     new = written(tmp_path / "new", {
-        "observations/records/surfaces.py": "def tukey(x): ...\n",
+        "observations/curvature.py": "def tukey(x): ...\n",
         "recon/other.py": "def tukey(x): ...\n",
     })  # fmt: skip
     (line,) = differences(old, new, moved(TABLE))
-    assert line == "elsewhere: recon.robust.tukey -> observations.records.surfaces, recon.other"
+    assert line == "elsewhere: recon.robust.tukey -> observations.curvature, recon.other"

@@ -8,11 +8,10 @@ import torch
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
-from recon.body.angles.isb import isb_angles
-from recon.body.angles.opensim import opensim_coordinates
-from recon.body.angles.rotations import about_axes, cardan, elevation
+from recon.body.angles import isb_angles, opensim_coordinates
 from recon.body.landmarks import landmark
 from recon.body.model import BodyModel
+from recon.body.segments import about_axes, cardan, elevation
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.skeleton import MIRROR, joint_index
@@ -181,7 +180,7 @@ def test_two_axes_follow_a_rotation_as_well_as_they_can():
 @pytest.fixture(scope="session")
 def recordings(data: Path, tmp_path_factory) -> list[Path]:
     """Five recordings of other people and movements, converted."""
-    from recon.api.verbs.convert import convert
+    from recon.api.convert import convert
 
     folder = tmp_path_factory.mktemp("recordings")
     found = []

@@ -11,9 +11,9 @@ from recon.body.landmarks import landmark, landmarks
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion
+from recon.export.tables import markers_of, places_of
 from recon.formats.mocap.trc import read_trc
 from recon.formats.motions import MotionFile, save_motion
-from recon.jobs.export.markers import markers_of, places_of
 
 
 def words(text: str) -> list[str]:
@@ -230,7 +230,7 @@ def test_sets_on_the_skin_and_angles_need_the_bundled_body(body, tmp_path, toy_b
         with pytest.raises(ValueError, match="--markers joints"):
             markers_of(motion, toy_body, markers, "x")
     assert markers_of(motion, toy_body, "joints", "x").positions.shape == (7, 22, 3)
-    from recon.body.angles.isb import isb_angles
+    from recon.body.angles import isb_angles
 
     with pytest.raises(ValueError, match="bundled body only"):
         isb_angles(motion, toy_body)

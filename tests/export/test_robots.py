@@ -12,8 +12,8 @@ from recon import cli
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS, PARENTS
+from recon.export.robots import on_body
 from recon.formats.motions import load_motion
-from recon.jobs.export.robots import on_body
 from tests.export.smplx_stand_in import write_smplx
 
 DEMO = Path(recon.__file__).parent / "assets" / "demo.npz"

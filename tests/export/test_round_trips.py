@@ -7,13 +7,13 @@ import pytest
 import torch
 
 import recon
-from recon.body.angles.isb import isb_angles
+from recon.body.angles import isb_angles
 from recon.core.skeleton import JOINTS
+from recon.export.bvh import skeleton_of, write_bvh
+from recon.export.tables import markers_of
 from recon.formats.mocap.bvh import read_bvh
 from recon.formats.mocap.trc import read_trc, write_trc
 from recon.formats.motions import MotionFile, load_motion, save_motion
-from recon.jobs.export.bvh import skeleton_of, write_bvh
-from recon.jobs.export.markers import markers_of
 from tests.export.test_opensim_files import make_motion
 
 FRAMES = 100

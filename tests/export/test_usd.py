@@ -8,9 +8,9 @@ import pytest
 
 from recon import cli
 from recon.core.skeleton import JOINTS
+from recon.export import usd
+from recon.export.usd import joint_paths, write_usd
 from recon.formats.motions import MotionFile, save_motion
-from recon.jobs.export import usd
-from recon.jobs.export.usd import joint_paths, write_usd
 from tests.export.test_opensim_files import make_motion
 
 

@@ -6,16 +6,16 @@ import pytest
 import torch
 
 from observations import Joints3D
+from observations.curvature import Surfels
 from observations.depth import PointCloud
 from observations.files.images import keypoints_of
 from observations.keypoints2d import Keypoints2D
-from observations.surfels import Surfels
 from recon.core.motion import Motion
 from recon.core.struct import concatenate
 from recon.fitting import clip as clip_module
 from recon.fitting.clip import ClipFit, fit_clip
 from recon.fitting.ground import sole_heights
-from recon.fitting.options import FitOptions
+from recon.fitting.methods import FitOptions
 from recon.formats.observations import CameraArrays, KeypointsFile
 from recon.method.stages import StageReport
 from recon.simulation.points import Corruption, joints3d

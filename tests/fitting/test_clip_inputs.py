@@ -13,7 +13,7 @@ from recon.fitting.clip_inputs import (
     settings_checksum,
 )
 from recon.fitting.settings import FitSettings
-from recon.formats.files.checksums import MISSING, file_checksum
+from recon.formats.replacing import MISSING, file_checksum
 
 
 def written(folder: Path, *names: str) -> Path:

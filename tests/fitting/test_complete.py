@@ -13,14 +13,11 @@ from recon import cli
 from recon.body.cycles import find_cycles
 from recon.body.landmarks import LANDMARKS_16
 from recon.body.model import BodyModel
-from recon.diagnosis.fits.domain import swing_difference
-from recon.fitting.cycles import completion
-from recon.fitting.cycles.recording import SWING
-from recon.fitting.methods import method_of
-from recon.fitting.options import FitOptions
+from recon.diagnosis.domain import swing_difference
+from recon.fitting import cycles as completion
+from recon.fitting.methods import FitOptions, method_of
+from recon.fitting.recording import SWING
 from recon.fitting.settings import FitSettings
-from recon.formats.clouds.ply import write_ply
-from recon.formats.clouds.scans import write_scans
 from recon.formats.motions import load_motion
 from recon.formats.observations import (
     PointsFile,
@@ -28,11 +25,11 @@ from recon.formats.observations import (
     load_observation,
     save_observation,
 )
+from recon.formats.scans import write_ply, write_scans
 from recon.jobs.fit import fit_files
 from recon.method.stages import Stage
 from recon.method.terms import Term
-from recon.simulation.points import Corruption, landmarks3d
-from recon.simulation.scans import scan_points
+from recon.simulation.points import Corruption, landmarks3d, scan_points
 from recon.solver.lbfgs import LBFGS
 from tests.walk_prior import one_cycle, tiny_weights
 

@@ -6,19 +6,19 @@ import pytest
 import torch
 
 from observations import Joints3D, Markers3D
+from observations.curvature import Surfels
 from observations.depth import PointCloud
 from observations.keypoints2d import Keypoints2D
-from observations.surfels import Surfels
 from priors.anchor.fit import AnchorFit, PublishedAnchorFit
-from priors.anchor.weights import save_weights
+from priors.anchor.networks import save_weights
 from recon.body.landmarks import LANDMARKS_16, landmark
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS
 from recon.core.struct import concatenate
-from recon.fitting.cycles.completion import complete
-from recon.fitting.options import FitOptions
+from recon.fitting.cycles import complete
+from recon.fitting.methods import FitOptions
 from tests.filmed import cameras, view
 from tests.priors.tiny_anchor import tiny_prior, tiny_weights, walks
 

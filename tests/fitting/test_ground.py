@@ -10,7 +10,7 @@ from recon.core.camera import transform
 from recon.core.motion import Motion
 from recon.fitting.clip import fit_clip
 from recon.fitting.ground import ground_below, mean_up, pelvis_path, sole_heights, upright_ground
-from recon.fitting.options import FitOptions
+from recon.fitting.methods import FitOptions
 from recon.simulation.points import Corruption, joints3d
 from tests.filmed import bundled, turned, walk
 

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from priors.anchor.frames import ANCHORS, Anchors, rest_pelvis
-from priors.anchor.weights import save_weights
+from priors.anchor.networks import save_weights
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion

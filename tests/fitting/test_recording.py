@@ -9,17 +9,16 @@ import torch
 
 import recon
 from observations import Joints3D, Markers3D
+from observations.curvature import Surfels
 from observations.depth import PointCloud
-from observations.surfels import Surfels
 from recon.body.cycles import Cycle
 from recon.body.landmarks import LANDMARKS_16, landmark
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
-from recon.fitting.cycles import gait
-from recon.fitting.cycles.clock import moments_per_second, on_fast_clock
-from recon.fitting.cycles.completion import NAMED_NOISE
-from recon.fitting.cycles.gait import CompletedCycle, stretches, told_by_cycles
-from recon.fitting.cycles.recording import WholeRecording, noise_told
+from recon.fitting import gait
+from recon.fitting.cycles import NAMED_NOISE, moments_per_second, on_fast_clock
+from recon.fitting.gait import CompletedCycle, stretches, told_by_cycles
+from recon.fitting.recording import WholeRecording, noise_told
 from recon.simulation.points import Corruption, landmarks3d
 from tests.walk_prior import one_cycle, tiny_weights, walk
 

@@ -9,12 +9,11 @@ from priors.humos.networks import ClipNetworks
 from priors.humos.prior import Humos
 from recon.body.identities import identity
 from recon.body.model import BodyModel
-from recon.body.reshape import leg_length, with_shape
+from recon.body.motion_files import leg_length, with_shape
 from recon.core import rotations as so3
 from recon.fitting.retargeting import by_physics, proposed, retarget
 from recon.formats.motions import load_motion
-from recon.physics.metrics import physics_metrics
-from recon.physics.samples import physics_samples
+from recon.physics.metrics import physics_metrics, physics_samples
 from tests.priors.tiny_humos import tiny_prior
 from tests.walking import a_walk
 

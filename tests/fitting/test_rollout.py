@@ -9,8 +9,7 @@ from priors.humor.collocation import Collocation
 from priors.humor.prior import Humor
 from priors.humor.shooting import Schedule, Shooting
 from recon.core.errors import ReconError
-from recon.fitting.methods import method_of
-from recon.fitting.options import FitOptions
+from recon.fitting.methods import FitOptions, method_of
 from recon.method.stages import Stage
 from recon.simulation.points import Corruption, joints3d
 from recon.solver.lbfgs import LBFGS

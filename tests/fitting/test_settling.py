@@ -9,7 +9,7 @@ from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.scene import Scene
-from recon.fitting.settling import flies, settled
+from recon.fitting.retargeting import flies, settled
 from recon.method.protocols import Decoded, Estimate
 from recon.physics.energies import floating, slide
 

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from recon.formats.calibration.cameras import load_cameras
+from recon.formats.calibration import load_cameras
 from recon.formats.observations import CameraArrays
 from tests.keypoint_scene import SIZE, camera, write_toml
 

@@ -6,7 +6,7 @@ import tracemalloc
 
 import pytest
 
-from recon.formats.files.checksums import file_checksum, files_checksum, value_checksum
+from recon.formats.replacing import file_checksum, files_checksum, value_checksum
 
 
 def test_a_file_is_its_bytes_and_not_its_place(tmp_path):

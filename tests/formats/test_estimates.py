@@ -9,7 +9,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from recon.core.errors import FormatError
-from recon.formats.bodies.estimates import read_estimate
+from recon.formats.estimates import read_estimate
 from recon.jobs.info.files import describe
 
 FRAMES = 6

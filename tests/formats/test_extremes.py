@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from recon.formats.calibration.cameras import load_cameras
-from recon.formats.clocks.scan_times import timed
+from recon.formats.calibration import load_cameras
 from recon.formats.detections.reader import read_keypoints
 from recon.formats.mocap.reader import read_recording
 from recon.formats.mocap.trc import write_trc
@@ -24,6 +23,7 @@ from recon.formats.observations import (
     load_observation,
     save_observation,
 )
+from recon.formats.scan_times import timed
 from tests.formats.test_large_files import chain
 from tests.formats.test_markers import make_markers
 from tests.formats.test_npz import amass

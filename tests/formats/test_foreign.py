@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 
-from recon.formats.files.foreign import refuse_foreign
+from recon.formats.foreign import refuse_foreign
 
 
 @pytest.mark.parametrize(

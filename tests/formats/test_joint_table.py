@@ -8,11 +8,11 @@ import torch
 
 import recon
 from recon import cli
-from recon.api.motion_file import described
+from recon.api.result import described
 from recon.core.skeleton import JOINTS
 from recon.formats.keypoints3d.reader import read_points_3d
 from recon.formats.motions import save_motion
-from recon.formats.results.certainty import JointCertainty
+from recon.formats.reports import JointCertainty
 from recon.jobs.info.files import describe
 from tests.filmed import bundled, walk
 

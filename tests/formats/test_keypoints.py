@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from recon.core.layouts import keypoint_names
-from recon.formats.detections.deeplabcut import normalised
+from recon.core.skeleton import keypoint_names
 from recon.formats.detections.reader import read_keypoints
 from recon.formats.detections.records import cleaned
-from recon.formats.files.json_files import frame_numbers
+from recon.formats.detections.tables import normalised
+from recon.formats.json_files import frame_numbers
 from tests.keypoint_scene import SIZE, camera, figure, image, write_openpose
 
 

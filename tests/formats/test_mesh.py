@@ -10,11 +10,11 @@ import torch
 
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
-from recon.core.geometry.normals import tensor_normals
 from recon.core.motion import Motion
+from recon.core.raster import tensor_normals
 from recon.core.skeleton import JOINTS, PARENTS
-from recon.formats.clouds.ply import read_ply, write_ply, write_ply_sequence
-from recon.jobs.export.gltf import quaternions, write_glb
+from recon.export.gltf import quaternions, write_glb
+from recon.formats.scans import read_ply, write_ply, write_ply_sequence
 
 
 def make_motion(body: BodyModel, frames: int = 5) -> Motion:

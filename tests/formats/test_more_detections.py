@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from recon.core.errors import FormatError
-from recon.core.layouts import keypoint_names
-from recon.formats.detections.arrays import holds_detections
+from recon.core.skeleton import keypoint_names
 from recon.formats.detections.reader import read_keypoints
+from recon.formats.detections.tables import holds_detections
 from recon.formats.keypoints3d.reader import holds_points_3d
 
 NAMES = keypoint_names("coco17")

@@ -5,11 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recon.formats.mocap.archives import iterate_texts
+from recon.export.bvh import write_bvh
 from recon.formats.mocap.bvh import parse_bvh, read_bvh
-from recon.formats.mocap.reader import read_recording
+from recon.formats.mocap.reader import iterate_texts, read_recording
 from recon.formats.mocap.recording import MarkerRecording, SkeletonRecording, drop_lead_in
-from recon.jobs.export.bvh import write_bvh
 
 
 def skeleton(path: Path) -> SkeletonRecording:

@@ -7,8 +7,8 @@ import sys
 import numpy as np
 import pytest
 
-from recon.formats.files.opening import save_arrays
-from recon.formats.files.replacing import clear_leftovers, part_of, replacing
+from recon.formats.opening import save_arrays
+from recon.formats.replacing import clear_leftovers, part_of, replacing
 
 
 @pytest.fixture(scope="module")

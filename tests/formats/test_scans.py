@@ -4,11 +4,10 @@ import cv2
 import numpy as np
 import pytest
 
-from recon.formats.clouds.depth_images import read_depth_images
-from recon.formats.clouds.pcd import read_pcd
-from recon.formats.clouds.ply import write_ply
-from recon.formats.clouds.scans import read_scans
+from recon.formats.depth_images import read_depth_images
 from recon.formats.observations import CameraArrays
+from recon.formats.pcd import read_pcd
+from recon.formats.scans import read_scans, write_ply
 
 HEADER = "VERSION 0.7\nFIELDS x y z rgb\nSIZE 4 4 4 4\nTYPE F F F U\nCOUNT 1 1 1 1\n"
 

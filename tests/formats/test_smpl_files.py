@@ -11,7 +11,7 @@ import pytest
 import scipy.sparse
 
 from recon.core.skeleton import PARENTS
-from recon.formats.bodies.smpl import load_smpl
+from recon.formats.smpl import load_smpl
 
 VERTICES = 40
 

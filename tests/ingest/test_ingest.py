@@ -9,6 +9,9 @@ import pytest
 import torch
 from torch import Tensor
 
+from recon.batch.collection import SourceClip, collections, read_clips, skeleton_key
+from recon.batch.corpus import config_hash, convert_corpus
+from recon.batch.corpus_jobs import split
 from recon.body.contacts import MAXIMUM_SPEED
 from recon.body.landmarks import landmark
 from recon.body.model import BodyModel
@@ -16,17 +19,13 @@ from recon.body.soles import Soles, Stance, levelling, standing_flat, turned
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS, LEGS
+from recon.export.bvh import skeleton_of, write_bvh
 from recon.formats.mocap.recording import MarkerRecording, SkeletonRecording
 from recon.formats.motions import load_motion
 from recon.ingest import Conversion, convert
 from recon.ingest.conversion import glitches, resampled
+from recon.ingest.maps import alignments_from_rest, recognise
 from recon.ingest.markers.coverage import STANDOFF, full_body_markers, nominal_offsets
-from recon.ingest.skeletons.maps import recognise
-from recon.ingest.skeletons.tpose import alignments_from_rest
-from recon.jobs.export.bvh import skeleton_of, write_bvh
-from recon.jobs.many.collection import SourceClip, collections, read_clips, skeleton_key
-from recon.jobs.many.corpus import config_hash, convert_corpus
-from recon.jobs.many.corpus_jobs import split
 from tests.ingest.walker import MARKERS
 
 FPS = 60.0

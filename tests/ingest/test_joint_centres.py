@@ -7,10 +7,10 @@ import torch
 
 from recon.body.model import BodyModel
 from recon.core.skeleton import joint_index
-from recon.formats.detections.deeplabcut import normalised
+from recon.formats.detections.tables import normalised
 from recon.formats.motions import load_motion
 from recon.ingest import convert
-from recon.ingest.markers.joint_centres import are_keypoints, keypoint_of, keypoint_places
+from recon.ingest.markers.coverage import are_keypoints, keypoint_of, keypoint_places
 from tests.ingest.walker import MARKERS
 
 

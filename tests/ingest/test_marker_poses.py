@@ -22,8 +22,7 @@ from recon.formats.mocap.recording import MarkerRecording
 from recon.ingest.markers.calibration import Calibrated, SubjectEnergies
 from recon.ingest.markers.coverage import full_body_markers, nominal_offsets
 from recon.ingest.markers.fit import OUTLIER, MarkerWeights, fit_markers
-from recon.ingest.markers.points import Poses, SkinPoints
-from recon.ingest.markers.poses import PoseEnergies, natural_pose
+from recon.ingest.markers.poses import PoseEnergies, Poses, SkinPoints, natural_pose
 from recon.method import terms
 from recon.method.free import FreeMotion
 from recon.method.protocols import REFERENCE_FPS, Decoded, Estimate

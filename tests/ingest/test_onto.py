@@ -9,10 +9,10 @@ import torch
 import recon
 from recon import cli
 from recon.body.model import BodyModel
-from recon.core.geometry.closest import closest_points
 from recon.core.motion import Motion
+from recon.core.nearest import closest_points
 from recon.core.skeleton import JOINTS
-from recon.ingest.onto.transfer import Transferred, transfer
+from recon.ingest.transfer import Transferred, transfer
 from scripts.build_stand_in import build
 
 DEMO = Path(recon.__file__).parent / "assets" / "demo.npz"

@@ -5,16 +5,16 @@ from pathlib import Path
 import pytest
 
 from recon.core.skeleton import JOINTS
-from recon.formats.mocap.reader import read_recording
-from recon.formats.mocap.recording import SkeletonRecording
-from recon.formats.mocap.skeletons import (
+from recon.formats.mocap.reader import (
     NEEDED,
     known_skeletons,
     plain,
+    read_recording,
     refuse_unknown_skeleton,
     skeleton_among,
 )
-from recon.ingest.skeletons.maps import recognise
+from recon.formats.mocap.recording import SkeletonRecording
+from recon.ingest.maps import recognise
 
 BVH = """HIERARCHY
 ROOT Hips

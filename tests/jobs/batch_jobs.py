@@ -11,16 +11,14 @@ from pathlib import Path
 
 import numpy as np
 
+from recon.batch.batch import Job, fit_all, fit_one, is_done
+from recon.batch.crew import TOGETHER
+from recon.batch.workers import DONE
+from recon.batch.worklog import Record, read_manifest
 from recon.fitting.clip_inputs import clip_checksum
 from recon.fitting.settings import FitSettings
-from recon.formats.files.checksums import file_checksum
-from recon.formats.files.opening import load_arrays, save_arrays
-from recon.jobs.many.batch import fit_all
-from recon.jobs.many.clip_jobs import Job, fit_one, is_done
-from recon.jobs.many.crew import TOGETHER
-from recon.jobs.many.manifest import read_manifest
-from recon.jobs.many.workers import DONE
-from recon.jobs.many.worklog import Record
+from recon.formats.opening import load_arrays, save_arrays
+from recon.formats.replacing import file_checksum
 
 
 class Odd(Exception):

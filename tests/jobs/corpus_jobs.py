@@ -10,11 +10,11 @@ from pathlib import Path
 
 import torch
 
+from recon.batch.collection import SourceClip
+from recon.batch.corpus import convert_corpus
 from recon.body.model import BodyModel
+from recon.export.bvh import skeleton_of, write_bvh
 from recon.formats.motions import load_motion
-from recon.jobs.export.bvh import skeleton_of, write_bvh
-from recon.jobs.many.collection import SourceClip
-from recon.jobs.many.corpus import convert_corpus
 
 
 def write_clip(path: Path, subject: int, start: int) -> None:

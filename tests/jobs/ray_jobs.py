@@ -7,11 +7,11 @@ python -m tests.jobs.ray_jobs command MANIFEST OUT [options of recon batch]
 import sys
 from pathlib import Path
 
+from recon.batch.batch import fit_all
+from recon.batch.ray_cluster import ray_cluster
+from recon.batch.worklog import read_manifest
 from recon.cli import run
 from recon.fitting.settings import FitSettings
-from recon.jobs.many.batch import fit_all
-from recon.jobs.many.manifest import read_manifest
-from recon.jobs.many.ray_cluster import ray_cluster
 from tests.jobs.batch_jobs import sum_one
 
 

@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from recon.batch.batch import fit_all
+from recon.batch.crew import Crew, Run
+from recon.batch.workers import run_jobs
+from recon.batch.worklog import BatchClip, read_manifest, shard
 from recon.core.skeleton import JOINTS
 from recon.fitting.settings import FitSettings
-from recon.formats.files.opening import load_arrays, save_arrays
 from recon.formats.observations import PositionsFile, save_observation
-from recon.jobs.many.batch import fit_all
-from recon.jobs.many.crew import Crew, Run
-from recon.jobs.many.manifest import BatchClip, read_manifest, shard
-from recon.jobs.many.workers import run_jobs
+from recon.formats.opening import load_arrays, save_arrays
 from tests.api.test_front_door import noisy
 from tests.jobs.batch_jobs import WAYS, here, sum_one
 
@@ -87,7 +87,7 @@ def test_changing_a_setting_or_a_file_that_it_names_redoes_all(clips, tmp_path):
 
 def test_a_new_version_of_the_method_redoes_all(clips, tmp_path, monkeypatch):
     assert statuses(clips, tmp_path / "out") == dict.fromkeys("abcd", "ok")
-    monkeypatch.setattr("recon.jobs.many.batch.FIT_VERSION", 1_000)
+    monkeypatch.setattr("recon.batch.batch.FIT_VERSION", 1_000)
     assert statuses(clips, tmp_path / "out") == dict.fromkeys("abcd", "ok")
 
 

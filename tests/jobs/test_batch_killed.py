@@ -12,15 +12,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from recon.batch.batch import fit_all
+from recon.batch.worklog import read_manifest
 from recon.body.model import BodyModel
 from recon.cli import FAILED, run
 from recon.core.skeleton import JOINTS
 from recon.fitting.settings import FitSettings
-from recon.formats.files.opening import save_arrays
 from recon.formats.motions import load_motion
 from recon.formats.observations import PositionsFile, save_observation
-from recon.jobs.many.batch import fit_all
-from recon.jobs.many.manifest import read_manifest
+from recon.formats.opening import save_arrays
 from tests.jobs.batch_jobs import WAYS
 
 ROOT = Path(__file__).parents[2]

@@ -13,13 +13,13 @@ from pathlib import Path
 
 import pytest
 
-from priors.training.dataset import Splits, clip_files
+from recon.batch.collection import collections, contents
+from recon.batch.corpus import convert_corpus
+from recon.batch.crew import Begun, Ended, run_items
+from recon.batch.workers import Failure
+from recon.batch.worklog import read_log
+from recon.benchmark.dataset import Splits, clip_files
 from recon.cli import FAILED, OK, run
-from recon.jobs.many.collection import collections, contents
-from recon.jobs.many.corpus import convert_corpus
-from recon.jobs.many.work_items import Begun, Ended, run_items
-from recon.jobs.many.workers import Failure
-from recon.jobs.many.worklog import read_log
 from tests.jobs.batch_jobs import WAYS
 from tests.jobs.corpus_jobs import unknown, write_clip
 
@@ -71,7 +71,7 @@ def test_names_in_a_manifest_are_as_it_says_or_paths(tmp_path):
 
 
 def test_names_of_the_recordings_here_are_what_splits_know(data):
-    """priors/training/splits.toml and trained weights know clips by these names."""
+    """recon/benchmark/splits.toml and trained weights know clips by these names."""
     for clips in collections(data / "mocap"):
         with (data / "mocap" / clips[0].collection / "manifest.csv").open(newline="") as file:
             rows = list(csv.DictReader(file))

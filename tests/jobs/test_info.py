@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from recon.formats.clouds.ply import write_ply
+from recon.formats.scans import write_ply
 from recon.jobs.info.files import describe
 from tests.keypoint_scene import SIZE, camera, figure, image, write_openpose, write_toml
 

@@ -10,7 +10,7 @@ import pytest
 from recon import cli
 from recon.cli import listing as verbs
 from recon.cli.places import declared
-from recon.formats.results.outputs import Kind
+from recon.formats.outputs import Kind
 
 
 @dataclass(frozen=True)

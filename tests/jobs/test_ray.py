@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from recon.batch.ray_cluster import absolute
 from recon.cli import BAD_INPUT, run
 from recon.core.skeleton import JOINTS
 from recon.fitting.settings import FitSettings
-from recon.formats.files.opening import load_arrays, save_arrays
 from recon.formats.observations import PositionsFile, save_observation
-from recon.jobs.many.ray_cluster import absolute
+from recon.formats.opening import load_arrays, save_arrays
 from tests.api.test_front_door import noisy
 
 ROOT = Path(__file__).parents[2]

@@ -10,7 +10,7 @@ import torch
 from recon import cli
 from recon.body.identities import identity
 from recon.body.model import BodyModel
-from recon.body.reshape import with_shape
+from recon.body.motion_files import with_shape
 from recon.core.motion import Motion
 from recon.formats.motions import MotionFile, load_motion, save_motion
 from tests.standing_body import path, standing, times
@@ -42,7 +42,7 @@ def _stand_in(monkeypatch) -> None:  # pyright: ignore[reportUnusedFunction]
     def retargeted(motion, shape, body, method, weights):
         return with_shape(motion, body, shape)
 
-    monkeypatch.setattr("recon.api.verbs.retarget._retargeted", retargeted)
+    monkeypatch.setattr("recon.api.retarget._retargeted", retargeted)
 
 
 def test_another_body_does_the_same(tmp_path: Path, capsys) -> None:

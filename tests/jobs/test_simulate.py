@@ -13,11 +13,11 @@ from recon.body.landmarks import LANDMARKS_16, landmark
 from recon.body.model import BodyModel
 from recon.core.camera import full_hd_camera
 from recon.core.motion import Motion
-from recon.formats.clouds.scans import read_scans
 from recon.formats.motions import load_motion, save_motion
 from recon.formats.observations import KeypointsFile, PointsFile, PositionsFile, load_observation
+from recon.formats.scans import read_scans
 from recon.jobs.simulate import simulate_file
-from recon.simulation.cameras import cameras_around
+from recon.simulation.images import cameras_around
 from recon.simulation.points import Corruption
 from recon.simulation.settings import FilmSettings, SurfaceSettings
 from tests.keypoint_scene import camera, write_toml

@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from recon.batch import batch as subjects
+from recon.batch.batch import fit_all
+from recon.batch.crew import Crew
+from recon.batch.worklog import read_manifest, shard
 from recon.core.skeleton import JOINTS
 from recon.fitting.settings import FitSettings
 from recon.formats.observations import PositionsFile, save_observation
-from recon.jobs.many import subjects
-from recon.jobs.many.batch import fit_all
-from recon.jobs.many.crew import Crew
-from recon.jobs.many.manifest import read_manifest, shard
 from tests.api.test_front_door import noisy
 from tests.jobs.batch_jobs import here
 

@@ -6,7 +6,7 @@ import os
 
 import pytest
 
-from recon.jobs.many.worklog import open_log, read_log
+from recon.batch.worklog import open_log, read_log
 
 
 def test_records_are_read_back_and_the_last_of_an_id_counts(tmp_path):

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from recon.formats.results.outputs import Kind, Output, check_outputs
-from recon.formats.results.reports import read_report
-from recon.formats.results.writing import uninterrupted, write_report, writing, writing_file
+from recon.formats.outputs import Kind, Output, check_outputs
+from recon.formats.reports import read_report
+from recon.formats.writing import uninterrupted, write_report, writing, writing_file
 
 REPORT = {"settings": {"seed": 1, "at": float("nan"), "where": Path("a")}}
 
@@ -218,7 +218,7 @@ from pathlib import Path
 from recon.cli import main
 from recon.cli import listing as verbs
 from recon.cli.places import Overwrite, Place, writes
-from recon.formats.results.writing import writing_file
+from recon.formats.writing import writing_file
 
 @writes(Place("out"))
 def slow(out: Path, overwrite: Overwrite = False) -> None:

@@ -11,15 +11,15 @@ from observations.files.clouds import cloud_of
 from observations.joints3d import Joints3D
 from priors.pose.prior import PosePrior, PoseWeights
 from recon import cli
-from recon.body.angles.isb import ISB_ANGLES, isb_angles
+from recon.body.angles import ISB_ANGLES, isb_angles
 from recon.core import rotations as so3
 from recon.core.camera import depth_camera
 from recon.core.residuals import Noise
 from recon.core.scene import UnknownGround
 from recon.jobs.info.files import describe
-from recon.method.laplace import deviations as laplace
-from recon.method.laplace.deviations import deviations
-from recon.method.laplace.grounds import GroundBelief
+from recon.method import laplace as laplace
+from recon.method.derivatives import GroundBelief
+from recon.method.laplace import deviations
 from recon.method.protocols import Estimate
 from recon.simulation.depth import depth_points
 from recon.simulation.images import dome

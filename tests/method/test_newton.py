@@ -14,9 +14,8 @@ from priors.pose.prior import PosePrior, PoseWeights
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.scene import Scene
-from recon.method.newton.local import Local
-from recon.method.newton.marquardt import Marquardt
-from recon.method.newton.preconditioned import Preconditioned, factorised
+from recon.method.marquardt import Marquardt, Preconditioned, factorised
+from recon.method.newton import Local
 from recon.method.protocols import Estimate
 from recon.method.reconstruction import solve
 from recon.method.running import run_stage

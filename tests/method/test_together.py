@@ -12,12 +12,12 @@ import recon
 from observations.noise import weights_of
 from priors.humor.prior import Humor
 from priors.pose.prior import PosePrior
+from recon.batch import together as threads
+from recon.batch.together import Raised, ended_together
 from recon.core.struct import stack
+from recon.method.alike import alike
 from recon.method.reconstruction import solve
 from recon.method.terms import Term, prior_energy
-from recon.method.together import threads
-from recon.method.together.alike import alike
-from recon.method.together.threads import Raised, ended_together
 from tests.api.test_front_door import noisy, seen
 from tests.filmed import bundled, cameras, view, walk
 

@@ -8,10 +8,9 @@ import pytest
 from recon.core.camera import full_hd_camera
 from recon.formats.motions import load_motion
 from recon.formats.observations import PointsFile
-from recon.metrics.chamfer import chamfer, chamfer_of_clip
+from recon.metrics.errors import chamfer, chamfer_of_clip
 from recon.simulation.images import camera_arrays
-from recon.simulation.points import Corruption
-from recon.simulation.scans import scan_points
+from recon.simulation.points import Corruption, scan_points
 
 
 @pytest.fixture(scope="module")

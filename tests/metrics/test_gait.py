@@ -14,8 +14,7 @@ from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS, joint_index
-from recon.metrics.gait.analysis import Gait, analyse
-from recon.metrics.gait.curves import CURVES, flexion_std
+from recon.gait.analysis import CURVES, Gait, analyse, flexion_std
 
 DEMO = Path(recon.__file__).parent / "assets" / "demo.npz"
 DATA = os.environ.get("RECON_DATA")

@@ -3,10 +3,9 @@
 import pytest
 import torch
 
+from observations.curvature import Surfels, bounded, to_vertices
 from observations.depth import CLOUD_NOISE, CLOUD_WORTH, PointCloud
 from observations.files.clouds import cloud_of
-from observations.records.surfaces import bounded, to_vertices
-from observations.surfels import Surfels
 from recon.core.camera import depth_camera
 from recon.core.errors import ObservationError
 from recon.simulation.depth import DepthSensor, depth_points

@@ -6,20 +6,18 @@ import numpy as np
 import pytest
 import torch
 
+from observations.curvature import Surfels, bounded, reweighted, to_discs, to_vertices, tukey
 from observations.depth import PointCloud
 from observations.files.clouds import cloud_of
-from observations.records.surfaces import bounded, reweighted, to_discs, to_vertices, tukey
-from observations.surfels import Surfels
 from recon.core import rotations as so3
 from recon.core.camera import depth_camera
 from recon.core.errors import ReconError
-from recon.core.geometry.nearest import nearest
+from recon.core.nearest import nearest
 from recon.core.scene import Scene, UnknownGround
 from recon.core.skeleton import joint_index
 from recon.formats.observations import PointsFile
 from recon.simulation.depth import PERFECT, DepthSensor, Surface, depth_points, without_pose
-from recon.simulation.points import Corruption
-from recon.simulation.scans import scan_points
+from recon.simulation.points import Corruption, scan_points
 from tests import laws
 from tests.conftest import GOLDEN
 
@@ -72,9 +70,9 @@ def test_golden_gradient(golden, kernel, monkeypatch):
     if kernel is tukey:
         scale = partial(torch.Tensor.to, golden["points3d_scale"])
         monkeypatch.setattr(
-            "observations.records.surfaces.lower_median", lambda *_: 0.67449 * scale("cpu")
+            "observations.curvature.lower_median", lambda *_: 0.67449 * scale("cpu")
         )
-        monkeypatch.setattr("observations.records.surfaces.LEAST_SCALE", 0.0)
+        monkeypatch.setattr("observations.curvature.LEAST_SCALE", 0.0)
     vertices = golden["camera_verts"].clone().requires_grad_()
     points = golden["obs_points3d"]
     index = nearest(points, all_present(points), vertices, all_present(vertices))
@@ -117,7 +115,7 @@ def test_what_is_not_there_counts_nothing(toy_body):
 @pytest.mark.parametrize("kernel", [bounded, tukey])
 def test_the_gradient_is_that_of_the_value(body, kernel, monkeypatch):
     monkeypatch.setattr(
-        "observations.records.surfaces.lower_median", lambda e, _: e.new_full((len(e),), 0.02)
+        "observations.curvature.lower_median", lambda e, _: e.new_full((len(e),), 0.02)
     )
     motion = laws.a_motion(body, clips=1, frames=2)
     points = body.pose(motion).vertices[:, :, ::40]

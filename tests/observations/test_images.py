@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from observations.files.images import LEVEL_CAMERA, keypoints_of, pinhole, undistorted
-from recon.core.ground import Ground
+from recon.core.camera import Ground
 from recon.simulation.images import camera_arrays, keypoints2d
 from recon.simulation.points import Corruption
 from tests.filmed import bundled, cameras, walk

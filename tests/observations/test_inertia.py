@@ -2,7 +2,7 @@
 
 import torch
 
-from observations.start.inertia import inertia, torques
+from observations.start.bone_poses import inertia, torques
 from recon.core import rotations as so3
 from recon.core.skeleton import JOINTS, PARENTS
 

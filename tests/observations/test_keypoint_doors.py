@@ -10,8 +10,8 @@ import pytest
 import recon
 from observations.correspondences import BodyPoints
 from observations.keypoints3d import Keypoints3D
-from observations.start.planted import planted_path
-from recon.core.layouts import LAYOUTS, keypoint_names
+from observations.start.standing import planted_path
+from recon.core.skeleton import LAYOUTS, keypoint_names
 from recon.core.units import to_z_up
 from recon.fitting.clip_files import load_clip
 from recon.fitting.settings import FitSettings

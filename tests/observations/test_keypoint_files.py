@@ -10,8 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from observations.people.camera_names import match_cameras
-from observations.people.masks import load_silhouettes, masked
+from observations.people.places import load_silhouettes, masked, match_cameras
 from observations.people.views import load_views
 from recon.formats.observations import CameraArrays, KeypointsFile
 from tests.keypoint_scene import SIZE, camera, figure, image, write_openpose, write_toml

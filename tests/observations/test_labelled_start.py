@@ -3,11 +3,11 @@
 import pytest
 import torch
 
+from observations.curvature import Surfels
 from observations.depth import PointCloud
+from observations.first_guess import first_guess
 from observations.start.labelled import labelled_start
-from observations.surfels import Surfels
-from observations.together.first_guess import first_guess
-from priors.labels.record import PointLabels
+from priors.labels.looking import PointLabels
 from priors.labels.regions import MIRRORED_REGIONS
 from recon.body.model import BodyModel
 from recon.core import rotations as so3

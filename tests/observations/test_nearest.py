@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from recon.core.geometry.nearest import _by_distances, nearest  # pyright: ignore[reportPrivateUsage]
+from recon.core.nearest import _by_distances, nearest  # pyright: ignore[reportPrivateUsage]
 
 
 @pytest.fixture

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from observations.files.clouds import cloud_of
-from observations.files.one_person import alone
+from observations.files.clouds import alone, cloud_of
 from recon.core.errors import ObservationError
 from recon.formats.observations import CameraArrays, PointsFile
 

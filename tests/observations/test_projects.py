@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from observations.correspondences import BodyPoints
-from recon.core.layouts import keypoint_names
+from recon.core.skeleton import keypoint_names
 from recon.core.units import to_z_up
 from recon.fitting.clip_files import load_clip
 from recon.fitting.clip_inputs import observation_input

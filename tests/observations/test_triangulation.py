@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from observations.together.triangulation import triangulate, views_start
+from observations.camera_paths import triangulate, views_start
 from tests.filmed import bundled, cameras, joint_error, view, walk
 
 pytestmark = pytest.mark.numerics

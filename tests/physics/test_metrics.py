@@ -4,9 +4,8 @@ import pytest
 import torch
 
 from recon.core.struct import concatenate
-from recon.physics import samples as measuring
-from recon.physics.metrics import physics_metrics
-from recon.physics.samples import physics_samples
+from recon.physics import metrics as measuring
+from recon.physics.metrics import physics_metrics, physics_samples
 from recon.physics.zmp import GRAVITY
 from tests import laws
 from tests.standing_body import path, standing, times

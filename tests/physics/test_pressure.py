@@ -2,7 +2,7 @@
 
 import torch
 
-from recon.physics.pressure import centre_of_pressure, pressure
+from recon.physics.zmp import centre_of_pressure, pressure
 
 SOLE = torch.cartesian_prod(
     torch.linspace(-0.05, 0.05, 5), torch.linspace(-0.12, 0.12, 9), torch.zeros(1)

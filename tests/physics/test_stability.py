@@ -3,12 +3,7 @@
 import pytest
 import torch
 
-from recon.physics.stability import (
-    base_of_support,
-    distances_to_support,
-    signed_distance,
-    supporting,
-)
+from recon.physics.zmp import base_of_support, distances_to_support, signed_distance, supporting
 
 SQUARE = torch.tensor(
     [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [0.5, 0.5], [0.5, 0.0]]

@@ -2,11 +2,15 @@ import numpy as np
 import pytest
 import torch
 
-from priors.anchor.basis import CycleBasis
-from priors.anchor.frames import Alignment, Anchors
-from priors.anchor.networks import AnchorNetworks
+from priors.anchor.frames import Alignment, Anchors, CycleBasis
+from priors.anchor.networks import (
+    AnchorNetworks,
+    AnchorWeights,
+    CodeSpread,
+    load_weights,
+    save_weights,
+)
 from priors.anchor.prior import AnchorFrames
-from priors.anchor.weights import AnchorWeights, CodeSpread, load_weights, save_weights
 from priors.cosines import cosines
 from recon.body.model import BodyModel
 from recon.core.motion import pad

@@ -9,19 +9,17 @@ import torch
 
 from priors.anchor.frames import Alignment, Anchors, rest_pelvis
 from priors.anchor.prior import AnchorFrames
-from priors.anchor.training import train as module
-from priors.anchor.training.corpus import CycleCorpus, CycleVariation
-from priors.anchor.training.export import export_learned, export_weights
-from priors.anchor.training.losses import Reconstructed, some_of, surface_error
-from priors.anchor.training.run import AnchorRun, AnchorTraining
-from priors.anchor.training.train import train, train_on
-from priors.training.dataset import Splits
-from priors.training.gradnorm import LEAST, GradNorm
+from recon.benchmark.dataset import Splits
 from recon.body.model import BodyModel
-from recon.body.spread import spread_vertices
+from recon.body.sampled import spread_vertices
 from recon.formats.motions import MotionFile, save_motion
 from tests.priors.test_humor_training import SPLITS
 from tests.walking import a_walk
+from training.anchor import train as module
+from training.anchor.corpus import CycleCorpus, CycleVariation
+from training.anchor.run import AnchorRun, AnchorTraining, export_learned, export_weights
+from training.anchor.train import Reconstructed, some_of, surface_error, train, train_on
+from training.descent import LEAST, GradNorm
 
 RECORDED = CycleVariation(mirror=0.0, shift=0, shape=0.0, speed=0.0, exchange=0.0, mix=0.0)
 """No variation."""

@@ -10,7 +10,7 @@ import torch
 from safetensors.torch import save_file
 
 from priors.checkpoints import load_checkpoint, named_checkpoint, save_checkpoint
-from recon.formats.files.checksums import file_checksum
+from recon.formats.replacing import file_checksum
 from scripts.sign_weights import sign
 
 ROOT = Path(__file__).parents[2]

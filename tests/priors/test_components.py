@@ -7,17 +7,17 @@ import pytest
 import torch
 
 from priors.anchor.frames import Alignment
+from priors.anchor.networks import AnchorWeights, load_weights, save_weights
 from priors.anchor.prior import AnchorFrames
-from priors.anchor.training.components import components
-from priors.anchor.training.corpus import CycleCorpus
-from priors.anchor.training.run import AnchorTraining
-from priors.anchor.weights import AnchorWeights, load_weights, save_weights
-from priors.training.dataset import Splits
-from priors.training.run_settings import told_settings
+from recon.benchmark.dataset import Splits
 from recon.body.model import BodyModel
 from recon.formats.motions import MotionFile, save_motion
 from tests.priors.test_humor_training import SPLITS
 from tests.walking import a_walk
+from training.anchor.components import components
+from training.anchor.corpus import CycleCorpus
+from training.anchor.run import AnchorTraining
+from training.run import told_settings
 
 BODY = BodyModel.load()
 

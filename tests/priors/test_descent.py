@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import pytest
 import torch
 
-from priors.training.descent import cosine, descend
+from training.descent import cosine, descend
 
 
 @dataclass

@@ -3,9 +3,8 @@
 import pytest
 import torch
 
-from priors.humor.generation import roll_from
+from priors.humor.generation import Footing, roll_from
 from priors.humor.state import State, states_of
-from priors.humor.stepwise.footing import Footing
 from recon.body.contacts import rest_heights, touching_heights
 from recon.body.model import BodyModel
 from recon.core.skeleton import FEET

@@ -8,10 +8,10 @@ import torch
 from torch import Tensor
 
 from priors.checkpoints import load_checkpoint, save_checkpoint
-from priors.humor.decoder.rollout import FrozenDecoder, roll_out
 from priors.humor.mixture import Mixture
 from priors.humor.networks import HumorNetworks
 from priors.humor.prior import Humor
+from priors.humor.rollout import FrozenDecoder, roll_out
 from priors.humor.state import (
     Frame,
     canonical,

@@ -4,8 +4,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from priors.humor.decoder.adjoint import unroll_given
-from priors.humor.decoder.loop import STATE_ORDER, FrozenDecoder, Unrolled, unroll
+from priors.humor.loop import STATE_ORDER, FrozenDecoder, Unrolled, unroll, unroll_given
 from priors.humor.networks import HumorNetworks
 from recon.core import rotations as so3
 from tests.priors.test_humor_nets import golden

@@ -7,7 +7,7 @@ from observations.joints3d import Joints3D
 from priors.humor.collocation import CollocatedHumor, Collocation
 from priors.humor.prior import Humor
 from priors.humor.state import states_of
-from priors.humor.stepwise.steps import error_whitening, explain
+from priors.humor.steps import error_whitening, explain
 from priors.pose.prior import PosePrior
 from recon.body.model import BodyModel
 from recon.core import rotations as so3

@@ -5,7 +5,6 @@ from dataclasses import replace
 import pytest
 import torch
 
-from priors.humor.decoder.rollout import FrozenDecoder, roll_out
 from priors.humor.generation import (
     as_predicted,
     body_at_joints,
@@ -15,6 +14,7 @@ from priors.humor.generation import (
     sample,
 )
 from priors.humor.mixture import Mixture
+from priors.humor.rollout import FrozenDecoder, roll_out
 from priors.humor.state import (
     Frame,
     canonical,

@@ -4,8 +4,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from priors.humor.decoder.rollout import FrozenDecoder, Rollout, roll_out
 from priors.humor.networks import HumorNetworks
+from priors.humor.rollout import FrozenDecoder, Rollout, roll_out
 from priors.humor.state import Frame, State, canonical, compose, rest_pelvis
 from recon.body.model import BodyModel
 from recon.core import rotations as so3

@@ -9,7 +9,7 @@ from priors.humor.prior import Humor
 from priors.humor.segments import SegmentedHumor
 from priors.humor.shooting import HumorWeights, Schedule, Shooting
 from priors.humor.state import states_of
-from priors.humor.stepwise.steps import explain
+from priors.humor.steps import explain
 from recon.body.model import BodyModel
 from recon.core.errors import ReconError
 from recon.core.motion import Motion, pad

@@ -13,12 +13,7 @@ from benchmarks.strangers.training import finished
 from priors.humor.networks import HumorNetworks
 from priors.humor.prior import Humor
 from priors.humor.state import rest_pelvis, states_of
-from priors.humor.training.corpus import Corpus, StateWindows, Variation
-from priors.humor.training.run import HumorTraining, LossWeights, export_weights, start
-from priors.humor.training.scaling import ScaledNetworks, Scaling
-from priors.humor.training.train import loss_terms, total_loss, train, unroll
-from priors.training.dataset import Splits
-from priors.training.run import Run
+from recon.benchmark.dataset import Splits
 from recon.body.contacts import rest_heights
 from recon.body.kinematics import forward_kinematics
 from recon.body.model import BodyModel
@@ -26,6 +21,11 @@ from recon.core.motion import Motion
 from recon.core.skeleton import CONTACT_JOINTS, MIRROR
 from recon.formats.motions import MotionFile, save_motion
 from tests.priors.test_pose import swinging
+from training.humor.corpus import Corpus, StateWindows, Variation
+from training.humor.run import HumorTraining, LossWeights, export_weights, start
+from training.humor.scaling import ScaledNetworks, Scaling
+from training.humor.train import loss_terms, total_loss, train, unroll
+from training.run import Run
 
 SPLITS = """
 [subjects]
@@ -292,7 +292,7 @@ def test_people_on_uneven_ground_only_can_be_held_out(folder: Path, tmp_path: Pa
 
 def test_every_setting_of_a_training_has_an_option_of_its_own() -> None:
     """The steps of a run and the steps aside had one option, so that the command did not start."""
-    command = [sys.executable, "-m", "priors.humor.training.train", "--help"]
+    command = [sys.executable, "-m", "training.humor.train", "--help"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "--sidesteps" in done.stdout

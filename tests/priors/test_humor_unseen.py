@@ -9,11 +9,10 @@ from observations.correspondences import BodyPoints
 from observations.joints3d import Joints3D
 from observations.keypoints2d import Keypoints2D
 from priors.humor.collocation import Collocation, seen_whole
+from priors.humor.likely import LikelyStates
+from priors.humor.limbs import LimbDraws, ParticleFilter, UnseenLimbs, unseen_limbs
 from priors.humor.prior import Humor
 from priors.humor.state import states_of
-from priors.humor.stepwise.likely import LikelyStates
-from priors.humor.stepwise.limbs import LimbDraws, unseen_limbs
-from priors.humor.stepwise.particles import ParticleFilter, UnseenLimbs
 from recon.body.model import BodyModel
 from recon.core.camera import full_hd_camera
 from recon.core.motion import pad

@@ -6,15 +6,19 @@ import pytest
 import torch
 
 from observations.joints3d import Joints3D
-from priors.humos.codes import CodesFit, HumosCodes
-from priors.humos.collocation import CollocatedHumos, HumosFit
+from priors.humos.collocation import CodesFit, CollocatedHumos, HumosCodes, HumosFit
 from priors.humos.frames import lowest_of
-from priors.humos.networks import ClipNetworks, WindowNetworks
+from priors.humos.networks import (
+    ClipNetworks,
+    CodeDensity,
+    WindowNetworks,
+    load_weights,
+    save_weights,
+)
 from priors.humos.prior import FPS, Humos
-from priors.humos.weights import CodeDensity, load_weights, save_weights
 from priors.pose.prior import PosePrior, PoseWeights
 from recon.body.model import BodyModel
-from recon.body.reshape import leg_length
+from recon.body.motion_files import leg_length
 from recon.core import rotations as so3
 from recon.core.struct import stack
 from recon.method.reconstruction import solve

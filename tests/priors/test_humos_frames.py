@@ -5,14 +5,21 @@ import math
 import pytest
 import torch
 
-from priors.humos.basis import HOP, LappedBasis, windows_of
-from priors.humos.frames import NUMBERS, BodyFrames, levers, lowest_of
-from priors.humos.training.corpus import begun_anew, mirrored
+from priors.humos.frames import (
+    HOP,
+    NUMBERS,
+    BodyFrames,
+    LappedBasis,
+    levers,
+    lowest_of,
+    windows_of,
+)
 from recon.body.model import BodyModel
-from recon.body.reshape import leg_length, with_shape
+from recon.body.motion_files import leg_length, with_shape
 from recon.core import rotations as so3
 from tests.priors.tiny_humos import rows_of_walks
 from tests.walking import a_walk
+from training.humos.corpus import begun_anew, mirrored
 
 BODY = BodyModel.load()
 

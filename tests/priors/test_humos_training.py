@@ -7,21 +7,19 @@ from pathlib import Path
 import pytest
 import torch
 
-from priors.humos.basis import existing_windows
-from priors.humos.frames import BodyFrames
+from priors.humos.frames import BodyFrames, existing_windows
 from priors.humos.prior import Humos
-from priors.humos.training import train as module
-from priors.humos.training.corpus import AS_RECORDED, BodyCorpus, BodyVariation
-from priors.humos.training.export import export_learned
-from priors.humos.training.losses import physics_losses, reconstruction
-from priors.humos.training.run import HumosTraining, start
-from priors.humos.training.train import train, train_on
-from priors.training.dataset import Licence, Part, Splits
+from recon.benchmark.dataset import Licence, Part, Splits
 from recon.body.model import BodyModel
-from recon.body.reshape import leg_length
+from recon.body.motion_files import leg_length
 from recon.formats.motions import MotionFile, save_motion
 from tests.priors.test_humor_training import SPLITS
 from tests.walking import a_walk
+from training.humos import train as module
+from training.humos.corpus import AS_RECORDED, BodyCorpus, BodyVariation
+from training.humos.export import export_learned
+from training.humos.run import HumosTraining, start
+from training.humos.train import physics_losses, reconstruction, train, train_on
 
 BODY = BodyModel.load()
 

@@ -7,12 +7,10 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from priors.labels.looking import CloudLabeller, around
-from priors.labels.neighbours import kernel, patches, spread_points, squared_distances
-from priors.labels.networks import LabelNetwork
+from priors.labels.looking import CloudLabeller, around, standard
+from priors.labels.networks import LabelNetwork, kernel, patches, spread_points, squared_distances
 from priors.labels.regions import MIRRORED_REGIONS
-from priors.labels.standard import standard
-from priors.labels.training.clouds import (
+from training.labels.clouds import (
     NOT_BODY,
     POINTS,
     CloudCorpus,
@@ -23,8 +21,7 @@ from priors.labels.training.clouds import (
     thinned,
     varied,
 )
-from priors.labels.training.run import LabelTraining, export_weights
-from priors.labels.training.train import train
+from training.labels.train import LabelTraining, export_weights, train
 
 
 @pytest.fixture

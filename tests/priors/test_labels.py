@@ -2,7 +2,7 @@
 
 import torch
 
-from priors.labels.record import PointLabels
+from priors.labels.looking import PointLabels
 from priors.labels.regions import MIRRORED_REGIONS, REGION_OF_JOINT, REGIONS, Regions
 from recon.core.skeleton import JOINTS, MIRROR
 

@@ -2,7 +2,7 @@
 
 import torch
 
-from priors.training.muon import Muon, orthogonalised
+from training.descent import Muon, orthogonalised
 
 
 def test_steps_of_matrices_are_nearly_orthogonal():

@@ -10,8 +10,7 @@ from observations.joints3d import Joints3D
 from priors.checkpoints import load_checkpoint, save_checkpoint
 from priors.pose.density import fit_density
 from priors.pose.prior import PosePrior, PoseWeights
-from priors.pose.training import PoseTraining, score, train
-from priors.training.dataset import Splits, load_clips, mirrored, mirrored_rotations, poses
+from recon.benchmark.dataset import Splits, load_clips, mirrored, mirrored_rotations, poses
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion, pad
@@ -19,6 +18,7 @@ from recon.formats.motions import save_motion
 from recon.method.protocols import Prior
 from recon.method.reconstruction import Method, solve
 from tests.laws import check_heading_invariance, check_prior
+from training.pose import PoseTraining, score, train
 
 pytestmark = pytest.mark.numerics
 

@@ -8,11 +8,11 @@ from typing import Any
 
 import pytest
 
-from priors.anchor.training.run import AnchorTraining
-from priors.humor.training.run import HumorTraining
-from priors.humor.training.variety.variation import Variation
-from priors.humos.training.run import HumosTraining
-from priors.training.run_settings import FREE, identity, same_run
+from training.anchor.run import AnchorTraining
+from training.humor.run import HumorTraining
+from training.humor.variation import Variation
+from training.humos.run import HumosTraining
+from training.run import FREE, identity, same_run
 
 KINDS = (AnchorTraining, HumorTraining, HumosTraining)
 CHECKPOINT = Path("run/checkpoint.pt")

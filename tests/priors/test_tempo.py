@@ -7,9 +7,9 @@ import torch
 
 from observations.joints3d import Joints3D
 from priors.humor.collocation import CollocatedHumor, Collocation
+from priors.humor.likely import FASTEST, as_read, at_tempo, tempo
 from priors.humor.prior import Humor
 from priors.humor.state import states_of
-from priors.humor.stepwise.tempo import FASTEST, as_read, at_tempo, tempo
 from recon.body.model import BodyModel
 from recon.core.skeleton import LEGS
 from recon.method.reconstruction import solve
@@ -97,7 +97,7 @@ def test_only_limbs_that_nobody_saw_are_found_at_another_tempo(body: BodyModel) 
 
 
 def test_what_is_read_slower_is_found_in_its_own_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("priors.humor.stepwise.tempo.FASTEST", 0.2)
+    monkeypatch.setattr("priors.humor.likely.FASTEST", 0.2)
     body = BodyModel.load()
     truth = demo_clip().window(20, 60).replace(start_time=0.0)
     joints = body.pose(truth).joints

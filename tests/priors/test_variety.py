@@ -8,17 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from priors.humor.training.corpus import Corpus, StateWindows, Variation
-from priors.humor.training.variety import limits
-from priors.humor.training.variety.arms import clear_of_trunk, moved
-from priors.humor.training.variety.bends import bent
-from priors.humor.training.variety.flights import GRAVITY, flown
-from priors.humor.training.variety.halves import UPPER, joined
-from priors.humor.training.variety.legs import ANKLES, Aim, brought, shortest
-from priors.humor.training.variety.moments import CHANNELS, PER_FRAME, Moments, at_frames, speeds
-from priors.humor.training.variety.raises import may_raise, raised
-from priors.humor.training.variety.steps import may_step, stepped
-from priors.training.dataset import Splits
+from recon.benchmark.dataset import Splits
 from recon.body.kinematics import forward_kinematics
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
@@ -26,6 +16,22 @@ from recon.core.motion import Motion
 from recon.core.skeleton import CONTACT_JOINTS, FEET
 from recon.formats.motions import MotionFile, save_motion
 from tests.priors.test_humor_training import AS_RECORDED, SPLITS
+from training.humor import moments as limits
+from training.humor.arms import UPPER, clear_of_trunk, joined, moved
+from training.humor.corpus import Corpus, StateWindows, Variation
+from training.humor.flights import GRAVITY, flown
+from training.humor.legs import (
+    ANKLES,
+    Aim,
+    bent,
+    brought,
+    may_raise,
+    may_step,
+    raised,
+    shortest,
+    stepped,
+)
+from training.humor.moments import CHANNELS, PER_FRAME, Moments, at_frames, speeds
 
 UPRIGHT = torch.tensor([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 """Turns the rest pose (y up) so that z is up and it faces -y."""

@@ -2,11 +2,9 @@
 
 import torch
 
-from priors.anchor.basis import CycleBasis
-from priors.anchor.frames import Alignment, Anchors, rest_pelvis
-from priors.anchor.networks import AnchorNetworks
+from priors.anchor.frames import Alignment, Anchors, CycleBasis, rest_pelvis
+from priors.anchor.networks import AnchorNetworks, AnchorWeights, CodeSpread
 from priors.anchor.prior import AnchorFrames
-from priors.anchor.weights import AnchorWeights, CodeSpread
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from tests.walking import a_walk

@@ -2,11 +2,9 @@
 
 import torch
 
-from priors.humos.basis import LappedBasis
-from priors.humos.frames import BodyFrames
-from priors.humos.networks import Networks, WindowNetworks
+from priors.humos.frames import BodyFrames, LappedBasis
+from priors.humos.networks import CodeDensity, HumosWeights, Networks, WindowNetworks
 from priors.humos.prior import Humos
-from priors.humos.weights import CodeDensity, HumosWeights
 from recon.body.model import BodyModel
 from tests.walking import a_walk
 

@@ -4,7 +4,7 @@ import torch
 
 from recon.body.landmarks import landmark
 from recon.core.skeleton import joint_index
-from recon.simulation.clothes import clothed, offsets, random_field
+from recon.simulation.scenery import clothed, offsets, random_field
 
 
 def carried_by(body, *names):

@@ -7,8 +7,8 @@ import torch
 from recon.core.camera import depth_camera
 from recon.core.errors import ReconError
 from recon.simulation.depth import PERFECT, Surface, depth_image, depth_points
-from recon.simulation.furniture import box, chair, furnished, table, together
 from recon.simulation.points import Corruption
+from recon.simulation.scenery import box, chair, furnished, table, together
 from recon.simulation.sensors import check_apply
 from recon.simulation.settings import FILM_DEFAULTS, SurfaceSettings
 from tests import laws

@@ -6,14 +6,13 @@ import torch
 
 from priors.labels.looking import CloudLabeller
 from priors.labels.regions import MIRRORED_REGIONS, Regions
-from priors.labels.training.clouds import NOT_BODY
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
-from recon.simulation.labelled.people import drawn_shape, wardrobe, with_hair
-from recon.simulation.labelled.postures import Postures, made_up, turned_over
-from recon.simulation.labelled.rooms import all_around, drawn_room, glimpse
-from recon.simulation.labelled.shards import Source, draw_shard
 from tests.filmed import walk
+from training.labels.clouds import NOT_BODY
+from training.labels.people import Postures, drawn_shape, made_up, turned_over, wardrobe, with_hair
+from training.labels.rooms import all_around, drawn_room, glimpse
+from training.labels.shards import Source, draw_shard
 
 
 @pytest.fixture(scope="module")

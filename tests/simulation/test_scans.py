@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 import torch
 
-from recon.formats.clouds.scans import read_scans, write_scans
 from recon.formats.observations import PointsFile
-from recon.simulation.points import Corruption
-from recon.simulation.scans import scan_points, spread
+from recon.formats.scans import read_scans, write_scans
+from recon.simulation.points import Corruption, scan_points, spread
 from tests import laws
 
 

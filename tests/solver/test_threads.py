@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from recon.solver.threads import one_thread
+from recon.solver.solution import one_thread
 
 
 def test_threads_are_put_back_whatever_happens() -> None:

@@ -10,8 +10,8 @@ from recon.core.motion import Motion
 from recon.formats.motions import MotionFile, save_motion
 from recon.jobs.view import view_files
 from recon.view import Figure
-from recon.view.show.beside import beside, common
-from recon.view.show.viewpoint import follow
+from recon.view.beside import beside, common
+from recon.view.viewpoint import follow
 from tests.walking import a_walk
 
 BODY = BodyModel.load()

@@ -10,22 +10,21 @@ import pytest
 import torch
 
 from recon.body.model import BodyModel
-from recon.core.camera import Camera, looking
-from recon.core.ground import Ground
+from recon.core.camera import Camera, Ground, looking
 from recon.core.skeleton import JOINTS, joint_index
 from recon.formats.motions import MotionFile, load_motion, save_motion
 from recon.formats.observations import CameraArrays, KeypointsFile, PointsFile, save_observation
 from recon.jobs.view import view_files
 from recon.view import Figure, Show, View
-from recon.view.drawing.frusta import frustum
-from recon.view.drawing.image_plane import paint_view
+from recon.view.drawing.marks import paint_view
 from recon.view.drawing.painter import paint
+from recon.view.drawing.stage import frustum
 from recon.view.html import write_html
+from recon.view.observed import observed
 from recon.view.panels import write_views_mp4, write_views_png
-from recon.view.show.colours import CAMERA, MISSING, REPROJECTED, VISIBLE
-from recon.view.show.observed import observed
-from recon.view.show.regions import clip_region, close_ups, whole
-from recon.view.show.viewpoint import viewpoints
+from recon.view.regions import clip_region, close_ups, whole
+from recon.view.scene import CAMERA, MISSING, REPROJECTED, VISIBLE
+from recon.view.viewpoint import viewpoints
 from tests.view.test_view import embedded, walk
 
 WIDTH, HEIGHT = 640, 360

@@ -13,8 +13,8 @@ from recon.jobs.view import shown, view_files
 from recon.view import Figure, Show
 from recon.view.drawing.painter import paint
 from recon.view.html import write_html
-from recon.view.show.colours import CERTAINTY
-from recon.view.show.viewpoint import viewpoints
+from recon.view.scene import CERTAINTY
+from recon.view.viewpoint import viewpoints
 from tests.view.test_view import embedded, walk
 
 WRIST = joint_index("left_wrist")

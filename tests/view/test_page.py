@@ -26,8 +26,7 @@ from recon.formats.motions import load_motion
 from recon.view import Figure, Show
 from recon.view.html import write_html
 from recon.view.layers import layers
-from recon.view.show.colours import GREY
-from recon.view.show.scene import Points
+from recon.view.scene import GREY, Points
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
 CLIENT = ROOT / "scripts" / "clients" / "in_chromium.py"

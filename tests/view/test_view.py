@@ -15,16 +15,15 @@ import zstandard
 
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
-from recon.core.geometry.normals import vertex_normals
-from recon.core.geometry.raster import rasterise
 from recon.core.motion import Motion
+from recon.core.raster import rasterise, vertex_normals
 from recon.core.skeleton import joint_index
 from recon.view import Figure, Points, Show
 from recon.view.drawing.painter import paint
 from recon.view.frames import write_mp4, write_png
 from recon.view.html import INFLUENCES, prune_weights, write_html
-from recon.view.show.colours import CORAL, MISSING, VISIBLE
-from recon.view.show.viewpoint import follow
+from recon.view.scene import CORAL, MISSING, VISIBLE
+from recon.view.viewpoint import follow
 
 TINY = (96, 120)
 

@@ -7,7 +7,7 @@ from tyro.conf import Positional, arg
 
 from recon.cli.errors import Failed
 from recon.cli.places import Arguments, Overwrite, Place, Quiet, writes
-from recon.formats.results.outputs import Kind, Output
+from recon.formats.outputs import Kind, Output
 
 
 def _is_former(folder: Path) -> bool:
@@ -80,7 +80,7 @@ def convert(
         return
 
     if mapping is None:
-        from recon.formats.mocap.skeletons import refuse_unknown_skeleton
+        from recon.formats.mocap.reader import refuse_unknown_skeleton
 
         refuse_unknown_skeleton(recording)
         if up is None:
@@ -107,8 +107,8 @@ def _convert_folder(
 ) -> None:
     from statistics import median
 
+    from recon.batch.corpus import convert_corpus
     from recon.cli import console
-    from recon.jobs.many.corpus import convert_corpus
 
     rows = convert_corpus(folder, out, processes=processes, body=body, overwrite=overwrite)
     kept = [row for row in rows if row.get("kept")]

@@ -8,7 +8,7 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 from recon.cli.errors import Failed
 from recon.cli.places import Arguments, Overwrite, Place, Quiet, a_file, folder, writes
 from recon.fitting.settings import DEFAULTS, FitSettings
-from recon.formats.results.outputs import Output
+from recon.formats.outputs import Output
 
 
 def _outputs(path: Path, given: Arguments) -> tuple[Output, ...]:
@@ -69,7 +69,7 @@ def fit_and_say(
     """
     from recon.cli import console
     from recon.cli.own import check_plugs
-    from recon.formats.files.foreign import refuse_foreign
+    from recon.formats.foreign import refuse_foreign
     from recon.method.plugins import SENSORS, registered
 
     check_plugs(settings.prior, settings.reader)

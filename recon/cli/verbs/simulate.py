@@ -5,7 +5,7 @@ from pathlib import Path
 from tyro.conf import OmitArgPrefixes, Positional
 
 from recon.cli.places import Arguments, Overwrite, Place, writes
-from recon.formats.results.outputs import Kind, Output
+from recon.formats.outputs import Kind, Output
 from recon.simulation.settings import (
     FILM_DEFAULTS,
     SURFACE_DEFAULTS,

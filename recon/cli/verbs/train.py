@@ -8,7 +8,7 @@ from typing import Any, Literal
 from tyro.conf import Positional
 
 from recon.cli.places import Arguments, Overwrite, Place, Quiet, writes
-from recon.formats.results.outputs import Kind, Output
+from recon.formats.outputs import Kind, Output
 
 
 def _is_former(folder: Path) -> bool:
@@ -70,14 +70,14 @@ def train(
     if prior in ("anchor", "humos", "labels") and device != "cpu":
         raise ValueError(f"{prior} is trained on the processor: give --device cpu")
 
-    from recon.formats.results.reports import versions
-    from recon.formats.results.writing import writing, writing_file
+    from recon.formats.reports import versions
+    from recon.formats.writing import writing, writing_file
 
     report = {"prior": prior, "corpus": str(corpus), "data": data, "seed": seed, **asked}
     report["versions"] = versions()
     if prior == "pose":
-        from priors.pose.training import PoseTraining
-        from priors.pose.training import train as train_pose
+        from training.pose import PoseTraining
+        from training.pose import train as train_pose
 
         outputs = _weights(out, {"prior": prior})
         with writing(*outputs, report=report, overwrite=overwrite) as (made, log):
@@ -97,9 +97,8 @@ Export = Callable[[Path], object]
 
 
 def _anchor(ask: dict[str, Any], _: str) -> Export:
-    from priors.anchor.training.export import export_weights
-    from priors.anchor.training.run import AnchorTraining
-    from priors.anchor.training.train import train as train_anchor
+    from training.anchor.run import AnchorTraining, export_weights
+    from training.anchor.train import train as train_anchor
 
     run = AnchorTraining(**ask)
     train_anchor(run)
@@ -107,9 +106,9 @@ def _anchor(ask: dict[str, Any], _: str) -> Export:
 
 
 def _humos(ask: dict[str, Any], _: str) -> Export:
-    from priors.humos.training.export import export_weights
-    from priors.humos.training.run import HumosTraining
-    from priors.humos.training.train import train as train_humos
+    from training.humos.export import export_weights
+    from training.humos.run import HumosTraining
+    from training.humos.train import train as train_humos
 
     run = HumosTraining(**ask)
     train_humos(run)
@@ -117,9 +116,9 @@ def _humos(ask: dict[str, Any], _: str) -> Export:
 
 
 def _labels(ask: dict[str, Any], _: str) -> Export:
-    from priors.labels.training.run import LabelTraining, export_weights
-    from priors.labels.training.train import train as train_labels
-    from recon.simulation.labelled.shards import make_training_clouds
+    from training.labels.shards import make_training_clouds
+    from training.labels.train import LabelTraining, export_weights
+    from training.labels.train import train as train_labels
 
     corpus, data, out = ask.pop("corpus"), ask.pop("data"), ask["out"]
     learned, checked = make_training_clouds(corpus, out / "clouds", data, ask["seed"])
@@ -129,8 +128,8 @@ def _labels(ask: dict[str, Any], _: str) -> Export:
 
 
 def _humor(ask: dict[str, Any], device: str) -> Export:
-    from priors.humor.training.run import HumorTraining, export_weights
-    from priors.humor.training.train import train as train_humor
+    from training.humor.run import HumorTraining, export_weights
+    from training.humor.train import train as train_humor
 
     run = HumorTraining(**{name: ask[name] for name in ask if name != "latent"}, device=device)
     train_humor(run)

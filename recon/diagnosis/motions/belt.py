@@ -3,8 +3,9 @@
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
-from torch import Tensor
+from torch import Tensor, arange, float64, nn
 
+from observations.kinds import Tracked
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.diagnosis.findings import Finding
@@ -99,3 +100,35 @@ def _commonest(velocity: Float[np.ndarray, "samples 2"]) -> Float[np.ndarray, " 
     near = [int(_near(velocity, candidate).sum()) for candidate in some]
     best = some[int(np.argmax(near))]
     return np.median(velocity[_near(velocity, best)], axis=0)
+
+
+def with_belt(points: Tracked, belt: Float[Tensor, " 2"]) -> Tracked:
+    """Points seen in the room, in the frame that moves with the belt (m/s, horizontal)."""
+    times = _times(points.positions.shape[-3], points.fps, points.start_time)
+    path = _path(times, belt).to(points.positions)
+    moved = points.positions - path[:, None]
+    return points.replace(positions=moved.where(points.visible[..., None], 0.0))
+
+
+def on_belt(motion: Motion, belt: Float[Tensor, " 2"]) -> Motion:
+    """A motion in the room, in the frame that moves with the belt."""
+    return motion.replace(translation=motion.translation - path_of_belt(motion, belt))
+
+
+def in_room(motion: Motion, belt: Float[Tensor, " 2"]) -> Motion:
+    """A motion in the frame that moves with the belt, in the room."""
+    return motion.replace(translation=motion.translation + path_of_belt(motion, belt))
+
+
+def path_of_belt(motion: Motion, belt: Float[Tensor, " 2"]) -> Float[Tensor, "time 3"]:
+    """How far the belt has come at every frame of a motion, metres."""
+    times = _times(motion.frames, motion.fps, motion.start_time)
+    return _path(times, belt).to(motion.translation)
+
+
+def _times(count: int, fps: float, start: float) -> Float[Tensor, " time"]:
+    return start + arange(count, dtype=float64) / fps
+
+
+def _path(times: Float[Tensor, " time"], belt: Float[Tensor, " 2"]) -> Float[Tensor, "time 3"]:
+    return nn.functional.pad(times[:, None] * belt.double().cpu(), (0, 1))

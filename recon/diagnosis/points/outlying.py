@@ -6,9 +6,8 @@ from jaxtyping import Bool, Float
 from recon.core.skeleton import ARMS
 from recon.diagnosis.findings import Code, Finding, listed, stretches
 from recon.diagnosis.points.bone_lengths import out_of_reach
-from recon.diagnosis.points.cleaning import plausible
-from recon.diagnosis.points.named_points import NamedPoints
-from recon.diagnosis.points.predicted import Predicted, least_away
+from recon.diagnosis.points.named_points import NamedPoints, Predicted, least_away
+from recon.diagnosis.points.quick import plausible
 
 _FAR = 0.25
 """Metres from the body beyond which a single position is an outlier, whatever the noise."""

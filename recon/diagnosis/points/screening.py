@@ -14,15 +14,21 @@ from recon.core.robust import geman_mcclure, squared
 from recon.core.skeleton import PARENTS
 from recon.diagnosis.findings import Finding, listed, spans, stretches
 from recon.diagnosis.motions.belt import belt_velocity
-from recon.diagnosis.points.cleaning import plausible
-from recon.diagnosis.points.exact import repaired_exact
-from recon.diagnosis.points.exchanged import exchanged_moments, exchanged_throughout
-from recon.diagnosis.points.named_points import NamedPoints, Points
+from recon.diagnosis.points.exact import (
+    floor_finding,
+    floor_height,
+    repaired_exact,
+    scale_findings,
+)
+from recon.diagnosis.points.exchanged import (
+    exchanged_moments,
+    exchanged_pairs,
+    exchanged_throughout,
+    find_exchanges,
+)
+from recon.diagnosis.points.named_points import NamedPoints, Points, Predicted
 from recon.diagnosis.points.outlying import misplaced_points, outliers
-from recon.diagnosis.points.placement import floor_finding, floor_height, scale_findings
-from recon.diagnosis.points.predicted import Predicted
-from recon.diagnosis.points.quick import QuickFit, pursued, quick_fits
-from recon.diagnosis.points.sides import exchanged_pairs, find_exchanges
+from recon.diagnosis.points.quick import QuickFit, plausible, pursued, quick_fits
 from recon.diagnosis.points.tracks import frame_order, identity_changes, temporal_noise
 
 _FEWEST = 12

@@ -13,10 +13,8 @@ from observations.noise import estimate_noise
 from recon.diagnosis.findings import Code, Finding, spans, stretches
 from recon.diagnosis.views.explanations import Cause, Explained, Odd, mirrored
 from recon.diagnosis.views.images import Images
-from recon.diagnosis.views.outcome import Outcome
 from recon.diagnosis.views.rays import Rays
-from recon.diagnosis.views.rigs.corrections import corrected_rig
-from recon.diagnosis.views.rigs.two_views import Agreement, agreement, common_miss
+from recon.diagnosis.views.rigs import Agreement, Outcome, agreement, common_miss, corrected_rig
 
 _FLOOR = 2.2
 """Distance, in standard deviations of the keypoints, by which rays of a good view miss the points

@@ -10,8 +10,8 @@ from recon.diagnosis.views.images import Images
 from recon.diagnosis.views.odds import all_mirrored, another_image, checked_together
 from recon.diagnosis.views.pairs import repaired_pairs
 from recon.diagnosis.views.paths import identity_findings, order_findings, repaired_outliers
+from recon.diagnosis.views.rays import scale_findings
 from recon.diagnosis.views.sides import repaired_sides
-from recon.diagnosis.views.size import scale_findings
 
 Repair = Callable[[Images], tuple[Images, list[Finding]]]
 

@@ -4,17 +4,27 @@ from pathlib import Path
 from typing import Any
 
 from recon.core.errors import FormatError
-from recon.formats.detections.alphapose import alphapose_rows, is_alphapose
-from recon.formats.detections.arrays import read_detection_arrays
-from recon.formats.detections.deeplabcut import read_deeplabcut
-from recon.formats.detections.easymocap import easymocap_rows, is_easymocap
-from recon.formats.detections.mediapipe import is_mediapipe, mediapipe_rows
-from recon.formats.detections.mmpose import is_mmpose, mmpose_rows
-from recon.formats.detections.openpose import is_openpose, openpose_rows
+from recon.formats.detections.people import (
+    alphapose_rows,
+    easymocap_rows,
+    is_alphapose,
+    is_easymocap,
+    is_mediapipe,
+    is_mmpose,
+    is_openpose,
+    mediapipe_rows,
+    mmpose_rows,
+    openpose_rows,
+)
 from recon.formats.detections.records import Detections, gather
-from recon.formats.detections.sleap import is_sleap, read_sleap
-from recon.formats.files.json_files import Frames, listed_frames, read_frame_folder, read_json
-from recon.formats.files.opening import existing
+from recon.formats.detections.tables import (
+    is_sleap,
+    read_deeplabcut,
+    read_detection_arrays,
+    read_sleap,
+)
+from recon.formats.json_files import Frames, listed_frames, read_frame_folder, read_json
+from recon.formats.opening import existing
 
 _LISTS = ("instance_info", "predictions", "frames")
 """Keys under which a file with all frames keeps them."""

@@ -9,9 +9,8 @@ from jaxtyping import Float
 
 from recon.core.errors import FormatError
 from recon.core.limits import FRAMES
-from recon.formats.files.json_files import as_floats, listed_frames, read_json
-from recon.formats.keypoints3d.people import followed, taken
-from recon.formats.keypoints3d.records import Points3D, rate_of
+from recon.formats.json_files import as_floats, listed_frames, read_json
+from recon.formats.keypoints3d.records import Points3D, followed, rate_of, taken
 
 _WORLD = ("pose_world_landmarks", "world_landmarks", "poseWorldLandmarks", "worldLandmarks")
 _IMAGE = ("pose_landmarks", "poseLandmarks", "landmarks")

@@ -1,24 +1,106 @@
 """3D keypoints of one person, whoever wrote them: the reader is chosen by what the file holds."""
 
+import csv
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
 from recon.core.errors import FormatError
+from recon.core.limits import FRAMES
 from recon.core.units import Up
-from recon.formats.detections.arrays import holds_detections
-from recon.formats.files.json_files import read_json
-from recon.formats.files.opening import load_arrays
-from recon.formats.keypoints3d.arrays import holds_points, read_array, read_arrays
+from recon.formats.detections.tables import holds_detections
+from recon.formats.json_files import read_json
 from recon.formats.keypoints3d.json_files import is_points_3d, read_json_points
 from recon.formats.keypoints3d.labels import STUDY, are_keypoints
-from recon.formats.keypoints3d.records import Points3D, checked
-from recon.formats.keypoints3d.session import body_file, read_session
-from recon.formats.keypoints3d.tables import head_of, is_table_3d, read_table
+from recon.formats.keypoints3d.records import Points3D, checked, rate_of
+from recon.formats.keypoints3d.tables import (
+    head_of,
+    holds_points,
+    is_table_3d,
+    read_array,
+    read_arrays,
+    read_table,
+)
 from recon.formats.mocap.reader import read_recording
 from recon.formats.mocap.recording import MarkerRecording
 from recon.formats.observations import PositionsFile
+from recon.formats.opening import decode, load_arrays
+
+_BODY = ("mediapipe_body_3d_xyz", "body_3d_xyz")
+_ENDINGS = (".npy", ".csv")
+_ROWS = 2_000_000
+"""Rows of a table of time stamps that are looked at."""
+
+
+def body_file(folder: Path) -> Path | None:
+    """The file of a session that holds the body's keypoints, or None where it is no session."""
+    for place in (folder / "output_data", folder):
+        if not place.is_dir():
+            continue
+        for stem in _BODY:
+            for ending in _ENDINGS:
+                if (path := place / f"{stem}{ending}").is_file():
+                    return path
+        others = sorted(place.glob("*_body_3d_xyz.npy")) + sorted(place.glob("*_body_3d_xyz.csv"))
+        if others:
+            return others[0]
+    return None
+
+
+def time_stamps(folder: Path) -> Path | None:
+    """The table of a session that has the time stamps of its frames."""
+    places = (folder, folder / "output_data", folder.parent)
+    found = [one for place in places for one in sorted(place.glob("*_by_frame.csv"))]
+    return found[0] if found else None
+
+
+def read_session(folder: Path) -> Points3D:
+    """The body's keypoints of a session, millimetres, with its rate where time stamps tell it.
+
+    Raises:
+        FileNotFoundError: when there is no such folder.
+        ValueError: when it is no session, or its files are damaged.
+    """
+    path = body_file(folder)
+    if path is None:
+        raise FormatError(
+            f"{folder}: expected FreeMoCap's output_data with mediapipe_body_3d_xyz.npy or "
+            "body_3d_xyz.csv"
+        )
+    read = read_array if path.suffix == ".npy" else read_table
+    points = replace(read(path), unit="mm")
+    said = (*points.decisions, f"FreeMoCap session: {path.relative_to(folder)}, millimetres")
+    points = replace(points, decisions=said)
+    stamps = time_stamps(folder)
+    if points.fps is not None or stamps is None:
+        return points
+    timing = rate_of(_times(stamps), stamps.name)
+    if timing is None:
+        return points
+    return replace(
+        points, fps=timing[0], start_time=timing[1], decisions=(*points.decisions, timing[2])
+    )
+
+
+def _times(path: Path) -> list[float]:
+    """One time per frame, seconds, in the order of the frames; empty where there is none."""
+    with path.open("rb") as file:
+        rows = csv.reader(decode(line).replace("\0", "") for line in islice(file, _ROWS))
+        header = [cell.strip().lower() for cell in next(rows, [])]
+        if not {"frame", "timestamp"} <= set(header):
+            return []
+        frame, time = header.index("frame"), header.index("timestamp")
+        times: dict[int, float] = {}
+        for row in rows:
+            try:
+                times.setdefault(int(row[frame]), float(row[time]))
+            except (ValueError, IndexError):
+                return []
+    FRAMES.check(len(times), path)
+    return [times[number] for number in sorted(times)]
+
 
 RECORDINGS = (".trc", ".c3d")
 """Endings of recordings whose points may be keypoints."""

@@ -1,9 +1,4 @@
-"""Tables of 3D keypoints: wide (a column per coordinate) or long (a row per keypoint and frame).
-
-FreeMoCap 1.x writes wide tables without a column of frames, FreeMoCap 2.0 long ones; Anipose and
-many others wide ones with columns of errors and scores beside; DeepLabCut's 3D tables have header
-rows scorer, bodyparts, coords.
-"""
+"""Tables (wide or long) and arrays of 3D keypoints."""
 
 import csv
 import re
@@ -13,15 +8,15 @@ from pathlib import Path
 import numpy as np
 
 from recon.core.errors import FormatError
-from recon.core.limits import FRAMES, JOINTS, SAMPLES, TEXT
-from recon.formats.files.opening import decode, read_bytes
+from recon.core.limits import FRAMES, JOINTS, KEYPOINTS, SAMPLES, TEXT
 from recon.formats.keypoints3d.records import Points3D, rate_of
+from recon.formats.opening import decode, load_array, load_arrays, read_bytes
 
 _COORDINATE = re.compile(r"^(?P<name>.+?)[\s_.:\-]?(?P<axis>[xyzXYZ])$")
 _KEYPOINT = ("keypoint", "landmark", "joint", "bodypart", "marker", "name", "point")
 _FRAME = ("frame", "frame_number", "fnum", "frame_id", "index", "")
 _TIME = ("timestamp", "time", "t", "seconds", "time_s", "timestamp_s")
-_FEWEST = 2
+_MIN_KEYPOINTS = 2
 """Keypoints with all three coordinates from which on a table is one of keypoints in space."""
 
 
@@ -33,7 +28,7 @@ def is_table_3d(header: Sequence[Sequence[str]]) -> bool:
     if first[:1] == ["scorer"]:
         coords = next((row for row in header if row and row[0].strip().lower() == "coords"), [])
         return "z" in {cell.strip().lower() for cell in coords}
-    return len(_triples(header[0])) >= _FEWEST if header else False
+    return len(_triples(header[0])) >= _MIN_KEYPOINTS if header else False
 
 
 def head_of(path: Path, rows: int = 4) -> list[list[str]]:
@@ -168,3 +163,78 @@ def _number(cell: str, name: str, line: int) -> float:
         return float(cell)
     except ValueError as error:
         raise FormatError(f"{name}: expected a number in row {line}, got {cell[:40]!r}") from error
+
+
+_NAMES = ("names", "joint_names", "keypoint_names", "labels", "markers")
+_RATES = ("fps", "frame_rate", "framerate", "rate")
+_MIN_POINTS = 10
+"""Points from which on an array may be a body's; fewer are three numbers of something else."""
+
+
+def read_array(path: Path) -> Points3D:
+    """Read an .npy file with x, y, z of every point in every frame.
+
+    An axis of persons or batches of length one is left out; a fourth number (a confidence) too.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+        ValueError: when it is damaged, needs pickle, or has other axes.
+    """
+    array = load_array(path)
+    found = as_points(array)
+    if found is None:
+        raise FormatError(
+            f"{path}: expected numbers of shape (frames, points, 3), got {array.dtype} "
+            f"{array.shape}"
+        )
+    return Points3D(path.name, found)
+
+
+def holds_points(arrays: dict[str, np.ndarray]) -> str | None:
+    """The key of the one array of shape (frames, points, 3) in an .npz file, or None."""
+    keys = [key for key, value in arrays.items() if as_points(value) is not None]
+    return keys[0] if len(keys) == 1 else None
+
+
+def read_arrays(path: Path) -> Points3D:
+    """Read an .npz file that holds one such array, with its names and rate where it has them.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+        ValueError: when it is damaged, or holds none or several such arrays.
+    """
+    arrays = load_arrays(path)
+    key = holds_points(arrays)
+    if key is None:
+        shapes = ", ".join(f"{name} {value.shape}" for name, value in sorted(arrays.items()))
+        raise FormatError(
+            f"{path}: expected one array of shape (frames, points, 3), got {shapes or 'nothing'}"
+        )
+    found = as_points(arrays[key])
+    assert found is not None
+    names = next((_texts(arrays[name]) for name in _NAMES if name in arrays), None)
+    if names is not None and len(names) != found.shape[1]:
+        names = None
+    rate = next((arrays[name] for name in _RATES if name in arrays), None)
+    told = rate is not None and rate.size == 1 and rate.dtype.kind in "fiu"
+    fps = float(rate.reshape(())) if told and rate is not None else None
+    said = () if fps is None else (f"{fps:g} frames per second: stated by the file",)
+    return Points3D(path.name, found, names, fps=fps, decisions=said)
+
+
+def as_points(array: np.ndarray) -> np.ndarray | None:
+    """The array as (frames, points, 3), or None where it is none of that kind."""
+    if array.dtype.kind not in "fiu":
+        return None
+    while array.ndim > 3 and 1 in array.shape[:2]:
+        array = array[0] if array.shape[0] == 1 else array[:, 0]
+    if array.ndim != 3 or array.shape[-1] not in (3, 4) or not KEYPOINTS.holds(array.shape[1]):
+        return None
+    square = array.shape[1:] in ((3, 3), (4, 4), (3, 4))
+    return None if square or array.shape[1] < _MIN_POINTS else array[..., :3].astype(np.float64)
+
+
+def _texts(array: np.ndarray) -> tuple[str, ...] | None:
+    if array.dtype.kind not in "US" or array.ndim != 1:
+        return None
+    return tuple(array.astype(str).tolist())

@@ -15,9 +15,9 @@ import numpy as np
 from recon.core.errors import FormatError
 from recon.core.limits import ANGLE, JOINTS, POSITION, SAMPLES, TABLE
 from recon.core.units import Axis
-from recon.formats.files.opening import decode, read_bytes
 from recon.formats.mocap.bvh import about_axis
 from recon.formats.mocap.recording import SkeletonRecording, settle_skeleton
+from recon.formats.opening import decode, read_bytes
 
 CMU_RATE = 120.0
 """Frames per second of the CMU database; an AMC file does not state its rate."""

@@ -4,6 +4,7 @@ Position channels replace a joint's OFFSET, as Blender and MotionBuilder read th
 are zero throughout. The file states neither unit nor up axis; by custom y is up.
 """
 
+import dataclasses
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,10 +16,40 @@ from jaxtyping import Float
 from recon.core.errors import FormatError
 from recon.core.limits import ANGLE, FRAME_RATE, FRAMES, JOINTS, SAMPLES
 from recon.core.units import Axis, snapped_rate
-from recon.formats.files.numbers_in import numbers_in
-from recon.formats.files.opening import decode, read_bytes
-from recon.formats.mocap.cgspeed import restore_lost_bones
 from recon.formats.mocap.recording import SkeletonRecording, settle_skeleton
+from recon.formats.opening import decode, numbers_in, read_bytes
+
+_LOST = (("Spine1", 1.0), ("LeftHand", 0.5), ("RightHand", 0.5))
+"""Joint of a lost bone, and its length as a share of the bone before it."""
+_SIGNATURE = {"LHipJoint", "RHipJoint", "LowerBack", "Neck1", "LeftFingerBase", "RightFingerBase"}
+
+
+def restore_lost_bones(recording: SkeletonRecording) -> SkeletonRecording:
+    """Give the lost bones their length back; any other skeleton is returned as it is."""
+    if not set(recording.joint_names) >= _SIGNATURE:
+        return recording
+    offsets, positions = recording.rest_offsets.copy(), recording.positions.copy()
+    restored: list[str] = []
+    for name, share in _LOST:
+        joint = recording.joint(name)
+        children = [c for c, p in enumerate(recording.parents) if p == joint]
+        if np.abs(offsets[children]).max() > 1e-6:
+            continue
+        bone = offsets[joint] * share
+        offsets[children] = bone
+        below = recording.descendants(joint)[1:]
+        positions[:, below] += (recording.orientations[:, joint] @ bone)[:, None]
+        restored.append(f"{name} {np.linalg.norm(bone):.3f} m")
+    if not restored:
+        return recording
+    reason = f"bones lost by the cgspeed conversion restored: {', '.join(restored)}"
+    return dataclasses.replace(
+        recording,
+        rest_offsets=offsets,
+        positions=positions,
+        decisions=(*recording.decisions, reason),
+    )
+
 
 _CHANNEL = re.compile(r"^([XYZ])(position|rotation)$", re.IGNORECASE)
 _TIMING = re.compile(r"\s*frames\s*:\s*(\S+)\s+frame\s+time\s*:\s*(\S+)", re.IGNORECASE)

@@ -12,8 +12,8 @@ import numpy as np
 from recon.core.errors import FormatError
 from recon.core.limits import BINARY, FRAME_RATE, JOINTS, SAMPLES
 from recon.core.units import Axis, snapped_rate
-from recon.formats.files.opening import existing
 from recon.formats.mocap.recording import MarkerRecording, settle_markers
+from recon.formats.opening import existing
 
 _READER = Path(__file__).with_name("mat_process.py")
 _ONE = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}

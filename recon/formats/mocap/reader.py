@@ -1,10 +1,21 @@
 """Recordings of motion capture in any known format: the reader is chosen by the suffix."""
 
+import lzma
+import tarfile
+import tomllib
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
+from importlib.resources import files
 from pathlib import Path
+from typing import cast
 
 from recon.core.errors import FormatError
+from recon.core.limits import TEXT
 from recon.core.units import Axis
+from recon.formats.mocap.bvh import parse_bvh
 from recon.formats.mocap.recording import MarkerRecording, SkeletonRecording
+from recon.formats.opening import decode, existing, read_bytes
 
 RECORDINGS = (".bvh", ".bvh.xz", ".amc", ".amc.xz", ".c3d", ".trc", ".mat", ".tar", ".tar.xz")
 """Suffixes that `read_recording` knows, among others of the same families."""
@@ -32,7 +43,7 @@ def read_recording(
     if inside is not None and not name.endswith((".mat", ".tar", ".tar.gz", ".tgz", ".tar.xz")):
         raise FormatError(f"{path}: only archives and .mat files hold several recordings (::)")
     if name.endswith((".tar", ".tar.gz", ".tgz", ".tar.xz")):
-        from recon.formats.mocap.archives import read_member
+        pass  # IMPORT GONE
 
         return read_member(file, inside, unit=unit, up=up)
     name = name.removesuffix(".xz")
@@ -61,3 +72,117 @@ def read_recording(
     if name.endswith(".npz"):
         raise FormatError(f"{path}: a motion or observation already, not a recording to convert")
     raise FormatError(f"{path}: not a known recording; expected one of {', '.join(RECORDINGS)}")
+
+
+def iterate_texts(path: Path) -> Iterator[tuple[str, str]]:
+    """Name and text of every .bvh file in an archive, in its order; nothing touches the disk.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+        ValueError: when it is damaged.
+    """
+    existing(path)
+    try:
+        with tarfile.open(path, "r|*") as archive:
+            for member in archive:
+                if not member.isfile() or not member.name.lower().endswith(".bvh"):
+                    continue
+                TEXT.check(member.size, f"{path}::{member.name}")
+                file = archive.extractfile(member)
+                assert file is not None  # regular files always open
+                yield member.name, decode(file.read())
+    except (tarfile.TarError, lzma.LZMAError, zlib.error, EOFError, OSError) as error:
+        raise FormatError(f"{path}: expected a tar archive, but {error}") from error
+
+
+def read_member(
+    path: Path, member: str | None, *, unit: str | None = None, up: Axis | None = None
+) -> SkeletonRecording:
+    """One recording of an archive; it may be left unnamed when it is the only one.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+        ValueError: when there is no such recording, or it is damaged.
+    """
+    seen: dict[str, str] = {}
+    for name, text in iterate_texts(path):
+        if member in (name, Path(name).name, Path(name).stem):
+            return parse_bvh(text, name, unit=unit, up=up)
+        seen[name] = text if not seen else ""
+    if member is None and len(seen) == 1:
+        name, text = seen.popitem()
+        return parse_bvh(text, name, unit=unit, up=up)
+    some = ", ".join(list(seen)[:3])
+    raise FormatError(
+        f"{path}: holds {len(seen)} BVH files ({some}, ...); choose one as {path.name}::NAME"
+    )
+
+
+NEEDED = tuple(
+    f"{side}_{name}"
+    for side in ("left", "right")
+    for name in ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")
+)
+"""Our joints without whose positions no full body can be fitted."""
+SkeletonTable = Mapping[str, Mapping[str, str]]
+"""Tables `joints`, `positions` and `orientations`: our joint, their joint."""
+
+
+def plain(name: str) -> str:
+    """A joint's name without namespace and case."""
+    return name.split(":")[-1].lower()
+
+
+@cache
+def known_skeletons() -> Mapping[str, SkeletonTable]:
+    """The tables of `assets/skeletons.toml` by their names."""
+    text = files("recon").joinpath("assets", "skeletons.toml").read_text(encoding="utf-8")
+    return cast("dict[str, SkeletonTable]", tomllib.loads(text))
+
+
+def skeleton_among(names: Sequence[str], source: str) -> str:
+    """The known skeleton of which most joints are there.
+
+    Args:
+        names: of the joints of a recording.
+        source: what they were read from, for messages.
+
+    Raises:
+        ValueError: when there is none; says which mapping file to write.
+    """
+    theirs = {plain(name) for name in names}
+    fitting = [
+        (len(asked), name)
+        for name, table in known_skeletons().items()
+        if (asked := {plain(joint) for part in table.values() for joint in part.values()})
+        <= theirs
+    ]
+    if fitting:
+        return max(fitting)[1]
+    joints = ", ".join(name for name in names if not name.endswith("_end"))
+    raise FormatError(
+        f"{source}: its skeleton is none of {', '.join(known_skeletons())}; its joints are "
+        f"{joints}. Say which are ours in a TOML file, with lines like "
+        f'left_knee = "LeftLeg" under [joints], for pelvis, {", ".join(NEEDED)} and whichever of '
+        "left_foot, right_foot, neck, head, spine1, spine2 and spine3 there are, and give it with "
+        "--mapping"
+    )
+
+
+def refuse_unknown_skeleton(path: Path) -> None:
+    """Refuse a .bvh file whose skeleton nobody knows, by a look at the names of its joints.
+
+    Files of other kinds, and files that are not there, pass.
+
+    Raises:
+        ValueError: as `skeleton_among` does.
+    """
+    if not path.name.lower().endswith((".bvh", ".bvh.xz")) or not path.is_file():
+        return
+    head, keyword, _ = decode(read_bytes(path)).partition("MOTION")
+    words = head.split()
+    starts = [k for k, word in enumerate(words[:-1]) if word.upper() in ("ROOT", "JOINT")]
+    if keyword and starts:
+        names = [words[k + 1] for k in starts]
+        tips = [f"{name}_end" for name in names]  # those of last bones are joints too
+        skeleton_among([*names, *tips], path.name)

@@ -8,8 +8,7 @@ from torch import Tensor
 
 from recon.body.model import BodyModel
 from recon.core.struct import TensorStruct
-from recon.ingest.markers.points import Poses, SkinPoints
-from recon.ingest.markers.poses import PoseEnergies
+from recon.ingest.markers.poses import PoseEnergies, Poses, SkinPoints
 from recon.solver.arrow import Arrow, minimise_shared
 from recon.solver.levenberg_marquardt import LevenbergMarquardt, minimise_frames
 

@@ -11,7 +11,7 @@ from recon.body.soles import Soles
 from recon.diagnosis.findings import Finding
 from recon.formats.mocap.recording import MarkerRecording
 from recon.ingest.conversion import Conversion, floored
-from recon.ingest.markers.coverage import MarkerSet, full_body_markers
+from recon.ingest.markers.coverage import MarkerSet, full_body_markers, keypoint_finding
 from recon.ingest.markers.exchanges import (
     exchanged_throughout,
     pair_finding,
@@ -22,9 +22,8 @@ from recon.ingest.markers.exchanges import (
 from recon.ingest.markers.findings import marker_findings, marker_residuals
 from recon.ingest.markers.fit import MarkerFit, fit_markers, nominal_places
 from recon.ingest.markers.gaps import gap_findings, trimmed
-from recon.ingest.markers.joint_centres import keypoint_finding
 from recon.ingest.markers.jumps import jump_findings
-from recon.solver.threads import one_thread
+from recon.solver.solution import one_thread
 
 _BAD = 0.02
 """Metres of mean residual from which on other labels are tried."""

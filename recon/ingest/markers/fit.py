@@ -31,8 +31,13 @@ from recon.ingest.markers.gaps import (
     turned_joints,
 )
 from recon.ingest.markers.neighbours import frames_about_gaps, joined_in_time
-from recon.ingest.markers.points import Poses, SkinPoints
-from recon.ingest.markers.poses import PoseEnergies, natural_pose, with_natural_pose
+from recon.ingest.markers.poses import (
+    PoseEnergies,
+    Poses,
+    SkinPoints,
+    natural_pose,
+    with_natural_pose,
+)
 from recon.ingest.markers.stages import mended_frames, solved_apart, solved_in_turn
 from recon.method.protocols import REFERENCE_FPS
 

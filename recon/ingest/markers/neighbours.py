@@ -22,8 +22,7 @@ from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS
 from recon.ingest.markers.gaps import between
-from recon.ingest.markers.points import Poses, SkinPoints
-from recon.ingest.markers.poses import PoseEnergies, natural_pose
+from recon.ingest.markers.poses import PoseEnergies, Poses, SkinPoints, natural_pose
 from recon.ingest.markers.stages import solved_near
 from recon.method.protocols import REFERENCE_FPS
 

@@ -24,7 +24,7 @@ from recon.ingest.markers.conversion import FittedMarkers, fitted_markers
 from recon.ingest.markers.coverage import full_body_markers
 from recon.ingest.markers.findings import FAR
 from recon.ingest.markers.fit import stands_on_zero
-from recon.solver.threads import one_thread
+from recon.solver.solution import one_thread
 
 _MOSTLY = 0.5
 """Share of a marker's frames."""

@@ -9,8 +9,7 @@ from torch import Tensor
 
 from recon.core.motion import Motion
 from recon.ingest.markers.jumps import UNMADE, eased, mended, unmade_steps
-from recon.ingest.markers.points import Poses
-from recon.ingest.markers.poses import PoseEnergies
+from recon.ingest.markers.poses import PoseEnergies, Poses
 from recon.solver.levenberg_marquardt import LevenbergMarquardt, minimise_frames
 
 _NOISE = 3.0

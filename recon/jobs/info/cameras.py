@@ -5,17 +5,16 @@ from typing import Any
 
 import numpy as np
 
-from observations.people.camera_names import expand, view_name
+from observations.people.places import expand, view_name
 from observations.people.tracks import follow
-from recon.formats.calibration.cameras import load_cameras
-from recon.formats.clocks.scan_times import timed
-from recon.formats.clouds.pcd import read_pcd
-from recon.formats.clouds.ply import read_ply
-from recon.formats.clouds.scans import naturally, scan_paths, unit_of_clouds
+from recon.formats.calibration import load_cameras
+from recon.formats.depth_images import read_png
 from recon.formats.detections.reader import read_keypoints
-from recon.formats.files.json_files import read_json
-from recon.formats.files.png_files import read_png
+from recon.formats.json_files import read_json
 from recon.formats.observations import CameraArrays
+from recon.formats.pcd import read_pcd
+from recon.formats.scan_times import timed
+from recon.formats.scans import naturally, read_ply, scan_paths, unit_of_clouds
 
 _CALIBRATIONS = {".toml", ".yml", ".yaml"}
 _LOOKED_AT = 5

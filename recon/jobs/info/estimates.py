@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from recon.formats.bodies.estimates import read_estimate
+from recon.formats.estimates import read_estimate
 
 
 def describe_estimate(path: Path) -> dict[str, Any]:

@@ -7,10 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from observations.people.masks import load_silhouettes
-from recon.formats.bodies.smpl import load_smpl
-from recon.formats.bodies.smpl_pickle import read_tree
-from recon.formats.files.opening import existing, load_arrays
+from observations.people.places import load_silhouettes
 from recon.formats.keypoints3d.labels import are_keypoints
 from recon.formats.keypoints3d.reader import from_recording, holds_points_3d, read_points_3d
 from recon.formats.mocap.reader import read_recording
@@ -22,9 +19,10 @@ from recon.formats.observations import (
     PositionsFile,
     load_observation,
 )
+from recon.formats.opening import existing, load_arrays
 from recon.formats.projects import Project, project_at
-from recon.formats.results.certainty import JointCertainty
-from recon.formats.results.reports import read_report
+from recon.formats.reports import JointCertainty, read_report
+from recon.formats.smpl import load_smpl, read_tree
 from recon.jobs.info.cameras import (
     describe_calibration,
     describe_detections,

@@ -1,0 +1,167 @@
+"""The unit of a path that a tracker of images tells but for its scale: by feet that stand.
+
+A person's distance follows from the size of the body, so feet have places in metres about the
+camera. In the world they are where the camera is, in an unknown unit, plus that. One foot stands
+at most moments, so the right unit is the one in which the slower foot hardly moves.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from observations.keypoints2d import Keypoints2D
+from observations.start.images import bone_distance
+from observations.start.rigid import rigid_start
+from recon.body.model import BodyModel
+from recon.core.errors import ObservationError
+from recon.core.motion import Motion
+
+_LAG = 0.13
+"""Seconds over which velocities are taken."""
+_STANDING = 0.1
+"""Metres per second by which standing feet seem to move."""
+_FEET = ("left_ankle", "right_ankle")
+_TRIED = np.geomspace(0.01, 30.0, 120)
+"""Extents of the camera's path over the distance of the person that are tried."""
+_CLOSER = np.geomspace(0.95, 1.05, 41)
+_STILL = 1e-6
+"""Extent of a path, in its own unit, below which the camera only turns, and no unit matters."""
+
+
+def with_unit(view: Keypoints2D, feet: Float[np.ndarray, "batch moments feet 3"]) -> Keypoints2D:
+    """The view on a path of the unit in which most feet stand; its first pose stays.
+
+    Args:
+        view: of a camera that moves.
+        feet: places in the frame of the camera, metres; nan where they are not known.
+    """
+    poses = view.camera.T_world_camera.double().cpu().numpy()
+    units = [path_unit(*both, view.fps) for both in zip(poses, feet, strict=True)]
+    return stretched(view, torch.tensor(units))
+
+
+def stretched(view: Keypoints2D, unit: Float[Tensor, " batch"]) -> Keypoints2D:
+    """The view on a path that is so many times as long; its first pose stays."""
+    T = view.camera.T_world_camera.clone()
+    first = T[:, :1, :3, 3]
+    T[..., :3, 3] = first + unit.to(T)[:, None, None] * (T[..., :3, 3] - first)
+    back = view.camera.derived(T_camera_world=T).T_world_camera  # the inverse of rigid transforms
+    return view.derived(camera=view.camera.derived(T_camera_world=back))
+
+
+def path_unit(
+    T_world_camera: Float[np.ndarray, "moments 4 4"],
+    feet: Float[np.ndarray, "moments feet 3"],
+    fps: float,
+) -> float:
+    """Metres of a unit of the path in which one foot mostly stands; 1 where the camera only turns.
+
+    Args:
+        T_world_camera: in the tracker's unit.
+        feet: one place of either foot in the frame of the camera, metres; nan where not seen.
+        fps: of both.
+    """
+    places = T_world_camera[:, :3, 3]
+    extent = float(np.linalg.norm(np.ptp(places, axis=0)))
+    lag = max(1, round(_LAG * fps))
+    seen = np.isfinite(feet).all(-1)
+    distance = float(np.median(np.linalg.norm(feet[seen], axis=-1))) if seen.any() else np.nan
+    if extent < _STILL or len(places) <= lag or not np.isfinite(distance):
+        return 1.0
+    turned = np.einsum("tij,tfj->tfi", T_world_camera[:, :3, :3], feet)
+    own = (turned[lag:] - turned[:-lag]) * fps / lag
+    carried = (places[lag:] - places[:-lag])[:, None] * fps / lag
+    if not np.isfinite(own).all(-1).any():
+        return 1.0
+
+    def misfit(unit: float) -> float:
+        speed = np.linalg.norm(own + unit * carried, axis=-1)
+        slower = np.nan_to_num(speed, nan=np.inf).min(-1)
+        slower = slower[np.isfinite(slower)]
+        return float(np.log1p((slower / _STANDING) ** 2).mean())
+
+    tried = _TRIED * distance / extent
+    best = tried[np.argmin([misfit(unit) for unit in tried])]
+    closer = _CLOSER * best
+    return float(closer[np.argmin([misfit(unit) for unit in closer])])
+
+
+def keypoint_feet(view: Keypoints2D, body: BodyModel) -> Float[np.ndarray, "batch moments feet 3"]:
+    """Ankles in the frame of the camera, at the distance that the size of bones tells, metres."""
+    names = list(view.points.names)
+    rows = [names.index(name) for name in _FEET if name in names] or list(range(len(names)))
+    rest = view.points.at_rest(body, body.template.new_zeros(body.shape_size)).to(view.pixels)
+    distance = bone_distance(view.points, rest, view.pixels, view.confidence, view.camera)
+    away = distance[..., None].expand(*distance.shape, len(rows))
+    eye = view.camera.derived(
+        T_camera_world=torch.eye(4).to(view.pixels).expand(*distance.shape[:1], 1, 4, 4)
+    )
+    feet = eye.unproject(view.pixels[..., rows, :], away)
+    seen = view.confidence[..., rows] > 0
+    return feet.where(seen[..., None], torch.nan).double().cpu().numpy()
+
+
+_LEAST_ANGLE = 0.03
+"""Radians between the rays that meet in a point; below it, depth is mostly noise."""
+
+
+def triangulate(
+    views: Sequence[Keypoints2D],
+) -> tuple[Float[Tensor, "batch moments points 3"], Bool[Tensor, "batch moments points"]]:
+    """Points nearest to their rays, weighed by confidence, in the recording's frame; which exist.
+
+    The point with least Σ c² |(I - d dᵀ)(x - o)|² over rays from o along the unit vector d: three
+    linear equations per point, any number of views at once (OpenCV's triangulation takes two).
+    A point exists where two views see it from directions that differ.
+
+    Raises:
+        ValueError: when the views do not share clock and layout.
+    """
+    clocks = {(v.fps, v.start_time, *v.pixels.shape[:-1]) for v in views}
+    if len(clocks) != 1:
+        raise ObservationError(
+            "views are triangulated moment by moment: expected one clock and layout, got "
+            + " and ".join(f"{fps:g} fps from {t:g} s, {tuple(n)}" for fps, t, *n in clocks)
+        )
+    matrix = views[0].pixels.new_zeros(*views[0].confidence.shape, 3, 3)
+    vector = views[0].pixels.new_zeros(*views[0].confidence.shape, 3)
+    spread, count = torch.zeros_like(vector), torch.zeros_like(views[0].confidence)
+    for view in views:
+        far = view.camera.unproject(view.pixels, torch.ones_like(view.confidence))
+        origin = view.camera.T_world_camera[..., None, :3, 3]
+        ray = torch.nn.functional.normalize(far - origin, dim=-1)
+        across = torch.eye(3).to(ray) - ray[..., :, None] * ray[..., None, :]
+        across = view.confidence.square()[..., None, None] * across
+        matrix = matrix + across
+        vector = vector + (across @ origin[..., None])[..., 0]
+        seen = (view.confidence > 0).to(ray)
+        spread, count = spread + seen[..., None] * ray, count + seen
+    # n rays at small angles a to their mean have a sum of length n (1 - a²/2)
+    narrow = (spread.norm(dim=-1) / count.clamp(min=1)).clamp(max=1)
+    exists = (count >= 2) & (2 * (1 - narrow) > (_LEAST_ANGLE / 2) ** 2)
+    solvable = torch.where(exists[..., None, None], matrix, torch.eye(3).to(matrix)).double()
+    points = torch.linalg.solve(solvable, vector.double()[..., None])[..., 0].to(vector)
+    return torch.where(exists[..., None], points, 0.0), exists
+
+
+def tell_distance(views: Sequence[Keypoints2D]) -> bool:
+    """Whether some point of every clip is seen from directions that differ.
+
+    Cameras side by side see hardly more than one of them does: not how far a person is.
+    """
+    _, exists = triangulate(views)
+    return bool(exists.any(-1).any(-1).all())
+
+
+def views_start(body: BodyModel, views: Sequence[Keypoints2D]) -> Motion:
+    """The rest pose laid on the triangulated torso, frame by frame."""
+    first = views[0]
+    positions, visible = triangulate(views)
+    shape = positions.new_zeros(body.shape_size)
+    return rigid_start(
+        body, first.points.at_rest(body, shape), first.points.bones, positions, visible,
+        fps=first.fps, start_time=first.start_time,
+    )  # fmt: skip

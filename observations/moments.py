@@ -1,0 +1,149 @@
+"""Single moments of sensors that a stream can follow: named points and calibrated views."""
+
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from observations.correspondences import joints_shown
+from observations.keypoints2d import Keypoints2D
+from observations.kinds import camera_frame_is_recording
+from observations.records.tracked import TrackedPoints
+from recon.body.model import BodyModel
+from recon.core.arrays import Numbers, float_tensor
+from recon.core.camera import NEAREST
+from recon.core.errors import ObservationError
+
+Tracker = TrackedPoints | Keypoints2D
+"""A sensor whose points have names: in space, or in the image of a calibrated camera."""
+
+
+def followed(given: Any) -> Tracker:
+    """A sensor that can be followed, without an axis of clips, in single precision.
+
+    Raises:
+        ObservationError: when it has no named points, its camera moves or has no pose, or the
+            ground is not known.
+    """
+    if not isinstance(given, TrackedPoints | Keypoints2D):
+        raise ObservationError(
+            "a stream follows recon.Joints3D, Markers3D and Keypoints2D, got "
+            f"{type(given).__name__}; fit other sensors with recon.fit"
+        )
+    if given.clips not in ((), (1,)):
+        raise ObservationError(f"expected one person, got leading axes {given.clips}")
+    one = given[0] if given.clips else given
+    if isinstance(one, Keypoints2D):
+        if camera_frame_is_recording(one):
+            raise ObservationError(
+                "a stream needs cameras whose pose is known: give Camera.T_camera_world; fit a "
+                "camera of unknown pose with recon.fit, which finds the ground"
+            )
+        if one.camera.T_camera_world.shape[-3] > 1:
+            raise ObservationError("a stream needs cameras that stand still, got a moving one")
+    elif one.std is not None:
+        raise ObservationError(
+            "a stream counts all points alike: leave out std, and give recon.Stream the noise"
+        )
+    if not one.ground_known:
+        raise ObservationError(
+            "a stream needs to know the ground: z = 0 of the recording, ground_known=True"
+        )
+    return one.to(dtype=torch.float32, device="cpu")
+
+
+def timed(sensor: Tracker) -> tuple[str, ...]:
+    """Names of the tensors that have an axis of moments, the first one."""
+    if isinstance(sensor, Keypoints2D):
+        return ("pixels", "confidence")
+    return ("positions", "visible")
+
+
+def places(sensor: Tracker) -> tuple[object, ...]:
+    """What tells the points of a sensor apart: names, numbers of joints or of vertices."""
+    if isinstance(sensor, Keypoints2D):
+        return sensor.points.names
+    return tuple(getattr(sensor, "joints", ()) or getattr(sensor, "vertices", ()))
+
+
+def filled(sensor: Tracker, array: Numbers) -> Tracker:
+    """A moment of a sensor from its array, checked as a new observation is.
+
+    Args:
+        sensor: that the points are of.
+        array: (points, 3), metres, or u, v and confidence; NaN where nothing was seen.
+
+    Raises:
+        ObservationError: when there are other points.
+    """
+    values = float_tensor(array, "push").to(torch.float32).cpu()
+    count = len(places(sensor))
+    if values.shape != (count, 3):
+        raise ObservationError(
+            f"the points changed: expected an array of shape ({count}, 3), got "
+            f"{tuple(values.shape)}; NaN marks points that are not seen"
+        )
+    seen = values.isfinite().all(-1)
+    values = values.where(seen[:, None], 0.0)[None]
+    if isinstance(sensor, Keypoints2D):
+        return sensor.replace(pixels=values[..., :2], confidence=values[..., 2])
+    return sensor.replace(positions=values, visible=seen[None])
+
+
+def moments(sensor: Tracker, start: int, stop: int) -> Tracker:
+    """Some moments by their numbers; the record keeps its own start."""
+    return sensor.derived(**{name: getattr(sensor, name)[start:stop] for name in timed(sensor)})
+
+
+def joined(before: Tracker, after: Tracker) -> Tracker:
+    """What was seen and what was seen next."""
+    names = timed(before)
+    return before.derived(
+        **{name: torch.cat((getattr(before, name), getattr(after, name))) for name in names}
+    )
+
+
+def with_moment(sensor: Tracker, row: int, moment: Tracker) -> Tracker:
+    """The sensor with another moment in a row."""
+    changed = {name: getattr(sensor, name).clone() for name in timed(sensor)}
+    for name, values in changed.items():
+        values[row] = getattr(moment, name)[0]
+    return sensor.derived(**changed)
+
+
+def without(sensor: Tracker, bad: Bool[Tensor, "moments points"] | None = None) -> Tracker:
+    """The sensor without some points, or, by default, without all."""
+    bad = torch.ones_like(sensor.shown) if bad is None else bad
+    if isinstance(sensor, Keypoints2D):
+        return sensor.derived(
+            pixels=sensor.pixels.masked_fill(bad[..., None], 0.0),
+            confidence=sensor.confidence.masked_fill(bad, 0.0),
+        )
+    return sensor.derived(
+        positions=sensor.positions.masked_fill(bad[..., None], 0.0),
+        visible=sensor.visible & ~bad,
+    )
+
+
+def distances(
+    sensor: Tracker, points: Float[Tensor, "moments points 3"]
+) -> Float[Tensor, "moments points"]:
+    """Metres between what was seen and predicted points; of pixels, at the depth of the points."""
+    if not isinstance(sensor, Keypoints2D):
+        return (sensor.positions - points).norm(dim=-1)
+    projected = sensor.camera.project(points)
+    focal = sensor.camera.camera_matrix[..., [0, 1], [0, 1]].mean()
+    pixels = (projected.pixels - sensor.pixels).norm(dim=-1)
+    return pixels * projected.depth.clamp(min=NEAREST) / focal
+
+
+def shows(sensor: Tracker, body: BodyModel) -> Bool[np.ndarray, "points 22"]:
+    """Joints whose place each point of a sensor tells."""
+    if isinstance(sensor, Keypoints2D):
+        bones = sensor.points.bones
+        rest = sensor.points.at_rest(body, body.template.new_zeros(body.shape_size))
+    else:
+        bones, rest = sensor.bones(body), sensor.at_rest(body)
+    return joints_shown(bones, rest.double().numpy(), body)

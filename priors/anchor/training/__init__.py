@@ -1,1 +1,0 @@
-"""Training of the anchor-frame prior's weights."""

@@ -1,1 +1,0 @@
-"""HuMoR's decoder, rolled out over time, and its derivative."""

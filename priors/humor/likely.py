@@ -1,0 +1,125 @@
+"""Likely states: what HuMoR's networks cannot say of limbs that nobody saw.
+
+A conditional prior tells how likely a step is from the state before it, not how likely that state
+is. Legs that take too few steps for the arms' swing get from one unlikely state to the next by
+likely steps, and fewer nats per second than true ones. The mixture of initial states is a density
+of all states of the training corpus, with their velocities, and knows better.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from priors.humor.prior import Humor
+from priors.humor.state import canonical, initial_features, posed_states
+from priors.humor.steps import RARITY, heavy_tailed
+from recon.core.motion import Motion
+from recon.core.struct import TensorStruct
+from recon.method.protocols import REFERENCE_FPS, Estimate
+from recon.method.terms import Term
+
+FASTEST = 3.6
+"""Speed in m/s up to which people are read as they move: that of the fastest run that the bundled
+weights learned from."""
+_APART = 0.5
+"""Seconds between the two moments that tell a speed, in longer clips: noise of positions hardly
+matters."""
+
+
+@runtime_checkable
+class SeenPoints(Protocol):
+    """A sensor that places points of the body in space."""
+
+    @property
+    def places(self) -> Float[Tensor, "clips moments points 3"]:
+        """Positions of the points, metres."""
+        ...
+
+    @property
+    def shown(self) -> Bool[Tensor, "clips moments points"]:
+        """Which points were seen."""
+        ...
+
+    @property
+    def placed(self) -> bool:
+        """Whether positions are places in the world rather than relative to the body."""
+        ...
+
+    @property
+    def fps(self) -> float:
+        """Moments per second."""
+        ...
+
+
+def tempo(data: Sequence[Term]) -> float:
+    """Share of their speed at which the motions of a batch are read; 1 as they are.
+
+    √(v₀ / v) for a mean speed v above v₀ = `FASTEST`: who runs faster takes longer steps and more
+    of them, both about as the root of the speed. v is that of the slowest clip, by the sensor
+    that tells most of it; clips of which no sensor tells a speed are read as they are.
+    """
+    told = [_speed(term.energy) for term in data if isinstance(term.energy, SeenPoints)]
+    if len(told) == 0:
+        return 1.0
+    slowest = float(torch.stack(told).amax(0).min())
+    return math.sqrt(FASTEST / max(slowest, FASTEST))
+
+
+def at_tempo(motion: Motion, tempo: float) -> Motion:
+    """The motion with `REFERENCE_FPS` frames in every second of the time that the networks see.
+
+    Read slower, its frames are as many as fill its whole length.
+    """
+    if tempo == 1.0:
+        return motion.resample(REFERENCE_FPS)
+    seconds = (motion.frames - 1) / motion.fps
+    steps = math.ceil(seconds * REFERENCE_FPS / tempo - 1e-6)
+    return motion.resample(steps / seconds)
+
+
+def as_read(motion: Motion) -> Motion:
+    """A motion with `REFERENCE_FPS` frames in every second that networks see, on their clock."""
+    return motion.replace(fps=REFERENCE_FPS)
+
+
+def _speed(sensor: SeenPoints) -> Float[Tensor, " clips"]:
+    """Mean speed of the middle of the points that two moments `_APART` show, m/s."""
+    places, shown = sensor.places, sensor.shown
+    lag = max(1, min(round(_APART * sensor.fps), places.shape[1] - 1))
+    if not sensor.placed:
+        return places.new_zeros(len(places))
+    both = (shown[:, lag:] & shown[:, :-lag])[..., None].to(places)
+    moved = (places[:, lag:] - places[:, :-lag]).where(both > 0, 0.0)
+    middle = moved.sum(2) / both.sum(2).clamp(min=1)
+    told = both.any(2)[..., 0].to(places)
+    far = (middle.norm(dim=-1) * told).sum(1) / told.sum(1).clamp(min=1)
+    return far * sensor.fps / lag
+
+
+@dataclass(frozen=True, eq=False)
+class LikelyStates(TensorStruct):
+    """Energy of the states of clips in which nobody saw some limb, at 30 Hz."""
+
+    humor: Humor
+    """Prior whose mixture of initial states is the density."""
+    unseen: Bool[Tensor, "clips 22"]
+    """Joints that nobody saw (`priors.humor.limbs`); clips without any have no energy."""
+
+    def __call__(self, estimate: Estimate) -> Float[Tensor, " clips"]:
+        """Σ_t ρ(r(x_t)) over the states x_t in their own canonical frames; nats.
+
+        r is the mixture's `rarity` and ρ(x) = s log(1 + x / s) has heavy tails: strangers may
+        do what nobody of the corpus did.
+        """
+        motion = estimate.motion
+        humor = self.humor.like(motion.translation)
+        states = posed_states(as_read(motion), estimate.body.joints)
+        states = canonical(states, humor.pelvis(motion.shape)[:, None])
+        rarity = humor.initial.rarity(initial_features(states))
+        exists = motion.valid & self.unseen.any(-1)[:, None]
+        return heavy_tailed(rarity, RARITY).where(exists, 0.0).sum(-1)

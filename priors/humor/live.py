@@ -1,0 +1,118 @@
+"""HuMoR beside a stream: the energies of the steps between its newest frames."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from jaxtyping import Float
+from torch import Tensor
+
+from priors.humor.prior import Humor
+from priors.humor.state import contact_probabilities, posed_states
+from priors.humor.steps import (
+    ERROR,
+    SPAN,
+    SURPRISE,
+    CollocationWeights,
+    bundled_curvature,
+    explain,
+    heavy_tailed,
+)
+from priors.pose.prior import PoseWeights
+from recon.core.motion import Motion
+from recon.solver.banded import Banded, add_differences
+
+_SHARE = 0.75
+"""Share of the mean Hessian. A window moves on before its steps have converged; with all of it
+they are too short for fast motions, with half of it many do not descend (validation people)."""
+
+
+@dataclass(frozen=True)
+class JudgedSteps:
+    """What the networks say of the steps of a window."""
+
+    energy: Float[Tensor, ""]
+    contacts: Float[Tensor, "time 22"]
+    """Probability that a joint touches the ground."""
+    error: float
+    """Mean energy of the decoder's error, nats a step, before it is made to count less."""
+    surprise: float
+    """Mean surprise of the latents, nats a step, likewise."""
+
+
+@dataclass(frozen=True, eq=False)
+class LiveSteps:
+    """The last stage of `Collocation` for a window that slides: the same energies and weights.
+
+    Frames before the window are held. A step depends on frames from the one before it starts to
+    the one after it ends, so as many are needed.
+    """
+
+    reach: ClassVar[int] = SPAN - 1
+    humor: Humor
+    weights: CollocationWeights
+
+    @classmethod
+    def for_noise(cls, humor: Humor, noise: float) -> "LiveSteps":
+        """The energies beside points of a standard deviation of `noise` metres per coordinate."""
+        return cls(humor, CollocationWeights.for_noise(noise))
+
+    @property
+    def poses(self) -> PoseWeights:
+        """Weights of the density of poses and of smoothness beside the steps."""
+        return self.weights.pose
+
+    def judged(
+        self, motion: Motion, joints: Float[Tensor, "1 time 22 3"], held: int
+    ) -> JudgedSteps:
+        """The energy of all steps that a frame that moves takes part in.
+
+        Args:
+            motion: of the window, at 30 Hz, a batch of one.
+            joints: of the body in it, metres.
+            held: frames at its beginning that do not move.
+        """
+        humor, weights = self.humor, self.weights
+        states = posed_states(motion, joints)
+        found = explain(humor.networks, states, humor.pelvis(motion.shape))
+        # the velocity of the first held frame is not known, as the frame before it is gone
+        steps = slice(min(held, 1), None)
+        error = 0.5 * (found.error[0, steps] @ humor.error_whitening).square().sum(-1)
+        surprise = found.surprise[0, steps]
+        contacts = contact_probabilities(found.contacts)[0]
+        slip = (contacts[1:] * joints[0].diff(dim=0).square().sum(-1))[steps].sum()
+        energy = (
+            weights.step * heavy_tailed(error, ERROR).sum()
+            + weights.latents * heavy_tailed(surprise, SURPRISE).sum()
+            + 0.5 * weights.contact_velocity * slip
+        )
+        return JudgedSteps(
+            energy,
+            contacts.detach(),
+            float(error.detach().mean()),
+            float(surprise.detach().mean()),
+        )
+
+    def add_curvature(
+        self,
+        motion: Motion,
+        judged: JudgedSteps,
+        hessian: Banded,
+        of_joints: Float[Tensor, "time some 66"],
+    ) -> None:
+        """Add the mean Hessian of the steps, and that of held feet by the joints' coordinates.
+
+        Args:
+            motion: of the window, without a batch axis.
+            judged: what the networks say of it.
+            hessian: by the variables of all frames.
+            of_joints: coefficients of `Banded.add_products` for the coordinates of joints.
+        """
+        weights = self.weights
+        bundled_curvature().add(
+            motion,
+            hessian,
+            _SHARE * weights.step / (1 + judged.error / ERROR),
+            _SHARE * weights.latents / (1 + judged.surprise / SURPRISE),
+        )
+        held = weights.contact_velocity * judged.contacts[1:]
+        add_differences(of_joints, (-1.0, 1.0), held.repeat_interleave(3, -1))

@@ -1,0 +1,163 @@
+"""Rolling HuMoR's decoder out over time.
+
+The weights are frozen, so their derivatives are never formed. What the latents add to every layer
+is one product for all steps beforehand; what the conditional prior says of every step, and where
+each step lies in the world, is computed for all steps afterwards.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.nn import functional
+
+from priors.humor.loop import (
+    JOINTS_OF_VECTORS,
+    SPIN,
+    STATE_ORDER,
+    VECTORS,
+    FrozenDecoder,
+    Turn,
+    Unrolled,
+    unroll,
+    unroll_given,
+)
+from priors.humor.networks import STATE
+from priors.humor.state import Frame, State
+from recon.body.kinematics import forward_kinematics
+from recon.core.skeleton import JOINTS
+from recon.core.struct import TensorStruct
+
+
+@dataclass(frozen=True)
+class Rollout(TensorStruct):
+    """Steps in a row; each in the canonical frame of the state it starts from."""
+
+    inputs: Float[Tensor, "batch steps 339"]
+    """Packed canonical states from which the steps start."""
+    states: State
+    """States to which the steps lead, axes (batch, steps)."""
+    contacts: Float[Tensor, "batch steps 9"]
+    """Logits."""
+    headings: Float[Tensor, "batch steps 2"]
+    """Unit vector (rx, ry) to the right of the body there."""
+
+    def frames(self, first: Frame) -> Frame:
+        """The canonical frame of every step in the world, given that of the first.
+
+        Headings add up, and each step's horizontal move, turned by the headings before it.
+        """
+        turned = torch.atan2(self.headings[..., 1], self.headings[..., 0])
+        start = torch.atan2(first.turn[..., 0, 1], first.turn[..., 0, 0])
+        angle = torch.cat((start[:, None], turned[:, :-1]), 1).cumsum(1)
+        c, s = angle.cos(), angle.sin()
+        zero, one = torch.zeros_like(c), torch.ones_like(c)
+        entries = (c, s, zero, -s, c, zero, zero, zero, one)
+        turn = torch.stack(entries, -1).unflatten(-1, (3, 3))
+        level = torch.cat((self.states.translation[..., :2], zero[..., None]), -1)
+        moves = (turn.mT @ level[..., None])[..., 0]
+        origins = torch.cat((first.origin[:, None], moves[:, :-1]), 1).cumsum(1)
+        return Frame(turn, origins)
+
+    def in_world(self, first: Frame, pelvis: Float[Tensor, "batch 3"]) -> State:
+        """All states reached, in the frame that the first one's frame is given in."""
+        return self.frames(first).leave(self.states, pelvis[:, None])
+
+
+def roll_out(
+    decoder: FrozenDecoder,
+    start: Float[Tensor, "batch 339"],
+    pelvis: Float[Tensor, "batch 3"],
+    latents: Float[Tensor, "batch steps 48"],
+    rest: Float[Tensor, "batch 22 3"] | None = None,
+) -> Rollout:
+    """The steps that given latents make.
+
+    Args:
+        decoder: frozen weights.
+        start: packed canonical state; its horizontal place is zero and not read.
+        pelvis: horizontal offset of the pelvis from the translation, constant for a body.
+        latents: of every step.
+        rest: joints of the unposed body; if given, every step starts from the joints that its
+            body has, not from those that the network predicted (HuMoR-Qual).
+    """
+    added = decoder.add(latents.transpose(0, 1), pelvis)
+    if rest is None:
+        return _rollout(unroll_given(decoder, _enter(start, pelvis), added), pelvis)
+    ready = list(zip(*(part.unbind(0) for part in decoder.split(added)), strict=True))
+    return _recorded(decoder, start, pelvis, len(ready), lambda step, _: ready[step], rest)
+
+
+def _recorded(
+    decoder: FrozenDecoder,
+    start: Float[Tensor, "batch 339"],
+    pelvis: Float[Tensor, "batch 3"],
+    steps: int,
+    add: Callable[[int, Tensor], tuple[Tensor, ...]],
+    rest: Float[Tensor, "batch 22 3"] | None,
+) -> Rollout:
+    def adjust(vectors: Tensor, turns: Tensor) -> Tensor:
+        return vectors if rest is None else _with_joints(vectors, turns, rest, pelvis)
+
+    made, _ = unroll(decoder, _enter(start, pelvis), steps, add, adjust)
+    return _rollout(made, pelvis)
+
+
+def _rollout(steps: Unrolled, pelvis: Float[Tensor, "batch 3"]) -> Rollout:
+    _, move, contacts = (t.transpose(0, 1) for t in steps.rest.split((SPIN, 2, 9), -1))
+    reached, turns = steps.vectors.transpose(0, 1), steps.turns.transpose(0, 1)
+    translation = torch.cat((move, reached[..., -1:]), -1)
+    vectors = reached[..., :-1].unflatten(-1, (3, VECTORS)).mT
+    origin = pelvis[:, None] + functional.pad(move, (0, 1))
+    states = State(
+        translation=translation,
+        velocity=vectors[..., 0, :],
+        root=turns[..., 0, :, :],
+        angular_velocity=vectors[..., 1, :],
+        pose=turns[..., 1:, :, :],
+        joints=vectors[..., JOINTS_OF_VECTORS, :] + origin[..., None, :],
+        joint_velocities=vectors[..., JOINTS_OF_VECTORS.stop :, :],
+    )
+    inputs = _leave(steps.inputs.transpose(0, 1), pelvis[:, None])
+    return Rollout(inputs, states, contacts, Turn.like(turns).right(turns))
+
+
+def _with_joints(
+    vectors: Float[Tensor, "batch 139"],
+    turns: Float[Tensor, "batch 22 3 3"],
+    rest: Float[Tensor, "batch 22 3"],
+    pelvis: Float[Tensor, "batch 3"],
+) -> Float[Tensor, "batch 139"]:
+    """The vectors with the body's joints in place of the predicted ones."""
+    origin = functional.pad(vectors[:, -1:], (2, 0)) - pelvis
+    joints = forward_kinematics(turns[:, None], rest)[1][:, 0] + origin[:, None]
+    parts = vectors[:, :-1].unflatten(1, (3, VECTORS))
+    before, after = parts[..., : JOINTS_OF_VECTORS.start], parts[..., JOINTS_OF_VECTORS.stop :]
+    changed = torch.cat((before, joints.mT, after), -1).flatten(1)
+    return torch.cat((changed, vectors[:, -1:]), 1)
+
+
+def _enter(
+    packed: Float[Tensor, "batch 339"], pelvis: Float[Tensor, "batch 3"]
+) -> Float[Tensor, "batch 337"]:
+    """A canonical state in the loop's layout."""
+    return (packed - _joints_at(pelvis))[:, STATE_ORDER.to(packed.device)]
+
+
+def _leave(
+    x: Float[Tensor, "*batch 337"], pelvis: Float[Tensor, "*#batch 3"]
+) -> Float[Tensor, "*batch 339"]:
+    """The inverse of `_enter`."""
+    return functional.pad(x, (0, 2))[..., _PLACES.to(x.device)] + _joints_at(pelvis)
+
+
+_PLACES = torch.cat((STATE_ORDER, torch.arange(2))).argsort()
+"""Indices of a packed state's numbers in the loop's layout, which is followed by two zeros."""
+
+
+def _joints_at(place: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 339"]:
+    """A packed state of nothing but joints, all at one place."""
+    joints = 3 * len(JOINTS)
+    return functional.pad(torch.cat([place] * len(JOINTS), -1), (STATE - 2 * joints, joints))

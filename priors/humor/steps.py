@@ -1,0 +1,294 @@
+"""HuMoR's networks evaluated on all steps of given motions at once, without a rollout."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from priors.checkpoints import named_checkpoint
+from priors.humor.networks import HumorNetworks
+from priors.humor.state import Frame, State
+from priors.pose.prior import PoseWeights
+from recon.core import rotations as so3
+from recon.core.motion import Motion
+from recon.core.struct import TensorStruct
+from recon.method.quadratic import FRAME
+from recon.solver.banded import Banded
+
+_SHRINKAGE = 0.05
+"""Share by which variances are raised, so that what repeats itself does not count without end."""
+
+
+@dataclass(frozen=True)
+class StepOutputs(TensorStruct):
+    """Outputs of the networks for the steps of motions; axes (clips, steps)."""
+
+    error: Float[Tensor, "clips steps 207"]
+    """The raw step from where the decoder lands to where the motion went."""
+    surprise: Float[Tensor, "clips steps"]
+    """KL(q(z | x_(t-1), x_t) ‖ p(z | x_(t-1))), nats."""
+    contacts: Float[Tensor, "clips steps 9"]
+    """Logits."""
+
+
+def explain(
+    networks: HumorNetworks, states: State, pelvis: Float[Tensor, "clips 3"]
+) -> StepOutputs:
+    """Every step, by the posterior's mean latent.
+
+    Args:
+        networks: in the states' precision.
+        states: of motions at 30 Hz, axes (clips, time).
+        pelvis: of the bodies at rest, horizontally.
+    """
+    steps = _Steps.of(states, pelvis)
+    mean, log_variance = networks.posterior(steps.start, steps.end)
+    prior_mean, prior_log_variance = networks.prior(steps.start)
+    raw = networks.decode(steps.start, mean)
+    return StepOutputs(
+        error=steps.error(raw),
+        surprise=divergence(mean, log_variance, prior_mean, prior_log_variance),
+        contacts=raw[..., _MOVED:],
+    )
+
+
+def latents_of(
+    networks: HumorNetworks, states: State, pelvis: Float[Tensor, "clips 3"]
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Mean and log-variance of the posterior of every step's latent, then those of the prior."""
+    steps = _Steps.of(states, pelvis)
+    return *networks.posterior(steps.start, steps.end), *networks.prior(steps.start)
+
+
+@dataclass(frozen=True)
+class _Steps(TensorStruct):
+    """States at both ends of all steps, packed (`State.pack`), in the frame of the start.
+
+    The same as `Frame.enter` and `step_between` make, with all vectors turned at once.
+    """
+
+    start: Float[Tensor, "clips steps 339"]
+    end: Float[Tensor, "clips steps 339"]
+    rotations: Float[Tensor, "2 clips steps 22 3 3"]
+    """Rotations of root and joints, at the start and at the end."""
+
+    @classmethod
+    def of(cls, states: State, pelvis: Float[Tensor, "clips 3"]) -> "_Steps":
+        frame = Frame.of(states[:, :-1])
+        level = torch.cat((frame.origin[..., None, :], pelvis[:, None, None].expand_as(
+            frame.origin[..., None, :])), -2)  # fmt: skip
+        vectors = torch.cat(
+            (
+                states.translation[..., None, :],
+                states.velocity[..., None, :],
+                states.angular_velocity[..., None, :],
+                states.root.mT,
+                states.joints,
+                states.joint_velocities,
+            ),
+            -2,
+        )
+        # translation and joints are places, and joints turn about the pelvis
+        about, back = _placed(vectors.dtype, vectors.device)
+        ends = torch.stack((vectors[:, :-1], vectors[:, 1:])) - about @ level
+        turned = ends @ frame.turn.mT + back * pelvis[:, None, None]
+        root = turned[..., 3:6, :].mT
+        pose = torch.stack((states.pose[:, :-1], states.pose[:, 1:]))
+        packed = torch.cat(
+            (
+                turned[..., :2, :].flatten(-2),
+                root.flatten(-2),
+                turned[..., 2, :],
+                pose.flatten(-3),
+                turned[..., 6:, :].flatten(-2),
+            ),
+            -1,
+        )
+        rotations = torch.cat((root[..., None, :, :], pose), -3)
+        return cls(packed[0], packed[1], rotations)
+
+    def error(self, raw: Float[Tensor, "clips steps 216"]) -> Float[Tensor, "clips steps 207"]:
+        """The raw step from where a step of the decoder leads to the end."""
+        straight = self.end - self.start
+        turns = torch.cat((raw[..., 6:9], raw[..., 12:75]), -1).unflatten(-1, (-1, 3))
+        before, after = self.rotations.unbind(0)
+        left = so3.axis_sine(after @ (so3.exp(turns) @ before).mT).flatten(-2)
+        return torch.cat(
+            (
+                straight[..., :6] - raw[..., :6],
+                left[..., :3],
+                straight[..., 15:18] - raw[..., 9:12],
+                left[..., 3:],
+                straight[..., 207:] - raw[..., 75:_MOVED],
+            ),
+            -1,
+        )
+
+
+_MOVED = 207
+"""Numbers of a raw step before its contact logits."""
+
+
+@lru_cache(maxsize=8)
+def _placed(dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor]:
+    """Shares of a frame's origin and the pelvis that vectors lose, and of the pelvis put back."""
+    about = torch.zeros(50, 2, dtype=dtype, device=device)
+    back = torch.zeros(50, 1, dtype=dtype, device=device)
+    about[0, 0] = 1.0
+    about[6:28] = 1.0
+    back[6:28] = 1.0
+    return about, back
+
+
+def divergence(
+    mean: Float[Tensor, "*batch 48"],
+    log_variance: Float[Tensor, "*batch 48"],
+    prior_mean: Float[Tensor, "*batch 48"],
+    prior_log_variance: Float[Tensor, "*batch 48"],
+) -> Float[Tensor, "*batch"]:
+    """KL(q ‖ p) of two Gaussians with independent numbers, nats."""
+    ratio = log_variance - prior_log_variance
+    away = (mean - prior_mean).square() * (-prior_log_variance).exp()
+    return 0.5 * (ratio.exp() + away - 1 - ratio).sum(-1)
+
+
+def error_whitening(
+    networks: HumorNetworks, states: State, pelvis: Float[Tensor, "clips 3"]
+) -> Float[Tensor, "207 207"]:
+    """U with C⁻¹ = U Uᵀ for the covariance C (about zero) of the decoder's errors on motions."""
+    with torch.no_grad():
+        errors = explain(networks, states, pelvis).error.flatten(0, 1).double()
+    covariance = errors.mT @ errors / len(errors)
+    covariance = covariance + _SHRINKAGE * torch.diag(covariance.diagonal() + 1e-9)
+    factor = torch.linalg.cholesky(covariance)
+    identity = torch.eye(len(factor), dtype=factor.dtype)
+    return torch.linalg.solve_triangular(factor, identity, upper=False).mT.contiguous()
+
+
+SPAN = 4
+"""Frames that a step depends on, from the one before it starts to the one after it ends."""
+_SIZE = SPAN * FRAME + 16
+
+
+@dataclass(frozen=True)
+class StepCurvature(TensorStruct):
+    """Mean Σ JᵀJ of a step's residuals by the steps of its frames, and by the shape.
+
+    Residuals are those of the energies in nats; translations are in the heading of the frame
+    that the step starts from.
+    """
+
+    error: Float[Tensor, "numbers numbers"]
+    latents: Float[Tensor, "numbers numbers"]
+
+    @classmethod
+    def load(cls, path: str | Path = "open") -> "StepCurvature":
+        """The bundled one, or one of a file.
+
+        Raises:
+            FileNotFoundError: when there is no such file.
+            ValueError: when it holds something else.
+        """
+        shapes = {"error": (_SIZE, _SIZE), "latents": (_SIZE, _SIZE)}
+        roots = named_checkpoint(path, "humor_steps").require(shapes)
+        found = {name: root.double() @ root.double().mT for name, root in roots.items()}
+        return cls(**{name: matrix.float() for name, matrix in found.items()})
+
+    def add(self, motion: Motion, hessian: Banded, error: float, latents: float) -> None:
+        """Add the curvature of all steps of a clip.
+
+        Args:
+            motion: of one clip, without a batch axis.
+            hessian: what it is added to, by the steps of its frames and by the shape.
+            error: weight of a step's error, latents: of its surprise, per nat.
+            latents: weight of its surprise.
+        """
+        like, steps, moved = motion.translation, motion.frames - 1, SPAN * FRAME
+        whole = (error * self.error + latents * self.latents).to(like)
+        size = hessian.corner.shape[-1]
+        exists = (motion.valid[1:] & motion.valid[:-1]).to(like)
+        turn = so3.heading(motion.rotations[:-1, 0]).mT
+        mean = whole[:moved, :moved].unflatten(0, (SPAN, FRAME)).unflatten(2, (SPAN, FRAME))
+        edge = whole[:moved, moved : moved + size].unflatten(0, (SPAN, FRAME))
+        hessian.corner.add_(exists.sum() * whole[moved : moved + size, moved : moved + size])
+        for a in range(SPAN):
+            first, stop = max(0, 1 - a), min(steps, steps + 2 - a)
+            rows = slice(first, stop)
+            frame = slice(first + a - 1, stop + a - 1)
+            hessian.border[frame] += _turned(turn[rows], edge[a], exists[rows])
+            for b in range(a, SPAN):
+                last = min(stop, steps + 2 - b)
+                rows, frame = slice(first, last), slice(first + a - 1, last + a - 1)
+                left = _turned(turn[rows], mean[a, :, b], exists[rows])
+                both = _turned(turn[rows], left.mT, None).mT
+                hessian.inner[frame, b - a] += both
+
+
+def _turned(turn: Tensor, block: Tensor, exists: Tensor | None) -> Float[Tensor, "steps 69 n"]:
+    """The rows of a block, the first three of which are of translations, in the world."""
+    block = block.expand(len(turn), *block.shape[-2:])
+    found = torch.cat((turn @ block[:, :3], block[:, 3:]), 1)
+    return found if exists is None else exists[:, None, None] * found
+
+
+@lru_cache(maxsize=1)
+def bundled_curvature() -> StepCurvature:
+    """The curvature that belongs to the weights in the package; others differ little from it."""
+    return StepCurvature.load()
+
+
+ERROR, SURPRISE = 100.0, 20.0
+"""Energies of one step, in nats, beyond which it counts less and less. A step that is far from
+the corpus is one that the networks never saw, so the data should decide about it."""
+RARITY = 300.0
+"""Rarity of one state (`priors.humor.likely`), in nats, beyond which it counts less and
+less. Draws of the mixture of initial states have 66 on average."""
+
+
+@dataclass(frozen=True)
+class CollocationWeights:
+    """Multipliers of the unweighted energies, for an observation of weight one."""
+
+    pose: PoseWeights
+    """Weights of the pose density, of the shape and of the remaining smoothness."""
+    step: float
+    """Weight of the squared error of the decoder, in nats per step."""
+    latents: float
+    """Weight of the KL divergence of the posterior from the prior, in nats per step."""
+    contact_velocity: float
+    """Weight of ½ c |step|² in metres², where c is the probability of contact of a joint."""
+    support: float
+    """Weight of feet that carry the body where nobody saw them, in nats per frame
+    (`recon.physics.support`)."""
+    state: float
+    """Weight of the rarity of a state where nobody saw a limb, in nats per frame
+    (`priors.humor.likely`)."""
+
+    @classmethod
+    def for_noise(cls, noise: float) -> "CollocationWeights":
+        """Weights for observations of a standard deviation of `noise` metres per coordinate.
+
+        Chosen on validation subjects (`benchmarks.tune_humor`). A calibrated bound would have
+        multipliers of noise² for both of its parts; errors of neighbouring steps repeat each
+        other, so less is better. Where points are exact, 14 mm remain, and 18.5 mm for steps:
+        nobody moves just like the people of the corpus. The steps tell how smooth a motion is; a
+        twenty-fifth of the pose prior's smoothness is left, which would make accelerations small.
+        """
+        pose = PoseWeights.for_noise(noise)
+        variance = max(noise, 0.014) ** 2
+        return cls(
+            pose=PoseWeights(0.5 * pose.pose, pose.shape, acceleration=0.04 * pose.acceleration),
+            step=0.125 * max(noise, 0.0185) ** 2,
+            latents=0.3 * variance,
+            contact_velocity=2e4 * max(noise, 0.008) ** 2,
+            support=0.6 * variance,
+            state=0.1 * variance,
+        )
+
+
+def heavy_tailed(nats: Tensor, scale: float) -> Tensor:
+    """The energy ρ(x) = s log(1 + x / s): as x where it is small, slower where it is large."""
+    return scale * torch.log1p(nats / scale)

@@ -1,1 +1,0 @@
-"""Energies of single steps between given frames: the networks on all of them at once."""

@@ -1,1 +1,0 @@
-"""Motions that nobody recorded, made of recorded windows: what may be edited, and how."""

@@ -1,1 +1,0 @@
-"""Training of the HUMOS prior's weights."""

@@ -1,1 +1,0 @@
-"""The training of labels on clouds whose points know where on a body they lie."""

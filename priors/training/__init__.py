@@ -1,1 +1,0 @@
-"""Training: the parts that the trainings of all priors share."""

@@ -1,0 +1,118 @@
+"""`recon.convert`: a recording of motion capture as a motion of the body."""
+
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from recon.api.given import BodyLike, MotionLike, body_given, motion_given
+from recon.api.result import described
+from recon.api.results import Made
+from recon.core.arrays import positive
+from recon.core.units import Axis
+from recon.diagnosis.findings import Finding
+from recon.formats.mocap.recording import MarkerRecording, SkeletonRecording
+from recon.ingest import single
+from recon.ingest.transfer import transfer
+
+
+def convert(
+    recording: str | Path | SkeletonRecording | MarkerRecording,
+    *,
+    unit: Literal["m", "cm", "mm", "inch", "cmu"] | None = None,
+    up: Axis | None = None,
+    mapping: str | Path | None = None,
+    fps: float | None = None,
+    body: BodyLike = None,
+    keep_frame: bool = False,
+) -> Made:
+    """Any recording of joints or markers of a body as a motion of the body.
+
+    The result stands on z = 0 and keeps the recording's times. Nothing is random, and everything
+    is computed on the processor.
+
+    `about` of the result has `conversion` (flat numbers: frames, fps, residual_mm, slip_mps, ...),
+    `decisions` (what was read, guessed or cut, a sentence each), `residuals_mm` (mean distance of
+    every joint or marker, millimetres), and the lists `diagnosis`, `repairs` and `warnings`.
+
+    Args:
+        recording: a file (.bvh, .amc, .c3d, .trc, .mat, also .xz, or FILE::MEMBER of an archive),
+            or what `recon.formats.mocap.reader.read_recording` made of it.
+        unit: of the file; None finds it out.
+        up: axis of the file that points up; None finds it out.
+        mapping: JSON or TOML file that says which of its joints or markers are which.
+        fps: rate of the result, frames per second; None is the recording's.
+        body: whose motion it becomes; a SMPL-family file, or None for the bundled body.
+        keep_frame: leave the motion where the laboratory has it, turned to z up at most, instead
+            of standing it on z = 0; the plane that feet stand on is then in the file.
+
+    Raises:
+        ReconError: when it cannot be read, its unit or axis cannot be told, its skeleton or
+            markers are not known or do not cover the body, or the rate is not positive.
+        FileNotFoundError: when there is no such file.
+    """
+    model = body_given(body)
+    rate = None if fps is None else positive(fps, "fps")
+    source = str(recording) if isinstance(recording, Path) else recording
+    found = single.convert(
+        source, model, unit=unit, up=up, mapping=mapping, fps=rate,
+        keep_frame=keep_frame,
+    )  # fmt: skip
+    about = {
+        "conversion": dict(found.report),
+        "decisions": list(found.decisions),
+        "residuals_mm": {name: round(value, 2) for name, value in found.residuals.items()},
+        **found.findings(),
+    }
+    lines = (f"mean residual {found.report['residual_mm']:.1f} mm", *found.decisions)
+    return Made(
+        found.file(model), model, found.warnings, about, lines, found.repairs, found.diagnosis
+    )
+
+
+_NEAR = 0.005
+"""Metres of the median distance between the surfaces up to which the bodies agree."""
+
+
+def to_body(motion: MotionLike, target: BodyLike, *, body: BodyLike = None) -> Made:
+    """Bring a motion onto another body, whose surface lies where that of the first one does.
+
+    Shape and poses are fitted to the first body's surface, so the shape of the result means what
+    it means on the target: betas of a SMPL file are SMPL's. The person and the motion stay the
+    same; `recon.retarget` moves another person. Nothing is random.
+
+    `about` of the result has the distance of the target's vertices from the first surface, over
+    frames spread over the motion: `median_mm` and `percentile_95_mm`.
+
+    Args:
+        motion: one clip: a motion, a result, a motion file or its arrays.
+        target: the body to bring it onto; a SMPL-family file, or None for the bundled body.
+        body: whose motion it is; a SMPL-family file, or None for the bundled body.
+
+    Raises:
+        ReconError: when the motion is damaged or of another body.
+        FileNotFoundError: when a file does not exist.
+    """
+    own, other = body_given(body), body_given(target)
+    given = motion_given(motion, own)
+    found = transfer(given.motion, own, other)
+    median, most = (1000 * float(np.quantile(found.distances, share)) for share in (0.5, 0.95))
+    warnings = () if median <= 1000 * _NEAR else (
+        Finding(
+            "body surface",
+            f"the bodies {own.name!r} and {other.name!r} do not agree: half of the surface is "
+            f"more than {median:.0f} mm away",
+            value=median / 1000,
+        ),
+    )  # fmt: skip
+    ground = given.file.ground
+    level = None if ground is None else float(ground[3] / ground[2])
+    file = described(found.motion, other, level, observed=given.file.observed)
+    about = {
+        "source": own.name,
+        "target": other.name,
+        "median_mm": round(median, 2),
+        "percentile_95_mm": round(most, 2),
+    }
+    line = f"surface of {other.name!r}: median {median:.1f} mm from that of {own.name!r}"
+    return Made(file, other, warnings, about, (line,))

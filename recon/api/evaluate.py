@@ -1,0 +1,214 @@
+"""`recon.evaluate`: a result against the truth."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from observations.files.points import positions_of
+from recon.api.given import BodyLike, MotionLike, body_given, motion_given
+from recon.api.results import Evaluation
+from recon.body.model import BodyModel
+from recon.core.arrays import Numbers, bool_tensor, float_tensor, require_shape
+from recon.core.errors import ReconError
+from recon.core.motion import Motion
+from recon.formats.motions import MotionFile
+from recon.formats.observations import ObservationFile, PositionsFile, load_observation
+from recon.method.protocols import Estimate
+from recon.metrics import evaluation
+from recon.metrics.evaluation import ObservedPoints, ground_errors, nearest_labels
+
+_ON_ITS_GROUND = ("penetration", "sole_penetration", "contact", "slip_speed")
+"""How metrics that judge a result by the ground it stands on begin."""
+
+
+def evaluate(
+    estimate: MotionLike,
+    truth: MotionLike | Numbers,
+    body: BodyLike = None,
+    *,
+    observation: ObservationFile | Path | str | None = None,
+    contacts: Numbers | None = None,
+    truth_contacts: Numbers | None = None,
+    truth_visible: Numbers | None = None,
+    observed: ObservedPoints | None = None,
+) -> Evaluation:
+    """All metrics of one clip in SI units; None where a value cannot be computed.
+
+    The truth is interpolated at the estimate's times. `slip_speed` and `slip_speed_truth` are both
+    taken while the *truth* is in contact. Heights for `penetration_*` are those of the toe joints
+    less their rest height above the sole; `sole_penetration_*` use the lowest point of either
+    foot's skin. The metrics are computed in double precision.
+
+    Where the observation's camera did not know its pose and the simulation kept it
+    (`truth_T_world_camera`), errors are taken in the true world, into which the camera carries
+    the result: x_true = T_true_camera inv(T_result_camera) x. Contacts, slip and depth below the
+    ground stay those of the ground that was found. How far that ground is off in the camera's
+    frame are `ground_normal` (radians) and `ground_height` (metres); else they are None.
+
+    Args:
+        estimate: the reconstruction, one clip: a motion, a result, a motion file or its arrays.
+        truth: the true motion, one clip that lasts at least as long. Or the true joints alone, an
+            array (time, 22, 3) in metres at the estimate's frames; errors of joints are then all.
+        body: of both, each motion has its own shape: a body, a SMPL-family file, or None for the
+            bundled body.
+        observation: the observation file that was fitted, or its path: for errors of its own
+            points, and for the joints that a simulated sensor could see.
+        contacts: the reconstruction's contacts, (time, 22), labels or probabilities at its
+            frames; None takes those of a result or file. Without any, contact accuracy is None.
+        truth_contacts: the true ones, at the estimate's frames; None takes those of the truth's
+            file, or labels them from the true motion at its own rate.
+        truth_visible: true joints the sensor could see, (time, 22), at the estimate's frames.
+        observed: the sensor's own points, where no observation is given.
+
+    Raises:
+        ReconError: when something is damaged, is a batch, is of another body, or the truth does
+            not cover the estimate's times.
+        FileNotFoundError: when a file does not exist.
+    """
+    model = body_given(body).to(dtype=torch.float64)
+    ours = _in_double(motion_given(estimate, model, "estimate").file)
+    frames = ours.motion.frames
+    own = ours.contacts if contacts is None else _labels(contacts, "contacts", frames)
+    visible = _visible_given(truth_visible, frames)
+    if not isinstance(truth, Mapping) and _is_array(truth):
+        return Evaluation(_of_joints(ours.motion, truth, visible, model))
+    theirs = _in_double(motion_given(truth, model, "truth").file)
+    seen, path = _read(observation)
+    labels = (
+        _there(theirs, "contacts", ours.motion)
+        if truth_contacts is None
+        else _labels(truth_contacts, "truth_contacts", frames)
+    )
+    if visible is None:
+        visible = _visible(seen, theirs, ours.motion)
+    metrics = evaluation.evaluate(
+        ours.motion,
+        theirs.motion,
+        model,
+        contacts=own,
+        truth_contacts=labels,
+        truth_visible=visible,
+        observed=_observed(ours, theirs, seen, path, model) if observed is None else observed,
+    )
+    metrics |= {"ground_normal": None, "ground_height": None}
+    if (poses := _camera_poses(ours, seen)) is not None:
+        found, true = poses
+        pelvis = model.rest_joints(ours.motion.shape)[0]
+        carried = ours.motion.carried(true @ torch.linalg.inv(found), pelvis)
+        there = evaluation.evaluate(
+            carried, theirs.motion, model, truth_contacts=labels, truth_visible=visible
+        )
+        kept = {key: value for key, value in metrics.items() if key.startswith(_ON_ITS_GROUND)}
+        metrics |= there | kept | ground_errors(found, true)
+    return Evaluation(metrics)
+
+
+def _in_double(file: MotionFile) -> MotionFile:
+    """A record with every array in double precision, as results in files are single."""
+    tensors = {
+        key: value.double().cpu()
+        for key, value in vars(file).items()
+        if isinstance(value, Tensor) and value.is_floating_point()
+    }
+    return replace(file, **tensors)
+
+
+def _is_array(given: Any) -> bool:
+    return hasattr(given, "__array__") or isinstance(given, list | tuple)
+
+
+def _of_joints(
+    motion: Motion, given: Any, visible: Bool[Tensor, "time 22"] | None, body: BodyModel
+) -> dict[str, float | None]:
+    """Errors and accelerations of joints whose true places are known at the motion's frames."""
+    truth = float_tensor(given, "truth").double().cpu()
+    require_shape(truth, "truth", (motion.frames, 22, 3))
+    truth = truth.reshape(motion.frames, 22, 3)
+    if not bool(truth.isfinite().all()):
+        raise ReconError("truth: holds NaN or infinity; cut such frames out of both")
+    joints = body.pose(motion).joints
+    return {
+        **evaluation.joint_errors(joints, truth, visible),
+        **evaluation.smoothness(joints, truth, motion.fps),
+    }
+
+
+def _labels(given: Numbers, name: str, frames: int) -> Tensor:
+    labels = given if isinstance(given, Tensor) else float_tensor(given, name)
+    require_shape(labels, name, (frames, 22))
+    return labels.cpu()
+
+
+def _visible_given(given: Numbers | None, frames: int) -> Bool[Tensor, "time 22"] | None:
+    if given is None:
+        return None
+    visible = bool_tensor(given, "truth_visible")
+    require_shape(visible, "truth_visible", (frames, 22))
+    return visible.cpu()
+
+
+def _read(given: ObservationFile | Path | str | None) -> tuple[ObservationFile | None, Path]:
+    """The observation, and what it is called in messages."""
+    if isinstance(given, Path | str):
+        return load_observation(given), Path(given)
+    return given, Path("observation")
+
+
+def _there(file: MotionFile, name: str, motion: Motion) -> Tensor | None:
+    labels = getattr(file, name)
+    return None if labels is None else nearest_labels(labels, file.motion.times, motion.times)
+
+
+def _camera_poses(
+    ours: MotionFile, seen: ObservationFile | None
+) -> tuple[Float[Tensor, "4 4"], Float[Tensor, "4 4"]] | None:
+    """T_world_camera as it was found and as it was; None where either is not known.
+
+    Raises:
+        ReconError: when several poses were found, though the camera stood still.
+    """
+    if seen is None or isinstance(seen, PositionsFile) or seen.truth_T_world_camera is None:
+        return None
+    if ours.T_world_camera is None:
+        return None
+    if len(ours.T_world_camera) != 1:
+        raise ReconError(
+            f"estimate: has {len(ours.T_world_camera)} poses in T_world_camera, but the "
+            "observation is of a camera that stood still; expected one"
+        )
+    true = torch.from_numpy(seen.truth_T_world_camera)
+    return ours.T_world_camera[0].to(true), true
+
+
+def _visible(seen: ObservationFile | None, truth: MotionFile, motion: Motion) -> Tensor | None:
+    """Joints the sensor could see, from the simulated observation or the truth file."""
+    if seen is not None and seen.truth_visible is not None:
+        labels = torch.from_numpy(seen.truth_visible)
+        times = seen.start_time + torch.arange(len(labels), dtype=torch.float64) / seen.fps
+        return nearest_labels(labels, times, motion.times)
+    return _there(truth, "truth_visible", motion)
+
+
+def _observed(
+    ours: MotionFile,
+    theirs: MotionFile,
+    file: ObservationFile | None,
+    path: Path,
+    body: BodyModel,
+) -> ObservedPoints | None:
+    """The observation's own points on the result and on the truth, at the result's frames."""
+    if not isinstance(file, PositionsFile):
+        return None
+    adapter = positions_of(file, path, body.to(dtype=torch.float32))
+    truth = theirs.motion.at(ours.motion.times, ours.motion.fps)
+    predicted, actual = (
+        adapter.predict(Estimate.of_clip(motion, body))[0] for motion in (ours.motion, truth)
+    )
+    seen = torch.from_numpy(file.visible)
+    times = file.start_time + torch.arange(len(seen), dtype=torch.float64) / file.fps
+    return ObservedPoints(predicted, actual, nearest_labels(seen, times, ours.motion.times))

@@ -1,0 +1,115 @@
+"""`recon.interpolate`: the cycle of gait between those of two motions, its feet settled."""
+
+from dataclasses import asdict
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from priors.anchor.frames import ANCHORS
+from priors.anchor.prior import AnchorFrames
+from recon.api.given import BodyLike, GivenMotion, MotionLike, body_given, motion_given
+from recon.api.result import described
+from recon.api.results import Made
+from recon.body.cycles import LONGEST_CYCLE, SHORTEST_CYCLE, Cycle
+from recon.body.model import BodyModel
+from recon.core.arrays import finite, positive
+from recon.core.errors import ReconError
+from recon.core.motion import Motion
+from recon.fitting.interpolation import agreement, between, cycles_of, foot_lift, played
+from recon.fitting.retargeting import flies, settled
+
+
+def interpolate(
+    a: MotionLike,
+    b: MotionLike,
+    at: float = 0.5,
+    *,
+    weights: str = "open",
+    body: BodyLike = None,
+    fps: float | None = None,
+) -> Made:
+    """The cycle of gait that lies between the best cycles of two motions.
+
+    Best are those that look like gait and stand on the same feet: backward walking, whose hips
+    swing as those of forward walking do, stands on the other foot meanwhile. The anchor-frame
+    prior mixes their codes and bodies. The result begins between where they begin, facing between
+    them. Nothing is random, and everything is computed on the processor.
+
+    `about` of the result has the two `cycles` (seconds), their `durations` and that of the result
+    (seconds), and by how much their feet agree, -1 to 1.
+
+    Args:
+        a: a motion of one clip that walks or runs.
+        b: another.
+        at: share of the second, 0 to 1.
+        weights: of the prior: `open`, `nc` (not for commercial use) or a file.
+        body: both motions' body; a SMPL-family file, or None for the bundled body.
+        fps: rate of the result, frames per second; None is the first motion's.
+
+    Raises:
+        ReconError: for a share outside 0 to 1, a motion that is damaged, of another body or
+            without a cycle, and for motions whose cycles never stand on the same feet.
+        FileNotFoundError: when there is no such file.
+    """
+    share = finite(at, "at")
+    if not 0 <= share <= 1:
+        raise ReconError(f"at: lies between 0 (the first motion) and 1, got {at}")
+    rate = None if fps is None else positive(fps, "fps")
+    model = body_given(body)
+    prior = AnchorFrames.load(weights, model)
+    given = (motion_given(a, model, "a"), motion_given(b, model, "b"))
+    candidates = [_cycles(one) for one in given]
+    lifts = [_lifts(model, one.motion, x) for one, x in zip(given, candidates, strict=True)]
+    agree = agreement(*lifts)
+    if float(agree.max()) <= 0:
+        raise ReconError(
+            f"{given[0].name} and {given[1].name}: where one stands on the left foot the other "
+            "stands on the right, and what lies between would stand on neither; give a longer "
+            "recording of one, or a cycle that begins half a cycle later"
+        )
+    costs = [torch.tensor([cycle.cost for cycle in found]) for found in candidates]
+    unlike = costs[0][:, None] + costs[1] - agree
+    first, second = divmod(int(unlike.argmin()), unlike.shape[1])
+    chosen = (candidates[0][first], candidates[1][second])
+    parts = [
+        prior.encode(cycle.of(one.motion, ANCHORS).map(lambda tensor: tensor[None]))
+        for cycle, one in zip(chosen, given, strict=True)
+    ]
+    mixed = between(prior, parts[0], parts[1], share)
+    made = played(prior, mixed, given[0].motion.fps if rate is None else rate)
+    motion = settled(made, made, flies(made, model), model).detach()
+    durations = {
+        "A": chosen[0].duration,
+        "B": chosen[1].duration,
+        "result": float(prior.anchors(mixed).duration[0]),
+    }
+    about = {
+        "feet agree": float(agree[first, second]),
+        "cycles": {
+            name: {"file": one.name, **asdict(cycle)}
+            for name, one, cycle in zip("AB", given, chosen, strict=True)
+        },
+        "durations": durations,
+    }
+    lines = [f"cycle of {name}: {seconds:.2f} s" for name, seconds in durations.items()]
+    return Made(described(motion[0], model), model, (), about, tuple(lines))
+
+
+def _cycles(given: GivenMotion) -> tuple[Cycle, ...]:
+    found = cycles_of(given.motion)
+    if len(found) == 0:
+        raise ReconError(
+            f"{given.name}: found no cycle of gait, in which both hips swing once and come back "
+            f"within {SHORTEST_CYCLE} to {LONGEST_CYCLE:g} s; give a motion that walks or runs, "
+            "or cut one cycle out"
+        )
+    return found
+
+
+def _lifts(
+    body: BodyModel, motion: Motion, cycles: tuple[Cycle, ...]
+) -> Float[Tensor, "cycles 100"]:
+    return torch.stack(
+        [foot_lift(body.pose(cycle.of(motion, ANCHORS)).joints) for cycle in cycles]
+    )

@@ -1,1 +1,0 @@
-"""A person while being recorded: fixed-lag smoothing, moment by moment."""

@@ -1,1 +1,0 @@
-"""What functions of `recon` return: motions, metrics and observations that print and save."""

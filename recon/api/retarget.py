@@ -1,0 +1,230 @@
+"""`recon.retarget`: one person's motion as another body would do it."""
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from priors.humos.prior import FPS, Humos
+from recon.api.given import (
+    BodyLike,
+    GivenMotion,
+    MotionLike,
+    ShapeLike,
+    body_given,
+    motion_given,
+    shape_given,
+    shape_name,
+)
+from recon.api.result import described
+from recon.api.results import Made
+from recon.body.identities import doubts, height, weight
+from recon.body.model import BodyModel
+from recon.body.motion_files import copied
+from recon.core import rotations as so3
+from recon.core.arrays import finite, positive
+from recon.core.errors import ReconError
+from recon.core.motion import Motion
+from recon.diagnosis.findings import Finding
+from recon.fitting import retargeting
+from recon.fitting.retargeting import OVERLAP, SHORTEST_MOTION, WINDOW
+from recon.formats.motions import MotionFile
+from recon.method.windows import Windows
+from recon.metrics.generation import FASTEST
+from recon.physics.metrics import NO_GROUND, PhysicsSamples, physics_metrics, physics_samples
+
+RATE = FPS
+"""Hz, of the prior and of HUMOS's metrics."""
+METHODS = ("physics", "network")
+"""Methods of retargeting."""
+_LEVEL = math.cos(math.radians(1.0))
+"""Cosine of the tilt up to which a ground is level."""
+
+
+def retarget(
+    motion: MotionLike,
+    shape: ShapeLike,
+    *,
+    method: str = "physics",
+    weights: str = "open",
+    body: BodyLike = None,
+    fps: float | None = None,
+    ground: float | None = None,
+) -> Made:
+    """The motion of one body as a body of another shape would perform it.
+
+    By `physics` the scaled copy is proposed (equal rotations, a path that grows with the legs),
+    and by `network` what the HUMOS prior makes of the motion for that body; the nearest motion to
+    the proposal that obeys physics is the result. It begins at the same place. Nothing is random,
+    and everything is computed on the processor. docs/retargeting.md compares the two.
+
+    `about` of the result has both bodies (`source` and `target`: height in metres, weight in
+    kilograms, shape), the `method`, `rotation_change` (radians, on average over joints and
+    frames), where the `windows` begin (seconds after the first frame), and the `physics` of the
+    motion, of its plain copy on the other body and of the result (docs/physics.md), at 20 Hz; slip
+    is that of feet that are in contact in the motion.
+
+    Args:
+        motion: a motion of one clip of a second or longer, at any rate.
+        shape: the other body: coefficients, measures ("height=1.80,weight=75"; metres,
+            kilograms), words ("woman,tall"), or a motion, result or motion file of somebody.
+        method: `physics` or `network`.
+        weights: of the network: `open`, `nc` (not for commercial use) or a file.
+        body: the motion's body; a SMPL-family file, or None for the bundled body.
+        fps: rate of the result, frames per second; None is the motion's.
+        ground: height of the level ground in the motion, metres; None is what the motion's file
+            says, else 0.
+
+    Raises:
+        ReconError: when the motion is damaged, too short or of another body, when nobody said
+            where its ground is and it never comes near z = 0, or the shape is not understood.
+        FileNotFoundError: when there is no such file.
+    """
+    if method not in METHODS:
+        names = ", ".join(METHODS)
+        raise ReconError(f"method: expected one of {names}, got {method!r:.60}")
+    if method != "network" and weights != "open":
+        raise ReconError(f"weights: {weights!r:.60} are of the network; ask for method='network'")
+    model = body_given(body)
+    rate = None if fps is None else positive(fps, "fps")
+    asked = None if ground is None else finite(ground, "ground")
+    target = shape_given(shape, model)
+    given = motion_given(motion, model)
+    level = ground_height(given, asked)
+    source = raised(given.motion, -level)
+    if source.frames < max(SHORTEST_MOTION * source.fps, 2):
+        raise ReconError(
+            f"{given.name}: lasts {source.frames / source.fps:.2f} s; a motion that is retargeted "
+            f"lasts {SHORTEST_MOTION:g} s or longer, and has two frames or more"
+        )
+    told = asked is not None or given.file.ground is not None
+    before = physics_samples(source.resample(RATE), model)
+    warnings = (
+        *_rate_warnings(given.name, source, model),
+        *_ground_warnings(given.name, before, told),
+        *(
+            Finding("body size", f"shape {shape_name(shape)}: {doubt}")
+            for doubt in doubts(model, target)
+        ),
+    )
+    made = _retargeted(source, target, model, method, weights).detach()
+    result = made if rate is None else made.resample(rate)
+    windows = Windows.cover(source.frames, round(WINDOW * source.fps), round(OVERLAP * source.fps))
+    bodies = {"source": _measures(model, source.shape), "target": _measures(model, target)}
+    about = {
+        **bodies,
+        "method": method,
+        "frames": result.frames,
+        "fps": result.fps,
+        "windows": [start / source.fps for start in windows.starts],
+        "ground": level,
+        "rotation_change": float(so3.geodesic(source.rotations, made.rotations).mean()),
+        "physics": {
+            "source": physics_metrics(before),
+            "copy": _physics(copied(source, model, target), model, before),
+            "retargeted": _physics(made, model, before),
+        },
+        "warnings": [finding.message for finding in warnings],
+    }
+    lines = [f"{k}: {row['height']:.2f} m, {row['weight']:.1f} kg" for k, row in bodies.items()]
+    file = described(raised(result, level), model, level)
+    return Made(file, model, warnings, about, tuple(lines))
+
+
+def ground_height(given: GivenMotion, asked: float | None) -> float:
+    """Height of a motion's level ground: what is asked for, else what the file says, else zero.
+
+    Raises:
+        ReconError: when the file says that it is not level.
+    """
+    file: MotionFile = given.file
+    if asked is not None or file.ground is None:
+        return asked or 0.0
+    normal, offset = file.ground[:3], float(file.ground[3])
+    length = float(normal.norm())
+    if not float(normal[2]) >= _LEVEL * length > 0:
+        raise ReconError(
+            f"{given.name}: its ground has the normal {[round(x, 3) for x in normal.tolist()]}, "
+            "and is not level; expected one within 1 degree of z. Turn the motion, or give the "
+            "height of its `ground`"
+        )
+    return offset / length
+
+
+def raised(motion: Motion, metres: float) -> Motion:
+    """A motion moved upwards by some metres."""
+    up = motion.translation.new_tensor((0.0, 0.0, 1.0))
+    return motion.replace(translation=motion.translation + metres * up)
+
+
+def _rate_warnings(name: str, source: Motion, body: BodyModel) -> Iterator[Finding]:
+    """Motions that are sampled too rarely, or move as nobody does."""
+    if source.fps < RATE:
+        yield Finding(
+            "rate",
+            f"{name}: has {source.fps:g} frames per second, the prior {RATE:g}; what happens "
+            "between frames is interpolated",
+            value=source.fps,
+        )
+    fastest = float(body.pose(source).joints.diff(dim=-3).norm(dim=-1).max()) * source.fps
+    if fastest > FASTEST:
+        yield Finding(
+            "rate",
+            f"{name}: a joint moves at {fastest:.0f} m/s; check that {source.fps:g} is its "
+            "frame rate",
+            value=fastest,
+        )
+
+
+def _ground_warnings(name: str, samples: PhysicsSamples, told: bool) -> Iterator[Finding]:
+    """What is wrong where a body never touches the ground z = 0.
+
+    Raises:
+        ReconError: when nobody told where the ground is.
+    """
+    lowest = samples.lowest
+    if bool((lowest.abs() < NO_GROUND).any()):
+        return
+    nearest = float(lowest[lowest.abs().argmin()])
+    where = "above" if nearest > 0 else "below"
+    words = (
+        f"{name}: the body never comes within {100 * NO_GROUND:g} cm of the ground; its lowest "
+        f"point stays {abs(nearest):.2f} m {where} it"
+    )
+    if not told:
+        raise ReconError(
+            f"{words} (z = 0, as nothing says where it is). Give the height of the `ground`: "
+            f"{float(lowest.median()):.2f} where it is there, or 0 to go on all the same"
+        )
+    message = f"{words}. The prior knows people on level ground alone"
+    yield Finding("floor", message, value=nearest)
+
+
+def _retargeted(
+    motion: Motion,
+    shape: Float[Tensor, " shape"],
+    body: BodyModel,
+    method: str,
+    weights: str,
+) -> Motion:
+    if method == "physics":
+        return retargeting.by_physics(motion, shape, body)
+    return retargeting.retarget(motion, shape, Humos.load(weights, body))
+
+
+def _physics(motion: Motion, body: BodyModel, source: PhysicsSamples) -> dict[str, float | None]:
+    """Metrics of a motion whose feet are in contact when those of the source are."""
+    touch = source.soles_touch
+    contacts = touch | torch.nn.functional.pad(touch, (0, 0, 1, 0))[:-1]
+    return physics_metrics(physics_samples(motion.resample(RATE), body, contacts))
+
+
+def _measures(body: BodyModel, shape: Float[Tensor, " shape"]) -> dict[str, Any]:
+    return {
+        "height": float(height(body, shape)),
+        "weight": float(weight(body, shape)),
+        "shape": [round(x, 4) for x in shape.tolist()],
+    }

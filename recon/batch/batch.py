@@ -1,0 +1,257 @@
+"""Many clips: in processes here or on a cluster; a log by which a run is resumed."""
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from recon.batch.crew import TOGETHER, Crew, Run
+from recon.batch.workers import Failure, run_jobs
+from recon.batch.worklog import BatchClip, Record, open_log
+from recon.fitting.methods import traits
+from recon.fitting.settings import FitSettings
+from recon.formats.replacing import file_checksum, value_checksum
+
+
+@dataclass(frozen=True)
+class Job:
+    """All that a process needs to fit one clip."""
+
+    clip: BatchClip
+    target: Path
+    """Motion file to write."""
+    settings: FitSettings
+    settings_checksum: str
+    """Checksum of the settings and the files they name
+    (`recon.fitting.clip_inputs.settings_checksum`)."""
+    known: Record
+    """The last record of the clip, or nothing."""
+    overwrite: bool = False
+    """Whether a result that is there and recon did not write may be replaced."""
+    shape: tuple[float, ...] | None = None
+    """Coefficients that are held, those of the clip's subject; None estimates them."""
+
+
+def fit_one(job: Job) -> Record:
+    """Fit a clip unless that was done; the record says what was done, to what, with what result.
+
+    Raises:
+        ValueError, OSError: for bad input.
+    """
+    from recon.fitting.clip_inputs import clip_checksum
+
+    # before anything is read: what changes from now on is found out by the next run
+    key = clip_checksum(job.clip.observations, job.settings_checksum)
+    if job.shape is not None:
+        key = value_checksum([key, *job.shape])
+    record: Record = {"id": job.clip.name, "output": str(job.target)}
+    if is_done(job, key):
+        return record | {"status": "skipped"}
+    from recon.jobs.fit import fit_files
+
+    began = time.perf_counter()
+    report = fit_files(
+        job.clip.observations, job.target, job.settings, shape=job.shape, overwrite=job.overwrite
+    )
+    return record | {
+        "status": "failed" if report["failed"] else "ok",
+        "seconds": round(time.perf_counter() - began, 3),
+        "key": key,
+        "checksum": file_checksum(job.target),
+    }
+
+
+def is_done(job: Job, key: str) -> bool:
+    """Whether the log knows the same work as done, and its result is there as it was written."""
+    known = job.known
+    same = known.get("status") == "ok" and known.get("key") == key
+    return same and job.target.is_file() and known.get("checksum") == file_checksum(job.target)
+
+
+def target(out: Path, clip: BatchClip) -> Path:
+    """The file to which the motion of a clip is written."""
+    return out / f"{clip.name}.npz"
+
+
+Shape = tuple[float, ...]
+"""Shape coefficients."""
+
+
+def shapes_of_subjects(
+    clips: Sequence[BatchClip], settings: FitSettings, crew: Crew, log: Path, checksum: str
+) -> dict[str, Shape]:
+    """The shape that every clip of a subject is fitted with, by the clip's id.
+
+    Each clip of a subject is fitted by the pose prior; the median of their coefficients is the
+    subject's shape. Clips that cannot be fitted tell nothing; their own fit says why. What was
+    found is logged beside the log of the fits, so that a run goes on where it stopped.
+
+    Args:
+        clips: of a manifest (`recon.batch.worklog.read_manifest`).
+        settings: of all fits.
+        crew: who works at a time.
+        log: of the fits.
+        checksum: of the settings and the files they name.
+
+    Raises:
+        ValueError: when the prior completes cycles, which have shapes of their own.
+    """
+    known = [clip for clip in clips if clip.subject is not None]
+    if not known:
+        return {}
+    if traits(settings.prior).completes:
+        raise ValueError(
+            "subject: cycles are completed with shapes of their own; leave `subject` out of the "
+            "manifest, or fit with another prior"
+        )
+    found: dict[str, list[Shape]] = {}
+    names = {clip.name: str(clip.subject) for clip in known}
+    for record in _shapes(known, settings, crew, log, checksum):
+        found.setdefault(names[record["id"]], []).append(tuple(record["shape"]))
+    shared = {subject: _shared(shapes) for subject, shapes in found.items()}
+    return {name: shared[subject] for name, subject in names.items() if subject in shared}
+
+
+def _shapes(
+    clips: Sequence[BatchClip], settings: FitSettings, crew: Crew, log: Path, checksum: str
+) -> Iterator[Record]:
+    """A record with the shape of every clip that can be fitted."""
+    with open_log(log.with_name(f"shapes-{log.name}")) as lines:
+        groups = (
+            [ShapeJob(one, settings, checksum, lines.records.get(one.name, {})) for one in group]
+            for group in crew.groups(clips)
+        )
+        for _, result in crew.work(estimate_shape, groups):
+            if not isinstance(result, Failure):
+                lines.append(result)
+                yield result
+
+
+@dataclass(frozen=True)
+class ShapeJob:
+    """All that a process needs to find the shape that one clip tells."""
+
+    clip: BatchClip
+    settings: FitSettings
+    settings_checksum: str
+    known: Record
+    """The last record of the clip's shape, or nothing."""
+
+
+def estimate_shape(job: ShapeJob) -> Record:
+    """The shape that one clip tells, unless the log has it already; done in a process.
+
+    Raises:
+        ValueError, OSError: for bad input.
+    """
+    from recon.fitting.clip_inputs import clip_checksum
+
+    key = clip_checksum(job.clip.observations, job.settings_checksum)
+    if job.known.get("key") == key:
+        return job.known
+    from recon.jobs.fit import fitted
+
+    first = replace(job.settings, prior="pose", weights="open", method=None, physics=0.0)
+    result = fitted(job.clip.observations, first)
+    return {"id": job.clip.name, "key": key, "shape": result.motion.shape.tolist()}
+
+
+def _shared(shapes: Sequence[Shape]) -> Shape:
+    import torch
+
+    from recon.batch.clips import shared_shape
+
+    return tuple(shared_shape([torch.tensor(shape) for shape in shapes]).tolist())
+
+
+FIT_VERSION = 11
+"""Version of the method. It is raised when the same clip and settings give another motion, so that
+results of older versions are made anew."""
+
+
+def fit_all(
+    clips: Sequence[BatchClip],
+    out: Path,
+    settings: FitSettings,
+    processes: int,
+    log: Path,
+    work: Callable[[Job], Record] = fit_one,
+    *,
+    overwrite: bool = False,
+    together: int = TOGETHER,
+    run: Run = run_jobs,
+) -> Iterator[Record]:
+    """Fit every clip that is not done yet; yields one record per clip, logged as it ends.
+
+    A clip is done when the log has it as ok, with a key of the same contents of everything that
+    the result depends on, and the result is as it was written. All others are tried, also those
+    that failed before. Whatever goes wrong with one clip is in its record alone.
+
+    A process fits several clips side by side, of about one size in bytes, and minimises those of
+    like length together, which takes less time; the results are those of one by one within the
+    tolerances of the minimiser. Long clips come first, so that no process ends long after the
+    others.
+
+    Args:
+        clips: with different names.
+        out: folder for the results.
+        settings: of all clips.
+        processes: that work at a time.
+        log: file of the records (`recon.batch.worklog`).
+        work: what is done for one clip.
+        overwrite: whether results that are there and recon did not write may be replaced.
+        together: frames that a process minimises together at most; 1 fits clips one by one.
+        run: where processes run.
+
+    Raises:
+        ValueError: when a result would be written over an observation or a file of the settings,
+            another run is writing to the log, or there is to be no process or no frame.
+    """
+    from recon.fitting.clip_inputs import settings_checksum
+
+    crew = Crew(processes, together, run)
+    _check_targets(clips, out, settings)
+    out.mkdir(parents=True, exist_ok=True)
+    common = settings_checksum(settings, FIT_VERSION)
+    shapes = shapes_of_subjects(clips, settings, crew, log, common)
+    with open_log(log) as lines:
+
+        def job(clip: BatchClip) -> Job:
+            known, shape = lines.records.get(clip.name, {}), shapes.get(clip.name)
+            return Job(clip, target(out, clip), settings, common, known, overwrite, shape)
+
+        groups = ([job(clip) for clip in group] for group in crew.groups(clips))
+        for done, result in crew.work(work, groups):
+            record = _failed(done, result) if isinstance(result, Failure) else result
+            if record["status"] != "skipped":
+                lines.append(record)
+            yield record
+
+
+def _failed(job: Job, failure: Failure) -> Record:
+    record: Record = {
+        "id": job.clip.name, "output": str(job.target), "status": failure.kind,
+        "error": failure.reason,
+    }  # fmt: skip
+    return record | ({"traceback": failure.traceback} if failure.traceback else {})
+
+
+def _check_targets(clips: Sequence[BatchClip], out: Path, settings: FitSettings) -> None:
+    """Refuse to write a result of any clip over what any clip is made from."""
+    named = (
+        settings.camera,
+        settings.camera_track,
+        settings.masks,
+        settings.body,
+        Path(settings.weights),
+    )
+    inputs = {file.resolve() for clip in clips for file in clip.observations}
+    inputs |= {path.resolve() for path in named if path is not None}
+    for clip in clips:
+        result = target(out, clip)
+        for path in (result, result.with_name(result.name + ".json")):
+            if path.resolve() in inputs or path.resolve().parent in inputs:
+                raise ValueError(
+                    f"{path}: the result of clip {clip.name!r} would be written over or among "
+                    "inputs of the batch; give another folder for the results"
+                )

@@ -1,0 +1,232 @@
+"""What a folder of recordings holds: clips with names of their own, and notes of its manifests."""
+
+import csv
+import hashlib
+import unicodedata
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from recon.formats.mocap.asf_amc import find_skeleton
+from recon.formats.mocap.bvh import parse_bvh
+from recon.formats.mocap.reader import iterate_texts, read_recording
+from recon.formats.mocap.recording import SkeletonRecording, drop_lead_in
+from recon.formats.replacing import file_checksum, value_checksum
+
+_SUFFIXES = (".bvh.xz", ".amc.xz", ".bvh", ".amc")
+_UNEVEN = ("playground", "uneven")
+
+
+@dataclass(frozen=True)
+class SourceClip:
+    """One recording of a collection, not yet read."""
+
+    collection: str
+    """Folder below the root, used for its output too."""
+    name: str
+    """Name of the output: its path in the collection without the suffix, or what the manifest
+    says."""
+    path: Path
+    """Path of the file or of the archive that holds it."""
+    member: str | None = None
+    notes: dict[str, str] = field(default_factory=dict)
+    """Its row of the manifest."""
+
+    @property
+    def id(self) -> str:
+        """Its name among the clips of all collections."""
+        return f"{self.collection}/{self.name}"
+
+    @property
+    def source(self) -> str:
+        """The place a clip comes from, for messages."""
+        return str(self.path) if self.member is None else f"{self.path}::{self.member}"
+
+    @property
+    def subject(self) -> str:
+        """The person who moves, as the manifest says."""
+        return self.notes.get("subject") or self.notes.get("actor") or ""
+
+    @property
+    def action(self) -> str:
+        """What is done."""
+        parts = (self.notes.get("action", ""), self.notes.get("style", ""))
+        return ", ".join(part for part in parts if part)
+
+    @property
+    def flat(self) -> bool:
+        """The ground is one plane: no playground, no uneven terrain."""
+        return not any(word in self.action.lower() for word in _UNEVEN)
+
+    @property
+    def contacts(self) -> bool:
+        """Feet stand where they should: not so where one skeleton took over others' paths."""
+        return "one common skeleton" not in self.notes.get("skeleton", "")
+
+
+def collections(root: Path) -> list[list[SourceClip]]:
+    """The clips below a folder, by collection: the folders that hold a manifest, or the folder.
+
+    Raises:
+        FileNotFoundError: when there is no such folder.
+        ValueError: when nothing in it is a recording of a skeleton, a manifest is damaged, or two
+            recordings would have one output; both are named.
+    """
+    if not root.is_dir():
+        raise FileNotFoundError(f"{root}: no such folder")
+    beside = (root / "manifest.csv", *sorted(root.glob("*/manifest.csv")))
+    folders = [m.parent for m in beside if m.is_file()] or [root]
+    found = [list(_clips(folder, root)) for folder in folders]
+    found = [clips for clips in found if clips]
+    if not found:
+        raise ValueError(f"{root}: expected BVH or AMC files or archives of them, found none")
+    _check_names([clip for clips in found for clip in clips])
+    return found
+
+
+def _clips(folder: Path, root: Path) -> Iterator[SourceClip]:
+    manifest = folder / "manifest.csv"
+    title = str(folder.relative_to(root)) if folder != root else (root.name or root.resolve().name)
+    if not manifest.is_file():
+        for path in sorted(folder.rglob("*")):
+            if path.name.lower().endswith(_SUFFIXES):
+                yield SourceClip(title, _without_suffix(path.relative_to(folder).as_posix()), path)
+        return
+    for number, row in _rows(manifest):
+        where = f"{manifest}, line {number}"
+        if row.get("archive"):
+            if not row.get("clip"):
+                raise ValueError(f"{where}: expected the name of a clip of {row['archive']}")
+            clip = SourceClip(title, row["clip"], folder / row["archive"], row["clip"], row)
+        elif row.get("path", "").lower().endswith(_SUFFIXES):
+            clip = SourceClip(title, _name(row), folder / row["path"], None, row)
+        elif row.get("path"):
+            continue
+        else:
+            raise ValueError(f"{where}: expected a path, or an archive and a clip in it")
+        parts = clip.name.split("/")
+        if any(part in ("", ".", "..") for part in parts) or "\0" in clip.name:
+            raise ValueError(
+                f"{where}: the clip's name becomes that of a file below OUT, so not "
+                f"{clip.name!r}; give another one in a column clip"
+            )
+        yield clip
+
+
+def _rows(manifest: Path) -> Iterator[tuple[int, dict[str, str]]]:
+    """Rows of a manifest with the numbers of their lines; missing cells are empty."""
+    try:
+        with manifest.open(newline="", encoding="utf-8-sig") as file:
+            reader = csv.DictReader(file, restkey="")
+            for row in reader:
+                yield reader.line_num, {k: v or "" for k, v in row.items() if k}
+    except (csv.Error, UnicodeDecodeError) as error:
+        raise ValueError(f"{manifest}: expected a table in CSV and UTF-8, but {error}") from error
+
+
+def _name(row: dict[str, str]) -> str:
+    """What the manifest calls a file: its name where a column clip is empty, its path without."""
+    path = _without_suffix(Path(row["path"]).as_posix())
+    return row["clip"] or Path(path).name if "clip" in row else path
+
+
+def _without_suffix(name: str) -> str:
+    """A name without the ending that makes it a recording; other dots are part of it."""
+    ending = next((end for end in _SUFFIXES if name.lower().endswith(end)), "")
+    return name[: len(name) - len(ending)]
+
+
+def _check_names(clips: Sequence[SourceClip]) -> None:
+    """Refuse recordings whose outputs would be one file, on any file system."""
+    taken: dict[str, SourceClip] = {}
+    for clip in clips:
+        same = unicodedata.normalize("NFC", clip.id).casefold()
+        if same in taken:
+            raise ValueError(
+                f"{taken[same].source} and {clip.source} would both be written as {clip.id}.npz; "
+                "rename one of them (or its clip in the manifest)"
+            )
+        taken[same] = clip
+
+
+@dataclass(frozen=True)
+class Content:
+    """What a clip is read from: its file, or its text in an archive; or why there is none."""
+
+    clip: SourceClip
+    text: str | None = None
+    inside: str = ""
+    """Name of the text in the archive."""
+    missing: str = ""
+
+    def checksum(self) -> str:
+        """SHA-256 of all that is read.
+
+        Raises:
+            OSError, ValueError: when something cannot be read.
+        """
+        if self.text is not None:
+            return hashlib.sha256(self.text.encode("utf-8", "surrogatepass")).hexdigest()
+        files = [self.clip.path]
+        if ".amc" in self.clip.path.name.lower():
+            files.append(find_skeleton(self.clip.path))
+        return value_checksum([file_checksum(file) for file in files])
+
+    def read(self) -> SkeletonRecording | str:
+        """The recording without the T-pose before it, or why there is none."""
+        if self.missing:
+            return self.missing
+        try:
+            if self.text is not None:
+                return drop_lead_in(parse_bvh(self.text, self.inside))
+            recording = read_recording(self.clip.path)
+        except (FileNotFoundError, ValueError) as error:
+            return str(error)
+        if not isinstance(recording, SkeletonRecording):
+            return f"{self.clip.path}: expected a skeleton, got markers"
+        return drop_lead_in(recording)
+
+
+def contents(clips: Sequence[SourceClip]) -> Iterator[Content]:
+    """The contents of clips; archives are read through once each.
+
+    A clip that its archive holds twice comes again, as one that cannot be read.
+    """
+    packed: dict[Path, dict[str, SourceClip]] = {}
+    for clip in clips:
+        if clip.member is None:
+            yield Content(clip)
+        else:
+            packed.setdefault(clip.path, {})[clip.member] = clip
+    for archive, members in packed.items():
+        missing, found = f"not in {archive.name}", dict[str, SourceClip]()
+        try:
+            for inside, text in iterate_texts(archive):
+                names = (inside, _without_suffix(inside), Path(inside).stem)
+                if (member := next((name for name in names if name in members), None)) is not None:
+                    found[member] = members.pop(member)
+                    yield Content(found[member], text, inside)
+                elif (member := next((name for name in names if name in found), None)) is not None:
+                    several = f"{archive.name} has several recordings {member!r}, one of them "
+                    several += f"{inside}; name it in the manifest by its path in the archive"
+                    yield Content(found[member], missing=several)
+        except (FileNotFoundError, ValueError) as error:
+            missing = str(error)
+        for clip in members.values():
+            yield Content(clip, missing=missing)
+
+
+def read_clips(
+    clips: Sequence[SourceClip],
+) -> Iterator[tuple[SourceClip, SkeletonRecording | str]]:
+    """Clips with their recordings, T-pose cut, or with why there is none; archives once each."""
+    for content in contents(clips):
+        yield content.clip, content.read()
+
+
+def skeleton_key(recording: SkeletonRecording) -> str:
+    """Equal for recordings of one skeleton: names and bone lengths to the millimetre."""
+    lengths = np.linalg.norm(recording.rest_offsets[recording.body_root + 1 :], axis=-1)
+    return ",".join(recording.joint_names) + str((1000 * lengths).round().astype(int).tolist())

@@ -1,0 +1,304 @@
+"""What a process does for a corpus: survey recordings, calibrate a skeleton, convert clips."""
+
+import csv
+import json
+import logging
+import os
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from itertools import pairwise
+from pathlib import Path
+
+from recon.batch.collection import SourceClip, contents, read_clips, skeleton_key
+from recon.batch.crew import Begun, Ended
+from recon.batch.workers import Failure
+from recon.batch.worklog import Record
+from recon.body.model import BodyModel
+from recon.formats.mocap.recording import SkeletonRecording
+from recon.formats.replacing import clear_leftovers, file_checksum, part_of, replacing
+from recon.ingest.conversion import Conversion, convert_skeletons, glitches
+from recon.ingest.maps import recognise
+from recon.ingest.subject import SubjectModel, calibrate
+
+Row = dict[str, str | float | int | bool | None]
+
+
+@dataclass(frozen=True)
+class Converted:
+    """What became of a clip."""
+
+    rows: list[Row]
+    """Rows of the report: one per piece, and one for what was left out."""
+    outputs: dict[str, str]
+    """SHA-256 of every motion file, by its name in the collection's folder."""
+
+
+def rejection(clip: SourceClip, reason: str) -> Row:
+    """The row of a clip that has no motion."""
+    return {
+        "collection": clip.collection,
+        "clip": clip.name,
+        "subject": clip.subject,
+        "action": clip.action,
+        "kept": False,
+        "reason": reason,
+    }
+
+
+def converted_record(clip: SourceClip, found: Converted, key: str) -> Record:
+    """The line of the log of a clip that was worked on."""
+    status = "ok" if found.outputs else "rejected"
+    return {
+        "id": clip.id, "status": status, "key": key, "outputs": found.outputs, "rows": found.rows,
+    }  # fmt: skip
+
+
+def rejected_record(clip: SourceClip, reason: str, key: str) -> Record:
+    """The record of a clip that is known to be of no use."""
+    return converted_record(clip, Converted([rejection(clip, reason)], {}), key)
+
+
+def failed_record(clip: SourceClip, failure: Failure) -> Record:
+    """The record of a clip with which something went wrong."""
+    record: Record = {
+        "id": clip.id, "status": failure.kind, "error": failure.reason, "outputs": {},
+        "rows": [rejection(clip, failure.reason)],
+    }  # fmt: skip
+    return record | ({"traceback": failure.traceback} if failure.traceback else {})
+
+
+def write_report(out: Path, rows: Sequence[Mapping[str, object]]) -> None:
+    """OUT/report.csv and OUT/report.json, in one step each."""
+    ordered = sorted(rows, key=lambda row: (str(row["collection"]), str(row["clip"])))
+    columns = list(dict.fromkeys(key for row in ordered for key in row))
+    with replacing(out / "report.csv") as beside, beside.open("w", newline="") as file:
+        writer = csv.DictWriter(file, columns)
+        writer.writeheader()
+        writer.writerows(ordered)
+    with replacing(out / "report.json") as beside:
+        beside.write_text(json.dumps(ordered, indent=1) + "\n", encoding="utf-8")
+
+
+logger = logging.getLogger(__name__)
+
+SHORTEST_PIECE = 1.0
+"""Seconds; what is left between jumps must last so long to be kept."""
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What a recording is: its content and its skeleton, or why it cannot be read."""
+
+    checksum: str = ""
+    skeleton: str = ""
+    """Key of its skeleton; equal for recordings of one."""
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class Task:
+    """A clip to convert."""
+
+    clip: SourceClip
+    checksum: str
+    """Checksum of the content when it was surveyed."""
+    subject: SubjectModel
+    target: Path
+    """Folder of the collection's outputs."""
+    settings: str
+    """Hash of what all conversions depend on."""
+    body: str | Path | None
+    taken: frozenset[str] = frozenset()
+    """Names of other clips that a piece of this one could have."""
+    known: Mapping[str, str] = field(default_factory=dict)
+    """SHA-256 of its outputs of a former run, by name."""
+    overwrite: bool = False
+    """Whether motions that are there and recon did not write may be replaced."""
+
+
+@dataclass(frozen=True)
+class RecordingPiece:
+    """A recording, or what lies between two jumps of one."""
+
+    clip: SourceClip
+    name: str
+    recording: SkeletonRecording
+    cut: str
+    """What was cut off, for the report."""
+
+
+def survey(clips: Sequence[SourceClip]) -> Iterator[Begun | Ended]:
+    """The content and the skeleton of every clip."""
+    places = {clip.id: k for k, clip in enumerate(clips)}
+    for content in contents(clips):
+        k = places[content.clip.id]
+        yield Begun(k)
+        found = content.read()
+        if isinstance(found, str):
+            yield Ended(k, Survey(reason=found))
+        else:
+            yield Ended(k, Survey(content.checksum(), skeleton_key(found)))
+
+
+def calibrate_group(
+    clips: Sequence[SourceClip], body_path: str | Path | None
+) -> SubjectModel | str:
+    """Shape, offsets and alignments of one skeleton, from some of its clips.
+
+    Or why there is none: nobody knows the skeleton, or no clip is whole.
+    """
+    recordings = [
+        piece.recording
+        for clip, recording in read_clips(clips)
+        if isinstance(recording, SkeletonRecording)
+        for piece in split(clip, recording)[0]
+    ]
+    if not recordings:
+        return "no clip of its skeleton lasts a second without jumps"
+    try:
+        skeleton = recognise(recordings[0])
+    except ValueError as error:
+        return str(error)
+    return calibrate(recordings, skeleton, _body(body_path))
+
+
+def convert_tasks(tasks: Sequence[Task]) -> Iterator[Begun | Ended]:
+    """Convert clips one by one, so that none depends on what is converted beside it."""
+    places = {task.clip.id: k for k, task in enumerate(tasks)}
+    for content in contents([task.clip for task in tasks]):
+        k = places[content.clip.id]
+        yield Begun(k)
+        recording = content.read()
+        if isinstance(recording, str):
+            raise ValueError(recording)
+        if content.checksum() != tasks[k].checksum:
+            raise ValueError(
+                f"{content.clip.source}: it changed while the folder was converted; run again"
+            )
+        yield Ended(k, convert_task(tasks[k], recording))
+
+
+def convert_task(task: Task, recording: SkeletonRecording) -> Converted:
+    """Convert a clip, piece by piece; each is written beside its row of the report.
+
+    Raises:
+        ValueError: when a piece has the name of another clip.
+        FileExistsError: when a file that recon did not write is where one of its own belongs.
+    """
+    body = _body(task.body)
+    pieces, rows = split(task.clip, recording)
+    for piece in pieces:
+        _check_target(task, piece)
+    outputs: dict[str, str] = {}
+    for piece in pieces:
+        (conversion,) = convert_skeletons([piece.recording], task.subject, body)
+        path, clip = task.target / f"{piece.name}.npz", task.clip
+        path.parent.mkdir(parents=True, exist_ok=True)
+        row: Row = {
+            "collection": clip.collection,
+            "clip": piece.name,
+            "subject": clip.subject,
+            "action": clip.action,
+            "kept": True,
+            **conversion.report,
+            "flat": clip.flat,
+            "contacts": clip.contacts,
+            "skeleton": task.subject.skeleton.name,
+            "cut": piece.cut,
+            "reason": "",
+            "settings": task.settings,
+        }
+        outputs[f"{piece.name}.npz"] = _write(path, conversion, row, body)
+        rows.append(row)
+    return Converted(rows, outputs)
+
+
+def _write(path: Path, conversion: Conversion, row: Row, body: BodyModel) -> str:
+    """Put a motion and its row of the report in place; the checksum of the motion.
+
+    The report comes first: there is never a motion without one, and a motion that a killed run
+    left beside the report of its successor is known by it, too.
+    """
+    beside, stage = path.with_suffix(".json"), part_of(path)
+    for place in (path, beside):
+        clear_leftovers(place)
+    try:
+        stage.mkdir()
+        motion = stage / "motion"  # without an ending, so that no reader of OUT takes it for one
+        conversion.save(motion, body, contacts=bool(row["contacts"]))
+        found = file_checksum(motion)
+        noted = {**row, "checksum": found}
+        noted["replaces"] = file_checksum(path) if path.exists() else None
+        with replacing(beside) as report:
+            report.write_text(json.dumps(noted, indent=1) + "\n", encoding="utf-8")
+        os.replace(motion, path)
+    finally:
+        shutil.rmtree(stage, ignore_errors=True)
+    return found
+
+
+def split(
+    clip: SourceClip, recording: SkeletonRecording
+) -> tuple[list[RecordingPiece], list[Row]]:
+    """What of a recording is whole: the runs between jumps that last a second or more."""
+    jumps = glitches(recording)
+    edges = [0, *(jump + 1 for jump in jumps), recording.frames]
+    runs = [(a, b) for a, b in pairwise(edges) if b > a]
+    pieces: list[RecordingPiece] = []
+    rejected: list[Row] = []
+    for first, last in runs:
+        if last - first < SHORTEST_PIECE * recording.fps:
+            continue
+        name = clip.name if len(runs) == 1 else f"{clip.name}.{first}"
+        cut = "" if len(runs) == 1 else f"frames {first}:{last}, between {len(jumps)} jumps"
+        pieces.append(RecordingPiece(clip, name, recording.window(first, last), cut))
+    kept = sum(piece.recording.frames for piece in pieces)
+    if kept < recording.frames:
+        between = f" between its {len(jumps)} jumps" if jumps else ""
+        row = rejection(clip, f"shorter than a second{between}")
+        frames = recording.frames - kept
+        rejected.append(row | {"frames": frames, "fps": recording.fps, "n_glitch": len(jumps)})
+    return pieces, rejected
+
+
+@lru_cache(maxsize=1)
+def _body(path: str | Path | None) -> BodyModel:
+    """Read once by every process; the conversion began with its checksum."""
+    return BodyModel.load(path)
+
+
+def _check_target(task: Task, piece: RecordingPiece) -> None:
+    """Refuse to write over another clip's output, or over what recon did not write."""
+    if piece.name in task.taken:
+        raise ValueError(
+            f"{task.clip.source}: its piece between two jumps would be written as {piece.name}, "
+            "which is the name of another recording; rename one of them"
+        )
+    path = task.target / f"{piece.name}.npz"
+    if task.overwrite or not path.exists():
+        return
+    if file_checksum(path) not in {task.known.get(f"{piece.name}.npz"), *_noted(path)}:
+        raise FileExistsError(
+            f"{path} is there already, and recon did not write it as it is (its checksum does not "
+            f"stand in {path.with_suffix('.json').name}); move it away, give another OUT, or "
+            "replace it by --overwrite"
+        )
+
+
+def _noted(path: Path) -> tuple[object, ...]:
+    """Checksums of a motion that its report knows as made by recon."""
+    beside = path.with_suffix(".json")
+    if not beside.is_file():
+        return ()
+    try:
+        row = json.loads(beside.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError):
+        return ()
+    if not isinstance(row, dict):
+        return ()
+    if "checksum" not in row and {"collection", "clip", "settings"} <= row.keys():
+        # version 0.1.0 noted none
+        return (file_checksum(path),)
+    return row.get("checksum"), row.get("replaces")

@@ -1,0 +1,151 @@
+"""Jobs on a Ray cluster: the same work, log and resume as in processes of this machine.
+
+Ray starts the processes and notices when one, or its whole machine, dies. Code is not sent:
+every machine has recon installed, in the same version, and sees the same files under the same
+paths. Ray is imported only here.
+"""
+
+import os
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, fields, replace
+from functools import partial
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from recon.batch.crew import Run
+from recon.batch.workers import Failure, as_worker, attempt
+from recon.core.errors import ReconError
+from recon.fitting.settings import FitSettings
+
+LOCAL = "local"
+"""Address of a cluster that is begun on this machine, and ended after the work."""
+_TRIES = 3
+"""Number of times that a job is begun whose machine or process died, as machines come and go."""
+
+
+@dataclass(frozen=True)
+class RayCluster:
+    """A cluster that takes jobs."""
+
+    cpus: int
+    """Processors of all its machines."""
+    run: Run
+    """What `recon.batch.workers.run_jobs` does here."""
+
+
+@contextmanager
+def ray_cluster(address: str, cpus: int | None = None) -> Iterator[RayCluster]:
+    """Join a cluster until the block ends.
+
+    Args:
+        address: `local`, which begins one on this machine; `auto` for the one that this machine
+            belongs to; or that of a cluster's head, such as 10.0.0.1:6379 or ray://10.0.0.1:10001.
+        cpus: processors of a cluster that is begun here; None takes all.
+
+    Raises:
+        ReconError: when Ray is not installed, or there is no cluster at the address.
+    """
+    ray = _imported()
+    joined = not ray.is_initialized()
+    if joined:
+        _join(ray, address, cpus)
+    try:
+        known = ray.cluster_resources().get("CPU", 1)
+        yield RayCluster(max(int(known), 1), partial(_run, ray))
+    finally:
+        if joined:
+            ray.shutdown()
+
+
+def absolute(settings: FitSettings) -> FitSettings:
+    """Settings whose files are named from the root: processes of a cluster begin elsewhere."""
+    found: dict[str, Any] = {}
+    for field in fields(settings):
+        value = getattr(settings, field.name)
+        if isinstance(value, Path):
+            found[field.name] = value.absolute()
+    if Path(settings.weights).is_file():
+        found["weights"] = str(Path(settings.weights).absolute())
+    return replace(settings, **found)
+
+
+def _imported() -> Any:
+    # by name: type checkers need not find an extra that few installations have
+    try:
+        ray = import_module("ray")
+        import_module("ray.exceptions")
+    except ImportError as error:
+        raise ReconError(
+            "--ray needs the package Ray, which is not installed here: "
+            "pip install 'motion-recon[ray]', on all machines of the cluster"
+        ) from error
+    return ray
+
+
+def _join(ray: Any, address: str, cpus: int | None) -> None:
+    # nothing is told to anyone about a cluster that is begun here
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    quiet = {"log_to_driver": False, "logging_level": "ERROR"}
+    try:
+        if address == LOCAL:
+            ray.init(address=LOCAL, num_cpus=cpus, include_dashboard=False, **quiet)
+        else:
+            ray.init(address=address, **quiet)
+    except (ConnectionError, ValueError, RuntimeError) as error:
+        raise ReconError(
+            f"--ray {address}: no cluster could be joined ({error}); expected `local`, `auto` or "
+            "the address of a cluster's head, such as 10.0.0.1:6379 (`ray status` there tells it)"
+        ) from error
+
+
+def _run(
+    ray: Any,
+    function: Callable[..., Any],
+    jobs: Iterable[tuple[Any, ...]],
+    processes: int,
+) -> Iterator[tuple[tuple[Any, ...], Any]]:
+    """Jobs and their results as they end; see `recon.batch.workers.run_jobs`."""
+    remote = ray.remote(num_cpus=1, max_retries=0)(_messages)
+    drawn, busy = iter(jobs), dict[Any, tuple[tuple[Any, ...], int]]()
+    try:
+        while True:
+            while len(busy) < processes and (job := next(drawn, None)) is not None:
+                busy[remote.remote(function, job)] = job, 1
+            if not busy:
+                return
+            (ready,), _ = ray.wait(list(busy), num_returns=1)
+            job, tries = busy.pop(ready)
+            messages = _received(ray, ready)
+            if isinstance(messages, Failure) and messages.kind == "crashed" and tries < _TRIES:
+                busy[remote.remote(function, job)] = job, tries + 1
+                continue
+            for message in [messages] if isinstance(messages, Failure) else messages:
+                yield job, message
+    finally:
+        for one in busy:
+            ray.cancel(one, force=True)
+
+
+def _messages(function: Callable[..., Any], job: tuple[Any, ...]) -> list[Any]:
+    """All that a job gives, in a process of the cluster."""
+    as_worker()
+    return [message for message, _ in attempt(function, job)]
+
+
+def _received(ray: Any, reference: Any) -> list[Any] | Failure:
+    """The messages of a job that ended, or the reason why there are none."""
+    known = ray.exceptions
+    try:
+        return ray.get(reference)
+    except known.OutOfMemoryError as error:
+        return Failure("out of memory", _first_line(error))
+    except (known.WorkerCrashedError, known.NodeDiedError, known.LocalRayletDiedError) as error:
+        return Failure("crashed", f"its process or machine died: {_first_line(error)}")
+    except known.RayError as error:
+        return Failure("error", _first_line(error), str(error))
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).strip().partition("\n")[0]

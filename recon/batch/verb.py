@@ -1,0 +1,124 @@
+"""`recon batch`: many clips at once."""
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stdout
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tyro.conf import OmitArgPrefixes, Positional
+
+from recon.cli.errors import Failed
+from recon.cli.places import Arguments, Overwrite, Place, Quiet, writes
+from recon.fitting.settings import DEFAULTS, FitSettings
+from recon.formats.outputs import Kind, Output
+
+if TYPE_CHECKING:
+    from recon.batch.crew import Run
+
+
+def _is_former(folder: Path) -> bool:
+    """Whether a folder has the log of a batch; one that was cut at once has no whole line yet."""
+    from recon.batch.worklog import read_log
+
+    logs = list(folder.glob("log*.jsonl"))
+    return any(b"\n" not in log.read_bytes() or read_log(log) for log in logs)
+
+
+def _results(out: Path, _: Arguments) -> tuple[Output, ...]:
+    return (Output(out, Kind.CONTINUED, is_former=_is_former),)
+
+
+def _observations(given: Arguments) -> Iterator[Path]:
+    from recon.batch.worklog import read_manifest
+
+    if given["manifest"].is_file():
+        for clip in read_manifest(given["manifest"]):
+            yield from clip.observations
+
+
+@writes(Place("out", _results), reads=_observations)
+def batch(
+    manifest: Positional[Path],
+    out: Path,
+    settings: OmitArgPrefixes[FitSettings] = DEFAULTS,
+    processes: int | None = None,
+    together: int = 1000,
+    shard: str = "0/1",
+    ray: str | None = None,
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+) -> None:
+    """Fit every clip of a manifest; run it again to go on where it stopped.
+
+    The manifest has one JSON object per line: {"id": "clip", "observations": ["clip.npz"]}.
+    With "subject": "anna" beside, the clips of one subject share one shape, which is estimated
+    from all of them first. Results are OUT/ID.npz; OUT/log.jsonl says what became of each clip.
+    A clip is fitted again when the contents of its files, of the calibration, body, masks or
+    weights, the settings or its subject's shape are others than before. Exit code 1 says that
+    some clip has no result; see the log for why.
+
+    Args:
+        manifest: JSON lines; paths are relative to it.
+        out: folder for the results.
+        settings: how to fit.
+        processes: that work at a time, one thread each; default: 2, and with --ray as many as
+            the cluster has processors.
+        together: frames of several clips of like length that a process fits together at most,
+            which takes less time and more memory; 1 fits clips one by one.
+        shard: I/N fits the I-th of N equal parts: one part per machine or job of a cluster.
+        ray: `local`, or the address of a Ray cluster that does the work (recon[ray]); its machines
+            have recon and see the same files under the same paths.
+        overwrite: replace files that are there and recon did not write.
+        quiet: say nothing but errors and, last, where the result is.
+    """
+    del quiet  # heeded by `writes`
+    from recon.cli import console
+    from recon.cli.own import check_plugs
+
+    check_plugs(settings.prior, settings.reader)
+    from recon.batch.batch import fit_all
+    from recon.batch.worklog import read_manifest
+    from recon.batch.worklog import shard as part
+
+    if ray is not None:
+        from recon.batch.ray_cluster import absolute
+
+        # processes of a cluster begin in another folder
+        manifest, out, settings = manifest.absolute(), out.absolute(), absolute(settings)
+    index, slash, count = shard.partition("/")
+    if not (slash and index.isdigit() and count.isdigit()):
+        raise ValueError(f"--shard is I/N, for example 0/4; got {shard!r}")
+    clips = part(read_manifest(manifest), int(index), int(count))
+    out.mkdir(parents=True, exist_ok=True)
+    log = out / ("log.jsonl" if shard == "0/1" else f"log-{index}-{count}.jsonl")
+    counts: dict[str, int] = {}
+    with console.progress() as bar, _crew(processes, ray) as (workers, run):
+        task = bar.add_task("clips", total=len(clips))
+        for record in fit_all(
+            clips, out, settings, workers, log, overwrite=overwrite, together=together, run=run
+        ):
+            counts[record["status"]] = counts.get(record["status"], 0) + 1
+            if "error" in record:
+                console.complain(f"{record['id']}: {record['status']}: {record['error']}")
+            bar.advance(task)
+    console.answer({"clips": len(clips), **counts, "log": str(log)})
+    console.last(str(out))
+    if any(status not in ("ok", "skipped") for status in counts):
+        bad = sum(n for status, n in counts.items() if status not in ("ok", "skipped"))
+        raise Failed(f"{bad} of {len(clips)} clips were not fitted; {log} says why")
+
+
+@contextmanager
+def _crew(processes: int | None, ray: str | None) -> Iterator[tuple[int, "Run"]]:
+    """How many processes work at a time, and what runs them."""
+    if ray is None:
+        from recon.batch.workers import run_jobs
+
+        yield 2 if processes is None else processes, run_jobs
+        return
+    from recon.batch.ray_cluster import ray_cluster
+
+    # Ray prints what happens to its processes; stdout is for the answer
+    with redirect_stdout(sys.stderr), ray_cluster(ray, processes) as cluster:
+        yield cluster.cpus if processes is None else processes, cluster.run

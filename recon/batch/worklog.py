@@ -1,0 +1,197 @@
+"""Manifests of batches: the clips to fit, one JSON object per line."""
+
+import contextlib
+import hashlib
+import json
+import os
+import sys
+import unicodedata
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+from recon.fitting.settings import FitSettings
+
+_EXPECTED = '{"id": "clip", "observations": ["clip.npz"]}'
+
+
+@dataclass(frozen=True)
+class BatchClip:
+    """One line of a manifest."""
+
+    name: str
+    observations: tuple[Path, ...]
+    subject: str | None = None
+    """The person who moves; clips of one subject share one shape. None: nobody was named."""
+
+
+def read_manifest(path: Path) -> tuple[BatchClip, ...]:
+    """The clips of a manifest: a JSON object per line, {"id": ..., "observations": [...]}.
+
+    Each may have a `subject`, whose clips share one shape. Paths are relative to the manifest.
+
+    Raises:
+        FileNotFoundError: when there is no such manifest.
+        ValueError: when a line is not such an object or an id occurs twice; it is named.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such manifest")
+    try:
+        # not splitlines: it would part texts at signs that JSON allows inside them
+        lines = path.read_text(encoding="utf-8-sig").split("\n")
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{path}: expected text in UTF-8, but {error}") from error
+    clips: dict[str, tuple[int, BatchClip]] = {}
+    for number, line in enumerate(lines, 1):
+        if not line.strip():
+            continue
+        clip = _clip(line, path, number)
+        # ids that differ by case alone are one file on many systems
+        same = unicodedata.normalize("NFC", clip.name).casefold()
+        if same in clips:
+            before, other = clips[same]
+            raise ValueError(
+                f"{path}: ids occur twice: {other.name!r} in line {before} and {clip.name!r} in "
+                f"line {number} would be one file"
+            )
+        clips[same] = number, clip
+    return tuple(clip for _, clip in clips.values())
+
+
+def _clip(line: str, path: Path, number: int) -> BatchClip:
+    """The clip of one line."""
+    where = f"{path}, line {number}"
+    try:
+        row = json.loads(line)
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"{where}: expected {_EXPECTED}, got {line[:80]!r} ({error})") from error
+    if not isinstance(row, dict) or not {"id", "observations"} <= row.keys():
+        raise ValueError(f"{where}: expected {_EXPECTED}, got {line[:80]!r}")
+    name, files = row["id"], row["observations"]
+    if isinstance(name, int) and not isinstance(name, bool):
+        name = str(name)
+    files = files if isinstance(files, list) else [files]
+    if not isinstance(name, str) or not all(isinstance(file, str) for file in files):
+        raise ValueError(f"{where}: expected texts, as in {_EXPECTED}, got {line[:80]!r}")
+    if name != Path(name).name or name in ("", ".", "..") or "\0" in name:
+        raise ValueError(f"{where}: an id names a file, so not {name[:80]!r}")
+    if foreign := [field.name for field in fields(FitSettings) if field.name in row]:
+        raise ValueError(
+            f"{where}: {', '.join(foreign)} cannot differ between clips of a batch; give such "
+            "settings as options, and clips with others in a batch of their own"
+        )
+    subject = row.get("subject")
+    if subject is not None and not (isinstance(subject, str | int) and str(subject).strip()):
+        raise ValueError(f"{where}: expected a name as subject, got {subject!r:.80}")
+    whose = None if subject is None else str(subject)
+    return BatchClip(name, tuple(path.parent / file for file in files), whose)
+
+
+def shard(clips: Sequence[BatchClip], index: int, count: int) -> tuple[BatchClip, ...]:
+    """The clips of one of `count` equal workers: the same every time.
+
+    They are told apart by a hash of the id; clips of one subject stay together.
+    """
+    if not 0 <= index < count:
+        raise ValueError(f"--shard is I/N with 0 <= I < N, got {index}/{count}")
+    return tuple(
+        clip
+        for clip in clips
+        if int(hashlib.sha256(_kept_together(clip).encode()).hexdigest(), 16) % count == index
+    )
+
+
+def _kept_together(clip: BatchClip) -> str:
+    return clip.name if clip.subject is None else f"subject {clip.subject}"
+
+
+Record = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class WorkLog:
+    """An open log."""
+
+    path: Path
+    descriptor: int
+    records: dict[str, Record] = field(default_factory=dict)
+    """The last record of every id."""
+
+    def append(self, record: Record) -> None:
+        """Write a record, whose `id` names what it is about, as one line.
+
+        One that says the same as the last of its id but for its `seconds` is not written again.
+
+        Raises:
+            OSError: when it cannot be written.
+        """
+        if _without_time(record) == _without_time(self.records.get(record["id"], {})):
+            return
+        line = (json.dumps(record) + "\n").encode()
+        end = os.fstat(self.descriptor).st_size
+        try:
+            written = os.write(self.descriptor, line)
+        except OSError:
+            os.ftruncate(self.descriptor, end)
+            raise
+        if written < len(line):
+            os.ftruncate(self.descriptor, end)
+            raise OSError(f"{self.path}: a line could not be written whole; is the disk full?")
+        self.records[record["id"]] = record
+
+
+@contextlib.contextmanager
+def open_log(path: Path) -> Iterator[WorkLog]:
+    """A log to read and to append to, held against other writers until the block ends.
+
+    Raises:
+        ValueError: when another process holds it.
+        OSError: when it cannot be opened or written.
+    """
+    descriptor = os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT, 0o666)
+    try:
+        _hold(descriptor, path)
+        data = path.read_bytes()
+        whole = data.rfind(b"\n") + 1
+        if whole < len(data):
+            os.ftruncate(descriptor, whole)
+        yield WorkLog(path, descriptor, _records(data[:whole]))
+    finally:
+        os.close(descriptor)
+
+
+def read_log(path: Path) -> dict[str, Record]:
+    """The last record of every id of a log that somebody else may be writing to."""
+    data = path.read_bytes() if path.is_file() else b""
+    return _records(data[: data.rfind(b"\n") + 1])
+
+
+def _records(data: bytes) -> dict[str, Record]:
+    records: dict[str, Record] = {}
+    for line in data.split(b"\n"):
+        try:
+            row = json.loads(line)
+        except (ValueError, RecursionError):
+            continue
+        if isinstance(row, dict) and isinstance(row.get("id"), str):
+            records[row["id"]] = row
+    return records
+
+
+def _without_time(record: Record) -> Record:
+    return {key: value for key, value in record.items() if key != "seconds"}
+
+
+def _hold(descriptor: int, path: Path) -> None:
+    """Lock the file until it is closed, which a killed process does too."""
+    if sys.platform == "win32":
+        return
+    import fcntl
+
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        raise ValueError(
+            f"{path}: another run is writing to it; wait for its end, or give another OUT"
+        ) from error

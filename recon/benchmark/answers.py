@@ -1,0 +1,253 @@
+"""What a method gives back for a window: a motion, or places of joints alone."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from recon.api.given import motion_given
+from recon.benchmark.protocols import BenchProtocol, SeenWindow
+from recon.benchmark.windows import TrueWindows
+from recon.body.contacts import contact_labels, rest_heights
+from recon.body.model import BodyModel
+from recon.core.errors import ReconError
+from recon.core.motion import Motion
+from recon.core.skeleton import FEET, LEGS
+from recon.formats.opening import load_arrays
+from recon.metrics import errors as metrics
+from recon.metrics.evaluation import (
+    ObservedPoints,
+    evaluate,
+    joint_errors,
+    observed_errors,
+    smoothness,
+    sole_heights,
+)
+
+Row = dict[str, float | None]
+Rows = dict[str, Row]
+"""Values by metric for every subject, and as "mean" over those who count. Under `WINDOWS` is a
+list of the values of every window for each metric."""
+
+WINDOWS = "windows"
+KEPT = (
+    "joints_all", "joints_legs", "root_joints_all", "vertices", "observed_all",
+    "observed_visible", "observed_hidden", "accel", "accel_error", "penetration_freq",
+    "slip_speed", "contact_accuracy", "root_visible", "root_hidden", "root_all",
+)  # fmt: skip
+"""Metrics whose values are kept window by window."""
+
+
+def clip_row(
+    motion: Motion,
+    truth: Motion,
+    body: BodyModel,
+    contacts: Tensor | None,
+    touching: Bool[Tensor, "time 22"],
+    observed: ObservedPoints | None = None,
+) -> Row:
+    """Every metric of `recon evaluate` of one window, and how its feet stand.
+
+    `sole_height` is the mean distance of a foot's lowest skin from the ground while its toe or
+    ankle is in true contact.
+
+    Args:
+        motion: what a method gave back.
+        truth: the true motion, the same frames.
+        body: of both.
+        contacts: what the method says of them, labels or probabilities; None where nothing.
+        touching: the true contacts.
+        observed: the observation's points, where they are and where the method has them.
+    """
+    row = evaluate(
+        motion, truth, body, contacts=contacts, truth_contacts=touching, observed=observed
+    )
+    heights = {
+        "sole_height": stance_height(motion, touching, body),
+        "sole_height_truth": stance_height(truth, touching, body),
+    }
+    return {**row, **heights}
+
+
+def stance_height(
+    motion: Motion, touching: Bool[Tensor, "time 22"], body: BodyModel
+) -> float | None:
+    """Mean distance of the lowest skin of a foot from the ground while that foot stands."""
+    stands = touching[:, list(FEET)].unflatten(-1, (2, 2)).any(-2)  # ankles or toes; left, right
+    return metrics.mean(sole_heights(body.pose(motion)).abs(), stands)
+
+
+def feet_balanced(windows: TrueWindows, said: Bool[Tensor, "clips time 22"]) -> Rows:
+    """Balanced accuracy of the four foot channels, over all windows of a subject together."""
+    found: Rows = {}
+    for subject in sorted(set(windows.subjects)):
+        own = windows.of(subject)
+        value = metrics.contact_balanced_accuracy(said[own], windows.contacts[own], FEET)
+        found[subject] = {"feet_balanced": value}
+    return {**found, "mean": mean_of([found[subject] for subject in windows.counted])}
+
+
+def by_subject(windows: TrueWindows, clips: list[Row]) -> Rows:
+    """Means of rows by subject and over the subjects who count, and values by window."""
+    subjects = sorted(set(windows.subjects))
+    rows = {s: mean_of([clips[i] for i in windows.of(s)]) for s in subjects}
+    rows["mean"] = mean_of([rows[s] for s in windows.counted])
+    kept = {key: [rounded(row[key]) for row in clips] for key in KEPT if key in clips[0]}
+    return {**rows, WINDOWS: kept}  # type: ignore[dict-item]
+
+
+def rounded(value: float | None) -> float | None:
+    """The value rounded to six digits, which intervals do not notice."""
+    return None if value is None else float(f"{value:.6g}")
+
+
+def mean_of(rows: list[Row]) -> Row:
+    """Average by metric over the rows that have it."""
+    found: Row = {}
+    for key in rows[0]:
+        values = [v for row in rows if (v := row[key]) is not None]
+        found[key] = float(np.mean(values)) if values else None
+    return found
+
+
+def subject_mean(windows: TrueWindows, values: Tensor) -> float:
+    """Mean over each subject's windows, then over the subjects who count."""
+    means = [values[windows.of(s)].mean() for s in windows.counted]
+    return torch.stack(means).mean().item()
+
+
+def acceleration_ratio(row: Row) -> float | None:
+    """Own over true size of accelerations; None where either is not known."""
+    own, true = row.get("accel"), row.get("accel_truth")
+    return own / true if own is not None and true else None
+
+
+ARRAYS = ("joints", "points", "contacts")
+"""Keys of an answer in arrays: joints (time, 22, 3), points as they were seen (time, points, 3),
+both in metres, and probabilities of contact (time, 22). Joints are needed."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a method gave back for one window; each tensor has one row per frame."""
+
+    joints: Float[Tensor, "time 22 3"]
+    motion: Motion | None = None
+    points: Float[Tensor, "time points 3"] | None = None
+    contacts: Float[Tensor, "time 22"] | None = None
+    """Probabilities of contact, labelled from a motion whose method says nothing of them; None
+    for joints alone."""
+
+
+def answer_of(given: Any, window: SeenWindow, body: BodyModel, name: str) -> Answer:
+    """An answer as any method may give it, checked.
+
+    Args:
+        given: places of the 22 joints, an array (time, 22, 3) in metres; a mapping of such arrays
+            by the names in `ARRAYS`; or a motion, as every function of recon takes it.
+        window: for which it was given.
+        body: whose motions are judged.
+        name: of the method or file, for messages.
+
+    Raises:
+        ReconError: when it is none of these, has other frames than the window, or holds NaN.
+    """
+    where = f"{name}, window {window.name}"
+    if isinstance(given, Mapping) and set(given) & set(ARRAYS):
+        return _of_arrays(given, window, where)
+    if hasattr(given, "__array__") or isinstance(given, list):
+        return _of_arrays({"joints": given}, window, where)
+    file = motion_given(given, body, where).file
+    motion, truth = file.motion, window.truth
+    if motion.frames != truth.frames or abs(motion.fps - truth.fps) > 1e-3:
+        raise ReconError(
+            f"{where}: expected {truth.frames} frames at {truth.fps:g} Hz, got {motion.frames} "
+            f"at {motion.fps:g} Hz"
+        )
+    motion = motion.replace(start_time=truth.start_time, fps=truth.fps)
+    posed = body.pose(motion)
+    points = posed.points(torch.tensor(window.vertices)) if window.vertices else None
+    contacts = file.contacts
+    if contacts is None:
+        heights = rest_heights(body, motion.shape)
+        contacts = contact_labels(posed.joints, heights, motion.fps).double()
+    return Answer(posed.joints, motion, points, contacts)
+
+
+def answer_in(folder: Path, window: SeenWindow, body: BodyModel) -> Answer:
+    """The prediction of a window in a folder: a motion file, or arrays as `answer_of` takes them.
+
+    Raises:
+        FileNotFoundError: when the folder has no file of the window's name.
+        ReconError: when it is damaged, or as `answer_of` says.
+    """
+    path = folder / window.file_name
+    if not path.is_file():
+        raise FileNotFoundError(
+            f"{path}: expected a prediction for every window, in files named as those of "
+            "`recon bench PROTOCOL --write FOLDER`"
+        )
+    arrays = load_arrays(path)
+    own = {key: arrays[key] for key in ARRAYS if key in arrays}
+    if len(own) == 0 and "trans" not in arrays:
+        raise ReconError(
+            f"{path}: expected a motion file, or an array joints (time, 22, 3) in metres; found "
+            f"{', '.join(sorted(arrays))}"
+        )
+    return answer_of(own or path, window, body, str(folder))
+
+
+def _of_arrays(given: Mapping[str, Any], window: SeenWindow, where: str) -> Answer:
+    if unknown := sorted(set(given) - set(ARRAYS)):
+        raise ReconError(f"{where}: expected arrays {', '.join(ARRAYS)}; got {unknown} besides")
+    if "joints" not in given:
+        raise ReconError(f"{where}: expected joints (time, 22, 3) beside {', '.join(given)}")
+    time = window.truth.frames
+    shapes = {
+        "joints": (time, 22, 3),
+        "points": tuple(window.points.shape),
+        "contacts": (time, 22),
+    }
+    tensors: dict[str, Tensor] = {}
+    for key, value in given.items():
+        array = np.asarray(value)
+        if array.shape != shapes[key] or array.dtype.kind not in "fiub":
+            raise ReconError(
+                f"{where}: expected {key} of shape {shapes[key]}, metres, z up; got "
+                f"{array.shape} of {array.dtype}"
+            )
+        if not np.isfinite(array).all():
+            raise ReconError(f"{where}: {key} holds NaN or infinity; every frame is judged")
+        tensors[key] = torch.from_numpy(array.astype(np.float64))
+    points = tensors.get("points") if window.vertices else None
+    return Answer(tensors["joints"], points=points, contacts=tensors.get("contacts"))
+
+
+def judged(protocol: BenchProtocol, window: SeenWindow, answer: Answer, body: BodyModel) -> Row:
+    """The metrics of an answer over the frames that a protocol judges, in SI units."""
+    part = slice(*protocol.judged)
+    truth = window.truth.window(*protocol.judged)
+    touching = window.touching[part]
+    contacts = None if answer.contacts is None else answer.contacts[part]
+    observed = None
+    if answer.points is not None:
+        visible = torch.from_numpy(window.seen.visible)[part]
+        places = window.points[part].double()
+        observed = ObservedPoints(answer.points[part].double(), places, visible)
+    if answer.motion is not None:
+        motion = answer.motion.window(*protocol.judged)
+        return clip_row(motion, truth, body, contacts, touching, observed)
+    own, actual = answer.joints[part], body.pose(truth).joints.double()
+    errors = metrics.point_errors(own, actual)
+    return {
+        **joint_errors(own, actual, None),
+        "joints_legs": metrics.mean(errors[:, list(LEGS)]),
+        **smoothness(own, actual, truth.fps),
+        **observed_errors(observed),
+        "slip_speed": metrics.slip_speed(own, touching, truth.fps),
+    }

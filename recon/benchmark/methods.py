@@ -1,0 +1,167 @@
+"""Methods that are judged: built-in ones by name, and anybody's own class."""
+
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from priors.humor.prior import Humor
+from priors.pose.prior import PosePrior
+from recon.benchmark.protocols import noise_of, sensor_of
+from recon.body.model import BodyModel
+from recon.core.errors import ReconError
+from recon.core.skeleton import JOINTS
+from recon.formats.motions import MotionFile
+from recon.formats.observations import PositionsFile
+from recon.method.plugins import imported
+from recon.method.reconstruction import Method, solve
+
+
+def butterworth(
+    positions: Float[Tensor, "clips time points 3"], fps: float, cutoff: float
+) -> Float[Tensor, "clips time points 3"]:
+    """Second-order Butterworth low-pass run forwards and backwards: no delay.
+
+    Args:
+        positions: metres.
+        fps: frames per second.
+        cutoff: frequency that a single pass lets through by half its power, Hz.
+    """
+    from scipy.signal import butter, filtfilt
+
+    coefficients: Any = butter(2, cutoff, fs=fps)
+    smooth = filtfilt(coefficients[0], coefficients[1], positions.double().numpy(), axis=1)
+    return torch.from_numpy(np.ascontiguousarray(smooth)).to(positions)
+
+
+def whittaker(
+    positions: Float[Tensor, "clips time points 3"], stiffness: float
+) -> Float[Tensor, "clips time points 3"]:
+    """Least squares with penalised second differences: min |x - y|² + stiffness |D²x|²."""
+    frames = positions.shape[1]
+    bend = torch.eye(frames, dtype=torch.float64).diff(n=2, dim=0)
+    system = torch.eye(frames, dtype=torch.float64) + stiffness * bend.mT @ bend
+    flat = positions.double().transpose(0, 1).reshape(frames, -1)
+    smooth = torch.linalg.solve(system, flat).unflatten(1, (len(positions), *positions.shape[2:]))
+    return smooth.transpose(0, 1).to(positions)
+
+
+CUTOFF = 2.0
+"""Hz; it had the least error on the validation windows with 4 cm of noise."""
+STIFFNESS = 42.2
+"""Weight of squared second differences; chosen as the cutoff was."""
+
+
+@runtime_checkable
+class BenchMethod(Protocol):
+    """A method that is judged: an object that is called with what was seen of one window.
+
+    A class "package.module:Class" is made without arguments, once, before time is taken.
+    """
+
+    def __call__(self, seen: PositionsFile) -> Any:
+        """The motion of a window.
+
+        Args:
+            seen: named points in the world, z up, the ground at z = 0: `positions` (time, points,
+                3) in metres, `visible` (time, points), `names`, `fps`, and `std`, their standard
+                deviation in metres or None where they are exact.
+
+        Returns:
+            One row per frame of `seen`: joints (time, 22, 3) in metres in the order of
+            `recon.core.skeleton.JOINTS`; a dict of `joints` and, if known, `points` (where the
+            points that were seen or hidden are) and `contacts`; or a motion: a `recon.Motion`, a
+            result of `recon.fit`, or the path of a motion file.
+        """
+        ...
+
+
+def method_named(name: str, body: BodyModel) -> BenchMethod:
+    """A built-in method by its name, or an object of a class at "package.module:Class".
+
+    Raises:
+        ReconError: names the built-in methods, or says why a class cannot be had.
+    """
+    if ":" in name:
+        made = imported(name, "--method")()
+        if not callable(made):
+            raise ReconError(
+                f"--method: objects of {name} cannot be called; expected a method "
+                "__call__(self, seen) that gives joints or a motion"
+            )
+        return made
+    if name not in _BUILT_IN:
+        raise ReconError(
+            f"there is no method {name!r}; there are {', '.join(_BUILT_IN)}, and "
+            "package.module:Class of your own"
+        )
+    return _BUILT_IN[name](body)
+
+
+class _Fitted:
+    """A fit under a prior with the weights for the noise that the record tells."""
+
+    def __init__(self, body: BodyModel, method: Callable[[float], Method]) -> None:
+        self.body, self.method = body, method
+
+    def __call__(self, seen: PositionsFile) -> MotionFile:
+        sensor = sensor_of(seen)
+        found = solve([sensor], self.method(noise_of(seen)), self.body)
+        return MotionFile(found.motion[0].detach())
+
+
+def _all_joints(seen: PositionsFile, name: str) -> None:
+    if seen.names != tuple(JOINTS):
+        raise ReconError(
+            f"{name} knows no body: it takes protocols that see all 22 joints (noisy-joints, gap)"
+        )
+
+
+def _linear(seen: PositionsFile) -> np.ndarray:
+    """Joints as they were seen, on straight lines across what was not seen."""
+    _all_joints(seen, "linear")
+    filled, times = seen.positions.copy(), np.arange(len(seen.positions))
+    for point, shown in enumerate(seen.visible.T):
+        if not shown.any():
+            raise ReconError(f"linear: {seen.names[point]} was never seen")
+        for axis in range(3):
+            known = seen.positions[shown, point, axis]
+            filled[:, point, axis] = np.interp(times, times[shown], known)
+    return filled
+
+
+def _smoothed(smooth: Callable[[torch.Tensor, float], torch.Tensor]) -> BenchMethod:
+    """A smoother of every coordinate, after straight lines across what was not seen."""
+
+    def given_back(seen: PositionsFile) -> np.ndarray:
+        return smooth(torch.from_numpy(_linear(seen))[None], seen.fps)[0].numpy()
+
+    return given_back
+
+
+def _humor(way: str) -> Callable[[BodyModel], BenchMethod]:
+    def made(body: BodyModel) -> BenchMethod:
+        humor = Humor.load(body=body)
+        return _Fitted(body, lambda noise: humor.method(noise, body, way))
+
+    return made
+
+
+def _pose(body: BodyModel) -> BenchMethod:
+    prior = PosePrior.load(body=body)
+    return _Fitted(body, lambda noise: prior.method(noise, body))
+
+
+_BUILT_IN: Mapping[str, Callable[[BodyModel], BenchMethod]] = {
+    "linear": lambda _: _linear,
+    "butterworth": lambda _: _smoothed(lambda x, fps: butterworth(x, fps, CUTOFF)),
+    "least-squares": lambda _: _smoothed(lambda x, _: whittaker(x, STIFFNESS)),
+    "pose": _pose,
+    **{way: _humor(way) for way in Humor.methods},
+}
+BUILT_IN = tuple(_BUILT_IN)
+"""Names of the built-in methods: the data on straight lines, two smoothers, stages 1-2 under the
+pose prior, and the ways to fit under HuMoR."""

@@ -1,0 +1,245 @@
+"""What a benchmark found: means over subjects with their intervals, by method."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from recon.benchmark.answers import Row
+from recon.benchmark.protocols import BenchProtocol
+from recon.benchmark.windows import TrueWindows
+from recon.formats.reports import versions
+from recon.formats.writing import write_report
+
+DRAWS = 4000
+LEVEL = 0.95
+
+Values = Sequence[float | None]
+"""Values of one metric, window by window; None where a window has none."""
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A mean and the interval that it lies in."""
+
+    mean: float
+    low: float
+    high: float
+
+    @property
+    def sure(self) -> bool:
+        """Whether the interval leaves zero out; of a difference: whether it means anything."""
+        return self.low > 0 or self.high < 0
+
+
+def interval(values: Values, clips: Sequence[str], subjects: Sequence[str]) -> Interval:
+    """Mean over subjects of a subject's mean over windows, with its 95 % interval.
+
+    Args:
+        values: of one metric, window by window.
+        clips: the clip of every window.
+        subjects: the subject of every window.
+
+    Raises:
+        ValueError: when the lengths differ, or no window has a value.
+    """
+    if not len(values) == len(clips) == len(subjects):
+        raise ValueError(
+            f"expected one clip and one subject per value, got {len(values)} values, "
+            f"{len(clips)} clips, {len(subjects)} subjects"
+        )
+    groups = _by_clip(values, clips, subjects)
+    if not groups:
+        raise ValueError("no window has a value")
+    random = np.random.default_rng(0)
+    drawn = np.mean([_resampled(own, random) for own in groups.values()], axis=0)
+    tail = 100 * (1 - LEVEL) / 2
+    low, high = np.percentile(drawn, (tail, 100 - tail))
+    mean = np.mean([own[:, 0].sum() / own[:, 1].sum() for own in groups.values()])
+    return Interval(float(mean), float(low), float(high))
+
+
+def paired(
+    values: Values, others: Values, clips: Sequence[str], subjects: Sequence[str]
+) -> Interval:
+    """The mean difference `values` - `others` on the same windows, with its 95 % interval.
+
+    Raises:
+        ValueError: when the lengths differ, or no window has both values.
+    """
+    if len(values) != len(others):
+        raise ValueError(f"expected the same windows, got {len(values)} and {len(others)} values")
+    differences = [
+        None if a is None or b is None else a - b for a, b in zip(values, others, strict=True)
+    ]
+    return interval(differences, clips, subjects)
+
+
+def _by_clip(
+    values: Values, clips: Sequence[str], subjects: Sequence[str]
+) -> dict[str, Float[np.ndarray, "clips 2"]]:
+    """The sum and number of values of each clip, by subject."""
+    found: dict[str, dict[str, list[float]]] = {}
+    for value, clip, subject in zip(values, clips, subjects, strict=True):
+        if value is not None:
+            found.setdefault(subject, {}).setdefault(clip, []).append(value)
+    return {
+        subject: np.array([(sum(own), len(own)) for own in rows.values()], dtype=float)
+        for subject, rows in found.items()
+    }
+
+
+def _resampled(
+    clips: Float[np.ndarray, "clips 2"], random: np.random.Generator
+) -> Float[np.ndarray, " draws"]:
+    """The subject's mean for each draw of as many clips as there are."""
+    drawn = clips[random.integers(0, len(clips), (DRAWS, len(clips)))].sum(1)
+    return drawn[:, 0] / drawn[:, 1]
+
+
+@dataclass(frozen=True)
+class BenchTable:
+    """The metrics of every method on the windows of a protocol, in SI units."""
+
+    protocol: BenchProtocol
+    source: str
+    """Which windows these are, for people."""
+    names: tuple[str, ...]
+    """Clip and first second of every window."""
+    subjects: tuple[str, ...]
+    """The subject of every window."""
+    counted: tuple[str, ...]
+    """Subjects over whom means are taken."""
+    values: Mapping[str, Mapping[str, Sequence[float | None]]]
+    """Values of every window, by method and metric."""
+    feet: Mapping[str, float | None]
+    """Balanced accuracy of the contacts of ankles and toes, by method, over all windows of a
+    subject together and then over subjects; None where a method gives joints alone."""
+    data: str
+    """SHA-256 of the motion files that were read, with their names."""
+
+    def mean(self, method: str, metric: str) -> Interval | None:
+        """The mean over the subjects who count of their means, with its 95 % interval.
+
+        Whole clips are drawn again within each subject (`recon.benchmark.table`). None where no
+        window has a value.
+        """
+        chosen = [i for i, subject in enumerate(self.subjects) if subject in self.counted]
+        values = [self.values[method][metric][i] for i in chosen]
+        if all(value is None for value in values):
+            return None
+        clips = [self.names[i].rsplit("@", 1)[0] for i in chosen]
+        return interval(values, clips, [self.subjects[i] for i in chosen])
+
+    def by_subject(self, method: str, metric: str) -> dict[str, float | None]:
+        """Means over the windows of each subject; None where none of them has a value."""
+        rows = tuple(zip(self.subjects, self.values[method][metric], strict=True))
+        found: dict[str, float | None] = {}
+        for subject in sorted(set(self.subjects)):
+            own = [value for name, value in rows if name == subject and value is not None]
+            found[subject] = sum(own) / len(own) if own else None
+        return found
+
+    def rows(self) -> dict[str, dict[str, str]]:
+        """The cells of the table by method and heading, as people read them.
+
+        The first two columns have intervals; those of all metrics are in `as_json`.
+        """
+        found: dict[str, dict[str, str]] = {}
+        columns = tuple(self.protocol.columns.items())
+        for method in self.values:
+            found[method] = {
+                heading: _cell(self.mean(method, metric), factor, self._told and column < 2)
+                for column, (metric, (heading, factor)) in enumerate(columns)
+            }
+            right = self.feet[method]
+            found[method]["feet right, bal. %"] = "–" if right is None else f"{100 * right:.1f}"
+            metric, (_, factor) = columns[0]
+            if len(set(self.subjects)) > 1:
+                for subject, value in self.by_subject(method, metric).items():
+                    apart = "" if subject in self.counted else ", apart"
+                    told = "–" if value is None else f"{factor * value:.2f}"
+                    found[method][f"{subject}{apart}"] = told
+        return found
+
+    @property
+    def _told(self) -> bool:
+        """Whether every subject has several clips, without which an interval says nothing."""
+        clips = set(zip(self.subjects, (n.rsplit("@", 1)[0] for n in self.names), strict=True))
+        counts = [sum(own == subject for own, _ in clips) for subject in self.counted]
+        return min(counts) > 1
+
+    def as_json(self) -> dict[str, Any]:
+        """All numbers: what was measured on what, means with intervals, values by window."""
+        return {
+            "protocol": self.protocol.name,
+            "about": self.protocol.about,
+            "source": self.source,
+            "data": self.data,
+            "versions": versions(),
+            "windows": {"names": self.names, "subjects": self.subjects, "counted": self.counted},
+            "methods": {method: self._method(method) for method in self.values},
+        }
+
+    def _method(self, method: str) -> dict[str, Any]:
+        rows = self.values[method]
+        return {
+            "mean": {metric: _numbers(self.mean(method, metric), self._told) for metric in rows},
+            "feet_balanced": self.feet[method],
+            "subjects": {metric: self.by_subject(method, metric) for metric in rows},
+            "windows": rows,
+        }
+
+    def save(self, path: Path | str, *, overwrite: bool = False) -> None:
+        """Write all numbers as JSON.
+
+        Raises:
+            FileExistsError: when it is there and recon did not write it, unless `overwrite`.
+        """
+        write_report(Path(path), self.as_json(), overwrite=overwrite)
+
+    def __str__(self) -> str:
+        """The first column of the table, one line per method."""
+        metric, (heading, _) = next(iter(self.protocol.columns.items()))
+        lines = [f"  {name}: {row[heading]}" for name, row in self.rows().items()]
+        return "\n".join([f"{self.protocol.name}, {self.source}: {heading} ({metric})", *lines])
+
+
+def table_of(
+    protocol: BenchProtocol,
+    source: str,
+    windows: TrueWindows,
+    rows: Mapping[str, Sequence[Row]],
+    feet: Mapping[str, float | None],
+    data: str,
+) -> BenchTable:
+    """The table of the rows of every window, by method, and of how right feet were."""
+    values = {
+        method: {
+            metric: [row.get(metric) for row in own]
+            for metric in dict.fromkeys([*protocol.columns, *(key for row in own for key in row)])
+        }
+        for method, own in rows.items()
+    }
+    counted = tuple(windows.counted)
+    names, subjects = windows.names, windows.subjects
+    return BenchTable(protocol, source, names, subjects, counted, values, feet, data)
+
+
+def _cell(found: Interval | None, factor: float, told: bool) -> str:
+    if found is None:
+        return "–"
+    mean = f"{factor * found.mean:.2f}"
+    if not told or found.low == found.high:
+        return mean
+    return f"{mean} [{factor * found.low:.2f}, {factor * found.high:.2f}]"
+
+
+def _numbers(found: Interval | None, told: bool) -> dict[str, float | None] | None:
+    if found is None:
+        return None
+    low, high = (found.low, found.high) if told else (None, None)
+    return {"mean": found.mean, "low": low, "high": high}

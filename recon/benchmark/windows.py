@@ -1,0 +1,181 @@
+"""The listed windows as one batch of true motions."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from recon.benchmark.dataset import Part, Splits, clip_files
+from recon.body.contacts import contact_labels, rest_heights
+from recon.body.model import BodyModel
+from recon.core.errors import ReconError
+from recon.core.motion import Motion
+from recon.core.skeleton import PARENTS
+from recon.core.struct import stack
+from recon.formats.motions import MotionFile, load_motion
+from recon.metrics.evaluation import nearest_labels
+
+FPS = 30.0
+FRAMES = 60
+"""Frames of a listed window, where nothing else is said."""
+
+BONE_ERROR = 0.005
+"""Metres: how well a skeleton recording tells the length of a bone."""
+
+
+@dataclass(frozen=True)
+class TrueWindows:
+    """True motions, each clock starting at zero."""
+
+    truth: Motion
+    contacts: Bool[Tensor, "clips time 22"]
+    """Contacts as labelled at the recordings' own rates."""
+    subjects: tuple[str, ...]
+    names: tuple[str, ...]
+    """Clip and start, for the report."""
+    listed: int
+    """Number of windows of which these remain."""
+    apart: tuple[str, ...] = ()
+    """Subjects who count in no mean over subjects."""
+    files: tuple[Path, ...] = ()
+    """The motion files that were read."""
+
+    @property
+    def clips(self) -> tuple[str, ...]:
+        """The clip of every window."""
+        return tuple(name.rsplit("@", 1)[0] for name in self.names)
+
+    @property
+    def counted(self) -> list[str]:
+        """The subjects over whom means are taken: all who are not apart, or all there are."""
+        every = sorted(set(self.subjects))
+        return [subject for subject in every if subject not in self.apart] or every
+
+    @property
+    def about(self) -> dict[str, object]:
+        """What a result file keeps of them."""
+        return {
+            "names": self.names,
+            "subjects": self.subjects,
+            "apart": self.apart,
+            "listed": self.listed,
+        }
+
+    def of(self, subject: str) -> list[int]:
+        """The windows of one subject."""
+        return [i for i, own in enumerate(self.subjects) if own == subject]
+
+    def frames(self, start: int, stop: int) -> "TrueWindows":
+        """Some frames of every window; the clocks go on."""
+        return replace(
+            self, truth=self.truth.window(start, stop), contacts=self.contacts[:, start:stop]
+        )
+
+    def take(self, rows: list[int]) -> "TrueWindows":
+        """Some of them."""
+        return replace(
+            self,
+            truth=self.truth[rows],
+            contacts=self.contacts[rows],
+            subjects=tuple(self.subjects[i] for i in rows),
+            names=tuple(self.names[i] for i in rows),
+        )
+
+
+def load_windows(
+    corpus: str | Path,
+    splits: Splits,
+    part: Part,
+    body: BodyModel,
+    seed: int = 0,
+    frames: int = FRAMES,
+) -> TrueWindows:
+    """All windows of one length that the splits list for a part, at 30 Hz.
+
+    Where the splits list no windows of that length, they lie about the middle of the listed ones
+    of 60 frames, shifted as far as needed to lie inside the clip; clips shorter than that drop
+    out, and so does a window that shares frames with one before it. A skeleton recording does not
+    tell the girth of a body, so one is drawn per subject.
+
+    Raises:
+        ReconError: when a listed clip is not in the corpus or too short for what is listed, or
+            no window is that long.
+    """
+    files = clip_files(corpus)
+    lengths = splits.windows[part]
+    listed = frames if frames in lengths else FRAMES
+    rows = lengths[listed]
+    if missing := sorted({clip for clip, _ in rows} - set(files)):
+        named = ", ".join(missing[:5]) + (" and others" if len(missing) > 5 else "")
+        raise ReconError(
+            f"{corpus}: {len(missing)} {part} clips are missing there: {named}; convert all "
+            "recordings whose windows are listed (recon convert --all)"
+        )
+    recorded = {clip: load_motion(files[clip]) for clip, _ in rows}
+    whole = {clip: file.motion.resample(FPS) for clip, file in recorded.items()}
+    shapes: dict[str, Tensor] = {}
+    found: dict[tuple[str, int], tuple[Motion, Tensor]] = {}
+    for clip, seconds in rows:
+        subject, first = splits.subject(clip), round(seconds * FPS)
+        room = whole[clip].frames
+        if room < first + listed:
+            raise ReconError(f"{files[clip]}: no {listed} frames from {seconds} s on")
+        if subject not in shapes:
+            generator = np.random.default_rng([seed, *subject.encode()])
+            shapes[subject] = draw_girth(body, whole[clip].shape, generator)
+        if room < frames:
+            continue
+        if listed != frames:
+            first = min(max(first + (listed - frames) // 2, 0), room - frames)
+            if any(clip == other and abs(first - start) < frames for other, start in found):
+                continue
+        window = whole[clip].window(first, first + frames)
+        contacts = contacts_at(recorded[clip], window.times, body)
+        window = window.replace(start_time=0.0, shape=shapes[subject])
+        found[clip, first] = window, contacts
+    if len(found) == 0:
+        raise ReconError(f"{corpus}: no {part} clip is {frames} frames long")
+    return TrueWindows(
+        truth=stack([motion for motion, _ in found.values()]),
+        contacts=torch.stack([contacts for _, contacts in found.values()]),
+        subjects=tuple(splits.subject(clip) for clip, _ in found),
+        names=tuple(f"{clip}@{first / FPS:.2f}" for clip, first in found),
+        listed=len(rows),
+        apart=splits.apart,
+        files=tuple(files[clip] for clip in recorded),
+    )
+
+
+def contacts_at(
+    recorded: MotionFile, times: Float[Tensor, " time"], body: BodyModel
+) -> Bool[Tensor, "time 22"]:
+    """The recording's labels nearest in time; made from its motion where it has none."""
+    motion, labels = recorded.motion, recorded.contacts
+    if labels is None:
+        heights = rest_heights(body, motion.shape)
+        return nearest_labels(
+            contact_labels(body.pose(motion).joints, heights, motion.fps), motion.times, times
+        )
+    return nearest_labels(labels > 0.5, motion.times, times)
+
+
+def draw_girth(
+    body: BodyModel, shape: Float[Tensor, " shape"], random: np.random.Generator
+) -> Float[Tensor, " shape"]:
+    """A shape with about the same bones: drawn from what remains possible once they are known.
+
+    Shapes are N(0, I) before and every coordinate of a bone is known to `BONE_ERROR`, so what is
+    added to the fitted shape has covariance (I + JᵀJ / error²)⁻¹ with J the bones' derivative.
+    """
+    directions = body.joint_directions.double()
+    bones = directions[1:] - directions[list(PARENTS[1:])]
+    jacobian = bones.flatten(0, 1)[:, : len(shape)]
+    precision = torch.eye(len(shape), dtype=torch.float64)
+    precision = precision + jacobian.mT @ jacobian / BONE_ERROR**2
+    noise = torch.from_numpy(random.standard_normal((len(shape), 1)))
+    factor = torch.linalg.cholesky(precision)
+    step = torch.linalg.solve_triangular(factor.mT, noise, upper=True)[:, 0]
+    return shape + step.to(shape)

@@ -1,1 +1,0 @@
-"""Joint angles as biomechanics names them: ISB recommendations, coordinates of OpenSim models."""

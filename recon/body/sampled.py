@@ -1,0 +1,133 @@
+"""A few hundred vertices that stand for the whole skin where height and pressure are concerned."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+from torch.utils.weak import WeakTensorKeyDictionary
+
+from recon.body.model import BodyModel
+from recon.body.parts import PARTS, Parts, vertex_areas
+from recon.core.skeleton import FEET, JOINTS
+from recon.core.struct import TensorStruct
+
+POINTS_PER_FOOT_BONE = 110
+POINTS_PER_BONE = 40
+"""Vertices kept of the skin that each joint carries most of."""
+
+_SOLE = 0.015
+"""Metres above the lowest point of a standing body, of the vertices called its soles."""
+
+
+@dataclass(frozen=True)
+class SampledSurface(TensorStruct):
+    """Chosen vertices, those of a part in one run, and the skin around each."""
+
+    vertices: Int[Tensor, " points"]
+    areas: Float[Tensor, " points"]
+    """Skin nearer to this point than to others of its bone, m², of the average body."""
+    part: Int[Tensor, " points"]
+    sole: Bool[Tensor, " points"]
+    """Points that touch the ground when the body stands in its rest pose."""
+
+    @classmethod
+    def of(cls, body: BodyModel) -> "SampledSurface":
+        """The points of a body; chosen once for each body and kept."""
+        if body.template not in _KNOWN:
+            _KNOWN[body.template] = _sampled(body)
+        return _KNOWN[body.template]
+
+    def run(self, part: int) -> slice:
+        """The rows of the points of one part."""
+        first = int(torch.searchsorted(self.part, part))
+        return slice(first, int(torch.searchsorted(self.part, part, right=True)))
+
+    @property
+    def soles(self) -> tuple[slice, slice]:
+        """The rows in `tread` of the soles of the left and of the right foot."""
+        left = int((self.part[self.sole] == PARTS.index("left_lower_leg")).sum())
+        return slice(0, left), slice(left, int(self.sole.sum()))
+
+
+_KNOWN: WeakTensorKeyDictionary = WeakTensorKeyDictionary()
+
+
+def _sampled(body: BodyModel) -> SampledSurface:
+    """The extreme vertices of every bone, then those farthest from all that are chosen.
+
+    Bones are nearly rigid: whatever the pose, the lowest vertex of one is extreme in some
+    direction.
+    """
+    rest, owner = body.template, body.weights.argmax(-1)
+    part = Parts.of(body).of_vertex
+    all_areas = vertex_areas(rest, body.faces)
+    chosen, areas = [], []
+    for joint in range(len(JOINTS)):
+        bone = (owner == joint).nonzero()[:, 0]
+        if len(bone) == 0:
+            continue
+        count = POINTS_PER_FOOT_BONE if joint in FEET else POINTS_PER_BONE
+        seeds = (rest[bone] @ _sphere(count).to(rest).T).argmax(0).unique()
+        points = _farthest(rest[bone], seeds, min(count, len(bone)))
+        nearest = torch.cdist(rest[bone], rest[bone][points]).argmin(-1)
+        areas.append(rest.new_zeros(len(points)).index_add(0, nearest, all_areas[bone]))
+        chosen.append(bone[points])
+    vertices = torch.cat(chosen)
+    order = part[vertices].argsort(stable=True)
+    vertices = vertices[order]
+    feet = torch.isin(owner[vertices], owner.new_tensor(FEET))
+    low = rest[vertices, 1] < rest[:, 1].amin() + _SOLE
+    return SampledSurface(vertices, torch.cat(areas)[order], part[vertices], feet & low)
+
+
+def _farthest(points: Tensor, seeds: Tensor, count: int) -> Tensor:
+    """The seeds and, one by one, the point farthest from all chosen so far."""
+    distance = torch.cdist(points, points[seeds]).amin(-1)
+    chosen = seeds.tolist()
+    while len(chosen) < count:
+        chosen.append(int(distance.argmax()))
+        distance = distance.minimum((points - points[chosen[-1]]).norm(dim=-1))
+    return torch.tensor(chosen, device=points.device)
+
+
+def _sphere(count: int) -> Tensor:
+    """Directions spread evenly (Fibonacci's spiral)."""
+    index = torch.arange(count, dtype=torch.float64) + 0.5
+    up = 1 - 2 * index / count
+    turn = index * torch.pi * (3 - 5**0.5)
+    across = (1 - up.square()).sqrt()
+    return torch.stack((across * turn.cos(), across * turn.sin(), up), -1)
+
+
+_ALWAYS = 1500
+"""Vertices that are found in any case: fewer ones are the first of these."""
+
+
+def spread_vertices(body: BodyModel, count: int) -> Int[Tensor, " points"]:
+    """Vertices of the unposed average body that are farthest from each other; ascending."""
+    template = body.template.detach().cpu().double().contiguous().numpy()
+    wanted = min(count, len(template))
+    found = _in_order(template.tobytes(), min(max(wanted, _ALWAYS), len(template)))
+    return torch.from_numpy(np.sort(found[:wanted])).to(body.template.device)
+
+
+@lru_cache(maxsize=4)
+def _in_order(template: bytes, count: int) -> Int[np.ndarray, " count"]:
+    """Vertices in the order in which farthest point sampling takes them; of a mesh kept once."""
+    return _farthest_from_first(np.frombuffer(template).reshape(-1, 3), count)
+
+
+def _farthest_from_first(
+    points: Float[np.ndarray, "points 3"], count: int
+) -> Int[np.ndarray, " count"]:
+    """Farthest point sampling from the first point on, in the order of sampling."""
+    chosen = np.zeros(count, np.int64)
+    distance = np.full(len(points), np.inf)
+    for k in range(1, count):
+        away = points - points[chosen[k - 1]]
+        np.minimum(distance, np.einsum("ij,ij->i", away, away), out=distance)
+        chosen[k] = distance.argmax()
+    return chosen

@@ -1,0 +1,358 @@
+"""Axes of the body's segments: x forwards, y up, z to the right of the person who stands.
+
+The axes are built once on the unposed body, from its joints and bony landmarks, and then carried
+by the bones. `isb_axes` follows the International Society of Biomechanics (Wu et al. 2002,
+doi 10.1016/S0021-9290(01)00222-6, and 2005, doi 10.1016/j.jbiomech.2004.05.042); `opensim_axes`
+are the frames of the bodies of OpenSim's gait models, all of which are parallel in their zero
+pose: upright, arms hanging, palms forwards, soles level.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from recon.body.landmarks import landmark
+from recon.body.model import BodyModel
+from recon.core.errors import ReconError
+from recon.core.motion import Motion
+from recon.core.skeleton import joint_index
+
+SIDES: Mapping[str, str] = MappingProxyType({"r": "right", "l": "left"})
+"""The ending of a segment's name for each side of the body."""
+BONES: Mapping[str, str] = MappingProxyType(
+    {
+        "pelvis": "pelvis",
+        "thorax": "spine3",
+        **{
+            f"{segment}_{end}": f"{side}_{joint}"
+            for end, side in SIDES.items()
+            for segment, joint in {
+                "femur": "hip", "tibia": "knee", "foot": "ankle", "toes": "foot",
+                "humerus": "shoulder", "forearm": "elbow", "hand": "wrist",
+            }.items()
+        },
+    }
+)  # fmt: skip
+"""The joint whose bone carries each segment."""
+_UP = np.array([0.0, 1.0, 0.0])
+_UPRIGHT = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
+"""Axes of a person who stands in the rest pose, as columns: the pose has y up and faces z."""
+
+Axes = Mapping[str, Float[np.ndarray, "3 3"]]
+"""Axes of every segment on the unposed body, as columns of a rotation."""
+
+
+@dataclass(frozen=True)
+class _RestPoints:
+    """Joints and landmarks of the unposed body, metres, by name."""
+
+    body: BodyModel
+    shape: Tensor
+
+    def joint(self, name: str) -> Float[np.ndarray, "3"]:
+        """The centre of a joint."""
+        return self.body.rest_joints(self.shape)[joint_index(name)].detach().double().numpy()
+
+    def mean(self, *names: str) -> Float[np.ndarray, "3"]:
+        """The middle of some landmarks of the skin."""
+        index = torch.tensor([landmark(name) for name in names])
+        points = self.body.rest_vertices(self.shape, index)
+        return points.detach().double().numpy().mean(0)
+
+    def rightwards(self, end: str, medial: str, lateral: str) -> Float[np.ndarray, "3"]:
+        """The vector between two landmarks of one side, to the right where palms face forwards."""
+        side = SIDES[end]
+        across = self.mean(f"{side}_{lateral}") - self.mean(f"{side}_{medial}")
+        return across if end == "r" else -across
+
+
+def isb_axes(body: BodyModel, shape: Float[Tensor, " shape"]) -> Axes:
+    """Axes of segments by the recommendations of the ISB; the toes have none.
+
+    The bundled body has no landmarks of the tibial condyles: the middle of the epicondyles of the
+    femur stands for theirs. The foot's neutral position is the rest pose, in which it stands flat.
+
+    Raises:
+        ValueError: when the body is not the bundled one, whose landmarks alone are known.
+    """
+    points = _points(body, shape)
+    across = points.mean("right_asis") - points.mean("left_asis")
+    behind = points.mean("left_psis", "right_psis")
+    front = points.mean("left_asis", "right_asis") - behind
+    low, high = points.mean("xiphoid", "t7"), points.mean("sternal_notch", "c7")
+    # the plane of the thorax holds the two landmarks of its upper end
+    depth = points.mean("sternal_notch") - points.mean("c7")
+    axes = {
+        "pelvis": _about_z(across, np.cross(across, front)),
+        "thorax": _along_y(high - low, np.cross(depth, high - low)),
+    }
+    for end, side in SIDES.items():
+        knee = points.mean(f"{side}_knee_lateral", f"{side}_knee_medial")
+        elbow = points.mean(f"{side}_elbow_lateral", f"{side}_elbow_medial")
+        wrist = points.mean(f"{side}_wrist_radial", f"{side}_wrist_ulnar")
+        hip, shoulder = points.joint(f"{side}_hip"), points.joint(f"{side}_shoulder")
+        ankle = points.mean(f"{side}_ankle_lateral", f"{side}_ankle_medial")
+        malleoli = points.rightwards(end, "ankle_medial", "ankle_lateral")
+        tibia = _about_z(malleoli, knee - ankle)
+        knuckles = points.mean(f"{side}_index_knuckle", f"{side}_pinky_knuckle")
+        axes |= {
+            f"femur_{end}": _along_y(
+                hip - knee, points.rightwards(end, "knee_medial", "knee_lateral")
+            ),
+            f"tibia_{end}": tibia,
+            f"foot_{end}": _along_y(_UP, tibia[:, 2]),
+            f"humerus_{end}": _along_y(
+                shoulder - elbow, points.rightwards(end, "elbow_medial", "elbow_lateral")
+            ),
+            f"forearm_{end}": _along_y(
+                elbow - points.mean(f"{side}_wrist_ulnar"),
+                points.rightwards(end, "wrist_ulnar", "wrist_radial"),
+            ),
+            f"hand_{end}": _along_y(
+                wrist - knuckles, points.rightwards(end, "pinky_knuckle", "index_knuckle")
+            ),
+        }
+    return axes
+
+
+def opensim_axes(body: BodyModel, shape: Float[Tensor, " shape"]) -> Axes:
+    """Axes of segments as the bodies of OpenSim's gait models have them in their zero pose.
+
+    Pelvis, thorax and soles are upright in our rest pose; long bones point from joint to joint.
+    Thigh, shank and foot share the axis of the knee: the models know no torsion of the shank, and
+    would have to turn the ankle for feet that point outwards at rest.
+
+    Raises:
+        ValueError: when the body is not the bundled one, whose landmarks alone are known.
+    """
+    points = _points(body, shape)
+    axes = {"pelvis": _UPRIGHT, "thorax": _UPRIGHT}
+    for end, side in SIDES.items():
+        names = ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")
+        hip, knee, ankle, shoulder, elbow, wrist = (points.joint(f"{side}_{n}") for n in names)
+        flexion = points.rightwards(end, "knee_medial", "knee_lateral")
+        foot = _along_y(_UP, flexion)
+        knuckles = points.mean(f"{side}_index_knuckle", f"{side}_pinky_knuckle")
+        axes |= {
+            f"femur_{end}": _along_y(hip - knee, flexion),
+            f"tibia_{end}": _along_y(knee - ankle, flexion),
+            f"foot_{end}": foot,
+            f"toes_{end}": foot,
+            f"humerus_{end}": _along_y(
+                shoulder - elbow, points.rightwards(end, "elbow_medial", "elbow_lateral")
+            ),
+            f"forearm_{end}": _along_y(
+                elbow - wrist, points.rightwards(end, "wrist_ulnar", "wrist_radial")
+            ),
+            f"hand_{end}": _along_y(
+                wrist - knuckles, points.rightwards(end, "pinky_knuckle", "index_knuckle")
+            ),
+        }
+    return axes
+
+
+def pelvis_origin(body: BodyModel, motion: Motion) -> Float[np.ndarray, "time 3"]:
+    """The middle of the frontal iliac spines in every frame, world, metres.
+
+    It is the origin of the pelvis in OpenSim's gait models, and moves with the bone.
+    """
+    posed = body.pose(motion)
+    points = _points(body, motion.shape)
+    offset = points.mean("left_asis", "right_asis") - points.joint("pelvis")
+    orientations = posed.orientations[:, 0].detach().double().cpu().numpy()
+    return posed.joints[:, 0].detach().double().cpu().numpy() + orientations @ offset
+
+
+def carried(
+    axes: Axes, body: BodyModel, motion: Motion
+) -> dict[str, Float[np.ndarray, "time 3 3"]]:
+    """Axes of every segment in every frame of one clip, in the world.
+
+    Args:
+        axes: on the unposed body.
+        body: whose motion it is.
+        motion: one clip without a batch axis.
+    """
+    orientations = body.pose(motion).orientations.detach().double().cpu().numpy()
+    return {name: orientations[:, joint_index(BONES[name])] @ at for name, at in axes.items()}
+
+
+def _points(body: BodyModel, shape: Tensor) -> _RestPoints:
+    if body.checksum != BodyModel.load().checksum:
+        raise ReconError(
+            f"joint angles need bony landmarks, which are known of the bundled body only, not of "
+            f"{body.name!r}: export a motion of the bundled body"
+        )
+    return _RestPoints(body, shape)
+
+
+def _along_y(up: np.ndarray, right: np.ndarray) -> Float[np.ndarray, "3 3"]:
+    """Axes whose y is given and whose z lies in the plane of it and a vector to the right."""
+    y = up / np.linalg.norm(up)
+    x = np.cross(y, right)
+    x /= np.linalg.norm(x)
+    return np.stack((x, y, np.cross(x, y)), -1)
+
+
+def _about_z(right: np.ndarray, up: np.ndarray) -> Float[np.ndarray, "3 3"]:
+    """Axes whose z is given and whose y lies in the plane of it and a vector upwards."""
+    z = right / np.linalg.norm(right)
+    x = np.cross(up, z)
+    x /= np.linalg.norm(x)
+    return np.stack((x, np.cross(z, x), z), -1)
+
+
+_LOCKED = 1e-6
+"""Distance from gimbal lock, as the sine of an angle, below which only the sum or the difference
+of the first and the last angle is known."""
+_ROUNDS = 60
+"""Rounds of fitting one axis after the other; axes of joints are far from parallel, so that every
+round leaves less than a tenth of the error."""
+
+
+def cardan(rotations: Float[np.ndarray, "time 3 3"], order: str) -> Float[np.ndarray, "time 3"]:
+    """Angles (q1, q2, q3), radians, with R = R_a(q1) R_b(q2) R_c(q3) for three different axes.
+
+    The middle angle begins within ±90°. From then on, of the two solutions that every rotation
+    has, the one nearer to the frame before is taken, and whole turns are added, so that angles do
+    not jump. Where the middle angle is ±90° the last one is held.
+
+    Args:
+        rotations: of the distal segment relative to the proximal one.
+        order: three different letters of XYZ.
+    """
+    a, b, c = ("XYZ".index(letter) for letter in order)
+    sign = 1.0 if (b - a) % 3 == 1 else -1.0
+    r = rotations
+    cosine = np.hypot(r[:, a, a], r[:, a, b])
+    q1 = np.arctan2(-sign * r[:, b, c], r[:, c, c])
+    q2 = np.arctan2(sign * r[:, a, c], cosine)
+    q3 = np.arctan2(-sign * r[:, a, b], r[:, a, a])
+    first = np.stack((q1, q2, q3), -1)
+    second = np.stack((q1 + np.pi, np.pi - q2, q3 + np.pi), -1)
+    # R = R_a(q1 ± q3) R_b(±90°)
+    turned = np.arctan2(sign * r[:, c, b], r[:, b, b])
+    return _continued(first, second, cosine, turned, np.sign(r[:, a, c]))
+
+
+def elevation(rotations: Float[np.ndarray, "time 3 3"]) -> Float[np.ndarray, "time 3"]:
+    """Angles (q1, e, q3), radians, with R = R_y(q1) R_x(-e) R_y(q3) and e from 0° to 180°.
+
+    It is the sequence of the ISB for the shoulder: plane of elevation, elevation, axial rotation.
+    Where the elevation is 0° or 180° the last angle is held.
+    """
+    r = rotations
+    sine = np.hypot(r[:, 0, 1], r[:, 2, 1])
+    q1 = np.arctan2(-r[:, 0, 1], -r[:, 2, 1])
+    q3 = np.arctan2(-r[:, 1, 0], r[:, 1, 2])
+    angles = np.stack((q1, np.arctan2(sine, r[:, 1, 1]), q3), -1)
+    # R = R_y(q1 ± q3) R_x(0° or 180°)
+    turned = np.arctan2(-r[:, 2, 0], r[:, 0, 0])
+    return _continued(angles, angles, sine, turned, np.sign(r[:, 1, 1]))
+
+
+def _continued(
+    first: Float[np.ndarray, "time 3"],
+    second: Float[np.ndarray, "time 3"],
+    unlocked: Float[np.ndarray, " time"],
+    turned: Float[np.ndarray, " time"],
+    way: Float[np.ndarray, " time"],
+) -> Float[np.ndarray, "time 3"]:
+    """The solutions that follow each other without jumps, the first one at the beginning.
+
+    Args:
+        first: one solution of every frame.
+        second: the other one.
+        unlocked: distance from gimbal lock.
+        turned: q1 + way q3, which is known in gimbal lock, too.
+        way: 1 or -1.
+    """
+    if (unlocked < _LOCKED).any():
+        return _continued_through_lock(first, second, unlocked, turned, way)
+    both = np.stack((first, second))
+    steps = both[None, :, 1:] - both[:, None, :-1]
+    steps = np.abs(steps - 2 * np.pi * np.round(steps / (2 * np.pi))).sum(-1)
+    branch = [0]
+    # the solution that follows each of the two, frame by frame
+    for follows in steps.argmin(1).T.tolist():
+        branch.append(follows[branch[-1]])
+    return np.unwrap(both[branch, np.arange(len(branch))], axis=0)
+
+
+def _continued_through_lock(
+    first: Float[np.ndarray, "time 3"],
+    second: Float[np.ndarray, "time 3"],
+    unlocked: Float[np.ndarray, " time"],
+    turned: Float[np.ndarray, " time"],
+    way: Float[np.ndarray, " time"],
+) -> Float[np.ndarray, "time 3"]:
+    """Solutions without jumps where some frames are in gimbal lock.
+
+    The last angle of such a frame is that of the frame before, so that frames take their turns.
+    """
+    found = np.empty_like(first)
+    before = np.zeros(3)
+    for k in range(len(first)):
+        if unlocked[k] < _LOCKED:
+            held = before[2]
+            choices = [np.array([turned[k] - way[k] * held, first[k, 1], held])]
+        else:
+            choices = [first[k]] if k == 0 else [first[k], second[k]]
+        near = [one - 2 * np.pi * np.round((one - before) / (2 * np.pi)) for one in choices]
+        # the first frame has none before it
+        if k == 0:
+            near = choices
+        before = found[k] = min(near, key=lambda q: float(np.abs(q - before).sum()))
+    return found
+
+
+def about_axes(
+    rotations: Float[np.ndarray, "time 3 3"], axes: Sequence[Sequence[float]]
+) -> Float[np.ndarray, "time axes"]:
+    """Angles, radians, of the turns about one or two axes in sequence that are nearest to R.
+
+    Nearest in the Frobenius norm, as a joint of a model can follow a rotation that has parts it
+    does not allow.
+
+    Args:
+        rotations: R of the distal segment relative to the proximal one.
+        axes: one or two unit vectors, in the frame of the proximal segment in its zero pose.
+    """
+    units = [np.asarray(axis, dtype=float) / np.linalg.norm(axis) for axis in axes]
+    turns: list[Callable[[np.ndarray], np.ndarray]] = [_turner(unit) for unit in units]
+    angles = np.zeros((len(rotations), len(units)))
+    if len(units) == 1:
+        angles[:, 0] = _nearest_angle(rotations, units[0])
+    else:
+        for _ in range(_ROUNDS):
+            rest = rotations @ np.swapaxes(turns[1](angles[:, 1]), -1, -2)
+            angles[:, 0] = _nearest_angle(rest, units[0])
+            rest = np.swapaxes(turns[0](angles[:, 0]), -1, -2) @ rotations
+            angles[:, 1] = _nearest_angle(rest, units[1])
+    return np.unwrap(angles, axis=0)
+
+
+def _turner(unit: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+    x, y, z = unit
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+    def turn(angle: np.ndarray) -> np.ndarray:
+        sine, cosine = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
+        return np.eye(3) + sine * cross + (1 - cosine) * (cross @ cross)
+
+    return turn
+
+
+def _nearest_angle(matrices: np.ndarray, unit: np.ndarray) -> Float[np.ndarray, " time"]:
+    """The angle q at which trace(R(q)ᵀ M) is greatest."""
+    m = matrices
+    axial = np.stack(
+        (m[:, 2, 1] - m[:, 1, 2], m[:, 0, 2] - m[:, 2, 0], m[:, 1, 0] - m[:, 0, 1]), 1
+    )
+    trace = np.trace(m, axis1=1, axis2=2)
+    return np.arctan2(axial @ unit, trace - np.einsum("i,tij,j->t", unit, m, unit))

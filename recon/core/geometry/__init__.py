@@ -1,1 +1,0 @@
-"""Geometry without people: planes, normals, neighbours, triangles to pixels."""

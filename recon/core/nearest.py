@@ -1,0 +1,181 @@
+"""Nearest neighbours, frame by frame: which point of the body an observed point belongs to."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+_CHUNK = 1 << 24
+"""Distances held in memory at once on an accelerator."""
+
+
+def nearest(
+    points: Float[Tensor, "*batch moments points 3"],
+    present: Bool[Tensor, "*batch moments points"],
+    surface: Float[Tensor, "*batch moments surface 3"],
+    allowed: Bool[Tensor, "*batch moments surface"],
+) -> Int[Tensor, "*batch moments points"]:
+    """Index of the nearest allowed point of the surface of the same moment; no gradient.
+
+    Exact: by a k-d tree for every moment on the processor, by all distances in chunks elsewhere.
+    Where a moment allows nothing, everything is allowed; zero where a point is not present.
+    """
+    allowed = allowed | ~allowed.any(-1, keepdim=True)
+    points, surface = points.detach(), surface.detach()
+    frames = [
+        tensor.flatten(0, -3 if tensor.is_floating_point() else -2)
+        for tensor in (points, present, surface, allowed)
+    ]
+    search = _by_trees if points.device.type == "cpu" else _by_distances
+    return search(*frames).unflatten(0, points.shape[:-2])
+
+
+def _by_trees(points: Tensor, present: Tensor, surface: Tensor, allowed: Tensor) -> Tensor:
+    from scipy.spatial import KDTree
+
+    found = np.zeros(present.shape, np.int64)
+    rows = zip(points.numpy(), present.numpy(), surface.numpy(), allowed.numpy(), strict=True)
+    for row, (seen, here, body, open_) in enumerate(rows):
+        if not here.any():
+            continue
+        candidates = np.flatnonzero(open_)
+        # unbalanced: such a tree is built several times faster and asked almost as fast
+        tree = KDTree(body[candidates], balanced_tree=False, compact_nodes=False)
+        found[row, here] = candidates[tree.query(seen[here])[1]]
+    return torch.from_numpy(found)
+
+
+def _by_distances(points: Tensor, present: Tensor, surface: Tensor, allowed: Tensor) -> Tensor:
+    found = torch.zeros(present.shape, dtype=torch.long, device=points.device)
+    rows = max(1, _CHUNK // max(points.shape[-2] * surface.shape[-2], 1))
+    for some in torch.arange(len(points), device=points.device).split(rows):
+        distance = torch.cdist(
+            points[some], surface[some], compute_mode="donot_use_mm_for_euclid_dist"
+        )
+        distance = torch.where(allowed[some][:, None], distance, torch.inf)
+        found[some] = distance.argmin(-1)
+    return torch.where(present, found, 0)
+
+
+_AT_ONCE = 16
+"""Moments whose costs are in memory together; so few that they stay in the cache."""
+
+
+def nearest_alike(
+    points: Float[Tensor, "moments points 3"],
+    present: Bool[Tensor, "moments points"],
+    kinds: Float[Tensor, "moments points kinds"],
+    surface: Float[Tensor, "moments surface 3"],
+    allowed: Bool[Tensor, "moments surface"],
+    of_surface: Float[Tensor, "surface kinds"],
+) -> Int[Tensor, "moments points"]:
+    """Index of the allowed point j of the surface that costs least; no gradient.
+
+    Point i costs |p_i - s_j|² + k_i · k_j, with k_i its row of `kinds`: what it costs to be of a
+    kind, metres². Where a moment allows nothing, everything is allowed; zero where a point is not
+    present.
+
+    Args:
+        points: that were seen, metres.
+        present: which of them exist.
+        kinds: k_i.
+        surface: places of the surface at every moment, metres.
+        allowed: which of them may be seen.
+        of_surface: k_j.
+    """
+    allowed = allowed | ~allowed.any(-1, keepdim=True)
+    found = torch.zeros(present.shape, dtype=torch.long, device=points.device)
+    moments = present.any(-1).nonzero()[:, 0]
+    for some in moments.split(_AT_ONCE):
+        open_ = allowed[some]
+        most = int(open_.sum(-1).max())
+        # allowed ones first, in their order
+        pick = torch.argsort(~open_, dim=-1, stable=True)[:, :most]
+        there = surface[some].gather(1, pick[..., None].expand(*pick.shape, 3)).detach()
+        middle = there.mean(1, keepdim=True)  # so that little is lost in rounding
+        there, here = there - middle, points[some].detach() - middle
+        size = there.square().sum(-1, keepdim=True)
+        size = size.masked_fill(~open_.gather(1, pick)[..., None], 1e9)
+        left = torch.cat((-2 * here, torch.ones_like(here[..., :1]), kinds[some]), -1)
+        right = torch.cat((there, size, of_surface[pick]), -1)
+        best = (left @ right.mT).argmin(-1)
+        found[some] = pick.gather(1, best)
+    return torch.where(present, found, 0)
+
+
+_NEAR = 12
+"""Triangles that are tried for every point: those with the nearest centres."""
+
+
+@dataclass(frozen=True)
+class SurfacePoints:
+    """Points on triangles, by what they are made of."""
+
+    triangles: Int[np.ndarray, "points 3"]
+    """Vertex numbers of the triangle of every point."""
+    shares: Float[np.ndarray, "points 3"]
+    """Barycentric coordinates: what each vertex contributes; they sum to one."""
+    places: Float[np.ndarray, "points 3"]
+    """Positions, metres."""
+
+
+def closest_points(
+    points: Float[np.ndarray, "points 3"],
+    vertices: Float[np.ndarray, "vertices 3"],
+    faces: Int[np.ndarray, "faces 3"],
+) -> SurfacePoints:
+    """The nearest point of a surface to each point, among the triangles with the nearest centres.
+
+    On meshes whose triangles are of like size it is the nearest of all.
+
+    Args:
+        points: metres.
+        vertices: of the surface, metres.
+        faces: its triangles, by vertex number.
+    """
+    from scipy.spatial import KDTree
+
+    corners = vertices[faces]
+    count = min(_NEAR, len(faces))
+    _, near = KDTree(corners.mean(1)).query(points, k=count)
+    near = np.asarray(near).reshape(len(points), count)
+    shares = _barycentric(points[:, None], corners[near])
+    places = np.einsum("pnc,pncd->pnd", shares, corners[near])
+    best = np.square(places - points[:, None]).sum(-1).argmin(1)
+    rows = np.arange(len(points))
+    return SurfacePoints(faces[near[rows, best]], shares[rows, best], places[rows, best])
+
+
+def _barycentric(
+    points: Float[np.ndarray, "points 1 3"], corners: Float[np.ndarray, "points near 3 3"]
+) -> Float[np.ndarray, "points near 3"]:
+    """Coordinates of the nearest point of each triangle: inside it, or on its nearest edge."""
+    a, b, c = corners[..., 0, :], corners[..., 1, :], corners[..., 2, :]
+    inside = _of_plane(points, a, b, c)
+    edges = [_of_edge(points, corners, first, (first + 1) % 3) for first in range(3)]
+    stacked = np.stack(edges, -2)
+    places = np.einsum("pnec,pncd->pned", stacked, corners)
+    nearest = np.square(places - points[..., None, :]).sum(-1).argmin(-1)
+    edge = np.take_along_axis(stacked, nearest[..., None, None], -2)[..., 0, :]
+    return np.where((inside >= 0).all(-1, keepdims=True), inside, edge)
+
+
+def _of_plane(points: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
+    """Barycentric coordinates of the projection onto the plane; negative outside."""
+    u, v, w = b - a, c - a, points - a
+    uu, uv, vv = (u * u).sum(-1), (u * v).sum(-1), (v * v).sum(-1)
+    wu, wv = (w * u).sum(-1), (w * v).sum(-1)
+    area = np.maximum(uu * vv - uv * uv, 1e-18)
+    second, third = (vv * wu - uv * wv) / area, (uu * wv - uv * wu) / area
+    return np.stack((1 - second - third, second, third), -1)
+
+
+def _of_edge(points: np.ndarray, corners: np.ndarray, first: int, last: int) -> np.ndarray:
+    start, along = corners[..., first, :], corners[..., last, :] - corners[..., first, :]
+    length = np.maximum((along * along).sum(-1), 1e-18)
+    share = (((points - start) * along).sum(-1) / length).clip(0, 1)
+    found = np.zeros((*share.shape, 3))
+    found[..., first], found[..., last] = 1 - share, share
+    return found

@@ -1,0 +1,289 @@
+"""The ground as the sensor sees it: a plane through many points of a cloud, and what is not it."""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+
+from recon.core.camera import Ground
+from recon.core.robust import NORMAL_MAD
+
+_CANDIDATES = 4
+"""Planes looked at: the largest, the largest of what it leaves, ..."""
+_SAMPLE = 20_000
+"""Points that planes are counted on."""
+_REFINEMENTS = 5
+_WIDTH = 0.8
+"""Metres that a ground extends over across its length: more than somebody lying on it."""
+_STEEP = 0.5
+"""Vertical part of the unit normal of a wall, at most."""
+_WALL = 1.2
+"""Metres that a wall extends over across its length: more than somebody with arms spread."""
+
+
+@dataclass(frozen=True)
+class FoundGround:
+    """A plane that may be the ground, or why none was found."""
+
+    ground: Ground | None
+    """Normal up, in the frame of the points; None when there is no such plane."""
+    reason: str
+
+
+def find_ground(
+    points: Float[np.ndarray, "points 3"],
+    up: Float[np.ndarray, "3"],
+    *,
+    tolerance: float = 0.03,
+    tilt: float = math.radians(40),
+    least: float = 0.05,
+    seed: int = 0,
+) -> FoundGround:
+    """The largest roughly level plane that has few points below it.
+
+    Planes are found by RANSAC (Fischler & Bolles 1981) and refined by least squares on their
+    inliers, the largest first. A table is level, too, but the floor around it lies below.
+
+    Args:
+        points: of a whole scene, metres.
+        up: roughly upwards; (0, -1, 0) in the frame of a camera held level.
+        tolerance: distance within which a point belongs to a plane, metres.
+        tilt: most the normal may differ from `up`, radians.
+        least: share of the points a plane must have.
+        seed: of the random samples.
+    """
+    up = np.asarray(up, np.float64) / max(float(np.linalg.norm(up)), 1e-12)
+    if not np.isfinite(points).all():
+        raise ValueError("a cloud to find the ground in holds NaN or infinity; leave those out")
+    generator = np.random.default_rng(seed)
+    cloud, rejected = _sample(points, generator), "no plane"
+    for normal, offset, points_of_plane in _planes(cloud, tolerance, least, generator):
+        if normal @ up < 0:
+            normal, offset = -normal, -offset
+        if normal @ up < math.cos(tilt):
+            rejected = f"a plane {math.degrees(math.acos(normal @ up)):.0f} degrees from level"
+            continue
+        if _width(points_of_plane, normal) < _WIDTH:
+            rejected = "a level plane no wider than a body"
+            continue
+        below = float((cloud @ normal < offset - 2 * tolerance).mean())
+        share = len(points_of_plane) / len(cloud)
+        if below > max(0.05, share / 2):
+            rejected = f"a level plane with {below:.0%} of the points below it"
+            continue
+        ground = Ground.create(torch.from_numpy(normal), torch.tensor(offset).double())
+        return FoundGround(ground, f"a plane with {share:.0%} of the points")
+    return FoundGround(None, f"no ground: found {rejected}")
+
+
+def find_walls(
+    points: Float[np.ndarray, "points 3"],
+    *,
+    tolerance: float = 0.03,
+    least: float = 0.05,
+    seed: int = 0,
+) -> list[tuple[Float[np.ndarray, "3"], float]]:
+    """Unit normal n and offset n·x = d of steep planes that are too wide to be of a person.
+
+    The largest planes are looked at first, as in `find_ground`.
+
+    Args:
+        points: of a whole scene, metres, z up.
+        tolerance: distance within which a point belongs to a plane, metres.
+        least: share of the points a plane must have.
+        seed: of the random samples.
+    """
+    generator = np.random.default_rng(seed)
+    return [
+        (normal, offset)
+        for normal, offset, points_of_plane in _planes(
+            _sample(points, generator), tolerance, least, generator
+        )
+        if abs(normal[2]) < _STEEP and _width(points_of_plane, normal) > _WALL
+    ]
+
+
+def _sample(
+    points: Float[np.ndarray, "points 3"], generator: np.random.Generator
+) -> Float[np.ndarray, "some 3"]:
+    """Points drawn at random, at most as many as planes are counted on."""
+    if len(points) <= _SAMPLE:
+        return points
+    return points[generator.permutation(len(points))[:_SAMPLE]]
+
+
+def _planes(
+    cloud: Float[np.ndarray, "points 3"],
+    tolerance: float,
+    least: float,
+    generator: np.random.Generator,
+) -> Iterator[tuple[Float[np.ndarray, "3"], float, Float[np.ndarray, "inliers 3"]]]:
+    """Unit normal, offset and points of the largest plane, of the largest that it leaves, ..."""
+    left = cloud
+    for _ in range(_CANDIDATES):
+        found = largest_plane(left, tolerance=tolerance, generator=generator)
+        if found is None or found[2].sum() < least * len(cloud):
+            return
+        normal, offset, inliers = found
+        yield normal, offset, left[inliers]
+        left = left[~inliers]
+
+
+def before(
+    points: Float[np.ndarray, "points 3"],
+    normal: Float[np.ndarray, "3"],
+    offset: float,
+    eye: Float[np.ndarray, "3"],
+    least: float = 0.06,
+) -> Bool[np.ndarray, " points"]:
+    """Points on the sensor's side of a plane, farther than `least` from it, metres."""
+    side = np.sign(normal @ eye - offset)
+    return side * (points @ normal - offset) > least
+
+
+def _width(points: Float[np.ndarray, "points 3"], normal: Float[np.ndarray, "3"]) -> float:
+    """Extent along the second axis of points of a plane, without a tenth at either end, metres."""
+    centred = points - points.mean(0)
+    across = np.cross(normal, np.linalg.eigh(centred.T @ centred)[1][:, 2]) @ centred.T
+    return float(np.subtract(*np.percentile(across, (90, 10))) / 0.8)
+
+
+def largest_plane(
+    points: Float[np.ndarray, "points 3"],
+    *,
+    tolerance: float,
+    generator: np.random.Generator,
+    trials: int = 300,
+) -> tuple[Float[np.ndarray, "3"], float, Bool[np.ndarray, " points"]] | None:
+    """Unit normal n, offset n·x = d and inliers of the plane with most points; None if none."""
+    if len(points) < 3:
+        return None
+    corners = points[generator.integers(0, len(points), (trials, 3))]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(normals, axis=1)
+    proper = length > 1e-9
+    if not proper.any():
+        return None
+    normals = normals[proper] / length[proper, None]
+    offsets = np.einsum("nk,nk->n", normals, corners[proper, 0])
+    few = points[:: max(1, len(points) // 4000)]
+    counts = (np.abs(few @ normals.T - offsets) < tolerance).sum(0)
+    best = int(counts.argmax())
+    normal, offset = normals[best], float(offsets[best])
+    for _ in range(_REFINEMENTS):
+        inliers = np.abs(points @ normal - offset) < tolerance
+        if inliers.sum() < 3:
+            return None
+        middle = points[inliers].mean(0)
+        centred = points[inliers] - middle
+        normal = np.linalg.eigh(centred.T @ centred)[1][:, 0]
+        offset = float(normal @ middle)
+    return normal, offset, np.abs(points @ normal - offset) < tolerance
+
+
+def above(
+    points: Float[np.ndarray, "points 3"], ground: Ground, least: float = 0.04
+) -> Bool[np.ndarray, " points"]:
+    """Points higher than `least` above the ground, metres."""
+    return ground.heights(torch.from_numpy(points).to(ground.normal)).numpy() > least
+
+
+def spacing(clouds: Sequence[np.ndarray]) -> float:
+    """Median distance of a point from the nearest other one of its cloud, metres; zero if none.
+
+    Clouds have axes (points, 3), each its own number of points.
+    """
+    from scipy.spatial import KDTree
+
+    nearest = [KDTree(cloud).query(cloud, 2)[0][:, 1] for cloud in clouds if len(cloud) > 1]
+    return float(np.median(np.concatenate(nearest))) if nearest else 0.0
+
+
+def clusters(
+    points: Float[np.ndarray, "points 3"], reach: float = 0.08
+) -> Int[np.ndarray, " points"]:
+    """The heap that each point is of, joined by steps of at most `reach`, metres; 0 the biggest.
+
+    Points are first gathered into cells of that size, so that any number of them is quick.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import KDTree
+
+    if len(points) == 0:
+        return np.zeros(0, np.int64)
+    whole = np.floor(points / reach).astype(np.int64)
+    cells, member = np.unique(whole, axis=0, return_inverse=True)
+    member = member.reshape(-1)
+    pairs: Int[np.ndarray, "pairs 2"] = KDTree(cells).query_pairs(1.8, output_type="ndarray")
+    links = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(cells), len(cells)))
+    label = connected_components(links, directed=False)[1][member]
+    rank = np.argsort(np.argsort(-np.bincount(label), kind="stable"), kind="stable")
+    return rank[label]
+
+
+_NEIGHBOURS = 8
+_LEAST = 30
+"""Points of a moment that tell its noise."""
+_MOMENTS = 30
+"""Moments that are looked at; noise changes as slowly as distance."""
+_AROUND = 2
+"""Looked-at moments to either side whose median one takes."""
+_WILD = 3.0
+"""Multiple of the median deviation beyond which a point flies, and is no neighbour."""
+
+
+def depth_noise(
+    points: Float[np.ndarray, "moments points 3"],
+    present: Bool[np.ndarray, "moments points"],
+    eye: Float[np.ndarray, "moments 3"],
+) -> Float[np.ndarray, " moments"]:
+    """Standard deviation of distances from the sensor at every moment, metres.
+
+    Every point is compared with the plane through its neighbours in the image: a deviation is
+    noise, or the curvature of limbs where points are sparse (half a thousand points of a body
+    0.5 to 1 cm). The median of the deviations sees neither edges nor flying pixels. Moments with
+    few points take the value of the nearest one with more; without any, it is zero.
+
+    Args:
+        points: of the surface, metres.
+        present: which of them exist.
+        eye: the sensor's place at every moment, metres.
+    """
+    enough = np.flatnonzero(present.sum(1) >= _LEAST)
+    if len(enough) == 0:
+        return np.zeros(len(points))
+    looked = enough[:: -(-len(enough) // _MOMENTS)]
+    found: list[float] = []
+    for moment in looked:
+        away = (points[moment, present[moment]] - eye[moment]).astype(np.float64)
+        deviations = _deviations(away)
+        kept = deviations <= _WILD * np.median(deviations)
+        found.append(float(np.median(_deviations(away[kept]))) / NORMAL_MAD)
+    padded = np.pad(found, _AROUND, mode="edge")
+    around = np.lib.stride_tricks.sliding_window_view(padded, 2 * _AROUND + 1)
+    return np.interp(np.arange(len(points)), looked, np.median(around, 1))
+
+
+def _deviations(away: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, " points"]:
+    """Sizes of the deviations of points from the planes through their neighbours, along rays."""
+    from scipy.spatial import KDTree
+
+    far = np.linalg.norm(away, axis=1)
+    rays = away / np.maximum(far, 1e-9)[:, None]
+    near = np.asarray(KDTree(rays).query(rays, k=_NEIGHBOURS + 1)[1])[:, 1:]
+    # in the plane across the mean ray, where neighbours span two directions
+    _, _, axes = np.linalg.svd(rays.mean(0)[None])
+    image = rays @ axes[1:].T
+    beside = image[near] - image[:, None]
+    scale = np.maximum(np.abs(beside).max((1, 2)), 1e-9)[:, None, None]
+    design = np.concatenate((np.ones((*near.shape, 1)), beside / scale), 2)
+    normal = design.transpose(0, 2, 1) @ design + 1e-6 * np.eye(3)
+    inverse = np.linalg.inv(normal)
+    plane = inverse @ (design.transpose(0, 2, 1) @ far[near][..., None])
+    # the plane at the point itself is off by the noise of its neighbours
+    spread = np.sqrt(1 + inverse[:, 0, 0])
+    return np.abs(far - plane[:, 0, 0]) / spread

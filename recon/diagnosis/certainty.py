@@ -1,0 +1,159 @@
+"""How sure a fit is of every joint, from the curvature of its objective."""
+
+from dataclasses import asdict, replace
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from recon.body.angles import isb_angles
+from recon.body.contacts import contact_probabilities, rest_heights
+from recon.body.model import BodyModel
+from recon.core.motion import Motion
+from recon.core.residuals import Noise, Unit
+from recon.core.skeleton import JOINTS
+from recon.diagnosis.plausibility import size_is_unknown, with_unknown_size
+from recon.fitting.clip import GROUND_DEVIATION, ClipFit
+from recon.formats.reports import JointCertainty
+from recon.method.derivatives import GroundBelief, GroundDeviation
+from recon.method.laplace import Believing, Deviations, Measure, deviations
+from recon.method.priors import traits_of
+from recon.method.protocols import Estimate, Sensor
+
+MOST = 360 / 12**0.5
+"""Degrees: the standard deviation of an angle of which nothing is known."""
+
+
+def angles_of(body: BodyModel) -> Measure | None:
+    """ISB angles of several clips, degrees, near those of the first; None for another body."""
+
+    def measured(clips: Motion) -> Float[Tensor, "rows time angles"]:
+        rows, frames = clips.translation.shape[:2]
+        flat = Motion.create(
+            clips.translation.flatten(0, 1), clips.rotations.flatten(0, 1), clips.shape[0],
+            clips.fps,
+        )  # fmt: skip
+        found = np.stack(list(isb_angles(flat, body).values()), -1)
+        values = torch.from_numpy(found).reshape(rows, frames, -1).to(clips.translation)
+        away = values - values[:1]
+        return values[:1] + away - 360 * (away / 360).round()
+
+    try:
+        isb_angles(_rest(body), body)
+    except ValueError:  # landmarks of other bodies are not known
+        return None
+    return measured
+
+
+def _rest(body: BodyModel) -> Motion:
+    """One frame in the rest pose."""
+    turns = torch.eye(3, dtype=body.template.dtype).repeat(1, 22, 1, 1)
+    shape = body.template.new_zeros(body.shape_size)
+    return Motion.create(body.template.new_zeros(1, 3), turns, shape, 30.0)
+
+
+_WORTH: dict[Unit, float] = {"metres": 4.0, "pixels": 1.0}
+"""Independent observations that one in this unit is worth. Priors smooth more than the density
+that stands for them says, so errors are smaller than its curvature promises; chosen on validation
+people so that 90 % of the errors of seen joints lie within 1.645 standard deviations."""
+_CLOUD_WORTH = 0.05
+"""What a patch of a cloud's surface in one frame is worth, chosen likewise: what a body of other
+flesh and clothes misses stays the same over many frames."""
+_STANCE = 0.03
+"""Metres by which standing feet miss the ground, clip by clip."""
+_UPRIGHT = 0.04
+"""Radians by which people lean on average over a clip, beside what a prior knows of gravity."""
+_UPRIGHT_ALONE = 0.09
+"""Radians likewise where the ground is only put below people, by priors that know no gravity."""
+
+
+def certainty(found: ClipFit) -> Deviations | None:
+    """Standard deviations of a fit's joints; None where its prior has no density to bend.
+
+    Clouds are thinned first: neighbouring points err alike.
+    """
+    estimate = found.result.estimate
+    prior = found.result.reports[-1].stage.prior
+    if not isinstance(prior, Believing) or found.result.failed[0]:
+        return None
+    seen, noises = [], []
+    for one, noise in zip(found.observations, found.noises, strict=True):
+        thin, noise, worth = _thinned(one, noise, estimate)
+        seen.append(thin)
+        noises.append(replace(noise, own=noise.own / worth**0.5))
+    least = min(noise.metres for noise in found.noises)
+    with torch.no_grad():
+        try:
+            body = estimate.body.model.to(device="cpu", dtype=torch.float64)
+            known = deviations(
+                estimate, seen, noises, prior.belief(least), _ground(found), angles_of(body)
+            )
+        except RuntimeError:  # a Hessian that is singular to rounding has no inverse
+            return None
+        return with_unknown_size(known, found) if size_is_unknown(found) else known
+
+
+def _ground(found: ClipFit) -> GroundBelief | None:
+    """What is believed of the ground; None where there is none."""
+    if not found.grounded:
+        return None
+    if found.ground_known:
+        return GroundBelief(_STANCE, _UPRIGHT, 0)
+    level = all(one.level for one in found.observations)
+    shown = GROUND_DEVIATION**-2 if found.ground_seen else 0.0
+    knows = traits_of(found.result.reports[-1].stage.prior).knows_gravity
+    upright = _UPRIGHT if knows else _UPRIGHT_ALONE
+    return GroundBelief(_STANCE, upright, 1 if level else 3, shown)
+
+
+def _thinned(one: Sensor, noise: Noise, estimate: Estimate) -> tuple[Sensor, Noise, float]:
+    """The sensor with fewer points where it is a cloud, and what one of its points is worth."""
+    body = estimate.body.model
+    if one.point_names(body):
+        return one, noise, _WORTH.get(one.unit, 1.0)
+    thin = one.coarse(body)
+    return thin, thin.noise(estimate.motion, body, noise.metres), _CLOUD_WORTH
+
+
+def certainty_report(deviations: Deviations, joints: JointCertainty | None) -> dict[str, Any]:
+    """Standard deviations as a report has them: medians of joints and root, shape, ground."""
+    every = deviations.joints.median(0).values.tolist()
+    ground = deviations.ground
+    return {
+        **({} if joints is None else asdict(joints)),
+        **({} if ground is None else {"ground": _ground_report(ground)}),
+        "joints": dict(zip(JOINTS, every, strict=True)),
+        "root": float(deviations.root.median()),
+        "shape": deviations.shape.tolist(),
+    }
+
+
+def _ground_report(ground: GroundDeviation) -> dict[str, float]:
+    return {"normal_degrees": ground.normal_degrees, "height": ground.height}
+
+
+_HELD = 0.3
+"""Ratio of the standard deviation of a joint's height to that of its coordinates under a prior
+that knows gravity, which holds standing feet to the ground. Both ratios were chosen by likelihood
+on validation people, over all sensors of `benchmarks.uncertainty`."""
+_FREE = 1.4
+"""The ratio under the other priors, whose hidden feet may end anywhere."""
+
+
+def fitted_contacts(fit: ClipFit, deviations: Deviations | None) -> Float[Tensor, "time 22"]:
+    """Probability that each joint of the fit's only clip touches the ground z = 0.
+
+    Args:
+        fit: of one clip.
+        deviations: how sure its joints are; None takes all as seen.
+    """
+    motion, posed = fit.result.clip(0).detach(), fit.result.body
+    joints = posed.joints[0, : motion.frames].detach().cpu()
+    heights = rest_heights(posed.model, motion.shape).cpu()
+    if deviations is None:
+        return contact_probabilities(joints, heights, motion.fps)
+    held = traits_of(fit.result.reports[-1].stage.prior).knows_gravity
+    std = (_HELD if held else _FREE) * deviations.joints[: motion.frames]
+    return contact_probabilities(joints, heights, motion.fps, std.to(joints))

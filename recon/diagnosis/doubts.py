@@ -1,0 +1,270 @@
+"""Runners-up: other motions that a fit compared with the one it gives, and their energies."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from recon.body.model import BodyModel
+from recon.core import rotations as so3
+from recon.core.motion import Motion
+from recon.core.skeleton import JOINTS, LEGS, MIRROR
+from recon.diagnosis.findings import Finding, listed, spans, stretches
+from recon.fitting.clip import ClipFit
+from recon.method.protocols import Estimate, Sensor
+from recon.method.stages import Compared
+
+_SAME = 0.05
+"""Mean distance of joints, metres, below which two hypotheses have come to the same motion."""
+_TURNED = math.radians(45)
+"""Turn about the vertical from which on a hypothesis is one of another heading."""
+_LEGS, _EXCHANGED = list(LEGS), [MIRROR[k] for k in LEGS]
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """Another motion that explains the data, and how much worse it does."""
+
+    kind: str
+    """What distinguishes it: "heading", "leg order" or "posture"."""
+    turn: float
+    """Degrees about the vertical, from 0 to 180, by which it faces elsewhere, on average."""
+    distance: float
+    """Mean distance of its joints from those of the motion that was chosen, metres."""
+    energy: float
+    """Its objective, at the end of the stage that compared it."""
+    chosen_energy: float
+    """The objective of the motion that was chosen, at the end of the same stage."""
+
+    @property
+    def excess(self) -> float:
+        """Share of the chosen energy by which this one is larger."""
+        if self.chosen_energy <= 0:  # data without noise
+            return math.inf
+        return self.energy / self.chosen_energy - 1
+
+    def report(self) -> dict[str, Any]:
+        """The record as it stands in a report's list `alternatives`."""
+        excess = self.excess if math.isfinite(self.excess) else None
+        return {**asdict(self), "excess": excess, "message": str(self)}
+
+    def __str__(self) -> str:
+        """The alternative in words."""
+        what = {
+            "heading": f"facing {self.turn:.0f} degrees elsewhere",
+            "leg order": "with left and right leg exchanged",
+            "posture": "in another posture",
+        }[self.kind]
+        return (
+            f"{what}, {100 * self.distance:.0f} cm away: energy {100 * self.excess:+.1f} % of "
+            "that of the result"
+        )
+
+
+def alternatives(fit: ClipFit) -> tuple[Alternative, ...]:
+    """Motions of the first clip that its fit compared and gave up, the likeliest first.
+
+    They are other first guesses (headings, postures) and other beginnings of a gait cycle, each as
+    the quick fit that compared them had left it. Hypotheses that came to the motion that was
+    chosen, or to that of a likelier one, are left out.
+    """
+    body = fit.result.body.model.to(device="cpu")
+    found = [one for compared in fit.compared for one in _runners_up(compared, body)]
+    return tuple(sorted(found, key=lambda one: one.excess))
+
+
+def _runners_up(compared: Compared, body: BodyModel) -> list[Alternative]:
+    """The runners-up of one comparison."""
+    own = (compared.clip == 0).nonzero()[:, 0]
+    finite = own[compared.value[own].isfinite()]
+    kept = finite[compared.kept[finite]]
+    if len(kept) == 0:
+        return []
+    best = int(kept[compared.value[kept].argmin()])
+    given_up = finite[~compared.kept[finite]]
+    ordered = given_up[compared.value[given_up].argsort()].tolist()
+    joints = {k: _joints(compared.motion, k, body) for k in (best, *ordered)}
+    distinct, found = [joints[best]], list[Alternative]()
+    for row in ordered:
+        if all(_apart(joints[row], other) > _SAME for other in distinct):
+            distinct.append(joints[row])
+            found.append(_alternative(compared, best, row, joints[best], joints[row]))
+    return found
+
+
+def _alternative(
+    compared: Compared,
+    best: int,
+    row: int,
+    chosen: Float[Tensor, "time 22 3"],
+    other: Float[Tensor, "time 22 3"],
+) -> Alternative:
+    turn = _turn(compared.motion[best], compared.motion[row])
+    kind = "posture"
+    if turn > _TURNED:
+        kind = "heading"
+    elif _apart(other[:, _EXCHANGED], chosen[:, _LEGS]) < 0.5 * _apart(
+        other[:, _LEGS], chosen[:, _LEGS]
+    ):
+        kind = "leg order"
+    return Alternative(
+        kind,
+        math.degrees(turn),
+        _apart(chosen, other),
+        float(compared.value[row]),
+        float(compared.value[best]),
+    )
+
+
+def _joints(motion: Motion, row: int, body: BodyModel) -> Float[Tensor, "time 22 3"]:
+    one = motion[row]
+    with torch.no_grad():
+        return body.pose(one.window(0, int(one.valid.sum()))).joints
+
+
+def _apart(one: Float[Tensor, "time some 3"], other: Float[Tensor, "time some 3"]) -> float:
+    """Mean distance of joints, metres."""
+    return float((one - other).norm(dim=-1).mean())
+
+
+def _turn(one: Motion, other: Motion) -> float:
+    """Angle about the vertical between the headings of two motions, averaged; 0 to pi."""
+    between = so3.heading(one.rotations[:, 0]).mT @ so3.heading(other.rotations[:, 0])
+    mean = between[one.valid].mean(0)
+    return abs(math.atan2(float(mean[1, 0] - mean[0, 1]), float(mean[0, 0] + mean[1, 1])))
+
+
+GUESSED = 0.1
+"""Standard deviation of a coordinate, metres, from which on a joint is merely guessed: as far as
+its neighbours along a limb are apart."""
+_PART = 0.25
+"""Share of the joints of a frame that are a large part of the body."""
+_SHORTEST = 0.2
+"""Seconds that are worth a word."""
+NEARLY = 0.15
+"""Share of the energy by which another motion may be worse and still be nearly as likely. On
+five validation windows of depth alone, where all headings were chosen well, the next was worse by
+29 % at least."""
+_ANOTHER = 0.15
+"""Metres, mean of joints, from which on another posture is another motion: quick fits that compare
+first guesses leave smaller differences to the fit that follows."""
+
+
+def guessed_findings(
+    joint_std: Float[np.ndarray, "time 22"], observed: Bool[np.ndarray, "time 22"], fps: float
+) -> list[Finding]:
+    """Stretches in which a large part of the body that nobody saw may be anywhere near.
+
+    Joints that were seen are left out: what one camera cannot tell of their distance is no guess.
+
+    Args:
+        joint_std: standard deviation of a coordinate of every joint, metres.
+        observed: false where a joint was inferred rather than seen.
+        fps: frames per second.
+    """
+    loose = (joint_std > GUESSED) & ~observed
+    flags = loose.mean(1) >= _PART
+    if flags.sum() < _SHORTEST * fps:
+        return []
+    often = loose[flags].mean(0) > 0.5
+    names = tuple(name for name, one in zip(JOINTS, often, strict=True) if one)
+    typical = float(np.median(joint_std[flags][loose[flags]]))
+    frames = stretches(flags)
+    return [
+        Finding(
+            "guessed",
+            f"{listed(names) if names else 'much of the body'} may be anywhere within some "
+            f"{200 * typical:.0f} cm in {int(flags.sum())} of {len(flags)} frames "
+            f"({spans(frames)}): nothing seen holds them (`joint_std` in the motion file)",
+            names,
+            frames,
+            typical,
+        )
+    ]
+
+
+def undecided_findings(alternatives: Sequence[Alternative]) -> list[Finding]:
+    """The likeliest other motion, where it explains the data nearly as well."""
+    close = [
+        one
+        for one in alternatives
+        if one.excess < NEARLY and (one.kind != "posture" or one.distance > _ANOTHER)
+    ]
+    if not close:
+        return []
+    more = f" and {len(close) - 1} more" if len(close) > 1 else ""
+    return [
+        Finding(
+            "undecided",
+            f"another motion explains the data nearly as well: {close[0]}{more}; look at both, "
+            "or add a sensor that tells them apart (`alternatives` in the report)",
+            value=close[0].excess,
+        )
+    ]
+
+
+_NEAR = 0.2
+"""Metres at rest within which a point on a neighbouring bone shows where a joint is."""
+
+
+def observed_joints(
+    observations: Sequence[Sensor], estimate: Estimate
+) -> Bool[np.ndarray, "time 22"]:
+    """The joints that some sensor saw, for every frame of the first clip's motion.
+
+    A joint is seen where a visible point lies within 20 cm of it at rest and on a bone that ends
+    or begins there; or where points of a cloud lie within 15 cm of it.
+    """
+    motion = estimate.motion
+    seen = np.zeros((motion.frames, len(JOINTS)), dtype=bool)
+    for observation in observations:
+        moments = observation.shown_joints(estimate)
+        number = _nearest_moments(observation, motion)
+        within = (number >= 0) & (number < len(moments))
+        seen[within] |= moments[number[within]]
+    return seen
+
+
+def unseen_findings(observed: Bool[np.ndarray, "time 22"]) -> list[Finding]:
+    """Joints that were never seen, and frames in which nothing was seen, as said to the user."""
+    found: list[Finding] = []
+    never = tuple(
+        name for name, some in zip(JOINTS, np.any(observed, axis=0), strict=True) if not some
+    )
+    if never:
+        found.append(
+            Finding(
+                "unseen",
+                f"{listed(never)} {'was' if len(never) == 1 else 'were'} never seen; the prior "
+                "inferred them (`observed` in the motion file)",
+                never,
+                value=len(never) / len(JOINTS),
+            )
+        )
+    empty = ~np.any(observed, axis=1)
+    if empty.any():
+        found.append(
+            Finding(
+                "gap",
+                f"nothing was seen in {int(empty.sum())} of {len(empty)} frames "
+                f"({spans(stretches(empty))}); the motion there is inferred",
+                (),
+                stretches(empty),
+                float(empty.mean()),
+            )
+        )
+    return found
+
+
+def _nearest_moments(observation: Sensor, motion: Motion) -> Int[np.ndarray, " time"]:
+    """The number of the nearest tick of the observation's clock, for every frame of the motion.
+
+    Frames before its first and after its last moment have numbers beyond its own.
+    """
+    times = motion.start_time + np.arange(motion.frames) / motion.fps
+    return np.rint((times - observation.start_time) * observation.fps).astype(int)

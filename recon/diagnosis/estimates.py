@@ -1,0 +1,169 @@
+"""An estimate of a motion as something observed: what in it is to be believed, and how far."""
+
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from observations.noise import estimate_noise
+from observations.records.estimated import Drifting, EstimatedPoints
+from recon.body.landmarks import KEYPOINTS_43, landmark
+from recon.body.model import BodyModel
+from recon.core.motion import Motion
+from recon.core.skeleton import JOINTS, MIRROR
+from recon.diagnosis.findings import Finding, stretches
+
+_SWITCH = 0.18
+"""Root mean square angle over the joints of both limbs, radians, whose square a change of sides
+costs. It and the next number are chosen on validation windows: of frames whose legs are exchanged
+by more than 0.3 radians nine in ten are found, and no motion is blamed that is as it should be."""
+_STAY = 0.005
+"""Cost of an exchanged frame, radians², so that the sides held most of the time are right."""
+
+_FLIP = torch.tensor([-1.0, 1.0, 1.0])
+
+
+def exchanged_frames(
+    rotations: Float[Tensor, "time joints 3 3"], mirrored: Float[Tensor, "time joints 3 3"]
+) -> Bool[Tensor, " time"]:
+    """Frames in which limbs move more steadily when each does what the other does, mirrored.
+
+    The sides of every frame are chosen together so that Σ ½ |angle|² from frame to frame is
+    least, plus what changes of sides and exchanged frames cost (Viterbi's algorithm).
+
+    Args:
+        rotations: local rotations of both limbs' joints.
+        mirrored: the same with the limbs exchanged.
+    """
+    both = torch.stack((rotations, mirrored), 1).double()
+    step = both[1:, :, None] - both[:-1, None, :]  # axes (time, to, from, joints, 3, 3)
+    squared = step.square().sum((-1, -2)).mean(-1) / 2  # angle², nearly
+    switch = _SWITCH**2 * (1 - torch.eye(2, dtype=torch.float64))
+    stay = torch.tensor([0.0, _STAY], dtype=torch.float64)
+    cost, before = stay.clone(), []
+    for frame in squared:
+        total = cost[None, :] + frame + switch
+        before.append(total.argmin(1))
+        cost = total.min(1).values + stay
+    state = int(cost.argmin())
+    states = [state]
+    for back in reversed(before):
+        state = int(back[state])
+        states.append(state)
+    return torch.tensor(states[::-1], dtype=torch.bool)
+
+
+def mirrored_limbs(motion: Motion, joints: tuple[int, ...]) -> Float[Tensor, "time joints 3 3"]:
+    """Local rotations of both limbs' joints with left and right exchanged."""
+    flip = _FLIP.to(motion.rotations)
+    other = [MIRROR[joint] for joint in joints]
+    return flip[:, None] * motion.rotations[:, other] * flip
+
+
+FASTEST = 60.0
+"""Hz; estimates at higher rates are thinned to it."""
+OWN = Drifting(jitter=0.015, slow=0.06, seconds=1.0)
+"""Error of a point beside the path. The numbers are chosen on windows of validation people and on
+martial arts, runs and climbs of training people (benchmarks/refine.py): numbers that suit walks
+alone let a prior that never saw a handspring overrule it. The jitter is the least assumed."""
+PATH = Drifting(jitter=0.003, slow=0.06, seconds=2.0)
+"""Error of the path."""
+_ALIKE = 2.0
+"""Points of one limb err together, so that what a point's own path tells of its jitter is
+multiplied."""
+_LIMITS = (0.004, 0.05)
+"""Metres, of the jitter that a point's path tells."""
+_JUMP, _TIMES = 0.01, 4.0
+"""A point jumps where its step differs from those before and after by more than so many metres
+and so many times as much as usual."""
+_LIMBS = {
+    "legs": ("hip", "knee", "ankle", "foot"),
+    "arms": ("collar", "shoulder", "elbow", "wrist"),
+}
+
+
+@dataclass(frozen=True)
+class Believed:
+    """An estimate as it is believed."""
+
+    seen: EstimatedPoints
+    """Points of the skin with their covariance; a leading axis of one clip."""
+    motion: Motion
+    """The estimate with its exchanges of limbs undone, no leading axis."""
+    repairs: tuple[Finding, ...]
+
+
+def believed(motion: Motion, known: Bool[Tensor, " time"], body: BodyModel) -> Believed:
+    """What an estimate tells: points of the skin, how long their errors last, where they jump.
+
+    Args:
+        motion: the estimate in a world with z up, of a shape of this body; no leading axis.
+        known: frames that were estimated.
+        body: whose motion it is.
+    """
+    step = max(round(motion.fps / FASTEST), 1)
+    if step > 1:
+        rows = torch.arange(0, motion.frames, step)
+        motion = motion.replace(
+            translation=motion.translation[rows], rotations=motion.rotations[rows],
+            valid=motion.valid[rows], fps=motion.fps / step,
+        )  # fmt: skip
+        known = known[rows]
+    motion, repairs = _unexchanged(motion)
+    vertices = tuple(landmark(name) for name in KEYPOINTS_43)
+    points = body.pose(motion).points(torch.tensor(vertices)).detach()
+    visible = known[:, None].expand(points.shape[:-1])
+    path = points.mean(-2, keepdim=True)
+    jitter = _ALIKE * estimate_noise(points - path, visible, _LIMITS)
+    along = _ALIKE * estimate_noise(path, visible[:, :1], _LIMITS)
+    seen = EstimatedPoints(
+        positions=points.where(visible[..., None], 0.0)[None],
+        visible=visible[None].clone(),
+        vertices=vertices,
+        own=replace(OWN, jitter=max(OWN.jitter, jitter)),
+        path=replace(PATH, jitter=max(PATH.jitter, along)),
+        fps=motion.fps,
+        segment=_segments(points - path)[None],
+        start_time=motion.start_time,
+    )
+    return Believed(seen, motion, tuple(repairs))
+
+
+def _unexchanged(motion: Motion) -> tuple[Motion, list[Finding]]:
+    """The motion with limbs on their own sides, and what was done."""
+    rotations, repairs = motion.rotations.clone(), list[Finding]()
+    for limb, parts in _LIMBS.items():
+        joints = tuple(
+            JOINTS.index(f"{side}_{part}") for part in parts for side in ("left", "right")
+        )
+        mirrored = mirrored_limbs(motion, joints)
+        wrong = exchanged_frames(motion.rotations[:, list(joints)], mirrored)
+        if bool(wrong.any()):
+            own = rotations[:, list(joints)]
+            rotations[:, list(joints)] = mirrored.where(wrong[:, None, None, None], own)
+            times = wrong.nonzero()[:, 0] / motion.fps + motion.start_time
+            repairs.append(
+                Finding(
+                    "sides exchanged",
+                    f"left and right {limb} are exchanged in {int(wrong.sum())} frames between "
+                    f"{float(times[0]):.2f} and {float(times[-1]):.2f} s; put right",
+                    frames=stretches(wrong.numpy()),
+                    value=float(wrong.sum()),
+                )
+            )
+    return motion.replace(rotations=rotations), repairs
+
+
+def _segments(points: Float[Tensor, "time points 3"]) -> Float[Tensor, "time points"]:
+    """Number of the stretch without jumps that every point is in at every frame."""
+    none = points.new_zeros(points.shape[:-1])
+    if len(points) < 4:
+        return none
+    steps = points.diff(dim=0)
+    beside = torch.cat((steps[1:2], (steps[2:] + steps[:-2]) / 2, steps[-2:-1]))
+    away = (steps - beside).norm(dim=-1)
+    around = torch.nn.functional.max_pool1d(away.mT[None], 3, 1, 1)[0].mT
+    jumps = (away > _JUMP + _TIMES * away.median(0).values) & (away >= around)
+    none[1:] = jumps.to(points).cumsum(0)
+    return none

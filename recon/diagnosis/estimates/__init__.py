@@ -1,1 +1,0 @@
-"""Motions that other programs estimated: what in them is to be believed."""

@@ -1,1 +1,0 @@
-"""Checks of a fit: residuals, what was seen, whether result and data agree."""

@@ -1,0 +1,300 @@
+"""Rigs out of step or calibration: clock and pose of one camera of several, found and corrected.
+
+Of three views and more, leaving one out tells which is at fault: the others agree, and the one
+agrees with them after a correction of its clock and pose. Two views tell that something is wrong,
+but not which of them.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from jaxtyping import Float
+
+from observations.noise import estimate_noise
+from recon.diagnosis.findings import Code, Finding
+from recon.diagnosis.views.explanations import matrix_of, shifted
+from recon.diagnosis.views.images import Images
+from recon.diagnosis.views.rays import Rays
+from recon.diagnosis.views.registration import (
+    NOISE,
+    PARTS,
+    Part,
+    Registration,
+    doubted,
+    registered,
+)
+
+_LATEST = 0.7
+"""Seconds by which the clock of one view may be off against the other's."""
+_COARSE = 1 / 30
+"""Seconds between the offsets from which the best one is refined."""
+_ROUNDS = 8
+_STEPS = (0.5, 1e-4, 1e-4, 1e-4)
+"""Frames and radians to either side over which derivatives are differences."""
+_UNKNOWN: dict[Part, tuple[int, ...]] = {"clock": (0,), "pose": (1, 2, 3)}
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """What would bring two views together."""
+
+    images: Images
+    """The two views, the second one corrected."""
+    late: float
+    """Frames by which the second view is late against the first."""
+    degrees: float
+    """Angle by which one of the cameras is turned."""
+    remains: float
+    """Median distance by which rays then miss each other's points, metres."""
+
+
+def agreement(images: Images, parts: tuple[Part, ...]) -> Agreement:
+    """The clock or turn of the second view, or both, with which rays of two views miss least."""
+    unknown = [k for part in parts for k in _UNKNOWN[part]]
+    best: tuple[float, np.ndarray] = (np.inf, np.zeros(4))
+    for late in _starts(images) if "clock" in parts else (0.0,):
+        values = np.array([late, 0.0, 0.0, 0.0])
+        turns = [k for k in unknown if k > 0]
+        for _ in range(2 if turns else 0):
+            values = _stepped(images, values, turns)
+        away = _typical(_misses(images, values))
+        if away < best[0]:
+            best = (away, values)
+    values = best[1]
+    most = max(abs(late) for late in _starts(images))
+    for _ in range(_ROUNDS):
+        values = _stepped(images, values, unknown)
+        values[0] = np.clip(values[0], -most, most)
+    corrected = _corrected(images, values)
+    angle = float(np.degrees(np.linalg.norm(values[1:])))
+    return Agreement(corrected, float(values[0]), angle, common_miss(corrected))
+
+
+def common_miss(images: Images) -> float:
+    """Median distance of all rays from the points that they see in common, metres."""
+    rays = Rays.of(images)
+    points, exists = rays.meet()
+    there = exists & (rays.weight > 0)
+    return float(np.median(rays.miss(points)[there])) if there.any() else 0.0
+
+
+def _starts(images: Images) -> Float[np.ndarray, " offsets"]:
+    step = max(_COARSE * images.fps, 1.0)
+    count = int(min(_LATEST * images.fps, images.pixels.shape[1] / 2) / step)
+    return np.arange(-count, count + 1) * step
+
+
+def _corrected(images: Images, values: Float[np.ndarray, "4"]) -> Images:
+    pose = images.pose.copy()
+    pose[1, :, :3] = matrix_of(values[1:]) @ pose[1, :, :3]
+    return shifted(replace(images, pose=pose), 1, float(values[0]))
+
+
+def _misses(images: Images, values: Float[np.ndarray, "4"]) -> Float[np.ndarray, "moments points"]:
+    """Signed distances of the two rays of every keypoint; 0 where there are no two."""
+    rays = Rays.of(_corrected(images, values))
+    across = np.cross(rays.direction[0], rays.direction[1])
+    size = np.linalg.norm(across, axis=-1)
+    there = (rays.weight > 0).all(0) & (size > 0.03)
+    between = rays.origin[1] - rays.origin[0]
+    return np.where(there, (between * across).sum(-1) / np.where(there, size, 1.0), 0.0)
+
+
+def _typical(away: Float[np.ndarray, "moments points"]) -> float:
+    """Median size of the distances that exist."""
+    there = away != 0
+    return float(np.median(np.abs(away[there]))) if there.any() else np.inf
+
+
+def _stepped(
+    images: Images, values: Float[np.ndarray, "4"], unknown: list[int]
+) -> Float[np.ndarray, "4"]:
+    """The values after a robust Gauss-Newton step of some of them."""
+    away = _misses(images, values)
+    there = away != 0
+    if there.sum() < len(unknown) + 1:
+        return values
+    columns = []
+    for k in unknown:
+        step = np.zeros(4)
+        step[k] = _STEPS[k]
+        ahead, behind = _misses(images, values + step), _misses(images, values - step)
+        columns.append((ahead - behind) / (2 * _STEPS[k]))
+    jacobian = np.stack(columns, -1)
+    there &= (jacobian != 0).any(-1)
+    j, r = jacobian[there], away[there]
+    weight = 1 / (1 + np.square(r / max(3 * float(np.median(np.abs(r))), 1e-9)))
+    normal = (j * weight[:, None]).T @ j
+    damped = normal + 1e-6 * np.diag(np.diag(normal)) + 1e-12 * np.eye(len(unknown))
+    out = values.copy()
+    out[unknown] -= np.linalg.solve(damped, j.T @ (weight * r))
+    return out
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """All views after what was sure was undone."""
+
+    images: Images
+    repairs: tuple[Finding, ...] = ()
+    warnings: tuple[Finding, ...] = ()
+
+    def then(self, other: "Outcome") -> "Outcome":
+        """The findings of this outcome before those of another."""
+        return Outcome(
+            other.images, (*self.repairs, *other.repairs), (*self.warnings, *other.warnings)
+        )
+
+
+_LEAST_NOISE = 0.5
+"""Pixels; keypoints are not known better than that."""
+_SURE = 60.0
+"""Squared standard deviations by which a part of a correction must be different from none."""
+_FEWER = 30.0
+"""Squared standard deviations from none of a part that is corrected beside a certain one."""
+_SMALLEST = 0.4
+"""Least distance, in standard deviations of the keypoints, that a correction moves them by."""
+_TOLD = 60.0
+"""Difference of robust squared residuals that tells two views apart."""
+_SMALLEST_CLOCK = 0.004
+"""Seconds below which a clock is left as it is."""
+_SMALLEST_TURN = 0.08
+"""Degrees below which, with a shift below `_SMALLEST_SHIFT`, a pose is left as it is."""
+_SMALLEST_SHIFT = 0.01
+"""Metres."""
+
+
+def pixel_noise(images: Images) -> Float[np.ndarray, " views"]:
+    """Standard deviation of a pixel coordinate in every view, by its third differences."""
+    pixels, seen = torch.from_numpy(images.pixels), torch.from_numpy(images.seen)
+    return np.array([
+        estimate_noise(pixels[v], seen[v], (_LEAST_NOISE, np.inf)) if seen[v].any() else np.inf
+        for v in range(len(images.names))
+    ])  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Corrections:
+    """What single views must be corrected by, and whether that is decided."""
+
+    images: Images
+    """All views after the corrections."""
+    applied: tuple[Registration, ...] = ()
+    undecided: tuple[Registration, ...] = ()
+    """Corrections of different views after which the rays fit equally well."""
+
+
+def corrections(images: Images) -> Corrections:
+    """Clocks and poses put right where that is sure.
+
+    One view after the other, as long as two views remain that need no correction.
+    """
+    applied: tuple[Registration, ...] = ()
+    for _ in range(len(images.names) - 2):
+        found = candidates(images)
+        if not found or not certain(found[0], images.fps):
+            break
+        best = found[0]
+        alike = [one for one in found if one.cost - best.cost < _TOLD * best.inflation]
+        if len(alike) > 1:
+            return Corrections(images, applied, tuple(alike))
+        images, applied = best.applied(images), (*applied, best)
+    return Corrections(images, applied)
+
+
+def corrected_rig(images: Images) -> Outcome:
+    """The views after `corrections`, in the words of findings."""
+    found = corrections(images)
+    repairs = tuple(_finding(images, one) for one in found.applied)
+    warnings = (_undecided(images, found.undecided),) if found.undecided else ()
+    return Outcome(found.images, repairs, warnings)
+
+
+def candidates(images: Images) -> list[Registration]:
+    """What single fixed views would be corrected by, that which leaves least first.
+
+    None where every view agrees with the others.
+    """
+    noise = pixel_noise(images)
+    fixed = [v for v, still in enumerate(images.fixed) if still]
+    if not np.isfinite(noise).all() or not any(doubted(images, v, noise) for v in fixed):
+        return []
+    every = [_simplest(images, v, noise) for v in fixed]
+    found = [one for one in every if one is not None]
+    return sorted(found, key=lambda one: one.cost)
+
+
+def certain(found: Registration, fps: float) -> bool:
+    """Whether a correction leaves nothing but noise and is more than noise itself."""
+    if found.noise > NOISE or found.moves < _SMALLEST:
+        return False
+    return any(_needed(found, part, fps, _SURE) for part in PARTS)
+
+
+def _simplest(
+    images: Images, view: int, noise: Float[np.ndarray, " views"]
+) -> Registration | None:
+    """A correction of a view by no more than is needed."""
+    both = registered(images, view, noise)
+    if both is None:
+        return None
+    parts: list[Part] = [part for part in PARTS if _needed(both, part, images.fps, _FEWER)]
+    return both if len(parts) != 1 else registered(images, view, noise, (parts[0],))
+
+
+def _needed(found: Registration, part: Part, fps: float, least: float) -> bool:
+    if found.squared_deviations(part) < least:
+        return False
+    if part == "clock":
+        return abs(found.late) / fps >= _SMALLEST_CLOCK
+    return found.degrees >= _SMALLEST_TURN or found.metres >= _SMALLEST_SHIFT
+
+
+def _finding(images: Images, found: Registration) -> Finding:
+    late = found.late / images.fps
+    code: Code = "views out of step" if late else "view at odds"
+    value = late if late else found.degrees
+    return Finding(
+        code,
+        f"{images.names[found.view]} contradicts the other views: {_said(found, images.fps)}. "
+        f"That was corrected. {_advice(found)}",
+        value=value,
+    )
+
+
+def _said(found: Registration, fps: float) -> str:
+    """What is wrong with a view, with standard deviations."""
+    std = np.sqrt(np.diag(found.covariance))
+    out: list[str] = []
+    if found.late:
+        late = found.late / fps
+        out.append(
+            f"its clock is {1000 * abs(late):.0f} ms {'late' if late > 0 else 'early'} "
+            f"(standard deviation {1000 * std[0] / fps:.1f} ms)"
+        )
+    if found.values[1:].any():
+        out.append(
+            f"its camera is turned by {found.degrees:.2f} degrees "
+            f"({np.degrees(std[1:4].max()):.2f}) and shifted by {100 * found.metres:.1f} cm "
+            f"({100 * std[4:].max():.1f}) against the calibration"
+        )
+    return " and ".join(out)
+
+
+def _advice(found: Registration) -> str:
+    clock = "Number the frames of all cameras from the same moment"
+    if not found.values[1:].any():
+        return clock
+    return f"{clock}, and calibrate anew" if found.late else "Calibrate anew"
+
+
+def _undecided(images: Images, alike: Sequence[Registration]) -> Finding:
+    each = "; or ".join(f"{images.names[one.view]}: {_said(one, images.fps)}" for one in alike)
+    return Finding(
+        "view at odds",
+        f"the views contradict each other, and they do not tell which of them is wrong: {each}. "
+        "Nothing was changed. Check the calibration and the clocks, or add a view",
+        value=alike[0].degrees,
+    )

@@ -1,0 +1,132 @@
+"""Writing BVH: a recording, or our own body in motion."""
+
+import warnings
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from recon.body.model import BodyModel
+from recon.core.motion import Motion
+from recon.core.skeleton import JOINTS, PARENTS
+from recon.core.units import METRES, to_z_up
+from recon.formats.mocap.recording import SkeletonRecording
+from recon.formats.opening import replacing
+
+Order = Literal["XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX"]
+
+
+def skeleton_of(motion: Motion, body: BodyModel, name: str) -> SkeletonRecording:
+    """The 22 joints of our body in one clip, and the tips of its five last bones.
+
+    The tip of a bone, `<joint>_end`, is the vertex of its skin that is farthest from the joint:
+    the crown, the toes, the fingertips.
+    """
+    posed = body.pose(motion)
+    rest = body.rest_joints(motion.shape).detach().double().cpu().numpy()
+    last = [joint for joint in range(len(JOINTS)) if joint not in PARENTS]
+    tips = np.stack([_tip(joint, rest[joint], motion, body) for joint in last])
+    above = np.where(np.array(PARENTS)[:, None] < 0, 0.0, rest[list(PARENTS)])
+    positions = posed.joints.detach().double().cpu().numpy()
+    orientations = posed.orientations.detach().double().cpu().numpy()
+    ends = positions[:, last] + (orientations[:, last] @ tips[..., None])[..., 0]
+    return SkeletonRecording(
+        name=name,
+        joint_names=(*JOINTS, *(f"{JOINTS[joint]}_end" for joint in last)),
+        parents=(*PARENTS, *last),
+        rest_offsets=np.concatenate((rest - above, tips)),
+        positions=np.concatenate((positions, ends), axis=1),
+        orientations=np.concatenate((orientations, orientations[:, last]), axis=1),
+        fps=motion.fps,
+        decisions=(),
+    )
+
+
+def _tip(joint: int, place: np.ndarray, motion: Motion, body: BodyModel) -> np.ndarray:
+    """Vector from a joint of the unposed body to the farthest vertex of its bone, metres.
+
+    It is zero where the bone carries no skin.
+    """
+    own = (body.weights.argmax(-1) == joint).nonzero()[:, 0]
+    if len(own) == 0:
+        return np.zeros(3)
+    vertices = body.rest_vertices(motion.shape, own).detach().double().cpu().numpy() - place
+    return vertices[np.linalg.norm(vertices, axis=-1).argmax()]
+
+
+def write_bvh(
+    path: Path,
+    recording: SkeletonRecording,
+    *,
+    unit: Literal["m", "cm", "mm", "inch", "cmu"] = "cm",
+    order: Order = "ZYX",
+) -> None:
+    """Write a recording with y up, all joints in one Euler order; reading it gives it back.
+
+    Joints that move within their parent get position channels; joints called `<parent>_end`
+    become end sites. The root's OFFSET is zero: some programs add it to its position channels,
+    others take these instead of it.
+    """
+    # imported here: it costs half of `import recon`
+    from scipy.spatial.transform import Rotation
+
+    turn, scale = to_z_up("y").T, 1 / METRES[unit]
+    # a hundredth of a micrometre in any unit
+    decimals = 8 if METRES[unit] == 1 else 6
+    world = turn @ recording.orientations
+    places = recording.positions @ (turn.T * scale)
+    offsets = recording.rest_offsets * scale
+    ends = _end_sites(recording)
+    children: dict[int, list[int]] = {j: [] for j in range(-1, len(recording.parents))}
+    for joint, parent in enumerate(recording.parents):
+        children[parent].append(joint)
+    lines, columns = ["HIERARCHY"], list[np.ndarray]()
+
+    def describe(joint: int, indent: str) -> None:
+        parent = recording.parents[joint]
+        rest = offsets[joint] if parent >= 0 else np.zeros(3)
+        offset = " ".join(f"{x:.{decimals}f}" for x in rest)
+        if joint in ends:
+            lines.extend((f"{indent}End Site", f"{indent}{{", f"{indent}\tOFFSET {offset}"))
+            lines.append(f"{indent}}}")
+            return
+        title = "ROOT" if parent < 0 else "JOINT"
+        lines.extend((f"{indent}{title} {recording.joint_names[joint]}", f"{indent}{{"))
+        lines.append(f"{indent}\tOFFSET {offset}")
+        rotations = " ".join(f"{axis}rotation" for axis in order)
+        if parent < 0:
+            shift, local = places[:, joint], world[:, joint]
+        else:
+            back = np.swapaxes(world[:, parent], -1, -2)
+            shift = (back @ (places[:, joint] - places[:, parent])[..., None])[..., 0]
+            local = back @ world[:, joint]
+        if parent < 0 or np.abs(shift - offsets[joint]).max() > 1e-6 * scale:
+            lines.append(f"{indent}\tCHANNELS 6 Xposition Yposition Zposition {rotations}")
+            columns.append(shift)
+        else:
+            lines.append(f"{indent}\tCHANNELS 3 {rotations}")
+        with warnings.catch_warnings():
+            # at gimbal lock scipy warns and still returns angles of the same rotation
+            warnings.simplefilter("ignore", UserWarning)
+            columns.append(Rotation.from_matrix(local).as_euler(order, degrees=True))
+        for child in children[joint]:
+            describe(child, indent + "\t")
+        lines.append(f"{indent}}}")
+
+    for root in children[-1]:
+        describe(root, "")
+    values = np.concatenate(columns, axis=1)
+    row = " ".join([f"%.{decimals}f"] * values.shape[1])
+    lines.extend(("MOTION", f"Frames: {len(values)}", f"Frame Time: {1 / recording.fps:.8f}"))
+    lines.extend(row % tuple(frame) for frame in values.tolist())
+    with replacing(path) as beside:
+        beside.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _end_sites(recording: SkeletonRecording) -> set[int]:
+    names, parents = recording.joint_names, recording.parents
+    return {
+        joint
+        for joint, parent in enumerate(parents)
+        if joint not in parents and parent >= 0 and names[joint] == f"{names[parent]}_end"
+    }

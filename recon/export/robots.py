@@ -1,0 +1,231 @@
+"""Motions for robots and for people of SMPL: files with the poses of a SMPL-family body."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from recon.body.contacts import contact_labels, rest_heights
+from recon.body.model import BodyModel
+from recon.body.soles import Soles, Stance
+from recon.core import rotations as so3
+from recon.core.errors import ReconError
+from recon.core.motion import Motion
+from recon.core.skeleton import JOINTS, PARENTS, joint_index
+from recon.formats.opening import save_arrays
+from recon.formats.smpl import load_smpl
+from recon.ingest.transfer import Transferred, transfer
+
+FPS = 30.0
+"""Frames per second that the loader goes on with; it takes frames of other rates apart."""
+_BETAS = 16
+_SMPLX_JOINTS = 55
+_GENDERS = ("female", "male", "neutral")
+_LENGTH_STD = 0.01
+"""Metres that a bone may differ for one standard deviation of shape."""
+_ROUNDS = 8
+_ALONG = {
+    f"{side}_{joint}": f"{side}_{child}"
+    for side in ("left", "right")
+    for joint, child in {
+        "hip": "knee", "knee": "ankle", "collar": "shoulder", "shoulder": "elbow",
+        "elbow": "wrist",
+    }.items()
+}  # fmt: skip
+"""Bones that point in the same direction on both bodies, and the joint at which they end."""
+_SPANS = (
+    *((joint, child) for joint, child in _ALONG.items()),
+    ("left_hip", "right_hip"), ("left_ankle", "left_foot"), ("right_ankle", "right_foot"),
+    ("pelvis", "spine3"), ("spine3", "neck"), ("neck", "head"),
+    ("left_shoulder", "right_shoulder"),
+)  # fmt: skip
+"""Distances between joints of the unposed body that shapes are fitted to."""
+
+
+@dataclass(frozen=True)
+class RobotMotion:
+    """A motion on a SMPL-X body, at the loader's rate, its soles on z = 0."""
+
+    motion: Motion
+    contacts: Bool[Tensor, "time 22"]
+    """Joints on the ground."""
+    joints: Float[Tensor, "time 22 3"]
+    """World, z up, metres."""
+
+
+def write_robot(path: Path, motion: Motion, body: BodyModel, smplx: Path) -> None:
+    """Write a motion for GMR's loader: 30 Hz, z up, soles on z = 0, contacts beside.
+
+    Args:
+        path: `.npz` to write.
+        motion: one clip without a batch axis.
+        body: whose motion it is.
+        smplx: the SMPL-X file of the body that the loader will pose; its name says the gender.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+        ValueError: when it is no SMPL-X file or its name says no gender, or the motion has a
+            batch axis.
+    """
+    if motion.translation.ndim != 2:
+        raise ReconError("expected one clip without a batch axis; export motion[k]")
+    gender = _gender(smplx)
+    if (count := len(load_smpl(smplx).parents)) != _SMPLX_JOINTS:
+        raise ReconError(
+            f"{smplx}: expected a SMPL-X body, which has {_SMPLX_JOINTS} joints, got {count}: the "
+            "loaders of robots pose SMPL-X"
+        )
+    target = BodyModel.load(smplx)
+    found = on_body(motion, body, target)
+    poses = so3.log(found.motion.rotations.double()).float().numpy().reshape(-1, 3 * len(JOINTS))
+    rest = np.zeros((len(poses), 3 * (_SMPLX_JOINTS - len(JOINTS))), dtype=np.float32)
+    standing = target.rest_vertices(found.motion.shape)[:, 1]
+    arrays = {
+        "gender": np.array(gender),
+        "surface_model_type": np.array("smplx"),
+        "mocap_frame_rate": np.array(FPS),
+        "betas": found.motion.shape.numpy(),
+        "trans": found.motion.translation.numpy(),
+        "num_betas": np.array(len(found.motion.shape)),
+        "root_orient": poses[:, :3],
+        "pose_body": poses[:, 3:],
+        "pose_jaw": rest[:, :3],
+        "pose_eye": rest[:, :6],
+        "pose_hand": rest[:, :90],
+        "poses": np.concatenate((poses, rest), 1),
+        "global_joint_positions": found.joints.numpy(),
+        "height": np.array(float(standing.max() - standing.min())),
+        "contacts": found.contacts.numpy(),
+        "joints": found.joints.numpy(),
+        "joint_names": np.array(JOINTS),
+        "start_time": np.array(motion.start_time),
+        "up_axis": np.array("z"),
+        "body": np.array(target.name),
+        "body_checksum": np.array(target.checksum),
+    }
+    save_arrays(path, arrays)
+
+
+def on_body(motion: Motion, body: BodyModel, target: BodyModel) -> RobotMotion:
+    """The motion on another body of the family: its limbs point where ours do, soles on z = 0.
+
+    Args:
+        motion: one clip without a batch axis.
+        body: whose motion it is.
+        target: the body to move, 16 of whose shape coefficients are used.
+    """
+    motion = motion.resample(FPS)
+    count = min(_BETAS, target.shape_size)
+    if target.checksum == body.checksum and not bool(motion.shape[count:].any()):
+        moved = motion.replace(shape=motion.shape[:count])
+    else:
+        moved = _carried_over(motion, body, target, count)
+    height = Stance.of(moved, target, Soles.of(target)).height()
+    down = moved.translation.new_tensor([0.0, 0.0, height])
+    moved = moved.replace(translation=moved.translation - down)
+    joints = target.pose(moved).joints
+    contacts = contact_labels(joints, rest_heights(target, moved.shape), FPS)
+    return RobotMotion(moved, contacts, joints)
+
+
+def _carried_over(motion: Motion, body: BodyModel, target: BodyModel, count: int) -> Motion:
+    rest = body.rest_joints(motion.shape)
+    shape = _nearest_shape(rest, target, count)
+    theirs = target.rest_joints(shape)
+    turns = torch.eye(3).to(rest).repeat(len(JOINTS), 1, 1)
+    for name, end in _ALONG.items():
+        joint, child = joint_index(name), joint_index(end)
+        turns[joint] = so3.between(theirs[child] - theirs[joint], rest[child] - rest[joint])
+        if name.endswith("elbow"):
+            # the hand goes on where the forearm ends
+            turns[child] = turns[joint]
+    world = body.pose(motion).orientations @ turns
+    above = world[:, list(PARENTS[1:])]
+    local = torch.cat((world[:, :1], above.mT @ world[:, 1:]), 1)
+    shift = rest[0] - theirs[0]
+    return motion.replace(rotations=local, translation=motion.translation + shift, shape=shape)
+
+
+def _nearest_shape(
+    rest: Float[Tensor, "22 3"], target: BodyModel, count: int
+) -> Float[Tensor, " count"]:
+    """The shape with the distances between joints of another body, by Gauss-Newton.
+
+    min Σ (|bone(s)| - |bone|)² / σ² + |s|², with σ of a centimetre.
+    """
+    starts = [joint_index(start) for start, _ in _SPANS]
+    ends = [joint_index(end) for _, end in _SPANS]
+    asked = (rest[ends] - rest[starts]).norm(dim=-1)
+    shape = rest.new_zeros(count)
+    for _ in range(_ROUNDS):
+        joints = target.rest_joints(shape)
+        spans = joints[ends] - joints[starts]
+        lengths = spans.norm(dim=-1)
+        directions = target.joint_directions[..., :count]
+        slopes = torch.einsum(
+            "bd,bdk->bk", spans / lengths[:, None], directions[ends] - directions[starts]
+        )
+        wanted = asked - lengths + slopes @ shape
+        normal = slopes.mT @ slopes + _LENGTH_STD**2 * torch.eye(count).to(rest)
+        shape = torch.linalg.solve(normal, slopes.mT @ wanted)
+    return shape
+
+
+def _gender(smplx: Path) -> str:
+    name = smplx.stem.lower()
+    for gender in _GENDERS:
+        if gender in name:
+            return gender
+    raise ReconError(
+        f"{smplx}: expected a name with NEUTRAL, FEMALE or MALE in it, as SMPL-X files have: the "
+        "loader chooses its file by the gender"
+    )
+
+
+def write_smpl(path: Path, motion: Motion, body: BodyModel, onto: Path) -> Transferred:
+    """Write a motion in AMASS layout on a body file of the SMPL family; z up, metres.
+
+    `poses` has as many joints as the file (SMPL 24, SMPL-H 52, SMPL-X 55); those beyond the 22 of
+    the body are at rest. `betas` are coefficients of that file's shapes.
+
+    Args:
+        path: file to write.
+        motion: one clip without a batch axis.
+        body: whose motion it is.
+        onto: the body file that will be posed.
+
+    Raises:
+        FileNotFoundError: when there is no such body file.
+        ValueError: when it is no body of the SMPL family.
+    """
+    target = BodyModel.load(onto)
+    found = transfer(motion, body, target)
+    moved = found.motion
+    poses = so3.log(moved.rotations.double()).float().numpy()
+    joints = len(load_smpl(onto).parents)
+    whole = np.zeros((len(poses), joints, 3), np.float32)
+    whole[:, : poses.shape[1]] = poses
+    arrays = {
+        "trans": moved.translation.numpy(),
+        "poses": whole.reshape(len(poses), -1),
+        "root_orient": poses[:, 0],
+        "pose_body": poses[:, 1:].reshape(len(poses), -1),
+        "betas": moved.shape.numpy(),
+        "gender": np.array(_gender_named(onto)),
+        "mocap_framerate": np.array(moved.fps),
+        "mocap_frame_rate": np.array(moved.fps),
+        "start_time": np.array(moved.start_time),
+        "up_axis": np.array("z"),
+        "body": np.array(target.name),
+        "body_checksum": np.array(target.checksum),
+    }
+    save_arrays(path, arrays)
+    return found
+
+
+def _gender_named(onto: Path) -> str:
+    """What the name of the body file says; neutral where it says nothing."""
+    return next((one for one in _GENDERS if one in onto.stem.lower()), "neutral")

@@ -1,0 +1,150 @@
+"""Tables over time: OpenSim's storage of coordinates (.mot), and angles as CSV."""
+
+import tomllib
+from collections.abc import Mapping
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Literal, cast
+
+import numpy as np
+from jaxtyping import Float
+from torch import Tensor
+
+from observations.correspondences import PLACES, BodyPlace, BodyPoints
+from recon.body.angles import (
+    ISB_ANGLES,
+    MODEL_NAMES,
+    OpenSimModel,
+    isb_angles,
+    opensim_coordinates,
+)
+from recon.body.landmarks import landmarks
+from recon.body.model import BodyModel
+from recon.core.errors import ReconError
+from recon.core.motion import Motion
+from recon.core.skeleton import JOINTS
+from recon.formats.mocap.recording import MarkerRecording
+from recon.formats.opening import replacing
+
+
+def write_mot(path: Path, motion: Motion, body: BodyModel, model: OpenSimModel) -> None:
+    """Write the coordinates of an OpenSim model: degrees, metres, on the motion's own clock.
+
+    Args:
+        path: file to write.
+        motion: one clip without a batch axis.
+        body: whose motion it is; the bundled one.
+        model: whose coordinates are written.
+
+    Raises:
+        ValueError: when the body is another one.
+    """
+    columns = opensim_coordinates(motion, body, model)
+    header = [
+        f"Coordinates of {MODEL_NAMES[model]}",
+        "version=1",
+        f"nRows={motion.frames}",
+        f"nColumns={len(columns) + 1}",
+        "inDegrees=yes",
+        "endheader",
+        "\t".join(("time", *columns)),
+    ]
+    _write(path, header, motion, columns, "\t")
+
+
+def write_angles(
+    path: Path,
+    motion: Motion,
+    body: BodyModel,
+    std: Float[Tensor, "time 42"] | None = None,
+) -> None:
+    """Write joint angles after the ISB, a row per frame: `time` in seconds, `NAME_deg` in degrees.
+
+    Args:
+        path: file to write.
+        motion: one clip without a batch axis.
+        body: whose motion it is; the bundled one.
+        std: standard deviations of the angles in degrees, columns `NAME_std`; None leaves them
+            out.
+
+    Raises:
+        ValueError: when the body is another one.
+    """
+    columns = {f"{name}_deg": values for name, values in isb_angles(motion, body).items()}
+    if std is not None:
+        known = zip(ISB_ANGLES, std.double().cpu().numpy().T, strict=True)
+        columns |= {f"{name}_std": values for name, values in known}
+    _write(path, [",".join(("time", *columns))], motion, columns, ",")
+
+
+def _write(
+    path: Path,
+    header: list[str],
+    motion: Motion,
+    columns: Mapping[str, Float[np.ndarray, " time"]],
+    separator: str,
+) -> None:
+    times = motion.times.double().cpu().numpy()
+    rows = np.stack((times, *columns.values()), -1)
+    lines = [separator.join(f"{value:.6f}" for value in row) for row in rows.tolist()]
+    with replacing(path) as beside:
+        beside.write_text("\n".join((*header, *lines)) + "\n", encoding="utf-8")
+
+
+MarkerSetName = Literal["joints", "halpe26", "opencap", "pig", "bsm"]
+"""`joints` are the 22 joints of the body; the others stand in `assets/marker_sets.toml`."""
+
+
+def markers_of(
+    motion: Motion, body: BodyModel, markers: MarkerSetName, name: str
+) -> MarkerRecording:
+    """The markers of a set on a moving body, always seen, on the motion's own clock.
+
+    They lie on the skin; real markers stand about a centimetre off it.
+
+    Args:
+        motion: one clip without a batch axis.
+        body: whose motion it is.
+        markers: the set.
+        name: of the recording.
+
+    Raises:
+        ValueError: when the set lies on the skin of the bundled body, and the body is another one.
+    """
+    posed = body.pose(motion)
+    if markers == "joints":
+        labels, positions = JOINTS, posed.joints
+    else:
+        points = BodyPoints.of_places(places_of(markers), body)
+        if not bool(points.known.all()):
+            raise ReconError(
+                f"markers of {markers!r} lie on the skin of the bundled body; on {body.name!r} "
+                "nobody knows where: take --markers joints"
+            )
+        labels, positions = points.names, points.of(posed)
+    places = positions.detach().double().cpu().numpy()
+    return MarkerRecording(
+        name=name,
+        marker_names=labels,
+        positions=places,
+        visible=np.ones(places.shape[:2], dtype=bool),
+        fps=motion.fps,
+        decisions=(),
+        start_time=motion.start_time,
+    )
+
+
+def places_of(markers: str) -> dict[str, BodyPlace]:
+    """The place on the body of every label of a marker set, in the order of the set."""
+    known = landmarks()
+    return {
+        label: BodyPlace(landmarks=(point,)) if point in known else PLACES[point]
+        for label, point in _sets()[markers].items()
+    }
+
+
+@cache
+def _sets() -> dict[str, dict[str, str]]:
+    text = files("recon").joinpath("assets", "marker_sets.toml").read_text(encoding="utf-8")
+    return cast("dict[str, dict[str, str]]", tomllib.loads(text))

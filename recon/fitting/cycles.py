@@ -1,0 +1,362 @@
+"""Cycles from sparse scans, landmarks or few frames: many beginnings, the best fit of all."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from observations import kinds
+from observations.curvature import bounded
+from observations.depth import CLOUD_NOISE, PointCloud
+from observations.kinds import InSpace
+from observations.noise import weights_of
+from recon.body.cycles import LONGEST_CYCLE, SHORTEST_CYCLE
+from recon.body.model import BodyModel
+from recon.core import rotations as so3
+from recon.core.errors import ObservationError, ReconError
+from recon.core.residuals import Noise
+from recon.core.scene import OFFSETS, Scene
+from recon.core.struct import concatenate
+from recon.fitting.clip import ClipFit
+from recon.fitting.methods import FitOptions, loaded
+from recon.method.priors import CycleMethod, CyclePrior
+from recon.method.protocols import REFERENCE_FPS, Sensor
+from recon.method.reconstruction import Reconstruction
+from recon.method.running import Hypotheses, rank, run_hypotheses
+from recon.method.stages import Stage, Watch
+from recon.method.terms import Term, offsets
+from recon.method.unknowns import Unknowns
+
+RATES = (30.0, 60.0)
+"""Frames per second at which cycles and recordings are completed, at least and at most."""
+
+
+def completion_rate(fps: float) -> float:
+    """A rate between `RATES`, of which an observation's is a multiple or part."""
+    if fps < RATES[0]:
+        return fps * math.ceil(RATES[0] / fps)
+    return fps / math.ceil(fps / RATES[1] - 1e-6)
+
+
+def on_fast_clock(one: InSpace) -> InSpace:
+    """The observation on a clock of at least 30 Hz; moments in between show nothing.
+
+    Motions have the clock of their data, and energies are taken at 30 Hz: on a slow clock, a
+    motion is too coarse to move as people do, and a moment counts for several. A sensor that moves
+    keeps its clock, since nobody knows where it is in between.
+    """
+    times = math.ceil(RATES[0] / one.fps - 1e-6)
+    return one if times <= 1 else one.on_faster_clock(times)
+
+
+def moments_per_second(observations: Sequence[InSpace]) -> float:
+    """Moments that show anything, per second of the time in which they lie: of all sensors."""
+    times = torch.cat([seen_times(one) for one in observations]).unique()
+    if len(times) < 2:
+        return 0.0
+    return (len(times) - 1) / float(times[-1] - times[0])
+
+
+def seen_times(one: InSpace) -> Float[Tensor, " moments"]:
+    """Times of the moments that show anything in any clip, seconds, to the millisecond."""
+    there = one.shown.any(-1).flatten(0, -2).any(0).nonzero()[:, 0].cpu()
+    return (one.start_time + there.double() / one.fps).mul(1000).round().div(1000)
+
+
+HEADINGS = 8
+"""Directions in which typical cycles are tried."""
+
+
+@dataclass(frozen=True)
+class CycleClock:
+    """The moments at which cycles are decoded."""
+
+    valid: Bool[Tensor, "clips time"]
+    fps: float
+    start_time: float
+
+    @classmethod
+    def of(cls, observations: Sequence[InSpace]) -> "CycleClock":
+        """The first observation's rate or a multiple or part of it, over all that is seen.
+
+        Raises:
+            ObservationError: when a clip shows one moment only, or lasts too short or too long.
+        """
+        fps, start = completion_rate(observations[0].fps), min(o.start_time for o in observations)
+        ends = [seen_from_to(o) for o in observations]
+        first, last = (torch.stack(one) for one in zip(*ends, strict=True))
+        if not bool((last.amax(0) > first.amin(0)).all()):
+            raise ObservationError(
+                "at most one moment shows anything, which tells no motion; give two or more"
+            )
+        last = last.amax(0) - start
+        worst = last[((last < SHORTEST_CYCLE) | (last > LONGEST_CYCLE)).nonzero()[:1, 0]]
+        if len(worst) > 0:
+            raise ObservationError(
+                f"a cycle of gait lasts {SHORTEST_CYCLE} to {LONGEST_CYCLE:g} s, what is seen "
+                f"here {float(worst[0]):.2f} s; cut one cycle out (--between), or fit the whole "
+                "with another prior"
+            )
+        count = (last * fps - 1e-6).ceil().long() + 1
+        return cls(torch.arange(int(count.max())) < count[:, None], fps, start)
+
+
+def seen_from_to(one: InSpace) -> tuple[Float[Tensor, " clips"], Float[Tensor, " clips"]]:
+    """Times of the first and last moment of each clip that show anything; infinite where none."""
+    there = one.shown.any(-1).cpu()
+    times = one.start_time + torch.arange(there.shape[-1], dtype=torch.float64) / one.fps
+    return times.where(there, torch.inf).amin(-1), times.where(there, -torch.inf).amax(-1)
+
+
+def typical_cycles(
+    prior: CyclePrior,
+    observations: Sequence[InSpace],
+    clock: CycleClock,
+    shape: Float[Tensor, " shape"],
+    offsets: int,
+) -> Hypotheses[Any]:
+    """Every typical cycle of a prior in every heading, along the path that is seen.
+
+    Args:
+        prior: of cycles.
+        observations: of the clips.
+        clock: the moments of the cycles.
+        shape: of the body.
+        offsets: number of tracked points whose offset from the model is unknown.
+    """
+    typical = prior.typical
+    angles = torch.arange(HEADINGS) * (math.tau / HEADINGS)
+    turns = so3.about_z(angles.to(typical))
+    path = prior.paths(shape)
+    variables: list[Any] = []
+    for clip, (seen, there) in enumerate(zip(*_seen_path(observations, clock), strict=True)):
+        last = int(clock.valid[clip].sum()) - 1
+        place = torch.arange(len(seen)).clamp(max=last) / last * (path.shape[1] - 1)
+        walked = path[:, place.round().long()]
+        turned = walked[:, None] @ turns.mT
+        away = (seen - turned).where(there[:, None], 0.0).sum(-2) / there.sum().clamp(min=1)
+        T = torch.eye(4).to(typical).repeat(len(typical), HEADINGS, 1, 1)
+        T[..., :3, :3], T[..., :2, 3] = turns, away[..., :2]
+        count = T.shape[0] * T.shape[1]
+        variables.append(
+            prior.variables(
+                typical.repeat_interleave(HEADINGS, 0),
+                shape.expand(count, -1),
+                T.flatten(0, 1),
+                clock.valid[clip].expand(count, -1),
+                clock.fps,
+                clock.start_time,
+            )
+        )
+    clip = torch.arange(len(variables)).repeat_interleave(len(variables[0].latent))
+    scene = Scene.create(len(clip), offsets, like=typical)
+    return Hypotheses(prior, Unknowns(concatenate(variables), scene), clip)
+
+
+def _seen_path(
+    observations: Sequence[InSpace], clock: CycleClock
+) -> tuple[Float[Tensor, "clips moments 3"], Bool[Tensor, "clips moments"]]:
+    """The middle of what is seen at the clock's moments, and where anything is."""
+    clips, moments = clock.valid.shape
+    total = observations[0].places.new_zeros(clips, moments, 3)
+    count = total.new_zeros(clips, moments, 1)
+    for one in observations:
+        present = one.shown
+        middle = one.places.where(present[..., None], torch.nan).nanmedian(-2).values
+        there = present.any(-1)
+        times = one.start_time - clock.start_time + torch.arange(there.shape[1]) / one.fps
+        frame = (times * clock.fps).round().long().clamp(0, moments - 1)
+        total.index_add_(1, frame, middle.nan_to_num(0.0))
+        count.index_add_(1, frame, there[..., None].to(count))
+    return total / count.clamp(min=1), count[..., 0] > 0
+
+
+TRIED, KEPT = 16, 3
+"""Beginnings of a clip that are fitted roughly, and those of them that are fitted in full."""
+NAMED_NOISE = 0.01
+"""Metres that joints and markers are off by, beside a constant offset."""
+MARKER_OFFSET_DEVIATION = 0.01
+"""Metres per axis by which markers are not where the model has them."""
+DENSE = 200
+"""Points in the fullest frame from which on clouds tell what no code has."""
+FITTED = 256
+"""Points of a frame that are compared: smooth bodies need no more, and time grows with them."""
+ROUGH_RATE = 15.0
+"""Frames per second, about, while first guesses are compared: a code moves all moments
+together."""
+_WORTH = 16
+"""Points that know their place on the body, as which the cloud of a frame counts."""
+_AT_ONCE = 96
+"""Beginnings that are looked at together."""
+
+
+def complete(
+    observations: Sequence[Sensor],
+    options: FitOptions,
+    body: BodyModel,
+    watch: Watch | None = None,
+    kind: Callable[..., CycleMethod] | None = None,
+) -> ClipFit:
+    """Fit one cycle to every clip of the batch.
+
+    A clip lasts from its first moment to the last that shows anything; its cycle is taken to
+    begin and end there, about.
+
+    Args:
+        observations: of the clips, which are independent of each other.
+        options: of the fit; its prior is of cycles, by name or loaded.
+        body: whose motion it is.
+        watch: told about every iteration.
+        kind: of method, called as kind(prior, noise, detailed=...), instead of the prior's own.
+
+    Raises:
+        ValueError: when nothing tells where the body is, a clip does not last 0.3 to 3 s, or
+            physics, a shape that is held or further terms are asked for.
+    """
+    if options.physics != 0:
+        raise ObservationError(
+            "cycles are completed without physics; leave it out, or fit by another prior"
+        )
+    if options.shape is not None or options.shape_prior is not None or options.terms:
+        raise ObservationError(
+            "cycles are completed with a shape of their own and no further terms; leave shape and "
+            "terms out, or fit by another prior"
+        )
+    device = body.template.device
+    seen = tuple(o.to(device=device) for o in kinds.in_space(observations))
+    if len(seen) < len(observations):
+        raise ObservationError(
+            "completing a cycle takes scans, landmarks or joints, got 2D keypoints as well; fit "
+            "them with another prior"
+        )
+    prior = loaded(options.prior, options.weights, body)
+    if not isinstance(prior, CyclePrior):
+        raise ReconError(f"expected a prior of cycles, got a {type(prior).__name__}")
+    seen, rows = _with_offsets(tuple(o.thinned(FITTED) for o in seen))
+    noises = tuple(cycle_noise(o, options.noise_of(row)) for row, o in enumerate(seen))
+    dense = any(_fullest(o) >= DENSE for o in kinds.clouds(seen))
+    noise = min(one.metres for one in noises)
+    method = (
+        prior.cycle_method(noise, detailed=dense)
+        if kind is None
+        else kind(prior, noise, detailed=dense)
+    )
+    return _Completion(seen, noises, method, CycleClock.of(seen), rows).fitted(body, watch)
+
+
+@dataclass(frozen=True)
+class _Completion:
+    """The stages that lead from typical cycles to the one of every clip."""
+
+    observations: tuple[InSpace, ...]
+    noises: tuple[Noise, ...]
+    method: CycleMethod
+    clock: CycleClock
+    offsets: int
+    """Tracked points whose offset from the model is unknown."""
+
+    def fitted(self, body: BodyModel, watch: Watch | None) -> ClipFit:
+        """The best fit of every clip."""
+        prior, step = self.method.prior, self._rough_step
+        seen = [
+            _rough(o, max(round(o.fps / self.clock.fps * step), 1), body)
+            for o in self.observations
+        ]
+        search = self.method.search(self._data(seen))
+        ranking, portion = search[0].terms, partial(_thinned, step=step)
+        search = [replace(stage, portion=portion, ranking=ranking) for stage in search]
+        shape = prior.typical.new_zeros(body.shape_size)
+        began = typical_cycles(prior, self.observations, self.clock, shape, self.offsets)
+        every = torch.arange(len(began.unknowns.variables.latent)).split(_AT_ONCE)
+        value = torch.cat([rank(search[0], began.rows(some), body) for some in every])
+        data = self._data(self.observations)
+        coded, details = self.method.coded(data), self.method.details(data)
+        stages = (
+            *_keeping(search, KEPT),
+            *_keeping([replace(stage, ranking=ranking) for stage in self._moving(coded)], 1),
+            *self._moving(details),
+        )
+        found, reports = run_hypotheses(stages, body, began.rows(began.best(value, TRIED)), watch)
+        T = torch.eye(4).expand(len(self.clock.valid), 4, 4)
+        result = Reconstruction(found.estimate(body), tuple(reports))
+        return ClipFit(result, self.noises, True, T, self.observations)
+
+    @property
+    def _rough_step(self) -> int:
+        """Moments of the clock from one to the next while first guesses are compared."""
+        return max(round(self.clock.fps / ROUGH_RATE), 1)
+
+    def _data(self, seen: Sequence[InSpace]) -> tuple[Term, ...]:
+        """Observations of the clips as weighted terms."""
+        return tuple(
+            Term("data" if len(seen) == 1 else f"data {k + 1}", one, weight)
+            for k, (one, weight) in enumerate(zip(seen, weights_of(self.noises), strict=True))
+        )
+
+    def _moving(self, stages: Sequence[Stage[Any]]) -> list[Stage[Any]]:
+        """The stages with offsets of markers, from the one in which they are near the body."""
+        if self.offsets == 0:
+            return list(stages)
+        held = Term("offsets", offsets, (self.method.noise / MARKER_OFFSET_DEVIATION) ** 2)
+        return [
+            replace(stage, terms=(*stage.terms, held), free=stage.free | OFFSETS)
+            if "shape" in stage.free
+            else stage
+            for stage in stages
+        ]
+
+
+def _keeping(stages: Sequence[Stage[Any]], count: int) -> tuple[Stage[Any], ...]:
+    """Stages of which the last keeps so many hypotheses of every clip."""
+    return (*stages[:-1], replace(stages[-1], kept=count))
+
+
+def _thinned(variables: Any, step: int) -> Any:
+    """A cycle on a clock of fewer moments: a code moves all moments together."""
+    return variables.derived(valid=variables.valid[:, ::step], fps=variables.fps / step)
+
+
+def _rough(one: InSpace, step: int, body: BodyModel) -> InSpace:
+    """Every `step`-th moment, of clouds few points and a kernel of fixed scale."""
+    few = one.coarse(body, step)
+    return few.derived(kernel=bounded) if kinds.clouds([few]) else few
+
+
+def _fullest(cloud: PointCloud) -> int:
+    return int(cloud.present.sum(-1).max())
+
+
+def cycle_noise(one: InSpace, told: float | None) -> Noise:
+    """A frame's cloud is worth some points that know their place; few frames count one each.
+
+    Energies are sums over all frames of the clock, empty or not, taken at 30 Hz.
+    """
+    count = one.shown.sum(-1)
+    typical = float(count[count > 0].float().quantile(0.5)) if bool((count > 0).any()) else 1.0
+    first, last = seen_from_to(one)
+    rate = ((count > 0).sum(-1).cpu() - 1) / (last - first)
+    seen = rate.isfinite() & (rate > 0)
+    often = float(rate[seen].median()) if bool(seen.any()) else one.fps
+    worth = one.fps / max(often, REFERENCE_FPS)
+    named = bool(kinds.tracked([one]))
+    usual = NAMED_NOISE if named else CLOUD_NOISE
+    noise = usual if told is None else told
+    alike = 1.0 if named else max(typical / _WORTH, 1.0)
+    return Noise(noise * (alike / worth) ** 0.5, noise)
+
+
+def _with_offsets(observations: tuple[InSpace, ...]) -> tuple[tuple[InSpace, ...], int]:
+    """Markers stand off the skin: rows of their offsets, and how many."""
+    changed: list[InSpace] = []
+    count = 0
+    for one in observations:
+        for markers in kinds.markers([one]):
+            rows = (count, count + len(markers.vertices))
+            one, count = markers.replace(offset_rows=rows), rows[1]
+        changed.append(one)
+    return tuple(changed), count

@@ -1,0 +1,284 @@
+"""Whole recordings of which little was seen: any motion first, then gait by its cycles.
+
+A fit by a prior of any motion explains the whole recording, by windows, with one shape. Where few
+moments were seen, what happens in between is a guess of that prior, and in gait a cycle knows more
+of it. So every cycle that the hips of the first fit tell is completed from its data; those that
+explain them join the data of a second fit of the whole. It follows the data where there are any,
+cycles in between, fades from one into the next and is smooth everywhere, with one shape. A
+recording that is one cycle, seen at few moments, is completed as one code from many beginnings.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, ClassVar
+
+import torch
+
+from observations import kinds
+from observations.depth import CLOUD_NOISE
+from observations.kinds import InSpace
+from recon.body.cycles import LONGEST_CYCLE, SHORTEST_CYCLE, find_cycles
+from recon.body.model import BodyModel
+from recon.core.errors import ObservationError, WeightsError
+from recon.core.motion import Motion
+from recon.fitting.clip import ClipFit, fit_clip
+from recon.fitting.cycles import (
+    FITTED,
+    NAMED_NOISE,
+    RATES,
+    complete,
+    cycle_noise,
+    moments_per_second,
+    on_fast_clock,
+    seen_times,
+)
+from recon.fitting.gait import CompletedCycle, CycleData, stretches, told_by_cycles
+from recon.fitting.methods import FitOptions, loaded
+from recon.method.priors import CyclePrior, NoisyPrior, Traits
+from recon.method.protocols import Sensor
+from recon.method.reconstruction import Method
+from recon.method.stages import Watch
+
+FEW = 12.0
+"""Moments per second below which cycles of gait tell something of what happens in between."""
+SWING = 0.3
+"""Largest difference of a completed cycle's hips from those of gait, as `find_cycles` measures it.
+Of the cycles that it finds in the validation motions, 96 % are below, and the others are people
+who stand; all completions of motions without cycles were above."""
+_COVERED = 0.75
+"""Share of a recording that its one cycle must last."""
+_LEAST = 0.05
+"""Seconds of a stretch that is worth a line."""
+
+
+@dataclass(frozen=True)
+class WholeRecording:
+    """What completes a recording: a prior of any motion, and one of cycles of gait."""
+
+    traits: ClassVar[Traits] = Traits(completes=True)
+    steps: str = "humor"
+    """Prior of any motion, by its name."""
+    cycles: str | None = "anchor"
+    """Prior of cycles, by its name; None does without."""
+    weights: str = "open"
+    """Weights of the prior of any motion."""
+    cycle_weights: str = "open"
+    """Weights of the prior of cycles."""
+
+    @classmethod
+    def load(cls, weights: str, body: BodyModel | None = None) -> "WholeRecording":
+        """The usual priors with weights of one name.
+
+        Raises:
+            WeightsError: when it is neither `open` nor `nc`.
+        """
+        del body
+        if weights not in ("open", "nc"):
+            raise WeightsError(
+                f"weights: two priors complete a recording, expected open or nc for both, got "
+                f"{weights}; give a file with --prior anchor, or a WholeRecording"
+            )
+        return cls(weights=weights, cycle_weights=weights)
+
+    def method(self, noise: float, body: BodyModel) -> Method:
+        """How any motion is fitted."""
+        prior = loaded(self.steps, self.weights, body)
+        assert isinstance(prior, NoisyPrior)
+        return prior.method(noise, body)
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """A part of a recording, and by what it was completed."""
+
+    start: float
+    """Seconds of the recording's clock."""
+    stop: float
+    prior: str
+    """`humor`, or `anchor` where cycles of gait joined."""
+    moments: int
+    """Moments in it that show anything."""
+    cycles: int = 0
+    """Cycles of gait that the hips tell."""
+    joined: int = 0
+    """Cycles that explain their data as well as the first fit, which joined the second."""
+    energy: float | None = None
+    """Energy of the data under the completed cycles, ½ Σ residual² / noise²; None without any."""
+    first: float | None = None
+    """Energy of the data under the first fit, by which it was decided."""
+
+    def report(self) -> dict[str, Any]:
+        """The stretch in plain values."""
+        told = {"start": self.start, "stop": self.stop, "prior": self.prior}
+        told |= {"moments_seen": self.moments, "cycles": self.cycles, "joined": self.joined}
+        if self.energy is not None:
+            told |= {"energy_of_cycles": self.energy, "energy_of_first_fit": self.first}
+        return told
+
+
+@dataclass(frozen=True)
+class RecordingFit(ClipFit):
+    """A recording that was completed, and by what in which stretch."""
+
+    stretches: tuple[Stretch, ...] = field(default=(), kw_only=True)
+
+
+def complete_recording(
+    observations: Sequence[Sensor],
+    prior: WholeRecording,
+    options: FitOptions,
+    body: BodyModel,
+    watch: Watch | None = None,
+) -> RecordingFit:
+    """One motion of a whole recording: any length, any motion, scans at any times.
+
+    Args:
+        observations: of one clip.
+        prior: of any motion, and of cycles.
+        options: of the fit; its prior is not looked at.
+        body: whose motion it is.
+        watch: told about every iteration.
+
+    Raises:
+        ObservationError: when at most one moment shows anything.
+    """
+    placed = kinds.in_space(observations)
+    if placed and moments_per_second(placed) == 0 and len(placed) == len(observations):
+        raise ObservationError(
+            "at most one moment shows anything, which tells no motion; give two or more"
+        )
+    seen = [
+        on_fast_clock(one.thinned(FITTED)) if isinstance(one, InSpace) else one
+        for one in observations
+    ]
+    few = bool(placed) and moments_per_second(placed) < FEW
+    if few and (one := _one_cycle(observations, prior, options, body, watch)) is not None:
+        return one
+    noise = tuple(noise_told(one, options.noise_of(row), few) for row, one in enumerate(seen))
+    any_motion = replace(options, prior=prior.steps, weights=prior.weights, noise=noise)
+    first = fit_clip(seen, any_motion, body, watch)
+    motion = first.result.clip(0).detach()
+    gait = _gait(first, prior, options, body, motion) if few and first.ground_known else []
+    told = _stretches(gait, kinds.in_space(first.observations), motion, prior)
+    kept = [one for cycles in gait for one in cycles if one.explains]
+    if not kept:
+        return _as_recording(first, told)
+    joints = told_by_cycles(kept, motion, body).to(device=body.template.device)
+    begun = motion.map(lambda tensor: tensor[None])
+    again = replace(any_motion, noise=(*noise, None))
+    second = fit_clip([*seen, joints], again, body, watch, start=begun)
+    reports = (*first.result.reports, *second.result.reports)
+    whole = replace(
+        second,
+        result=replace(second.result, reports=reports),
+        noises=second.noises[:-1],
+        observations=second.observations[:-1],
+        guesses=first.guesses,
+    )
+    return _as_recording(whole, told)
+
+
+def _one_cycle(
+    observations: Sequence[Sensor],
+    prior: WholeRecording,
+    options: FitOptions,
+    body: BodyModel,
+    watch: Watch | None,
+) -> RecordingFit | None:
+    """The recording as one cycle of gait; None where it lasts longer, or its hips tell none."""
+    seen = kinds.in_space(observations)
+    plain = options.physics == 0 and options.shape is None and not options.terms
+    plain = plain and options.shape_prior is None and options.grounded
+    placed = len(seen) == len(observations) and all(one.ground_known for one in seen)
+    times = torch.cat([seen_times(one) for one in seen]).unique()
+    seconds = float(times[-1] - times[0])
+    if prior.cycles is None or not (plain and placed):
+        return None
+    if not SHORTEST_CYCLE <= seconds <= LONGEST_CYCLE:
+        return None
+    cycles = loaded(prior.cycles, prior.cycle_weights, body)
+    fit = complete(seen, replace(options, prior=cycles), body, watch)
+    motion = fit.result.clip(0).detach().to(device="cpu")
+    covered = [one for one in find_cycles(motion, SWING) if one.duration >= _COVERED * seconds]
+    if not covered:
+        return None
+    start, stop = motion.start_time, float(motion.times[-1])
+    assert prior.cycles is not None
+    return _as_recording(fit, (Stretch(start, stop, prior.cycles, len(times), 1, 1),))
+
+
+def noise_told(one: Sensor, given: float | None, few: bool) -> float | None:
+    """The noise of an observation as its energies need it; None where the data tell it.
+
+    Few moments tell no noise, so it is the usual one unless it is given. Energies are taken at
+    30 Hz whatever the clock: where few moments lie on a fast one, each would count for less than
+    a moment, which a smaller noise makes up for.
+    """
+    if not few or not isinstance(one, InSpace):
+        return given
+    usual = NAMED_NOISE if kinds.tracked([one]) else CLOUD_NOISE
+    often = max(moments_per_second([one]), RATES[0])
+    return (usual if given is None else given) * (often / max(one.fps, often)) ** 0.5
+
+
+def _gait(
+    first: ClipFit,
+    prior: WholeRecording,
+    options: FitOptions,
+    body: BodyModel,
+    motion: Motion,
+) -> list[list[CompletedCycle]]:
+    """The cycles of every stretch of gait of a first fit, completed from the data."""
+    if prior.cycles is None or not (found := find_cycles(motion.to(device="cpu"))):
+        return []
+    cycles = loaded(prior.cycles, prior.cycle_weights, body)
+    if not isinstance(cycles, CyclePrior):
+        raise ObservationError(f"expected a prior of cycles, got a {type(cycles).__name__}")
+    seen = kinds.in_space(first.observations)
+    noises = tuple(cycle_noise(one, options.noise_of(row)) for row, one in enumerate(seen))
+    data = CycleData(cycles, seen, noises, body)
+    made = [[data.completed(motion, one) for one in stretch] for stretch in stretches(found)]
+    return [own for rows in made if (own := [one for one in rows if one is not None])]
+
+
+def _stretches(
+    gait: Sequence[Sequence[CompletedCycle]],
+    seen: Sequence[InSpace],
+    motion: Motion,
+    prior: WholeRecording,
+) -> tuple[Stretch, ...]:
+    """All of the recording, stretches of gait and what is between them."""
+    times = torch.cat([seen_times(one) for one in seen]).unique() if seen else torch.zeros(0)
+
+    def moments(start: float, stop: float) -> int:
+        return int(((times >= start - 1e-6) & (times <= stop + 1e-6)).sum())
+
+    told: list[Stretch] = []
+    at = motion.start_time
+    for cycles in gait:
+        start, stop = cycles[0].cycle.start, max(one.cycle.stop for one in cycles)
+        if start - at > _LEAST:
+            told.append(Stretch(at, start, prior.steps, moments(at, start)))
+        joined = sum(one.explains for one in cycles)
+        told.append(
+            Stretch(
+                start,
+                stop,
+                f"{prior.steps} and {prior.cycles}" if joined else prior.steps,
+                moments(start, stop),
+                len(cycles),
+                joined,
+                sum(one.energy for one in cycles),
+                sum(one.first for one in cycles),
+            )
+        )
+        at = stop
+    end = float(motion.times[-1])
+    if end - at > _LEAST or not told:
+        told.append(Stretch(at, end, prior.steps, moments(at, end)))
+    return tuple(told)
+
+
+def _as_recording(fit: ClipFit, told: tuple[Stretch, ...]) -> RecordingFit:
+    known = {one.name: getattr(fit, one.name) for one in fields(ClipFit)}
+    return RecordingFit(**known, stretches=told)

@@ -1,1 +1,0 @@
-"""Files of body models (SMPL, SMPL-H, SMPL-X), read without executing anything."""

@@ -1,0 +1,251 @@
+"""Camera calibrations of several programs as one mapping from names to cameras.
+
+Read are TOML (Pose2Sim, Anipose, FreeMoCap, caliscope), OpenCV YAML (EasyMocap's `intri.yml` with
+`extri.yml`, or one file per camera), PROX's JSON and plain .npz files. All give world to camera
+in OpenCV's axes.
+"""
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from recon.core.errors import FormatError
+from recon.core.limits import TABLE, check_pose
+from recon.core.units import METRES, Axis, to_z_up
+from recon.formats.json_files import read_json
+from recon.formats.observations import CameraArrays
+from recon.formats.opencv_yaml import CameraFields, read_opencv_yaml, settle_camera
+from recon.formats.opening import decode, existing, load_arrays, read_bytes
+
+FILM_DIAGONAL = 43.27
+"""Millimetres; the diagonal of 35 mm film."""
+PHONE = 28.0
+"""Focal length for 35 mm film of a phone's main camera that films, millimetres: a diagonal field
+of view of 75 degrees."""
+USUAL_SIZES = ((640, 480), (1280, 720), (1920, 1080), (2560, 1440), (3840, 2160), (7680, 4320))
+"""Widths and heights of films, pixels."""
+
+
+def guessed_camera(image_size: tuple[int, int]) -> CameraArrays:
+    """A phone's camera with images of this size: 75 degrees across, its centre in the middle.
+
+    Its focal length is marked as not known, so that a fit corrects it.
+    """
+    width, height = image_size
+    focal = PHONE / FILM_DIAGONAL * float(np.hypot(width, height))
+    matrix = np.array([[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]])
+    return CameraArrays(matrix, (int(width), int(height)), focal_known=False)
+
+
+def guessed_size(
+    pixels: Float[np.ndarray, "detections points 2"],
+    confidence: Float[np.ndarray, "detections points"],
+    sizes: Sequence[tuple[int, int]] = USUAL_SIZES,
+) -> tuple[int, int]:
+    """The smallest usual size of a film, lying or upright, that holds the keypoints.
+
+    One keypoint in a hundred may lie outside, as detectors guess what the image cuts off. Larger
+    ones than all are taken as they are.
+    """
+    seen = pixels[confidence > 0]
+    reach = np.quantile(seen, 0.99, axis=0) if len(seen) > 0 else np.zeros(2)
+    for long, short in sizes:
+        for size in ((long, short), (short, long)):
+            if (reach <= size).all():
+                return size
+    width, height = np.ceil(reach).astype(int).tolist()
+    return width, height
+
+
+def read_toml(path: Path) -> dict[str, CameraFields]:
+    """The cameras of a TOML file by name.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+        ValueError: when it is damaged, two cameras have one name, or a lens is a fisheye.
+    """
+    try:
+        tables = tomllib.loads(decode(read_bytes(path, TABLE)))
+    except (ValueError, RecursionError) as error:
+        # besides damage, numbers of more digits than Python converts
+        raise FormatError(f"{path}: expected TOML, but it is damaged ({error})") from error
+    cameras: dict[str, CameraFields] = {}
+    for key, table in tables.items():
+        if not isinstance(table, dict) or "matrix" not in table:
+            continue
+        name = str(table.get("name") or key)
+        if name in cameras:
+            raise FormatError(f"{path}: expected every camera's name once, got {name} twice")
+        if table.get("fisheye"):
+            raise FormatError(
+                f"{path}, camera {name}: fisheye lenses are not read; undistort the keypoints or "
+                "the images, and give a calibration with fisheye = false"
+            )
+        cameras[name] = CameraFields(
+            name=name, matrix=table["matrix"], size=table.get("size"),
+            distortion=table.get("distortions"), rotation=table.get("rotation"),
+            translation=table.get("translation"),
+        )  # fmt: skip
+    if len(cameras) == 0:
+        raise FormatError(
+            f"{path}: expected tables of cameras with matrix, rotation and translation, found "
+            f"{', '.join(tables) or 'none'}"
+        )
+    return cameras
+
+
+CameraUnit = Literal["m", "mm"]
+
+_FARTHEST_METRES = 50.0
+"""Cameras farther than this from the origin, were the unit metres, make it millimetres ..."""
+_NEAREST_MILLIMETRES = 300.0
+"""... provided that the farthest one is at least this far in millimetres."""
+_SUFFIXES = (".toml", ".yml", ".yaml", ".json", ".npz")
+_IN_FOLDER = (".yml", ".yaml", ".npz")
+"""Files of single cameras that a folder may hold."""
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """The cameras of a set-up and what was decided about them."""
+
+    cameras: Mapping[str, CameraArrays]
+    """Cameras by name. Poses are in metres with world z up; the pose is None where the file has
+    none."""
+    unit: CameraUnit
+    """The unit the file was in."""
+    decisions: tuple[str, ...]
+
+
+def load_cameras(
+    path: str | Path,
+    *,
+    unit: CameraUnit | None = None,
+    up: Axis | None = None,
+    image_size: tuple[int, int] | None = None,
+) -> Calibration:
+    """Read a calibration file, or a folder of `intri.yml` and `extri.yml` or of single cameras.
+
+    The files of Pose2Sim, in metres, and of Anipose and FreeMoCap, in millimetres, look the same.
+    Without `unit`, the distance |t| of the farthest camera from the origin tells: up to 50 the
+    unit is metres, from 300 on millimetres, and in between it is refused.
+
+    Args:
+        path: of the file or folder.
+        unit: of the translations; None to tell it from them.
+        up: axis of the calibration's world that points up; None for z. PROX's world is that of
+            the depth sensor and not level, so its pose is only kept when this is given.
+        image_size: width and height, pixels, of cameras whose file does not tell.
+
+    Raises:
+        FileNotFoundError: when there is nothing there.
+        ValueError: when it is damaged, of an unknown kind, has a fisheye lens, no image size,
+            or a unit that cannot be told.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise FileNotFoundError(f"{path}: no such calibration")
+    parts, decisions = _read(path, level=up is not None)
+    if len(parts) == 0:
+        raise FormatError(f"{path}: expected at least one camera, found none")
+    cameras = {name: settle_camera(part, image_size, path) for name, part in parts.items()}
+    chosen, reason = _settle_unit(cameras, unit, path)
+    turned = {name: _placed(camera, METRES[chosen], up or "z") for name, camera in cameras.items()}
+    for name, camera in turned.items():
+        if camera.T_camera_world is not None:
+            check_pose(camera.T_camera_world, path, f"pose of camera {name}")
+    world = f"camera world {up or 'z'} up: " + ("given" if up else "believed")
+    return Calibration(MappingProxyType(turned), chosen, (*decisions, reason, world))
+
+
+def _read(path: Path, *, level: bool) -> tuple[dict[str, CameraFields], tuple[str, ...]]:
+    if path.is_dir():
+        if (path / "intri.yml").is_file():
+            return read_opencv_yaml(path / "intri.yml"), ()
+        files = sorted(one for one in path.iterdir() if one.suffix.lower() in _IN_FOLDER)
+        tables = sorted(path.glob("*.toml"))
+        if len(tables) == 1:
+            return read_toml(tables[0]), ()
+        if len(files) == 0:
+            raise FormatError(
+                f"{path}: expected intri.yml and extri.yml, one .toml, or one .yml or .npz file "
+                "per camera in this folder"
+            )
+        return {k: v for one in files for k, v in _read(one, level=level)[0].items()}, ()
+    existing(path)
+    match path.suffix.lower():
+        case ".toml":
+            return read_toml(path), ()
+        case ".yml" | ".yaml":
+            return read_opencv_yaml(path), ()
+        case ".json":
+            return _read_prox(path, level=level)
+        case ".npz":
+            return {path.stem: _read_npz(path)}, ()
+    raise FormatError(f"{path}: expected a calibration in one of {', '.join(_SUFFIXES)}")
+
+
+def _read_prox(path: Path, *, level: bool) -> tuple[dict[str, CameraFields], tuple[str, ...]]:
+    TABLE.check(existing(path).stat().st_size, path)
+    value = read_json(path)
+    if not isinstance(value, dict) or "camera_mtx" not in value:
+        raise FormatError(
+            f"{path}: expected a calibration as in PROX, with camera_mtx, k, view_mtx"
+        )
+    part = CameraFields(
+        name=path.stem, matrix=value["camera_mtx"], distortion=value.get("k"),
+        pose=value.get("view_mtx") if level else None,
+    )  # fmt: skip
+    note = "PROX's camera pose is to its depth sensor, not to a level world: left out"
+    return {path.stem: part}, () if level or "view_mtx" not in value else (note,)
+
+
+def _read_npz(path: Path) -> CameraFields:
+    arrays = load_arrays(path)
+    if "camera_matrix" not in arrays:
+        raise FormatError(
+            f"{path}: expected camera_matrix, image_size, distortion and T_camera_world, found "
+            f"{', '.join(sorted(arrays))}"
+        )
+    return CameraFields(
+        name=path.stem, matrix=arrays["camera_matrix"], size=arrays.get("image_size"),
+        distortion=arrays.get("distortion"), pose=arrays.get("T_camera_world"),
+    )  # fmt: skip
+
+
+def _settle_unit(
+    cameras: Mapping[str, CameraArrays], unit: CameraUnit | None, path: Path
+) -> tuple[CameraUnit, str]:
+    if unit is not None:
+        if unit not in ("m", "mm"):
+            raise FormatError(f"--camera-unit is m or mm, got {unit!r}")
+        return unit, f"camera unit {unit}: given"
+    poses = [c.T_camera_world for c in cameras.values() if c.T_camera_world is not None]
+    if len(poses) == 0:
+        return "m", "the cameras have no pose: the ground is unknown"
+    far = max(float(np.linalg.norm(pose[:, :3, 3], axis=-1).max()) for pose in poses)
+    if far <= _FARTHEST_METRES:
+        return "m", f"camera unit m: the farthest camera is {far:.3g} m from the origin"
+    if far >= _NEAREST_MILLIMETRES:
+        metres = far * METRES["mm"]
+        return "mm", f"camera unit mm: the farthest camera is then {metres:.3g} m from the origin"
+    raise FormatError(
+        f"{path}: the farthest camera is {far:.4g} units from the origin, which fits neither "
+        "metres nor millimetres well; give --camera-unit m or --camera-unit mm"
+    )
+
+
+def _placed(camera: CameraArrays, metres: float, up: Axis) -> CameraArrays:
+    """The camera with its pose in metres to a world with z up."""
+    if camera.T_camera_world is None:
+        return camera
+    pose = camera.T_camera_world.copy()
+    pose[:, :3, 3] *= metres
+    pose[:, :3, :3] = pose[:, :3, :3] @ to_z_up(up).T
+    return replace(camera, T_camera_world=pose)

@@ -1,1 +1,0 @@
-"""Camera calibrations of several programs; `cameras` tells by what a file holds."""

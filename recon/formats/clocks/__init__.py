@@ -1,1 +1,0 @@
-"""Clocks of scans and clouds: recorded times, and the frames that they make."""

@@ -1,1 +1,0 @@
-"""Point clouds, surface scans and depth images."""

@@ -1,0 +1,202 @@
+"""Folders of 16-bit depth images with the sensor's intrinsics, as points in its frame."""
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+
+from recon.core.camera import Camera
+from recon.core.errors import FormatError
+from recon.core.limits import BINARY, DEPTH_SCALE, FRAME_RATE, IMAGE
+from recon.formats.observations import CameraArrays, PointsFile
+from recon.formats.opening import existing
+from recon.formats.scans import POINTS, naturally, thinned
+
+_HEAD = struct.Struct(">8s4x4sII")
+_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+
+
+def read_png(path: Path, size: tuple[int, int] | None = None) -> np.ndarray:
+    """The pixels of an image as they are: (height, width), or (height, width, channels).
+
+    Args:
+        path: of the .png file.
+        size: width and height that it must have, None for any.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+        ValueError: when it is damaged, no PNG image, too large, or of another size.
+    """
+    # imported here: it is slow to load
+    import cv2
+
+    BINARY.check(existing(path).stat().st_size, path)
+    data = path.read_bytes()
+    if len(data) < _HEAD.size or not data.startswith(_SIGNATURE):
+        raise FormatError(f"{path}: expected a PNG image, but it is damaged or something else")
+    _, name, width, height = _HEAD.unpack_from(data)
+    if name != b"IHDR" or width == 0 or height == 0:
+        raise FormatError(f"{path}: expected a PNG image, but its header is damaged")
+    IMAGE.check(width * height, path, "header")
+    if size is not None and (width, height) != size:
+        raise FormatError(
+            f"{path}: the camera has images of {size[0]} x {size[1]}, this one is {width} x "
+            f"{height} pixels; give its own intrinsics"
+        )
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        image = None
+    if image is None:
+        raise FormatError(f"{path}: expected a PNG image, but it is damaged")
+    return np.asarray(image)
+
+
+_RANGE = (0.2, 12.0)
+"""Metres at which depth sensors see people."""
+_EDGE = 0.15
+"""Metres by which neighbouring pixels differ at the edge of something."""
+
+
+def read_depth_images(
+    folder: str | Path,
+    camera: CameraArrays,
+    *,
+    fps: float,
+    depth_scale: float = 0.001,
+    masks: str | Path | None = None,
+    points: int = POINTS,
+    outliers: float | None = 3.0,
+    seed: int = 0,
+) -> PointsFile:
+    """Points of all images: the world's when the camera has a pose, else the camera's.
+
+    Pixels at depth edges mix what lies before and behind them and are left out.
+
+    Args:
+        folder: of 16-bit .png files, one per frame, in natural order; 0 is no depth.
+        camera: of the depth images.
+        fps: frames per second.
+        depth_scale: metres per unit of the images; 0.001 where they hold millimetres.
+        masks: folder of images of equal names, or in equal order, nonzero on the person.
+        points: most points kept of a frame, drawn at random.
+        outliers: as in `read_scans`.
+        seed: of the draw.
+
+    Raises:
+        FileNotFoundError: when a folder is missing.
+        ValueError: when there is no image or no point, an image is not of 16 bits or of another
+            size than the camera's, or no person is seen at such depths; says what to do.
+    """
+    folder = Path(folder)
+    paths = _images(folder)
+    shapes = None if masks is None else _matched(paths, Path(masks))
+    FRAME_RATE.check(fps, folder, "frame rate")
+    DEPTH_SCALE.check(depth_scale, folder, "--depth-scale")
+    generator = np.random.default_rng(seed)
+    poses, lens = camera.T_camera_world, _lens(camera)
+    if poses is not None and len(poses) not in (1, len(paths)):
+        raise FormatError(f"{folder}: {len(paths)} images, but {len(poses)} poses of the camera")
+    clouds: list[np.ndarray] = []
+    depths: list[float] = []
+    for k, path in enumerate(paths):
+        depth = _depth(path, camera) * depth_scale
+        seen = (depth > 0) & ~at_edge(depth)
+        if shapes is not None:
+            seen &= _mask(shapes[k], depth.shape)
+        if seen.any():
+            depths.append(float(np.median(depth[seen])))
+        cloud = thinned(back_projected(depth, seen, lens), points, outliers, generator)
+        if poses is not None:
+            T = poses[k % len(poses)]
+            cloud = (cloud - T[:3, 3]) @ T[:3, :3]
+        clouds.append(cloud)
+    if not depths:
+        raise FormatError(
+            f"{folder}: no image holds any depth" + (" inside its mask" * bool(masks))
+        )
+    middle = float(np.median(depths))
+    if not _RANGE[0] <= middle <= _RANGE[1]:
+        raise FormatError(
+            f"{folder}: with {depth_scale:g} m per unit the middle depth is {middle:.3g} m; "
+            f"expected {_RANGE[0]} to {_RANGE[1]} m, so give the sensor's scale with --depth-scale"
+        )
+    return PointsFile(
+        points=np.concatenate(clouds),
+        frame=np.repeat(np.arange(len(paths)), [len(cloud) for cloud in clouds]),
+        fps=fps,
+        camera=camera,
+    )
+
+
+def back_projected(
+    depth: Float[np.ndarray, "height width"], seen: Bool[np.ndarray, "height width"], lens: Camera
+) -> Float[np.ndarray, "points 3"]:
+    """Points of the camera's frame at the centres of some pixels, metres.
+
+    Pixel (column, row) covers u from column to column + 1 - as in `Camera.in_image`.
+    """
+    row, column = np.nonzero(seen)
+    pixels = torch.from_numpy(np.stack([column, row], 1) + 0.5)
+    return lens.unproject(pixels, torch.from_numpy(depth[row, column])).numpy()
+
+
+def at_edge(depth: Float[np.ndarray, "height width"]) -> Bool[np.ndarray, "height width"]:
+    """Pixels beside others that lie elsewhere, farther or nearer by more than a hand's width."""
+    edge = np.zeros(depth.shape, np.bool_)
+    for axis in (0, 1):
+        a, b = (np.moveaxis(depth, axis, 0)[part] for part in (np.s_[:-1], np.s_[1:]))
+        jump = (np.abs(a - b) > _EDGE) & (a > 0) & (b > 0)
+        edges = np.moveaxis(edge, axis, 0)
+        edges[:-1] |= jump
+        edges[1:] |= jump
+    return edge
+
+
+def _lens(camera: CameraArrays) -> Camera:
+    """The camera at the origin."""
+    distortion = camera.distortion
+    return Camera.create(
+        torch.from_numpy(np.asarray(camera.camera_matrix, np.float64)),
+        camera.image_size,
+        None if distortion is None else torch.from_numpy(np.asarray(distortion, np.float64)),
+    )
+
+
+def _images(folder: Path) -> list[Path]:
+    if not folder.is_dir():
+        raise FileNotFoundError(f"{folder}: no such folder; expected one of .png images")
+    paths = naturally(path for path in folder.iterdir() if path.suffix.lower() == ".png")
+    if not paths:
+        raise FormatError(f"{folder}: expected .png images, one per frame, got none")
+    return paths
+
+
+def _matched(paths: list[Path], masks: Path) -> list[Path]:
+    found = _images(masks)
+    named = {path.name: path for path in found}
+    if all(path.name in named for path in paths):
+        return [named[path.name] for path in paths]
+    if len(found) != len(paths):
+        raise FormatError(f"{masks}: expected {len(paths)} masks, one per image, got {len(found)}")
+    return found
+
+
+def _depth(path: Path, camera: CameraArrays) -> Float[np.ndarray, "height width"]:
+    image = read_png(path, camera.image_size)
+    if image.dtype != np.uint16 or image.ndim != 2:
+        raise FormatError(
+            f"{path}: expected a 16-bit grey image of depths, got {image.dtype} {image.shape}"
+        )
+    return image.astype(np.float64)
+
+
+def _mask(path: Path, size: tuple[int, ...]) -> Bool[np.ndarray, "height width"]:
+    image = read_png(path)
+    if image.ndim == 3:
+        image = image[..., :3].max(-1)
+    if image.shape != size:
+        raise FormatError(f"{path}: expected a mask of the depth's size {size}, got {image.shape}")
+    return image > 0

@@ -1,0 +1,294 @@
+"""Per-frame parameters of SMPL-like bodies, as networks that look at video write them.
+
+Read are dictionaries of arrays, nested or not, in .npz, .pt and .pkl files: GVHMR
+(`smpl_params_global`), WHAM (`pose_world`, `trans_world` for every person), SLAHMR
+(`root_orient`, `pose_body`, `trans` with an axis of people), SMPL-X (`global_orient`, `body_pose`,
+`transl`) and AMASS (`poses`, `trans`). Pickles are read without running what is inside.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from pickle import UnpicklingError
+from typing import Any
+from zipfile import BadZipFile
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.spatial.transform import Rotation
+
+from recon.core import limits
+from recon.core.errors import FormatError
+from recon.core.limits import BINARY
+from recon.core.units import Axis
+from recon.formats.opening import existing, load_arrays
+from recon.formats.smpl import read_tree
+
+SUFFIXES = (".npz", ".pt", ".pth", ".pkl")
+_ROOT = ("global_orient", "root_orient")
+_BODY = ("body_pose", "pose_body")
+_WHOLE = ("pose_world", "poses", "pose", "fullpose")
+_PLACE = ("trans_world", "transl", "trans")
+_SHAPE = ("betas", "shape")
+_RATES = ("mocap_framerate", "mocap_frame_rate", "fps")
+_IN_CAMERA = ("incam", "_cam", "camera")
+_DAMAGE = (
+    RuntimeError, UnpicklingError, BadZipFile, EOFError, OSError, ValueError, KeyError, IndexError,
+    TypeError, AttributeError, OverflowError, MemoryError, ImportError, AssertionError,
+)  # fmt: skip
+"""What torch and its unpickler raise for damaged files."""
+_UPRIGHT = 0.5
+"""Share of its length that the mean upward direction of a body keeps where somebody is upright."""
+
+Tree = Mapping[Any, Any]
+
+
+@dataclass(frozen=True)
+class BodyEstimate:
+    """One person's body in every frame, in the world of the program that estimated it."""
+
+    rotations: Float[np.ndarray, "time 22 3 3"]
+    """Local rotations of SMPL's first 22 joints."""
+    translation: Float[np.ndarray, "time 3"]
+    """SMPL translation, metres."""
+    known: Bool[np.ndarray, " time"]
+    """Frames that were estimated; the others hold the one before."""
+    betas: Float[np.ndarray, " shape"]
+    """Shape coefficients of the body model that the program used, which need not be ours."""
+    fps: float | None
+    """Frames per second; None where the file does not say."""
+    up: tuple[int, Axis]
+    """Sign and axis of the file's world that points up."""
+    notes: tuple[str, ...]
+    """What was chosen and told, one sentence each."""
+
+
+def read_estimate(path: Path, person: int | None = None, up: Axis | None = None) -> BodyEstimate:
+    """The body that a file holds.
+
+    Args:
+        path: the file.
+        person: which of several people, by their order in the file, from 1 on; None takes the one
+            of the most frames.
+        up: axis that points up; None tells it from how the body stands.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+        FormatError: when it is damaged, holds nothing of this kind or not so many people.
+    """
+    tree = _tree(path)
+    people = list(_people(tree, ()))
+    in_world = [one for one in people if not _in_camera(one[0])]
+    people = in_world or people
+    if not people:
+        raise FormatError(
+            f"{path}: expected rotations and a translation of a SMPL-like body for every frame "
+            "(global_orient, body_pose and transl; root_orient, pose_body and trans; or poses and "
+            f"trans), got {_listed(tree)}"
+        )
+    number, notes = _chosen(path, people, person)
+    where, arrays = people[number]
+    if where:
+        notes.append(f"taken from {'.'.join(map(str, where))}")
+    rotations = _rotations(path, arrays)
+    translation = _array(path, arrays, _PLACE).reshape(-1, 3)
+    if len(rotations) != len(translation):
+        raise FormatError(
+            f"{path}: expected as many frames of translation as of rotations, got "
+            f"{len(translation)} and {len(rotations)}"
+        )
+    finite = np.isfinite(rotations).reshape(len(rotations), -1)
+    known = np.array(np.isfinite(translation).all(axis=-1) & finite.all(axis=-1), ndmin=1)
+    if not known.any():
+        raise FormatError(f"{path}: no frame of the person holds finite numbers")
+    limits.POSITION.check(translation[known], path, "translation")
+    rotations, translation, known = _on_clock(path, arrays, rotations, translation, known)
+    axis = _up(path, rotations[known], up, notes)
+    betas = next((_numbers(arrays[key]) for key in _SHAPE if key in arrays), np.zeros(1))
+    known_shape = betas.dtype.kind in "fiu" and betas.ndim > 0 and betas.size > 0
+    betas = betas.reshape(-1, betas.shape[-1]).mean(0) if known_shape else np.zeros(1)
+    limits.SHAPE.check(betas, path, "betas")
+    rates = [_numbers(tree[key]).ravel() for key in _RATES if key in tree]
+    rate = next((float(one[0]) for one in rates if one.dtype.kind in "fiu" and one.size), None)
+    return BodyEstimate(rotations, translation, known, betas, rate, axis, tuple(notes))
+
+
+def _tree(path: Path) -> Tree:
+    """A dictionary of arrays and dictionaries; nothing in the file is run."""
+    existing(path)
+    suffix = path.suffix.lower()
+    if suffix == ".npz":
+        return load_arrays(path)
+    if suffix == ".pkl":
+        return read_tree(path)
+    if suffix not in SUFFIXES:
+        raise FormatError(
+            f"{path}: expected a file of {', '.join(SUFFIXES)} with parameters of a SMPL-like body"
+        )
+    import torch
+
+    BINARY.check(path.stat().st_size, path)
+    try:
+        content = torch.load(path, map_location="cpu", weights_only=True)
+    except _DAMAGE as error:
+        raise FormatError(
+            f"{path}: expected tensors saved by torch, but {error!r:.200}"
+        ) from error
+    if not isinstance(content, dict):
+        raise FormatError(
+            f"{path}: expected a dictionary of tensors, got {type(content).__name__}"
+        )
+    return content
+
+
+def _people(tree: Tree, where: tuple[Any, ...]) -> Iterator[tuple[tuple[Any, ...], Tree]]:
+    """Every dictionary inside that holds one body for every frame, with its place."""
+    names = {key for key in tree if isinstance(key, str)}
+    turned = names & set(_WHOLE) or (names & set(_ROOT) and names & set(_BODY))
+    if turned and names & set(_PLACE):
+        yield from ((where, one) for one in _apart(tree))
+    for key, value in tree.items():
+        if isinstance(value, Mapping):
+            yield from _people(value, (*where, key))
+
+
+def _apart(arrays: Tree) -> Iterator[Tree]:
+    """The people of arrays with an axis of people before that of frames."""
+    place = _numbers(next(arrays[key] for key in _PLACE if key in arrays))
+    if place.ndim != 3 or place.shape[1] == 1:
+        yield arrays
+        return
+    for row in range(len(place)):
+        yield {
+            key: value[row]
+            for key, value in {key: _numbers(value) for key, value in arrays.items()}.items()
+            if value.ndim >= 2 and len(value) == len(place)
+        }
+
+
+def _in_camera(where: tuple[Any, ...]) -> bool:
+    return any(word in str(key) for key in where for word in _IN_CAMERA)
+
+
+def _chosen(
+    path: Path, people: list[tuple[tuple[Any, ...], Tree]], person: int | None
+) -> tuple[int, list[str]]:
+    if person is not None and not 1 <= person <= len(people):
+        raise FormatError(f"{path}: expected a person from 1 to {len(people)}, got {person}")
+    if person is not None:
+        return person - 1, []
+    frames = [len(_numbers(next(a[k] for k in _PLACE if k in a))) for _, a in people]
+    number = int(np.argmax(frames))
+    if len(people) == 1:
+        return 0, []
+    return number, [
+        f"person {number + 1} of {len(people)} is taken, the one of the most frames "
+        f"({frames[number]}); --person chooses another"
+    ]
+
+
+def _rotations(path: Path, arrays: Tree) -> Float[np.ndarray, "time 22 3 3"]:
+    if any(key in arrays for key in _ROOT) and any(key in arrays for key in _BODY):
+        parts = [_matrices(path, _array(path, arrays, keys)) for keys in (_ROOT, _BODY)]
+        if len(parts[0]) != len(parts[1]):
+            raise FormatError(
+                f"{path}: expected as many frames of the root's rotation as of the others', got "
+                f"{len(parts[0])} and {len(parts[1])}"
+            )
+        turns = np.concatenate(parts, 1)
+    else:
+        turns = _matrices(path, _array(path, arrays, _WHOLE))
+    if turns.shape[1] < 22:
+        raise FormatError(
+            f"{path}: expected rotations of SMPL's first 22 joints, got {turns.shape[1]}"
+        )
+    return turns[:, :22]
+
+
+def _matrices(path: Path, values: np.ndarray) -> Float[np.ndarray, "time joints 3 3"]:
+    """Rotation matrices from rotation vectors or matrices in any arrangement; NaN stays."""
+    if values.ndim >= 3 and values.shape[-2:] == (3, 3):
+        found = values.reshape(len(values), -1, 3, 3)
+        off = np.abs(found @ found.swapaxes(-1, -2) - np.eye(3)).max((-1, -2))
+        limits.ORTHOGONALITY.check(off[np.isfinite(off)], path, "rotation matrices")
+        return found
+    if values.size % (3 * max(len(values), 1)):
+        raise FormatError(f"{path}: expected three numbers for every joint, got {values.shape}")
+    vectors = values.reshape(len(values), -1, 3)
+    finite = np.array(np.isfinite(vectors).all(-1), ndmin=2)
+    limits.ROTATION.check(vectors[finite], path, "rotations")
+    turned = Rotation.from_rotvec(np.where(finite[..., None], vectors, 0.0).reshape(-1, 3))
+    matrices = turned.as_matrix().reshape(*vectors.shape[:2], 3, 3)
+    return np.where(finite[..., None, None], matrices, np.nan)
+
+
+def _array(path: Path, arrays: Tree, names: tuple[str, ...]) -> np.ndarray:
+    key = next(name for name in names if name in arrays)
+    value = _numbers(arrays[key])
+    if value.dtype.kind not in "fiu" or value.ndim < 2 or len(value) == 0:
+        raise FormatError(
+            f"{path}: expected numbers for every frame in {key}, got {value.dtype} {value.shape}"
+        )
+    return value.astype(np.float64)
+
+
+def _numbers(value: Any) -> np.ndarray:
+    """An array of what is one; an empty one of anything else."""
+    if isinstance(value, np.ndarray):
+        return value
+    if hasattr(value, "numpy"):
+        return value.float().numpy()
+    try:
+        return np.asarray(value)
+    except (ValueError, TypeError):  # lists of unequal lengths
+        return np.zeros(0)
+
+
+def _on_clock(
+    path: Path,
+    arrays: Tree,
+    rotations: np.ndarray,
+    translation: np.ndarray,
+    known: Bool[np.ndarray, " time"],
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Frames in their place, where a person was not found in all; unknown ones hold the last."""
+    frames = np.arange(len(known))
+    if "frame_ids" in arrays:
+        ids = np.asarray(arrays["frame_ids"]).ravel()
+        if ids.dtype.kind not in "iu" or len(ids) != len(known) or (np.diff(ids) <= 0).any():
+            raise FormatError(f"{path}: expected frame_ids that grow, one for every frame")
+        frames = ids - ids[0]
+    limits.FRAMES.check(int(frames[-1]) + 1, path, "frame_ids")
+    count = int(frames[-1]) + 1
+    there = np.zeros(count, bool)
+    there[frames] = known
+    source = np.full(count, -1)
+    source[frames[known]] = np.flatnonzero(known)
+    held = np.maximum.accumulate(source)
+    held[held < 0] = source[source >= 0][0]
+    return rotations[held], translation[held], there
+
+
+def _up(
+    path: Path, rotations: np.ndarray, given: Axis | None, notes: list[str]
+) -> tuple[int, Axis]:
+    """The axis that the trunk points along; a SMPL body's y axis leads from pelvis to head."""
+    mean = rotations[:, 0, :, 1].mean(0)
+    if given is not None:
+        axis = "xyz".index(given)
+        return (1 if mean[axis] >= 0 else -1), given
+    axis = int(np.abs(mean).argmax())
+    if np.abs(mean[axis]) < _UPRIGHT:
+        raise FormatError(
+            f"{path}: the body is not upright along any axis, so that nothing tells which one is "
+            "up; say it (--up)"
+        )
+    sign = 1 if mean[axis] > 0 else -1
+    names: tuple[Axis, ...] = ("x", "y", "z")
+    notes.append(f"{'-' if sign < 0 else ''}{names[axis]} is up, as the body stands along it")
+    return sign, names[axis]
+
+
+def _listed(tree: Tree) -> str:
+    names = [str(key) for key in tree]
+    return ", ".join(names[:12]) + (" ..." if len(names) > 12 else "") or "nothing"

@@ -1,0 +1,178 @@
+"""JSON written by other programs: one file per frame, or one file with all of them."""
+
+import json
+import re
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from recon.core.errors import FormatError
+from recon.core.limits import FRAME_NUMBER, JSON, PERSON
+from recon.formats.opening import decode, read_bytes
+
+Frames = list[tuple[int, Any]]
+"""Frame numbers, increasing, and what was written about each frame."""
+
+_NUMBER_KEYS = ("frame_id", "frame", "frame_number", "frame_index", "frame_idx")
+_NAME = 200
+"""Characters at the end of a name among which its number is."""
+_LAST_NUMBER = re.compile(r"(\d+)\D*$")
+
+
+def read_json(path: Path) -> Any:
+    """The value in a JSON file.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+        ValueError: when it is empty or damaged.
+    """
+    try:
+        return json.loads(decode(read_bytes(path, JSON)))
+    except (RecursionError, json.JSONDecodeError) as error:
+        raise FormatError(f"{path}: expected JSON, but it is damaged ({error})") from error
+    except ValueError as error:
+        if str(path) in str(error):
+            raise
+        # a number of more digits than Python converts
+        raise FormatError(f"{path}: expected JSON, but it is damaged ({error})") from error
+
+
+def read_frame_folder(folder: Path) -> Frames:
+    """The .json files of a folder by frame number.
+
+    Raises:
+        ValueError: when there are none, one is damaged, or their names do not number them.
+    """
+    paths = sorted(path for path in folder.iterdir() if path.suffix.lower() == ".json")
+    if len(paths) == 0:
+        raise FormatError(f"{folder}: expected one .json file per frame, found none")
+    JSON.check(sum(path.stat().st_size for path in paths), folder)
+    numbers = frame_numbers([path.stem for path in paths], str(folder))
+    return [(numbers[k], read_json(paths[k])) for k in np.argsort(numbers, kind="stable").tolist()]
+
+
+def frame_numbers(stems: Sequence[str], name: str) -> list[int]:
+    """The number of each frame: the last one in its name that is not the same in all names.
+
+    Raises:
+        ValueError: when a name has no number, or two have the same.
+    """
+    ending = _common_ending(stems)
+    cut = 0 if len(stems) == 1 else len(ending.lstrip("0123456789"))
+    found = [_LAST_NUMBER.search(stem[: len(stem) - cut][-_NAME:]) for stem in stems]
+    if without := [stem for stem, number in zip(stems, found, strict=True) if number is None]:
+        raise FormatError(
+            f"{name}: expected a frame number in every file name, not {without[0]!r}"
+        )
+    numbers = [int(number[1]) for number in found if number is not None]
+    FRAME_NUMBER.check(max(numbers), name)
+    if len(set(numbers)) < len(numbers):
+        twice = Counter(numbers).most_common(1)[0][0]
+        same = [stem for stem, number in zip(stems, numbers, strict=True) if number == twice][:2]
+        raise FormatError(
+            f"{name}: expected one file per frame, but {' and '.join(same)} are both frame "
+            f"{twice}; is this one camera?"
+        )
+    return numbers
+
+
+def _common_ending(stems: Sequence[str]) -> str:
+    length = 0
+    for letters in zip(*(reversed(stem) for stem in stems), strict=False):
+        if len(set(letters)) > 1:
+            break
+        length += 1
+    return stems[0][len(stems[0]) - length :]
+
+
+def listed_frames(entries: Sequence[Any], name: str) -> Frames:
+    """The entries of a list by the frame number each states, or by their place when none does.
+
+    Raises:
+        ValueError: when only some state one, or two the same.
+    """
+    stated = [_stated_number(entry) for entry in entries]
+    if all(number is None for number in stated):
+        return list(enumerate(entries))
+    numbers = [number for number in stated if number is not None]
+    FRAME_NUMBER.check(max(numbers), name)
+    if len(numbers) < len(entries) or len(set(numbers)) < len(numbers):
+        raise FormatError(f"{name}: expected one entry per frame, each with its own frame number")
+    return sorted(zip(numbers, entries, strict=True), key=lambda pair: pair[0])
+
+
+def _stated_number(entry: Any) -> int | None:
+    if isinstance(entry, dict):
+        for key in _NUMBER_KEYS:
+            if isinstance(entry.get(key), int) and entry[key] >= 0:
+                return entry[key]
+    return None
+
+
+def people_in(
+    frames: Frames, key: str, name: str, expected: str
+) -> Iterator[tuple[int, dict[str, Any], str]]:
+    """Frame number, record and place (for messages) of everybody in a list under `key`.
+
+    An empty frame is one without people.
+
+    Raises:
+        ValueError: when a frame has no such list, or somebody in it is no record.
+    """
+    for number, entry in frames:
+        if not entry:
+            continue
+        place = f"{name}, frame {number}"
+        people = entry.get(key) if isinstance(entry, dict) else None
+        if not isinstance(people, list) or not all(isinstance(one, dict) for one in people):
+            raise FormatError(f"{place}: expected {expected}")
+        for person in people:
+            yield number, person, place
+
+
+def as_floats(value: Any, name: str) -> np.ndarray:
+    """Numbers nested in lists as an array; null becomes NaN.
+
+    Raises:
+        ValueError: when they are no numbers, or rows have different lengths.
+    """
+    try:
+        return np.array(value, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError) as error:
+        text = repr(value)
+        raise FormatError(
+            f"{name}: expected numbers in rows of one length, got {text[:60]}"
+        ) from error
+
+
+def flat_points(value: Any, name: str) -> np.ndarray:
+    """x, y, confidence of every keypoint from one flat list, or from a list of triples.
+
+    Raises:
+        ValueError: when they are no triples.
+    """
+    numbers = as_floats(value, name)
+    if numbers.size % 3 or numbers.ndim > 2 or (numbers.ndim == 2 and numbers.shape[1] != 3):
+        raise FormatError(
+            f"{name}: expected x, y, confidence of every keypoint, got {numbers.shape} numbers"
+        )
+    return numbers.reshape(-1, 3)
+
+
+def as_identity(value: Any, name: str) -> int:
+    """A person's number as some program wrote it (7, [7], 7.0, "7"); -1 when there is none.
+
+    Raises:
+        ValueError: when it is larger than any number of a person.
+    """
+    if isinstance(value, list):
+        value = value[0] if len(value) == 1 else None
+    try:
+        number = int(value)
+    except (TypeError, ValueError, OverflowError):
+        return -1
+    PERSON.check(max(number, -1), name, "number of the person")
+    return max(number, -1)

@@ -1,0 +1,207 @@
+"""Opening files that may be damaged, and writing arrays in one step."""
+
+import lzma
+import tokenize
+import zipfile
+import zlib
+from pathlib import Path
+
+import numpy as np
+
+from recon.core.errors import FormatError
+from recon.core.limits import BINARY, PAYLOAD, TEXT, Limit
+from recon.formats.replacing import clear_leftovers
+from recon.formats.replacing import replacing as replacing
+
+DAMAGE = (
+    zipfile.BadZipFile, zlib.error, lzma.LZMAError, EOFError, KeyError, OSError, ValueError,
+    NotImplementedError, RuntimeError, MemoryError, TypeError, SyntaxError, OverflowError,
+    tokenize.TokenError, AttributeError, IndexError, AssertionError,
+)  # fmt: skip
+"""What zipfile and numpy raise on damaged or hostile archives."""
+_HEADERS = {
+    (1, 0): np.lib.format.read_array_header_1_0,
+    (2, 0): np.lib.format.read_array_header_2_0,
+}
+_MEMBERS = 1000
+"""Members an archive may have; ours have about twenty."""
+
+
+def check_sizes(path: Path, limit: Limit = PAYLOAD, only: tuple[str, ...] | None = None) -> None:
+    """Refuse an archive whose arrays do not fit into memory, or are larger than their members.
+
+    Both a compressed bomb and a header that promises more than the file holds are found here,
+    before memory is taken for them.
+
+    Args:
+        path: of the .npz file.
+        limit: of the bytes of all arrays together.
+        only: names of the arrays that are going to be read; None for all.
+
+    Raises:
+        ValueError: when they are too large or a header is damaged.
+        zipfile.BadZipFile: when it is no archive; numpy and zipfile raise others for damage.
+    """
+    total = 0
+    with zipfile.ZipFile(path) as archive:
+        members = archive.infolist()
+        if len(members) > _MEMBERS:
+            raise FormatError(f"{path}: expected at most {_MEMBERS} arrays, got {len(members)}")
+        for info in members:
+            name = info.filename.removesuffix(".npy")
+            if only is not None and name not in only:
+                continue
+            total += info.file_size
+            limit.check(total, path, name)
+            if not info.filename.endswith(".npy"):
+                continue
+            shape, dtype, place = _header(archive, info)
+            stated = int(np.prod([float(n) for n in shape])) * dtype.itemsize
+            if place + stated != info.file_size:
+                raise FormatError(
+                    f"{path}: {name} promises {dtype} {shape}, {stated} bytes, but holds "
+                    f"{info.file_size - place}"
+                )
+
+
+def _header(
+    archive: zipfile.ZipFile, info: zipfile.ZipInfo
+) -> tuple[tuple[int, ...], np.dtype, int]:
+    """Shape, type and length of the header of one array."""
+    with archive.open(info) as member:
+        version = np.lib.format.read_magic(member)
+        if version not in _HEADERS:
+            raise FormatError(f"{info.filename} is an array of the unknown version {version}")
+        shape, _, dtype = _HEADERS[version](member)
+        if dtype.hasobject:
+            raise FormatError(f"{info.filename} holds pickled objects, which are never opened")
+        return shape, dtype, member.tell()
+
+
+_SAID = 200
+"""Letters of another library's error that are repeated: some quote the whole damaged file."""
+
+
+def existing(path: Path) -> Path:
+    """The path of a file that is there and not empty.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+        ValueError: when it is empty or no file.
+    """
+    if not path.exists():
+        raise FileNotFoundError(f"{path}: no such file")
+    if not path.is_file():
+        raise FormatError(f"{path}: expected a file, got a directory or device")
+    if path.stat().st_size == 0:
+        raise FormatError(f"{path}: the file is empty")
+    return path
+
+
+def read_bytes(path: Path, limit: Limit = TEXT) -> bytes:
+    """Contents of a file, unpacked when its name ends in .xz; `read_binary` for larger ones.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+        ValueError: when it is empty, damaged or too large for memory.
+    """
+    existing(path)
+    if path.suffix.lower() != ".xz":
+        limit.check(path.stat().st_size, path)
+        return path.read_bytes()
+    most = min(limit, TEXT, key=lambda one: one.high)
+    try:
+        with lzma.open(path) as file:
+            data = file.read(int(most.high) + 1)
+    except (lzma.LZMAError, EOFError) as error:
+        raise FormatError(f"{path}: expected xz-compressed data, but {error}") from error
+    most.check(len(data), path)
+    return data
+
+
+def read_binary(path: Path) -> bytes:
+    """Contents of a file whose numbers take no more memory than the file."""
+    return read_bytes(path, BINARY)
+
+
+def decode(data: bytes) -> str:
+    """Text of a recording: UTF-8, else Latin-1 (old tools wrote the local code page)."""
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return data.decode("latin-1")
+
+
+def load_arrays(path: Path) -> dict[str, np.ndarray]:
+    """All arrays of an .npz file; pickled objects are never opened.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+        ValueError: when it is damaged, too large or needs pickle.
+    """
+    existing(path)
+    try:
+        check_sizes(path)
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {key: file[key] for key in file.files}
+        if foreign := [key for key, value in arrays.items() if not isinstance(value, np.ndarray)]:
+            raise FormatError(f"no arrays: {', '.join(foreign)}")
+        return arrays
+    except DAMAGE as error:
+        raise FormatError(
+            f"{path}: expected an .npz file of plain arrays, but it cannot be read "
+            f"({error!s:.{_SAID}})"
+        ) from error
+
+
+def load_array(path: Path) -> np.ndarray:
+    """The array of an .npy file; pickled objects are never opened.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+        ValueError: when it is damaged, too large or needs pickle.
+    """
+    existing(path)
+    BINARY.check(path.stat().st_size, path)
+    try:
+        return np.load(path, allow_pickle=False)
+    except DAMAGE as error:
+        raise FormatError(
+            f"{path}: expected an .npy file with a plain array, but it cannot be read "
+            f"({error!s:.{_SAID}})"
+        ) from error
+
+
+def save_arrays(path: Path, arrays: dict[str, np.ndarray]) -> None:
+    """Write an .npz file; readers see the old file or the whole new one."""
+    clear_leftovers(path)
+    with replacing(path) as beside, beside.open("wb") as file:
+        np.savez_compressed(file, allow_pickle=False, **arrays)  # type: ignore[arg-type]
+
+
+_PIECE = 1 << 20
+"""Characters looked at together."""
+_LONGEST = 1000
+"""Characters a number may have."""
+
+
+def numbers_in(text: str | bytes, count: int, start: int = 0) -> np.ndarray:
+    """An array of `count` numbers between white space, from a place in the text to its end.
+
+    Raises:
+        ValueError: when there are more or fewer, or something is no number.
+    """
+    values, filled = np.empty(count), 0
+    while start < len(text):
+        end = start + _PIECE
+        stop = min(end + _LONGEST, len(text))
+        while end < stop and not text[end : end + 1].isspace():
+            end += 1
+        words = text[start:end].split()
+        if filled + len(words) > count:
+            raise FormatError(f"expected {count} numbers, got more")
+        values[filled : filled + len(words)] = [float(word) for word in words]
+        filled, start = filled + len(words), end
+    if filled < count:
+        raise FormatError(f"expected {count} numbers, got {filled}")
+    return values

@@ -1,0 +1,260 @@
+"""Places where a verb may write, checked before it works: not over inputs or others' files.
+
+recon's own files are those whose checksum stands in the report beside them
+(`recon.formats.reports`).
+"""
+
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+from recon.formats.replacing import clear_leftovers, part_of
+from recon.formats.reports import read_report
+
+
+class Kind(Enum):
+    """What a verb writes, and where the report is that tells it as recon's own."""
+
+    FILE = "a file with its report beside it, OUT.json"
+    REPORT = "a JSON file that is its own report"
+    FOLDER = "a folder that is written whole, with report.json in it"
+    CONTINUED = "a folder in which a later run of the same verb goes on"
+
+
+@dataclass(frozen=True)
+class Output:
+    """One file or folder that a verb writes."""
+
+    path: Path
+    kind: Kind = Kind.FILE
+    is_former: Callable[[Path], bool] | None = None
+    """A test whether a folder with contents is a former run's, for a folder that is continued."""
+    inside_input: bool = False
+    """Whether it may lie in a folder that is read; for readers that leave results alone."""
+
+    @property
+    def real(self) -> Path:
+        """The path without symbolic links: what is written over is what a link leads to."""
+        return Path(os.path.realpath(self.path))
+
+    @property
+    def is_folder(self) -> bool:
+        """Whether it is a folder."""
+        return self.kind in (Kind.FOLDER, Kind.CONTINUED)
+
+    @property
+    def report(self) -> Path | None:
+        """The file that says which files are recon's own; a continued folder has several."""
+        match self.kind:
+            case Kind.FILE:
+                return self.real.with_name(self.real.name + ".json")
+            case Kind.REPORT:
+                return self.real
+            case Kind.FOLDER:
+                return self.real / "report.json"
+            case Kind.CONTINUED:
+                return None
+
+    @property
+    def places(self) -> tuple[Path, ...]:
+        """Itself and its report."""
+        others = () if self.report in (None, self.real) else (self.report,)
+        return (self.real, *others)
+
+
+def check_outputs(
+    outputs: Sequence[Output], inputs: Iterable[Path] = (), *, overwrite: bool = False
+) -> None:
+    """Refuse places that cannot or must not be written to; removes what killed runs left there.
+
+    Args:
+        outputs: everything that will be written.
+        inputs: everything that will be read; none of it is ever written over.
+        overwrite: whether files that recon did not write may be replaced.
+
+    Raises:
+        ValueError: when a place is an input, holds one or lies in one, is named twice, or is a
+            folder where a file is written or the other way round.
+        FileExistsError: when something is there that recon did not write.
+        OSError: when nothing can be written there.
+    """
+    inputs = list(inputs)
+    taken: dict[Path, Path] = {}
+    for output in outputs:
+        refuse_inputs(output, inputs)
+        refuse_place(output)
+        own_files(output, overwrite=overwrite)
+        for place in output.places:
+            if place in taken:
+                raise ValueError(
+                    f"{output.path} and {taken[place]} would both be written as {place}; give "
+                    "each a name of its own"
+                )
+            taken[place] = output.path
+
+
+def refuse_inputs(output: Output, inputs: Iterable[Path]) -> None:
+    """Refuse an output that is an input, or a folder that holds one, or lies in a folder read.
+
+    Links of both kinds, relative paths and other spellings are seen through.
+
+    Raises:
+        ValueError: which of them, and what to do.
+    """
+    for given in inputs:
+        real = Path(os.path.realpath(given))
+        for place in output.places:
+            if _same(place, real):
+                what = output.path if place == output.real else place
+                raise ValueError(
+                    f"{what} is the input {given}, which would be lost; write somewhere else"
+                )
+        # the name of a link lies in its own folder, whatever it leads to
+        names = (real, Path(os.path.realpath(given.parent)) / given.name)
+        if output.is_folder and any(name.is_relative_to(output.real) for name in names):
+            raise ValueError(
+                f"{output.path} holds the input {given}; write to a folder of its own"
+            )
+        if real.is_dir() and output.real.is_relative_to(real) and not output.inside_input:
+            raise ValueError(
+                f"{output.path} lies in the input {given}, and would be read as part of it the "
+                "next time; write somewhere else"
+            )
+
+
+def refuse_place(output: Output) -> None:
+    """Refuse a place where nothing can be written; a file is made there and removed to know.
+
+    Raises:
+        ValueError: when a folder is where a file is written, or the other way round.
+        OSError: when the place is below a file, or cannot be written to.
+    """
+    real = output.real
+    for place in output.places:
+        folder_asked = output.is_folder and place == real
+        if place.is_dir() and not folder_asked:
+            raise ValueError(f"{place} is a folder; give the name of a file")
+        if place.is_file() and folder_asked:
+            raise ValueError(f"{place} is a file; give the name of a folder")
+        if place.exists() and not (place.is_dir() or place.is_file()):
+            raise ValueError(f"{place} is no plain file; give another name")
+    folder = real if real.is_dir() else real.parent
+    while not folder.exists():
+        folder = folder.parent
+    if not folder.is_dir():
+        raise NotADirectoryError(
+            f"{output.path} would lie below {folder}, which is a file; write somewhere else"
+        )
+    for beside in (real, folder / real.name):
+        clear_leftovers(beside)
+    # permissions alone tell little: file systems are read-only, and root may do anything else
+    trial = part_of(folder / (real.name + ".json"))
+    try:
+        trial.touch()
+        trial.unlink()
+    except OSError as error:
+        raise OSError(
+            f"{output.path} cannot be written ({error.strerror} in {folder}); write somewhere else"
+        ) from error
+
+
+def own_files(output: Output, *, overwrite: bool) -> Mapping[str, str]:
+    """Checksums of the files of a former run that are there, by name.
+
+    Raises:
+        FileExistsError: when there are others, unless they may be replaced.
+    """
+    if output.kind is Kind.CONTINUED:
+        if not overwrite:
+            _refuse_other_folder(output)
+        return {}
+    assert output.report is not None
+    report = read_report(output.report)
+    if report is None and output.report.exists() and not overwrite:
+        raise FileExistsError(
+            f"{output.report} is there already, and not as recon writes reports (somebody else's, "
+            f"or changed since); move it away, write somewhere else, or replace it by --overwrite"
+        )
+    if output.kind is Kind.REPORT:
+        return {}
+    own: dict[str, str] = {}
+    for name, path in _present(output).items():
+        checksum = None if report is None else report.checksum_if_own(name, path)
+        if checksum is not None:
+            own[name] = checksum
+        elif not overwrite:
+            raise FileExistsError(
+                f"{path} is there already, and recon did not write it as it is (its checksum "
+                f"does not stand in {output.report.name}); write somewhere else, or replace it "
+                "by --overwrite"
+            )
+    return own
+
+
+def _present(output: Output) -> dict[str, Path]:
+    """Files that are there now, by their names in the report; hidden ones do not count."""
+    real = output.real
+    if output.kind is Kind.FILE:
+        return {real.name: real} if real.exists() else {}
+    if not real.exists():
+        return {}
+    files = (path for path in sorted(real.rglob("*")) if path.is_file() or path.is_symlink())
+    named = {path.relative_to(real).as_posix(): path for path in files}
+    return {
+        name: path
+        for name, path in named.items()
+        if path != output.report and not any(part.startswith(".") for part in name.split("/"))
+    }
+
+
+def _refuse_other_folder(output: Output) -> None:
+    """A folder with contents must be one that a former run of the verb made."""
+    assert output.is_former is not None
+    if len(_present(output)) > 0 and not output.is_former(output.real):
+        raise FileExistsError(
+            f"{output.path} holds files already, and is no folder of a run that could go on; give "
+            "a new folder, or write into it by --overwrite"
+        )
+
+
+def _same(a: Path, b: Path) -> bool:
+    """Whether two real paths are one file, also by a hard link or another spelling."""
+    try:
+        return os.path.samefile(a, b)
+    except OSError:
+        return a == b
+
+
+_READ_TOGETHER = {".amc": "*.asf*", ".xz": "*.asf*", ".yml": "*.yml", ".yaml": "*.y*ml"}
+"""Files that are read along with one of this suffix, from the same folder."""
+
+
+def paths_in(value: Any) -> Iterator[Path]:
+    """Every path in a value, also inside tuples and settings.
+
+    A text counts where it is the name of a file that exists, as weights, cameras and shapes are
+    given by a word or by a file. What is read along with a file, like the skeleton (.asf) of an
+    .amc recording, counts, too.
+    """
+    match value:
+        case Path():
+            # FILE::MEMBER is read from FILE
+            path = value if value.exists() else Path(str(value).partition("::")[0])
+            yield path
+            if path.is_file() and (pattern := _READ_TOGETHER.get(path.suffix.lower())) is not None:
+                yield from path.parent.glob(pattern)
+        case str():
+            path = Path(value)
+            if path.suffix and path.is_file():
+                yield path
+        case tuple() | list():
+            for one in value:
+                yield from paths_in(one)
+        case _ if is_dataclass(value):
+            for field in fields(value):
+                yield from paths_in(getattr(value, field.name))
+        case _:
+            pass

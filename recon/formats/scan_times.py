@@ -1,0 +1,215 @@
+"""Times of scans: a table beside them, put on a clock of even frames."""
+
+import math
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from recon.core.errors import FormatError
+from recon.core.limits import FRAME_RATE, TIME
+from recon.formats.opening import decode, read_bytes
+
+_EVEN = 0.2
+"""Frames that the times of a recording may differ from an even clock."""
+_SHARP = 0.007
+"""Seconds that they may differ besides, in which a foot moves two centimetres."""
+_NEAR, _FINEST = 0.0025, 200.0
+"""Seconds by which times may miss the frames of a clock for scans at any times, and the most
+frames per second it has: every time is near one of these."""
+_LONGEST = 60.0
+"""Seconds of a recording whose scans may be at any times."""
+_EMPTY, _SHORT = 8, 20_000
+"""Frames of a clock may be so many times those that show something, or so many in all: every one
+of them takes memory."""
+
+
+@dataclass(frozen=True)
+class Timed:
+    """Files in the order of their times, on a clock."""
+
+    files: list[Path]
+    frames: Int[np.ndarray, " files"]
+    """Frames of the clock, from 0."""
+    fps: float
+    start_time: float
+    """Seconds."""
+    decisions: list[str]
+    """What was assumed."""
+
+
+def timed(path: Path, files: list[Path]) -> Timed:
+    """Files with the times of a table; those it names may be in any order.
+
+    Raises:
+        ValueError: when a time is missing, twice the same, or times of unnamed files do not rise.
+    """
+    times, named = read_times(path, files)
+    TIME.check(times, path, "time")
+    decisions: list[str] = []
+    order = np.argsort(times, kind="stable")
+    if named and not np.array_equal(order, np.arange(len(files))):
+        decisions.append(f"{path.name} has the files in another order than their names")
+        files, times = [files[k] for k in order], times[order]
+    frames, fps, start = frames_of(times, path)
+    return Timed(files, frames, fps, start, [*decisions, *uneven(times, frames, fps)])
+
+
+def read_times(path: Path, files: list[Path]) -> tuple[Float[np.ndarray, " files"], bool]:
+    """Time of every file, seconds, and whether lines name the files; a heading may be.
+
+    Raises:
+        ValueError: when a file has no time or the lines are of another kind.
+    """
+    rows = [re.split(r"[,;\s]+", line.strip()) for line in decode(read_bytes(path)).splitlines()]
+    rows = [row for row in rows if row != [""]]
+    if rows and not _is_number(rows[0][-1]):
+        rows = rows[1:]
+    if not all(len(row) in (1, 2) and _is_number(row[-1]) for row in rows):
+        raise FormatError(f"{path}: expected a line per file, its time in s, or its name and time")
+    if any(len(row) == 2 for row in rows):
+        named = {Path(row[0]).name: float(row[-1]) for row in rows}
+        if missing := [file.name for file in files if file.name not in named]:
+            raise FormatError(f"{path}: has no time for {', '.join(missing[:5])}")
+        return np.array([named[file.name] for file in files]), True
+    if len(rows) != len(files):
+        raise FormatError(f"{path}: expected {len(files)} times, one per file, got {len(rows)}")
+    return np.array([float(row[0]) for row in rows]), False
+
+
+def frames_of(times: Float[np.ndarray, " files"], path: Path) -> tuple[np.ndarray, float, float]:
+    """Frame numbers on an even clock, its rate and its first time.
+
+    Where scans follow each other evenly but for dropped ones, that is their own clock; where not,
+    the coarsest of which a frame of its own is near each of them.
+
+    Raises:
+        ValueError: when the times do not rise, or lie on no even clock for too long.
+    """
+    if len(times) < 2 or not np.isfinite(times).all():
+        raise FormatError(
+            f"{path}: one scan tells no motion; expected two or more times in seconds, got "
+            f"{len(times)}"
+        )
+    steps = np.diff(times)
+    if not (steps > 0).all():
+        row = int((steps <= 0).argmax())
+        raise FormatError(
+            f"{path}: expected rising times in seconds, no two alike; got {times[row]:g} and then "
+            f"{times[row + 1]:g}. Where files are not in the order of their names, give a line of "
+            "name and time for each"
+        )
+    span, step = float(times[-1] - times[0]), float(np.median(steps))
+    FRAME_RATE.check(1 / max(step, 1e-300), path, "half of the times")
+    count = max(round(span / step), 1)
+    if span > _LONGEST and not crowded(count, len(times)):
+        row = int(steps.argmax())
+        raise FormatError(
+            f"{path}: {len(times)} times of {count} frames show anything, and nothing was seen "
+            f"for {steps[row]:.6g} s after {times[row]:.6g} s; cut the recording there"
+        )
+    off = _off(times, count)
+    sharp = off * span / count <= _SHARP or span > _LONGEST
+    if off <= _EVEN and sharp and _apart(times, count):
+        return _places(times, count), count / span, float(times[0])
+    if span > _LONGEST:
+        raise FormatError(
+            f"{path}: the times lie on no even clock (up to {off:.2f} frames off), "
+            f"which is possible for {_LONGEST:g} s at most; resample first"
+        )
+    if float(steps.min()) < 1 / _FINEST:
+        raise FormatError(
+            f"{path}: two scans are {1000 * float(steps.min()):.2g} ms apart, and the others lie "
+            f"on no even clock; leave one of them out"
+        )
+    finest = math.ceil(span * _FINEST)
+    for count in range(len(times) - 1, finest):
+        if _off(times, count) * span / count <= _NEAR and _apart(times, count):
+            return _places(times, count), count / span, float(times[0])
+    return _places(times, finest), finest / span, float(times[0])
+
+
+def crowded(frames: int, seen: int) -> bool:
+    """Whether a clock of so many frames, of which so many show something, fits into memory."""
+    return frames <= max(_EMPTY * seen, _SHORT)
+
+
+def uneven(
+    times: Float[np.ndarray, " files"], frames: Int[np.ndarray, " files"], fps: float
+) -> list[str]:
+    """A sentence about a clock on which most frames are empty."""
+    if 2 * len(frames) > int(frames[-1]) + 1:
+        return []
+    off = float(np.abs(times - times[0] - frames / fps).max())
+    return [
+        f"{len(frames)} scans are on a clock of {fps:.4g} Hz, at most {1000 * off:.1f} ms off; "
+        "its other frames are empty"
+    ]
+
+
+def _places(times: Float[np.ndarray, " files"], count: int) -> Int[np.ndarray, " files"]:
+    """The nearest of so many equal steps from the first time to the last."""
+    return np.rint((times - times[0]) / (times[-1] - times[0]) * count).astype(np.int64)
+
+
+def _apart(times: Float[np.ndarray, " files"], count: int) -> bool:
+    """Whether no two times have the same nearest step."""
+    return bool((np.diff(_places(times, count)) > 0).all())
+
+
+def _off(times: Float[np.ndarray, " files"], count: int) -> float:
+    """Most steps that any time is away from the nearest."""
+    place = (times - times[0]) / (times[-1] - times[0]) * count
+    return float(np.abs(place - place.round()).max())
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return np.isfinite(float(text)).item()
+    except ValueError:
+        return False
+
+
+@dataclass(frozen=True)
+class PointClock:
+    """Times at which points were seen."""
+
+    frame: Int[np.ndarray, " points"]
+    """The frame of each point, from 0."""
+    fps: float
+    start_time: float
+    """Seconds, of frame 0."""
+    decisions: tuple[str, ...] = ()
+    """What was changed."""
+
+
+def settled_clock(
+    frame: Int[np.ndarray, " points"], fps: float, start_time: float, path: Path
+) -> PointClock:
+    """Frames of a clock on which not nearly all are empty.
+
+    Numbers that are close to each other stay as they are. Others are counted from the first one
+    and by their greatest common divisor, which changes no time; where that does not help, their
+    times are put on an even clock as those of scans are (`frames_of`).
+
+    Raises:
+        ValueError: when they lie on no clock, because of a long gap or because two are closer
+            than any camera's frames.
+    """
+    numbers, place = np.unique(frame, return_inverse=True)
+    if crowded(int(numbers[-1]) + 1, len(numbers)):
+        FRAME_RATE.check(fps, path, "fps")
+        return PointClock(frame, fps, start_time)
+    ticks = numbers - numbers[0]
+    step = max(int(np.gcd.reduce(ticks)), 1)
+    ticks, rate, start = ticks // step, fps / step, start_time + float(numbers[0]) / fps
+    if not crowded(int(ticks[-1]) + 1, len(ticks)):
+        ticks, rate, _ = frames_of(ticks / rate, path)
+    FRAME_RATE.check(rate, path, "fps and frame")
+    note = (
+        f"frame numbers {numbers[0]} to {numbers[-1]} at {fps:g} Hz are those of a clock: "
+        f"{len(numbers)} frames with points were put on one of {rate:.4g} Hz"
+    )
+    return PointClock(ticks[place.reshape(-1)], rate, start, (note,))

@@ -1,0 +1,322 @@
+"""Folders of point clouds or surface scans, one PLY or PCD file per frame."""
+
+import re
+import struct
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from recon.core.errors import FormatError
+from recon.core.limits import BINARY, CLOUD, FRAME_RATE, POSITION
+from recon.core.units import METRES, Up, check_override, to_z_up
+from recon.formats.observations import PointsFile
+from recon.formats.opening import existing, replacing
+from recon.formats.pcd import read_pcd
+from recon.formats.scan_times import timed
+
+_BYTES = {
+    "char": 1, "uchar": 1, "int8": 1, "uint8": 1, "short": 2, "ushort": 2, "int16": 2, "uint16": 2,
+    "int": 4, "uint": 4, "int32": 4, "uint32": 4, "float": 4, "float32": 4, "double": 8,
+    "float64": 8,
+}  # fmt: skip
+_LONGEST = 1 << 16
+"""Bytes a header may have."""
+
+
+def check_counts(path: Path) -> None:
+    """Refuse a file whose header promises more than its size allows.
+
+    Raises:
+        ValueError: when it has no header of a PLY file, or is cut short or too large.
+    """
+    BINARY.check(path.stat().st_size, path)
+    with path.open("rb") as file:
+        head = file.read(_LONGEST)
+    end = head.find(b"end_header")
+    if not head.startswith(b"ply") or end < 0:
+        raise FormatError(f"{path}: expected a PLY file, with a header from 'ply' to 'end_header'")
+    words = [line.split() for line in head[:end].decode("latin-1").splitlines()]
+    text = ["format", "ascii"] in [line[:2] for line in words]
+    needed, count = 0, 0
+    for line in words:
+        if line[:1] == ["element"]:
+            if len(line) != 3 or not line[2][:20].isdecimal():
+                raise FormatError(
+                    f"{path}: damaged PLY file, got the line {' '.join(line)[:60]!r}"
+                )
+            count = int(line[2][:20])
+            CLOUD.check(count, path, f"element {line[1][:20]}")
+        elif line[:1] == ["property"] and len(line) >= 3:
+            # a list has its length at least; a number of a text file a digit and a space
+            kind = line[2] if line[1] == "list" else line[1]
+            if kind not in _BYTES:
+                raise FormatError(f"{path}: damaged PLY file, no type is called {kind[:20]!r}")
+            needed += count * (2 if text else _BYTES[kind])
+    if needed > path.stat().st_size + 1:
+        raise FormatError(
+            f"{path}: the PLY header promises {needed} bytes or more; the file has "
+            f"{path.stat().st_size} and is cut short or damaged"
+        )
+
+
+_VERTEX = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4")])
+_FACE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
+
+
+def write_ply(
+    path: Path,
+    vertices: Float[np.ndarray, "vertices 3"],
+    faces: Int[np.ndarray, "faces 3"] | None = None,
+) -> None:
+    """Write one mesh, or a point cloud where there are no faces; metres, little endian."""
+    faces = np.zeros((0, 3), dtype=np.int64) if faces is None else faces
+    corners = np.empty(len(faces), dtype=_FACE)
+    corners["count"], corners["corners"] = 3, faces
+    points = np.empty(len(vertices), dtype=_VERTEX)
+    points["x"], points["y"], points["z"] = vertices.T
+    header = [
+        "ply", "format binary_little_endian 1.0", f"element vertex {len(vertices)}",
+        *(f"property float {axis}" for axis in "xyz"),
+    ]  # fmt: skip
+    if len(faces) > 0:
+        header += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
+    text = "\n".join([*header, "end_header", ""])
+    with replacing(path) as beside:
+        beside.write_bytes(text.encode("ascii") + points.tobytes() + corners.tobytes())
+
+
+def write_ply_sequence(
+    folder: Path,
+    vertices: Float[np.ndarray, "time vertices 3"],
+    faces: Int[np.ndarray, "faces 3"] | None = None,
+) -> tuple[Path, ...]:
+    """Write frame_000000.ply, frame_000001.ply, ... into a folder, which is made if need be."""
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = tuple(folder / f"frame_{k:06d}.ply" for k in range(len(vertices)))
+    for path, frame in zip(paths, vertices, strict=True):
+        write_ply(path, frame, faces)
+    return paths
+
+
+def read_ply(
+    path: Path,
+) -> tuple[Float[np.ndarray, "vertices 3"], Int[np.ndarray, "faces 3"]]:
+    """Vertices and triangles of one file, text or binary; no triangles in a point cloud.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+        ValueError: when it is damaged or holds no finite vertices.
+    """
+    check_counts(existing(path))
+    # imported here: it is slow to load
+    import trimesh
+
+    try:
+        mesh = trimesh.load(path, process=False, file_type="ply")
+        vertices = np.asarray(mesh.vertices, dtype=np.float64)  # type: ignore[union-attr]
+        faces = np.asarray(getattr(mesh, "faces", np.zeros((0, 3))), dtype=np.int64)
+    except (
+        ValueError, KeyError, IndexError, TypeError, AttributeError, EOFError, MemoryError,
+        OverflowError, RuntimeError, struct.error, AssertionError, NotImplementedError,
+    ) as error:  # fmt: skip
+        # trimesh raises all of these on damaged files
+        raise FormatError(f"{path}: damaged PLY file ({error})") from error
+    if vertices.ndim != 2 or len(vertices) == 0 or not np.isfinite(vertices).all():
+        raise FormatError(f"{path}: expected finite vertices, got an array {vertices.shape}")
+    if faces.size > 0 and (faces.min() < 0 or faces.max() >= len(vertices)):
+        raise FormatError(f"{path}: damaged PLY file, a face names a vertex that is not there")
+    return vertices, faces.reshape(-1, 3)
+
+
+POINTS = 4096
+"""Points kept of a frame."""
+_SEARCHED = 500_000
+"""Points of a frame among which outliers are searched: of denser clouds some, drawn at random."""
+_BODY = (0.4, 8.0)
+"""Metres that a cloud with a person, and some of the room, extends over."""
+
+
+def read_scans(
+    folder: str | Path,
+    *,
+    fps: float | None = None,
+    unit: str | None = None,
+    up: Up = "z",
+    points: int = POINTS,
+    outliers: float | None = 3.0,
+    seed: int = 0,
+) -> PointsFile:
+    """Clouds of all frames, in metres, z up. Files count in natural order, `scan_2` first of `10`.
+
+    A file `times.csv` beside them (a line per file: its time in seconds, or its name and its
+    time) tells the clock; frames that were dropped stay empty. Times of named files may be in any
+    order, and at any distances: they are then put on a clock with a frame near each.
+
+    Args:
+        folder: with .ply or .pcd files.
+        fps: frames per second where there is no times.csv.
+        unit: of the files (m, cm, mm, inch); None finds it by the clouds' size.
+        up: axis that points up.
+        points: most points kept of a frame, drawn at random.
+        outliers: points whose neighbours are farther than the frame's mean by this many standard
+            deviations are left out; None keeps all.
+        seed: of the draw.
+
+    Raises:
+        FileNotFoundError: when there is no such folder.
+        ValueError: when it holds no clouds or two kinds, a file is damaged, or clock or unit
+            cannot be told; the message says what to do.
+    """
+    folder = Path(folder)
+    check_override(unit)
+    paths = scan_paths(folder)
+    times = folder / "times.csv"
+    decisions: list[str] = []
+    if times.exists():
+        clock = timed(times, paths)
+        paths, frames, fps = clock.files, clock.frames, clock.fps
+        start, decisions = clock.start_time, clock.decisions
+    elif fps is None:
+        raise FormatError(
+            f"{folder}: no times.csv tells when its files were recorded; give frames per second "
+            "with --frame-rate"
+        )
+    else:
+        frames, start = np.arange(len(paths)), 0.0
+    FRAME_RATE.check(fps, folder, "frame rate")
+    clouds = [_read(path) for path in paths]
+    CLOUD.check(sum(map(len, clouds)), folder, "all files together: ")
+    if not any(map(len, clouds)):
+        raise FormatError(f"{folder}: no file holds any point")
+    if unit is None and (unit := unit_of_clouds(clouds, str(folder))) != "m":
+        decisions.append(f"by the size of the clouds, their unit is {unit}")
+    metres = METRES[unit]
+    for path, cloud in zip(paths, clouds, strict=True):
+        POSITION.check(cloud * metres, path, "[point, axis]")
+    generator = np.random.default_rng(seed)
+    kept = [thinned(cloud * metres, points, outliers, generator) for cloud in clouds]
+    return PointsFile(
+        points=np.concatenate(kept) @ to_z_up(up).T,
+        frame=np.repeat(frames, [len(cloud) for cloud in kept]),
+        fps=fps,
+        start_time=start,
+        decisions=tuple(decisions),
+    )
+
+
+def write_scans(folder: str | Path, scans: PointsFile) -> tuple[Path, ...]:
+    """Write frame_000000.ply, ... and times.csv; frames without points have no file.
+
+    Only points and times are kept. The clouds read back are the same to single precision.
+
+    Raises:
+        ValueError: when fewer than two frames have points (one has no clock), the points are of a
+            camera, or the folder holds other clouds.
+    """
+    folder = Path(folder)
+    if folder.exists() and not folder.is_dir():
+        raise FormatError(
+            f"{folder} is a file; give a folder, or a name ending in .npz for one file"
+        )
+    frames = np.unique(scans.frame)
+    if len(frames) < 2:
+        raise FormatError(f"{folder}: a folder needs two frames with points, got {len(frames)}")
+    if scans.camera is not None:
+        raise FormatError(f"{folder}: PLY files say nothing of a camera; write .npz instead")
+    paths = tuple(folder / f"frame_{frame:06d}.ply" for frame in frames)
+    if folder.is_dir() and (foreign := set(folder.glob("*.ply")) - set(paths)):
+        raise FormatError(f"{folder} holds other clouds ({min(foreign).name}); give a new folder")
+    folder.mkdir(parents=True, exist_ok=True)
+    times = scans.start_time + frames / scans.fps
+    lines = [f"{path.name},{time:.9f}" for path, time in zip(paths, times, strict=True)]
+    for path, frame in zip(paths, frames, strict=True):
+        write_ply(path, scans.points[scans.frame == frame])
+    with replacing(folder / "times.csv") as beside:
+        beside.write_text("\n".join(["file,seconds", *lines, ""]), encoding="utf-8")
+    return paths
+
+
+def scan_paths(folder: Path) -> list[Path]:
+    """The clouds of a folder, in natural order.
+
+    Raises:
+        FileNotFoundError: when there is no such folder.
+        ValueError: when it holds no clouds, or files of both kinds.
+    """
+    if not folder.is_dir():
+        raise FileNotFoundError(f"{folder}: no such folder; expected one of .ply or .pcd files")
+    found = [path for path in folder.iterdir() if path.suffix.lower() in (".ply", ".pcd")]
+    if len({path.suffix.lower() for path in found}) != 1:
+        raise FormatError(
+            f"{folder}: expected files .ply or .pcd, one per frame, got "
+            f"{'both' if found else 'none'}"
+        )
+    return naturally(found)
+
+
+def naturally(paths: Iterable[Path]) -> list[Path]:
+    """Sorted by name, numbers in it by their value."""
+
+    def key(path: Path) -> list[tuple[int, int | str]]:
+        # longer runs of digits than Python converts are no numbers of frames
+        parts = re.split(r"(\d{1,4000})", path.name)
+        return [(0, int(part)) if part.isdigit() else (1, part) for part in parts]
+
+    return sorted(paths, key=key)
+
+
+def unit_of_clouds(clouds: list[np.ndarray], name: str) -> str:
+    """Metres or millimetres, by the size of the clouds.
+
+    Raises:
+        ValueError: when the size fits neither.
+    """
+    sizes = [
+        float(np.linalg.norm(np.subtract(*np.percentile(cloud, (98, 2), axis=0))))
+        for cloud in clouds
+        if len(cloud) >= 10
+    ]
+    if not sizes:
+        raise FormatError(f"{name}: too few points to tell their unit; give it with --unit")
+    size = float(np.median(sizes))
+    for unit in ("m", "mm"):
+        if _BODY[0] <= size * METRES[unit] <= _BODY[1]:
+            return unit
+    raise FormatError(
+        f"{name}: the clouds measure {size:.3g} units, which is {_BODY[0]} to {_BODY[1]} m "
+        "neither in m nor in mm; give it with --unit"
+    )
+
+
+def thinned(
+    cloud: Float[np.ndarray, "points 3"],
+    count: int,
+    outliers: float | None,
+    generator: np.random.Generator,
+) -> Float[np.ndarray, "kept 3"]:
+    """A cloud without outliers, of at most `count` points drawn at random, in their order."""
+    if len(cloud) > _SEARCHED:
+        cloud = cloud[np.sort(generator.permutation(len(cloud))[:_SEARCHED])]
+    if outliers is not None:
+        cloud = cloud[~is_outlier(cloud, outliers)]
+    if len(cloud) <= count:
+        return cloud
+    return cloud[np.sort(generator.permutation(len(cloud))[:count])]
+
+
+def is_outlier(
+    cloud: Float[np.ndarray, "points 3"], deviations: float, neighbours: int = 16
+) -> np.ndarray:
+    """Points whose mean distance to their neighbours is that of no surface (Rusu et al. 2008)."""
+    from scipy.spatial import KDTree
+
+    if len(cloud) <= neighbours:
+        return np.zeros(len(cloud), np.bool_)
+    distance = KDTree(cloud).query(cloud, neighbours + 1)[0][:, 1:].mean(1)
+    return distance > distance.mean() + deviations * distance.std()
+
+
+def _read(path: Path) -> Float[np.ndarray, "points 3"]:
+    return read_pcd(path) if path.suffix.lower() == ".pcd" else read_ply(path)[0]

@@ -1,0 +1,381 @@
+"""Reads the SMPL, SMPL-H and SMPL-X model files a user has (.npz or .pkl).
+
+The files are licensed by the Max Planck Society and are never shipped or downloaded here. Nothing
+inside a file is ever executed (`smpl_pickle`).
+"""
+
+import pickle
+from collections import OrderedDict
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from recon.core.errors import FormatError
+from recon.core.limits import BINARY, MODEL_LENGTH, MODEL_NUMBERS, MODEL_WEIGHT, Limit
+from recon.core.skeleton import JOINTS, PARENTS
+from recon.formats.opening import DAMAGE, check_sizes, existing
+
+
+def read_pickle(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
+    """The named arrays of a pickled dictionary, those that are there; nothing is run.
+
+    Raises:
+        ValueError: when the file is damaged, or names anything that is not on the list.
+    """
+    content = read_tree(path)
+    return {name: _array(content[name], name, path) for name in names if name in content}
+
+
+def read_tree(path: Path) -> dict[Any, Any]:
+    """A pickled dictionary of arrays, plain containers and inert records; nothing is run.
+
+    Raises:
+        ValueError: when the file is damaged, or names anything that is not on the list.
+    """
+    try:
+        # Python 2 wrote most of these files: its strings are bytes, kept one to one by latin-1
+        BINARY.check(path.stat().st_size, path)
+        with path.open("rb") as file:
+            content = _Unpickler(file, encoding="latin1").load()
+    except _RefusedError as error:
+        raise FormatError(
+            f"{path}: refusing to load {error.name}, which no body model and no list of poses "
+            "contains; nothing in the file was run"
+        ) from None
+    except (
+        pickle.UnpicklingError, EOFError, AttributeError, IndexError, KeyError, TypeError,
+        ValueError, MemoryError, OverflowError, RuntimeError, ImportError, AssertionError,
+        SystemError,
+    ) as error:  # fmt: skip
+        # the pickle documentation names these for damaged files
+        raise FormatError(
+            f"{path}: expected a pickled dictionary of arrays, but {error!r:.200}"
+        ) from error
+    if not isinstance(content, dict):
+        raise FormatError(f"{path}: expected a dictionary of arrays, got {type(content).__name__}")
+    return content
+
+
+def _array(value: object, name: str, path: Path) -> np.ndarray:
+    try:
+        array = _plain(value)
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        raise FormatError(f"{path}: cannot read {name}: {error!r:.200}") from error
+    if isinstance(array, np.ndarray):
+        MODEL_NUMBERS.check(array.size, path, name)
+        return array
+    raise FormatError(f"{path}: {name} should be an array, is {type(value).__name__}")
+
+
+class _Inert:
+    """Stands for an object of a library that is not needed; keeps its state and does nothing."""
+
+    state: Mapping[str, Any]
+
+    def __setstate__(self, state: object) -> None:
+        if not isinstance(state, dict):
+            raise TypeError(f"expected the state of an object as a dictionary, got {type(state)}")
+        self.state = state
+
+
+class _Chumpy(_Inert):
+    """chumpy.Ch holds its array as `x`; chumpy's Select picks entries `idxs` of another, `a`."""
+
+    def value(self) -> object:
+        if "x" in self.state:
+            return _plain(self.state["x"])
+        picked = np.asarray(_plain(self.state["a"])).reshape(-1)[np.asarray(self.state["idxs"])]
+        return picked.reshape(tuple(self.state.get("preferred_shape", picked.shape)))
+
+
+class _CompressedColumns(_Inert):
+    """scipy.sparse.csc_matrix."""
+
+    def value(self) -> np.ndarray:
+        rows, columns = (int(size) for size in self.state["_shape"])
+        return _dense(self.state, columns, rows).T
+
+
+class _CompressedRows(_Inert):
+    """scipy.sparse.csr_matrix."""
+
+    def value(self) -> np.ndarray:
+        rows, columns = (int(size) for size in self.state["_shape"])
+        return _dense(self.state, rows, columns)
+
+
+def _dense(state: Mapping[str, Any], lines: int, length: int) -> np.ndarray:
+    """Compressed lines as a full matrix; entries named twice add up."""
+    MODEL_NUMBERS.check(lines * length, "a sparse matrix", "its shape")
+    if min(lines, length) < 0:
+        raise FormatError(f"a sparse matrix of shape {lines} x {length}")
+    dense = np.zeros((lines, length))
+    starts = np.asarray(state["indptr"], np.int64)
+    line = np.repeat(np.arange(lines), np.diff(starts))
+    np.add.at(dense, (line, np.asarray(state["indices"])), np.asarray(state["data"]))
+    return dense
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, _Chumpy | _CompressedColumns | _CompressedRows):
+        return value.value()
+    return value
+
+
+def _latin_bytes(text: str, encoding: str = "latin1") -> bytes:
+    """How Python 3 pickles bytes for Python 2; no other codec is looked up."""
+    if encoding not in ("latin1", "latin-1"):
+        raise FormatError(f"unexpected text encoding {encoding!r}")
+    return text.encode("latin-1")
+
+
+def _empty(kind: type, shape: tuple[int, ...], code: object) -> np.ndarray:
+    """What numpy begins an array with, which is of size zero; a larger one only takes memory."""
+    if kind is not np.ndarray or tuple(shape) != (0,):
+        raise TypeError(f"unexpected array of shape {shape}, {code!r:.20}")
+    return np.ndarray.__new__(np.ndarray, (0,), "b")
+
+
+def _some_bytes(value: object = b"", *encoding: str) -> bytes:
+    """Bytes of bytes or text; of a number they would only take memory."""
+    if isinstance(value, str):
+        return _latin_bytes(value, *encoding)
+    if not isinstance(value, bytes | bytearray | list | tuple):
+        raise TypeError(f"unexpected bytes of {type(value).__name__}")
+    return bytes(value)
+
+
+def _bare(kind: type, base: type, state: object) -> object:
+    """copyreg._reconstructor for records without a built-in base."""
+    if not issubclass(kind, _Inert) or base is not object:
+        raise TypeError(f"unexpected record of type {kind.__name__}")
+    del state
+    return kind.__new__(kind)
+
+
+def _numpy_names() -> dict[tuple[str, str], object]:
+    """What numpy's own pickles refer to, under the module names of numpy 1 and 2."""
+    frombuffer = np.zeros(1).__reduce_ex__(5)[0]
+    scalar = np.float64(0).__reduce__()[0]
+    names: dict[tuple[str, str], object] = {
+        ("numpy", "ndarray"): np.ndarray,
+        ("numpy", "dtype"): np.dtype,
+    }
+    for core in ("numpy.core", "numpy._core"):
+        names[f"{core}.multiarray", "_reconstruct"] = _empty
+        names[f"{core}.multiarray", "scalar"] = scalar
+        names[f"{core}.numeric", "_frombuffer"] = frombuffer
+    return names
+
+
+def _builtin_names() -> dict[tuple[str, str], object]:
+    """Plain containers and numbers, under the names of Python 2 and 3."""
+    kinds = (object, set, frozenset, dict, list, tuple, slice, int, float, bool)
+    modules = ("builtins", "__builtin__")
+    names: dict[tuple[str, str], object] = {
+        (module, kind.__name__): kind for module in modules for kind in kinds
+    }
+    return names | {(m, kind): _some_bytes for m in modules for kind in ("bytes", "bytearray")}
+
+
+_ALLOWED: dict[tuple[str, str], object] = {
+    **_numpy_names(),
+    **_builtin_names(),
+    ("_codecs", "encode"): _latin_bytes,
+    ("copy_reg", "_reconstructor"): _bare,
+    ("copyreg", "_reconstructor"): _bare,
+    ("collections", "OrderedDict"): OrderedDict,
+    ("chumpy.ch", "Ch"): _Chumpy,
+    ("chumpy", "Ch"): _Chumpy,
+    ("chumpy.reordering", "Select"): _Chumpy,
+    ("scipy.sparse.csc", "csc_matrix"): _CompressedColumns,
+    ("scipy.sparse._csc", "csc_matrix"): _CompressedColumns,
+    ("scipy.sparse.csr", "csr_matrix"): _CompressedRows,
+    ("scipy.sparse._csr", "csr_matrix"): _CompressedRows,
+}
+
+
+class _RefusedError(Exception):
+    """A pickle named something that is not on the list."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        self.name = name
+
+
+class _Unpickler(pickle.Unpickler):
+    """Knows the names in `_ALLOWED` and no others."""
+
+    def find_class(self, module_name: str, global_name: str, /) -> Any:
+        try:
+            return _ALLOWED[module_name, global_name]
+        except KeyError:
+            raise _RefusedError(f"{module_name}.{global_name}") from None
+
+
+_NEEDED = ("v_template", "shapedirs", "J_regressor", "weights", "kintree_table", "f")
+_RANGES: dict[str, Limit] = {
+    "v_template": MODEL_LENGTH, "shapedirs": MODEL_LENGTH, "posedirs": MODEL_LENGTH,
+    "J_regressor": MODEL_WEIGHT, "weights": MODEL_WEIGHT,
+}  # fmt: skip
+_SUM = 0.05
+"""How far the weights of a vertex, or of a joint, may be from one together."""
+_SMPLX_JOINTS = 55
+_SMPLX_SHAPES = 300
+"""SMPL-X stores 300 shape directions before those of the expression; version 1.0 stores 10."""
+_MISSING = (
+    "{path}: no such body model file. SMPL-family files are licensed by the Max Planck Society "
+    "and cannot come with this package: register and download SMPL at https://smpl.is.tue.mpg.de, "
+    "SMPL-H (16 shapes, .npz) at https://mano.is.tue.mpg.de or SMPL-X at "
+    "https://smpl-x.is.tue.mpg.de and give the path of the file, or leave the path out to use the "
+    "free bundled body"
+)
+
+
+@dataclass(frozen=True)
+class SmplArrays:
+    """A body model as its file defines it; metres, y up, facing z."""
+
+    template: np.ndarray
+    """(V, 3) surface of the mean shape."""
+    shape_directions: np.ndarray
+    """(V, 3, S) change per unit of each shape coefficient; expressions are left out."""
+    pose_directions: np.ndarray | None
+    """(V, 3, 9 (J-1)) change per entry of the joints' rotations minus identity; None if zero."""
+    joint_regressor: np.ndarray
+    """(J, V) weights of the surface that give the joints."""
+    weights: np.ndarray
+    """(V, J) skinning weights."""
+    parents: np.ndarray
+    """(J,) parent of each joint, -1 for the root; the first 22 are the body's."""
+    faces: np.ndarray
+    """(F, 3) vertex numbers."""
+
+
+def load_smpl(path: str | Path) -> SmplArrays:
+    """A model file of the SMPL family.
+
+    Raises:
+        FileNotFoundError: when there is no such file; the message says where to get one.
+        ValueError: when it is damaged, no SMPL-family body, or holds anything but plain data.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise FileNotFoundError(_MISSING.format(path=path))
+    existing(path)
+    readers: dict[str, Callable[[Path], dict[str, np.ndarray]]] = {
+        ".npz": _read_npz,
+        ".pkl": _read_pickle,
+    }
+    reader = readers.get(path.suffix.lower())
+    if reader is None:
+        raise FormatError(f"{path}: expected a body model, .npz or .pkl, got {path.suffix!r}")
+    return _checked(reader(path), path)
+
+
+def _checked(fields: Mapping[str, np.ndarray], path: Path) -> SmplArrays:
+    """The arrays in double precision, after their shapes have been compared."""
+    if missing := [name for name in _NEEDED if name not in fields]:
+        raise FormatError(
+            f"{path}: not a body model of the SMPL family: no {', '.join(missing)}; "
+            f"it holds {', '.join(sorted(fields)[:20]) or 'nothing'}"
+        )
+    numbers = {name: _numbers(fields[name], name, path) for name in _NEEDED}
+    template, weights = numbers["v_template"], numbers["weights"]
+    if template.ndim != 2 or weights.ndim != 2 or numbers["shapedirs"].ndim != 3:
+        raise FormatError(f"{path}: v_template, weights, shapedirs should have 2, 2, 3 dimensions")
+    vertices, joints = weights.shape
+    expected = {
+        "v_template": (vertices, 3),
+        "shapedirs": (vertices, 3, numbers["shapedirs"].shape[2]),
+        "J_regressor": (joints, vertices),
+        "kintree_table": (2, joints),
+        "f": (len(numbers["f"]), 3),
+    }
+    for name, shape in expected.items():
+        if numbers[name].shape != shape:
+            raise FormatError(f"{path}: {name} should be {shape}, is {numbers[name].shape}")
+    for name in ("weights", "J_regressor"):
+        off = float(np.abs(numbers[name].sum(1) - 1).max())
+        if not off < _SUM:
+            raise FormatError(f"{path}: rows of {name} should sum to 1, one is {off:.3g} away")
+    faces = numbers["f"].astype(np.int64)
+    if len(faces) == 0 or faces.min() < 0 or faces.max() >= vertices:
+        raise FormatError(f"{path}: faces name vertices outside 0..{vertices - 1}")
+    return SmplArrays(
+        template=template,
+        shape_directions=_without_expressions(numbers["shapedirs"], joints),
+        pose_directions=_correctives(fields, vertices, joints, path),
+        joint_regressor=numbers["J_regressor"],
+        weights=weights,
+        parents=_tree(numbers["kintree_table"], path),
+        faces=faces,
+    )
+
+
+def _numbers(array: np.ndarray, name: str, path: Path) -> np.ndarray:
+    if array.dtype.kind not in "fiu":
+        raise FormatError(f"{path}: {name} should hold numbers, holds {array.dtype}")
+    MODEL_NUMBERS.check(array.size, path, name)
+    array = np.ascontiguousarray(array, np.float64)
+    if not np.isfinite(array).all():
+        raise FormatError(f"{path}: {name} holds nan or infinite numbers")
+    if name in _RANGES:
+        _RANGES[name].check(array, path, name)
+    return array
+
+
+def _tree(table: np.ndarray, path: Path) -> np.ndarray:
+    """Parents from `kintree_table`, whose root is 4294967295 (-1 as an unsigned number)."""
+    parents = table[0].astype(np.int64)
+    parents[0] = -1
+    if tuple(parents[: len(JOINTS)]) != tuple(PARENTS):
+        raise FormatError(
+            f"{path}: its first {len(JOINTS)} joints are not SMPL's; a model of a hand, a head or "
+            "an animal cannot be used as a body"
+        )
+    if (parents[1:] < 0).any() or (parents[1:] >= np.arange(1, len(parents))).any():
+        raise FormatError(f"{path}: a joint comes before its parent in kintree_table")
+    return parents
+
+
+def _without_expressions(directions: np.ndarray, joints: int) -> np.ndarray:
+    count = directions.shape[2]
+    if joints == _SMPLX_JOINTS:
+        count = 10 if count == 20 else min(count, _SMPLX_SHAPES)
+    return np.ascontiguousarray(directions[:, :, :count])
+
+
+def _correctives(
+    fields: Mapping[str, np.ndarray], vertices: int, joints: int, path: Path
+) -> np.ndarray | None:
+    if "posedirs" not in fields:
+        return None
+    directions = _numbers(fields["posedirs"], "posedirs", path)
+    shape = (vertices, 3, 9 * (joints - 1))
+    if directions.shape != shape:
+        raise FormatError(
+            f"{path}: posedirs should be {shape}, is {directions.shape}; models with other "
+            "correctives (STAR) are not supported"
+        )
+    return directions if directions.any() else None
+
+
+def _read_npz(path: Path) -> dict[str, np.ndarray]:
+    """The needed arrays; SMPL-X's object arrays beside them stay closed."""
+    try:
+        check_sizes(path, BINARY, (*_NEEDED, "posedirs"))
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
+            names = [name for name in (*_NEEDED, "posedirs") if name in file.files]
+            return {name: np.asarray(file[name]) for name in names}
+    except DAMAGE as error:
+        raise FormatError(
+            f"{path}: expected an .npz body model of plain arrays, but {error}"
+        ) from error
+
+
+def _read_pickle(path: Path) -> dict[str, np.ndarray]:
+    return read_pickle(path, (*_NEEDED, "posedirs"))

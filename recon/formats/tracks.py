@@ -1,0 +1,319 @@
+"""How a camera was carried: what trackers write, as poses of a camera with OpenCV's axes.
+
+* COLMAP, `images.txt` (a folder with it) and `cameras.txt`: quaternion first, world to camera,
+  axes x right, y down, z forward; any world, any unit (https://colmap.github.io/format.html).
+* TUM, text of `timestamp tx ty tz qx qy qz qw`: camera to world; any world, any unit. Read with
+  OpenCV's axes (https://cvg.cit.tum.de/data/datasets/rgbd-dataset/file_formats).
+* DROID-SLAM and DPVO, `.npy` or `.npz` of (frames, 7): tx ty tz qx qy qz qw, camera to world, as
+  `Droid.terminate` returns them (`camera_trajectory.inv()` in droid_slam/droid.py); any unit.
+* ARKit, `.json`: `transform` of `ARCamera`, camera to world, metres, the world's y up; axes x
+  right, y up, z backwards (https://developer.apple.com/documentation/arkit/arcamera/transform).
+"""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from recon.core.errors import FormatError
+from recon.core.units import to_z_up
+from recon.formats.json_files import read_json
+from recon.formats.opencv_yaml import CameraFields
+from recon.formats.opening import existing, load_array, load_arrays
+
+_MODELS = {
+    "SIMPLE_PINHOLE": ("f", "cx", "cy"),
+    "PINHOLE": ("fx", "fy", "cx", "cy"),
+    "SIMPLE_RADIAL": ("f", "cx", "cy", "k1"),
+    "RADIAL": ("f", "cx", "cy", "k1", "k2"),
+    "OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2"),
+    "FULL_OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
+}
+"""COLMAP's camera models whose lens OpenCV's coefficients can tell, and their parameters."""
+_LENS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+
+
+def read_colmap(
+    path: Path,
+) -> tuple[Int[np.ndarray, " poses"] | None, Float[np.ndarray, "poses 4 4"], CameraFields | None]:
+    """Frame numbers, T_world_camera and intrinsics of a model's `images.txt` and `cameras.txt`.
+
+    Images come in the order of their names; the last number of a name is that of its frame.
+
+    Raises:
+        ValueError: when there are no images or lines are damaged, or they are of several cameras.
+    """
+    lines = [line for line in path.read_text("utf-8").splitlines() if not line.startswith("#")]
+    images: dict[str, tuple[list[float], str]] = {}
+    for line in lines[::2]:  # every other line lists the points that an image shows
+        fields = line.split()
+        if not fields:
+            continue
+        if len(fields) < 10:
+            raise FormatError(
+                f"{path}: expected IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, got {line[:80]!r}"
+            )
+        images[" ".join(fields[9:])] = (_numbers(fields[1:8], line, path), fields[8])
+    if len(images) < 2:
+        raise FormatError(f"{path}: expected images with poses, found {len(images)}")
+    names = sorted(images, key=lambda name: (_number(name) or 0, name))
+    if len({camera for _, camera in images.values()}) > 1:
+        raise FormatError(
+            f"{path}: its images are of several cameras; expected those of one film, which COLMAP "
+            "takes as one with --ImageReader.single_camera 1"
+        )
+    rows = np.array([images[name][0] for name in names])
+    T = np.linalg.inv(rigid(rows[:, [1, 2, 3, 0]], rows[:, 4:], path))
+    numbers = [_number(name) for name in names]
+    counted = None not in numbers and len(set(numbers)) == len(numbers)
+    cameras = path.with_name("cameras.txt")
+    camera = _camera(cameras, images[names[0]][1]) if cameras.is_file() else None
+    return (np.array(numbers, np.int64) if counted else None), T, camera
+
+
+def read_tum(path: Path) -> tuple[Float[np.ndarray, " poses"], Float[np.ndarray, "poses 4 4"]]:
+    """Times in seconds and T_world_camera of a trajectory.
+
+    Raises:
+        ValueError: when a line has not eight numbers, or times do not rise.
+    """
+    rows = []
+    for line in path.read_text("utf-8").splitlines():
+        if not line.strip() or line.startswith("#"):
+            continue
+        fields = line.replace(",", " ").split()
+        if len(fields) != 8:
+            raise FormatError(
+                f"{path}: expected timestamp tx ty tz qx qy qz qw, got {line[:80]!r}"
+            )
+        rows.append(_numbers(fields, line, path))
+    table = np.array(rows).reshape(-1, 8)
+    if len(table) < 2 or not (np.diff(table[:, 0]) > 0).all():
+        raise FormatError(f"{path}: expected rising timestamps, got {len(table)} poses")
+    return table[:, 0], rigid(table[:, 4:], table[:, 1:4], path)
+
+
+def _camera(path: Path, identity: str) -> CameraFields:
+    for line in path.read_text("utf-8").splitlines():
+        fields = line.split()
+        if line.startswith("#") or not fields or fields[0] != identity:
+            continue
+        model, size = fields[1], _numbers(fields[2:4], line, path)
+        if model not in _MODELS or len(fields) != 4 + len(_MODELS[model]):
+            raise FormatError(
+                f"{path}: expected a camera of the models {', '.join(_MODELS)}, got {line[:80]!r}"
+            )
+        own = dict(zip(_MODELS[model], _numbers(fields[4:], line, path), strict=True))
+        fx, fy = own.get("fx", own.get("f", 0.0)), own.get("fy", own.get("f", 0.0))
+        lens = [own.get(name, 0.0) for name in _LENS]
+        # COLMAP counts from the corner of the first pixel, OpenCV from its middle
+        matrix = [[fx, 0, own["cx"] - 0.5], [0, fy, own["cy"] - 0.5], [0, 0, 1]]
+        return CameraFields("track", matrix, size, lens if any(lens) else None)
+    raise FormatError(f"{path}: expected camera {identity}, which images.txt names")
+
+
+def _number(name: str) -> int | None:
+    found = re.findall(r"\d+", Path(name).stem)
+    return int(found[-1]) if found else None
+
+
+def _numbers(fields: list[str], line: str, path: Path) -> list[float]:
+    try:
+        return [float(one) for one in fields]
+    except ValueError as error:
+        raise FormatError(f"{path}: expected numbers, got {line[:80]!r}") from error
+
+
+def rigid(
+    quaternion: Float[np.ndarray, "poses 4"], places: Float[np.ndarray, "poses 3"], path: Path
+) -> Float[np.ndarray, "poses 4 4"]:
+    """Transforms of quaternions x y z w and translations.
+
+    Raises:
+        ValueError: when numbers are not finite, or quaternions are not of length one.
+    """
+    from scipy.spatial.transform import Rotation
+
+    length = np.linalg.norm(quaternion, axis=-1)
+    if not np.isfinite(places).all() or not (np.abs(length - 1) < 0.01).all():
+        raise FormatError(
+            f"{path}: expected finite numbers and quaternions of length 1, got lengths from "
+            f"{np.nanmin(length):.3g} to {np.nanmax(length):.3g}; are its columns in order?"
+        )
+    T = np.tile(np.eye(4), (len(places), 1, 1))
+    T[:, :3, :3], T[:, :3, 3] = Rotation.from_quat(quaternion).as_matrix(), places
+    return T
+
+
+_ARKIT = ("transform", "cameraTransform", "camera_transform", "cameraPoseARFrame")
+_TIMES = ("timestamp", "time")
+_SEVEN = ("poses", "traj", "traj_est", "trajectory")
+_FLIPPED = np.diag([1.0, -1.0, -1.0, 1.0])
+"""Turn from OpenCV's camera axes to those of ARKit."""
+_WRITTEN = (
+    "a folder with COLMAP's images.txt, a text of TUM's (timestamp tx ty tz qx qy qz qw), an "
+    "array (.npy, .npz) of DROID-SLAM's (frames, 7), or ARKit's .json"
+)
+
+
+@dataclass(frozen=True)
+class CameraTrack:
+    """Poses of one camera over time."""
+
+    T_world_camera: Float[np.ndarray, "poses 4 4"]
+    """Poses in the tracker's world and unit; z up where it is `level`."""
+    frames: Int[np.ndarray, " poses"] | None
+    """Numbers of the frames; None where times tell, or nothing."""
+    times: Float[np.ndarray, " poses"] | None
+    """Seconds, from any beginning."""
+    metric: bool
+    """Whether translations are metres; otherwise their unit is to be found."""
+    level: bool
+    """Whether the z axis of the world points up."""
+    camera: CameraFields | None
+    """Intrinsics, where the tracker states them."""
+    producer: str
+
+    def at(
+        self, first: int, count: int, fps: float
+    ) -> tuple[Float[np.ndarray, "frames 4 4"], str]:
+        """T_world_camera of so many frames from frame number `first` on, and how they were found.
+
+        Between poses the camera goes straight and turns evenly; beyond them it stands still.
+
+        Raises:
+            ValueError: when the poses cover less than half of the frames.
+        """
+        here = len(self.T_world_camera)
+        wanted = np.arange(first, first + count, dtype=np.float64)
+        if here == count:
+            return self.T_world_camera, "a pose for every frame, in their order"
+        if self.frames is not None:
+            known, how = self.frames.astype(np.float64), "by the numbers of the frames"
+        elif self.times is not None:
+            known = first + (self.times - self.times[0]) * fps
+            how = f"by time, the first pose at the first frame, {fps:g} frames per second"
+        else:
+            raise FormatError(
+                f"{self.producer}: {here} poses for {count} frames, without times or numbers; "
+                "give one pose for every frame"
+            )
+        inside = ((wanted >= known[0] - 0.5) & (wanted <= known[-1] + 0.5)).mean()
+        if inside < 0.5:
+            raise FormatError(
+                f"{self.producer}: its {here} poses are of frames {known[0]:.0f} to "
+                f"{known[-1]:.0f}, the keypoints of {first} to {first + count - 1}; expected "
+                "poses of the same film"
+            )
+        return _between(self.T_world_camera, known, wanted), how
+
+
+def read_track(path: Path) -> CameraTrack:
+    """The track of a camera, from whatever tracker wrote it.
+
+    Raises:
+        FileNotFoundError: when there is nothing there.
+        ValueError: when it is damaged or of no tracker that is known.
+    """
+    if path.is_dir() and (path / "images.txt").is_file():
+        path = path / "images.txt"
+    existing(path)
+    match path.suffix.lower():
+        case ".txt" | ".tum" if path.name == "images.txt":
+            names, poses, camera = read_colmap(path)
+            return CameraTrack(poses, names, None, False, False, camera, "COLMAP")
+        case ".txt" | ".tum":
+            times, poses = read_tum(path)
+            whole = np.arange(len(times)) if len(times) < 2 else times
+            numbers = bool((whole == np.round(whole)).all())
+            frames = np.round(times).astype(np.int64) if numbers else None
+            return CameraTrack(poses, frames, times, False, False, None, "TUM")
+        case ".npy":
+            return _droid(load_array(path), None, None, path)
+        case ".npz":
+            arrays = load_arrays(path)
+            name = next((name for name in _SEVEN if name in arrays), None)
+            if name is None:
+                raise FormatError(
+                    f"{path}: expected poses of DROID-SLAM or DPVO in one of {', '.join(_SEVEN)}, "
+                    f"found {', '.join(sorted(arrays))}"
+                )
+            return _droid(arrays[name], arrays.get("tstamps"), arrays.get("intrinsics"), path)
+        case ".json":
+            return _arkit(path)
+    raise FormatError(f"{path}: expected the track of a camera: {_WRITTEN}")
+
+
+def _between(
+    T: Float[np.ndarray, "poses 4 4"], known: np.ndarray, wanted: np.ndarray
+) -> Float[np.ndarray, "frames 4 4"]:
+    from scipy.spatial.transform import Rotation, Slerp
+
+    order = np.argsort(known)
+    known, T = known[order], T[order]
+    held = wanted.clip(known[0], known[-1])
+    found = np.tile(np.eye(4), (len(wanted), 1, 1))
+    found[:, :3, :3] = Slerp(known, Rotation.from_matrix(T[:, :3, :3]))(held).as_matrix()
+    found[:, :3, 3] = np.stack([np.interp(held, known, T[:, k, 3]) for k in range(3)], -1)
+    return found
+
+
+def _droid(rows: Any, numbers: Any, intrinsics: Any, path: Path) -> CameraTrack:
+    rows = np.asarray(rows)
+    if rows.ndim != 2 or rows.shape[1] != 7 or rows.dtype.kind not in "fiu" or len(rows) < 2:
+        raise FormatError(
+            f"{path}: expected poses of DROID-SLAM or DPVO, an array (frames, 7) of tx ty tz qx "
+            f"qy qz qw, got {rows.dtype} {rows.shape}"
+        )
+    rows = rows.astype(np.float64)
+    frames = None if numbers is None else np.asarray(numbers).astype(np.int64).reshape(-1)
+    if frames is not None and (len(frames) != len(rows) or not (np.diff(frames) > 0).all()):
+        raise FormatError(f"{path}: expected rising tstamps, one for each of {len(rows)} poses")
+    camera = None
+    if intrinsics is not None:
+        values = np.asarray(intrinsics, np.float64)
+        values = values if values.ndim == 1 else values[0]
+        fx, fy, cx, cy = values[:4]
+        camera = CameraFields("track", [[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+    T = rigid(rows[:, 3:], rows[:, :3], path)
+    return CameraTrack(T, frames, None, False, False, camera, "DROID-SLAM")
+
+
+def _arkit(path: Path) -> CameraTrack:
+    value = read_json(path)
+    entries = value.get("frames", value) if isinstance(value, dict) else value
+    keys = [key for key in _ARKIT if isinstance(entries, list) and entries and key in entries[0]]
+    if not keys or not all(isinstance(one, dict) and keys[0] in one for one in entries):
+        raise FormatError(
+            f"{path}: expected frames of ARKit, each with one of {', '.join(_ARKIT)}"
+        )
+    matrices = np.array([_square(one[keys[0]], 4, path) for one in entries])
+    times = [next((one[key] for key in _TIMES if key in one), None) for one in entries]
+    T = matrices @ _FLIPPED
+    level = np.eye(4)
+    level[:3, :3] = to_z_up("y")
+    stated = entries[0].get(
+        "intrinsics", value.get("intrinsics") if value is not entries else None
+    )
+    size = entries[0].get("imageResolution")
+    camera = None if stated is None else CameraFields("track", _square(stated, 3, path), size)
+    known = None if None in times else np.array(times, np.float64)
+    return CameraTrack(level @ T, None, known, True, True, camera, "ARKit")
+
+
+def _square(value: Any, size: int, path: Path) -> Float[np.ndarray, "rows rows"]:
+    """A matrix by rows, whether it is written by rows or, as Swift does, by columns."""
+    try:
+        matrix = np.array(value, np.float64).reshape(size, size)
+    except (TypeError, ValueError) as error:
+        raise FormatError(f"{path}: expected {size * size} numbers, got {value!r:.80}") from error
+    bottom = np.eye(size)[-1]
+    if not np.isfinite(matrix).all():
+        raise FormatError(f"{path}: expected finite numbers, got {value!r:.80}")
+    for one in (matrix, matrix.T):
+        if np.abs(one[-1] - bottom).max() < 1e-6:
+            return one
+    raise FormatError(f"{path}: expected a last row {bottom.tolist()}, got {matrix.tolist()}")

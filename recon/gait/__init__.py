@@ -1,0 +1,1 @@
+"""Gait as laboratories read it: events, cycles, joint angles and their report."""

@@ -1,0 +1,392 @@
+"""Cycles of gait from strike to strike of one foot, and curves over them."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from recon.body.angles import ISB_ANGLES, isb_angles
+from recon.body.model import BodyModel
+from recon.core.motion import Motion
+from recon.core.skeleton import joint_index
+from recon.gait.feet import SIDES, Feet, GaitStance, Side, find_stances
+
+LONGEST = 3.0
+"""Seconds between two strikes of one foot, at most; longer ones are pauses."""
+PERCENT = 101
+"""Moments of a normalised cycle: 0 %, 1 %, ... 100 %."""
+_SETTLED = (0.1, 0.3)
+"""Part of a stride, from the strike on, in which the heel stands where it was placed."""
+
+
+@dataclass(frozen=True)
+class GaitCycle:
+    """One stride: from the strike of a foot to its next; seconds of the recording's clock."""
+
+    side: Side
+    strike: float
+    opposite_off: float | None
+    """Moment at which the other foot leaves the ground; None where it was not found."""
+    opposite_strike: float | None
+    off: float
+    next_strike: float
+    length: float
+    """Distance between two places of the heel, metres."""
+    step_length: float | None
+    """Distance of its last part, from the other heel to the next place of this one, along the
+    line of the stride, metres."""
+    step_width: float | None
+    """Distance of the other heel from the line of the stride, metres."""
+    heading: float
+    """Direction of the stride on the ground, radians from x to y."""
+    turn: float
+    """How far the pelvis turns to the left meanwhile, radians."""
+
+    @property
+    def seconds(self) -> float:
+        """Stride time."""
+        return self.next_strike - self.strike
+
+    @property
+    def speed(self) -> float:
+        """Metres per second."""
+        return self.length / self.seconds
+
+    @property
+    def stance(self) -> float:
+        """Share of the cycle in which the foot is on the ground."""
+        return (self.off - self.strike) / self.seconds
+
+    @property
+    def double_support(self) -> float | None:
+        """Share of the cycle in which both feet are on the ground; below zero both are off it."""
+        if self.opposite_off is None or self.opposite_strike is None:
+            return None
+        both = (self.opposite_off - self.strike) + (self.off - self.opposite_strike)
+        return both / self.seconds
+
+
+def find_gait_cycles(feet: Feet, stances: Sequence[GaitStance]) -> tuple[GaitCycle, ...]:
+    """All complete cycles in the order of their strikes.
+
+    Args:
+        feet: of one clip.
+        stances: of both its feet, as `find_stances` tells them.
+    """
+    found: list[GaitCycle] = []
+    for side, name in enumerate(SIDES):
+        own = [one for one in stances if one.side == name]
+        other = [one for one in stances if one.side != name]
+        for one, after in pairwise(own):
+            if one.strike is None or one.off is None or after.strike is None:
+                continue
+            if one.off < after.strike <= one.strike + LONGEST * feet.fps:
+                found.append(_cycle(feet, side, one.strike, one.off, after.strike, other))
+    return tuple(sorted(found, key=lambda cycle: cycle.strike))
+
+
+def normalised(
+    values: Float[np.ndarray, " time"], times: Float[np.ndarray, " time"], cycle: GaitCycle
+) -> Float[np.ndarray, " percent"]:
+    """A curve over one cycle at 0 %, 1 %, ... 100 % of it, linearly between frames."""
+    moments = np.linspace(cycle.strike, cycle.next_strike, PERCENT)
+    return np.interp(moments, times, values)
+
+
+def _cycle(
+    feet: Feet, side: int, strike: int, off: int, after: int, other: Sequence[GaitStance]
+) -> GaitCycle:
+    period = after - strike
+    opposite_off = [s.off for s in other if s.off is not None and strike <= s.off < off]
+    opposite = [s.strike for s in other if s.strike is not None and strike < s.strike <= after]
+    begin, end = _place(feet, side, strike, period), _place(feet, side, after, period)
+    stride = end - begin
+    length = float(np.linalg.norm(stride))
+    along = stride / max(length, 1e-9)
+    step = width = None
+    if opposite:
+        between = _place(feet, 1 - side, opposite[0], period) - begin
+        step = length - float(between @ along)
+        width = abs(float(between[0] * along[1] - between[1] * along[0]))
+    angles = np.unwrap(np.arctan2(feet.forward[:, 1], feet.forward[:, 0])[strike : after + 1])
+    return GaitCycle(
+        side="left" if SIDES[side] == "left" else "right",
+        strike=float(feet.times[strike]),
+        opposite_off=float(feet.times[opposite_off[0]]) if opposite_off else None,
+        opposite_strike=float(feet.times[opposite[0]]) if opposite else None,
+        off=float(feet.times[off]),
+        next_strike=float(feet.times[after]),
+        length=length,
+        step_length=step,
+        step_width=width,
+        heading=float(np.arctan2(stride[1], stride[0])),
+        turn=float(angles[-1] - angles[0]),
+    )
+
+
+def _place(feet: Feet, side: int, strike: int, period: int) -> Float[np.ndarray, " 2"]:
+    """Place of a heel on the ground: the median of the first part of the stance."""
+    first = strike + round(_SETTLED[0] * period)
+    last = max(strike + round(_SETTLED[1] * period), first + 1)
+    first = min(first, len(feet.times) - 1)
+    return np.median(feet.heels[first:last, side, :2], axis=0)
+
+
+@dataclass(frozen=True)
+class GaitFigure:
+    """One number of gait, over the cycles of one side or of both."""
+
+    name: str
+    unit: str
+    side: Literal["left", "right", "both"]
+    mean: float
+    std: float | None
+    """Standard deviation over the cycles; None of a single one."""
+    count: int
+    """Cycles that it was told from."""
+
+
+_KINDS: tuple[tuple[str, str, Callable[[GaitCycle], float | None]], ...] = (
+    ("cadence", "steps/min", lambda cycle: 120 / cycle.seconds),
+    ("speed", "m/s", lambda cycle: cycle.speed),
+    ("stride time", "s", lambda cycle: cycle.seconds),
+    ("stride length", "m", lambda cycle: cycle.length),
+    ("step time", "s", lambda cycle: _step_time(cycle)),
+    ("step length", "m", lambda cycle: cycle.step_length),
+    ("step width", "m", lambda cycle: cycle.step_width),
+    ("stance", "% of cycle", lambda cycle: 100 * cycle.stance),
+    ("double support", "% of cycle", lambda cycle: _percent(cycle.double_support)),
+)
+
+
+def spatio_temporal(cycles: Sequence[GaitCycle]) -> tuple[GaitFigure, ...]:
+    """Means and standard deviations of every figure, over both sides and over each."""
+    found: list[GaitFigure] = []
+    for name, unit, value in _KINDS:
+        for side in ("both", "left", "right"):
+            own = [value(one) for one in cycles if side in ("both", one.side)]
+            known = np.array([one for one in own if one is not None and math.isfinite(one)])
+            if len(known) > 0:
+                std = float(known.std(ddof=1)) if len(known) > 1 else None
+                found.append(GaitFigure(name, unit, side, float(known.mean()), std, len(known)))
+    return tuple(found)
+
+
+def _step_time(cycle: GaitCycle) -> float | None:
+    return None if cycle.opposite_strike is None else cycle.next_strike - cycle.opposite_strike
+
+
+def _percent(share: float | None) -> float | None:
+    return None if share is None else 100 * share
+
+
+@dataclass(frozen=True)
+class GaitCurve:
+    """An angle that is drawn over the cycle of either side."""
+
+    name: str
+    """Its name among the angles; `_l` and `_r` follow where it belongs to a side."""
+    title: str
+    """What it is, and what a positive angle means."""
+    sided: bool = True
+    """Whether each side has its own."""
+    mirrored: Side | None = None
+    """Side whose cycles have the opposite sign."""
+    from_heading: bool = False
+    """Whether it is a direction in the world, told from the direction of the stride here."""
+    joints: tuple[str, ...] = ()
+    """Joints of the side that must be seen for the angle to be seen."""
+
+    def angle(self, side: Side) -> str:
+        """Name of the angle of a side."""
+        return f"{self.name}_{side[0]}" if self.sided else self.name
+
+    def seen_joints(self, side: Side) -> list[int]:
+        """Numbers of the joints that the angle of a side is told from."""
+        return [joint_index(f"{side}_{name}") for name in self.joints]
+
+
+CURVES: tuple[GaitCurve, ...] = (
+    GaitCurve("pelvis_anterior_tilt", "Pelvic tilt, anterior +", False, joints=("hip",)),
+    GaitCurve("pelvis_left_up_obliquity", "Pelvic obliquity, own side up +", False, "right",
+              joints=("hip",)),
+    GaitCurve("pelvis_left_rotation", "Pelvic rotation, own side forward +", False, "left", True,
+              joints=("hip",)),
+    GaitCurve("hip_flexion", "Hip flexion +", joints=("hip", "knee")),
+    GaitCurve("hip_adduction", "Hip adduction +", joints=("hip", "knee")),
+    GaitCurve("hip_internal_rotation", "Hip internal rotation +",
+              joints=("hip", "knee", "ankle")),
+    GaitCurve("knee_flexion", "Knee flexion +", joints=("hip", "knee", "ankle")),
+    GaitCurve("ankle_dorsiflexion", "Ankle dorsiflexion +", joints=("knee", "ankle", "foot")),
+    GaitCurve("ankle_internal_rotation", "Foot internal rotation +",
+              joints=("knee", "ankle", "foot")),
+    GaitCurve("trunk_flexion", "Trunk flexion to pelvis +", False, joints=("hip", "shoulder")),
+    GaitCurve("trunk_right_bending", "Trunk bending to own side +", False, "left",
+              joints=("hip", "shoulder")),
+    GaitCurve("trunk_left_rotation", "Trunk rotation, own side forward +", False, "left",
+              joints=("hip", "shoulder")),
+)  # fmt: skip
+"""What the page shows, row by row: pelvis, hip, knee and ankle, trunk."""
+
+_CHAINS: Mapping[str, tuple[str, str, str]] = {
+    "knee_flexion": ("hip", "knee", "ankle"),
+    "ankle_dorsiflexion": ("knee", "ankle", "foot"),
+    "elbow_flexion": ("shoulder", "elbow", "wrist"),
+}
+"""Angles between two bones whose three joints tell them."""
+
+
+def over_cycle(
+    curve: GaitCurve,
+    angles: Mapping[str, Float[np.ndarray, " time"]],
+    times: Float[np.ndarray, " time"],
+    cycle: GaitCycle,
+) -> Float[np.ndarray, " percent"]:
+    """The angle of the cycle's side at every percent of it, degrees."""
+    values = angles[curve.angle(cycle.side)]
+    if curve.from_heading:
+        values = values - np.rad2deg(cycle.heading)
+    found = normalised(values, times, cycle)
+    if curve.from_heading:
+        found = found - 360 * np.round(found.mean() / 360)
+    return -found if cycle.side == curve.mirrored else found
+
+
+def flexion_std(
+    joints: Float[np.ndarray, "time 22 3"], std: Float[np.ndarray, "time 22"]
+) -> dict[str, Float[np.ndarray, " time"]]:
+    """Standard deviations of the angles of knees, ankles and elbows, degrees, by name.
+
+    First-order propagation of the standard deviations of the three joints in the plane of the two
+    bones, taken as independent of each other. Errors that neighbouring joints have in common
+    would make it smaller, so it is rather too large. Other angles depend on turns about bones or
+    on the trunk, of which positions of joints say too little.
+
+    Args:
+        joints: positions in the world, metres.
+        std: standard deviation of a coordinate of every joint, metres.
+    """
+    found: dict[str, np.ndarray] = {}
+    for name, chain in _CHAINS.items():
+        for side in ("left", "right"):
+            a, b, c = (joint_index(f"{side}_{joint}") for joint in chain)
+            upper, lower = joints[:, a] - joints[:, b], joints[:, c] - joints[:, b]
+            long, short = np.linalg.norm(upper, axis=-1), np.linalg.norm(lower, axis=-1)
+            cosine = ((upper * lower).sum(-1) / (long * short)).clip(-1, 1)
+            # the middle joint moves both lines, in opposite senses where the limb is straight
+            middle = 1 / long**2 + 1 / short**2 - 2 * cosine / (long * short)
+            variance = (std[:, a] / long) ** 2 + (std[:, c] / short) ** 2 + std[:, b] ** 2 * middle
+            found[f"{name}_{side[0]}"] = np.rad2deg(np.sqrt(variance))
+    return found
+
+
+@dataclass(frozen=True)
+class Gait:
+    """The gait of one clip."""
+
+    times: Float[np.ndarray, " time"]
+    """Seconds of the recording's clock."""
+    stances: tuple[GaitStance, ...]
+    """Stances of both feet in the order of time."""
+    cycles: tuple[GaitCycle, ...]
+    """Complete strides of both feet in the order of their strikes."""
+    figures: tuple[GaitFigure, ...]
+    """Spatio-temporal figures: cadence, lengths, speed, shares of the cycle."""
+    angles: Mapping[str, Float[np.ndarray, " time"]]
+    """Joint angles after the ISB, degrees, as `recon.body.angles.isb_angles` names them."""
+    angle_std: Mapping[str, Float[np.ndarray, " time"]]
+    """Standard deviations of some of the angles, degrees; empty where those of joints are not
+    known."""
+    unseen: Mapping[str, float]
+    """Share of the frames in which an angle was inferred rather than seen, where there are any."""
+    belt: float | None
+    """Speed of the treadmill's belt, m/s; None where the ground rests."""
+
+    def cycles_of(self, side: Side) -> tuple[GaitCycle, ...]:
+        """The cycles that begin with the strike of one foot."""
+        return tuple(cycle for cycle in self.cycles if cycle.side == side)
+
+    def curves(self, curve: GaitCurve, side: Side) -> Float[np.ndarray, "cycles percent"]:
+        """An angle over all cycles of a side, degrees."""
+        found = [
+            over_cycle(curve, self.angles, self.times, cycle) for cycle in self.cycles_of(side)
+        ]
+        return np.array(found).reshape(len(found), PERCENT)
+
+    def curve_std(
+        self, curve: GaitCurve, side: Side
+    ) -> Float[np.ndarray, "cycles percent"] | None:
+        """Standard deviation with which a curve is known, degrees; None where it is not."""
+        known = self.angle_std.get(curve.angle(side))
+        if known is None or len(self.cycles_of(side)) == 0:
+            return None
+        return np.array([normalised(known, self.times, one) for one in self.cycles_of(side)])
+
+
+def analyse(
+    motion: Motion,
+    body: BodyModel,
+    *,
+    ground: float | None = 0.0,
+    belt: Float[Tensor, " 2"] | None = None,
+    joint_std: Float[Tensor, "time 22"] | None = None,
+    angle_std: Float[Tensor, "time 42"] | None = None,
+    observed: Bool[Tensor, "time 22"] | None = None,
+) -> Gait:
+    """Events, cycles, figures and angles of one clip.
+
+    Args:
+        motion: one clip without a batch axis, z up.
+        body: whose motion it is; the bundled one, whose landmarks are known.
+        ground: height of the ground, metres; None where there is none.
+        belt: velocity of a treadmill's belt, m/s; None where the ground rests.
+        joint_std: standard deviation of a coordinate of every joint, metres; None where unknown.
+        angle_std: standard deviations of the ISB's angles, degrees; without them, those of
+            flexions follow from `joint_std`.
+        observed: false where a joint was inferred; None means that all were seen.
+
+    Raises:
+        ReconError: when the body is another one.
+    """
+    feet = Feet.of(motion, body, ground, belt)
+    stances = find_stances(feet)
+    cycles = find_gait_cycles(feet, stances)
+    joints = body.pose(motion.detach()).joints.double().cpu().numpy()
+    std = None if joint_std is None else joint_std.double().cpu().numpy()
+    return Gait(
+        times=feet.times,
+        stances=stances,
+        cycles=cycles,
+        figures=spatio_temporal(cycles),
+        angles=isb_angles(motion, body),
+        angle_std=_angle_std(angle_std, joints, std),
+        unseen={} if observed is None else _unseen(observed),
+        belt=None if belt is None else float(belt.norm()),
+    )
+
+
+def _angle_std(
+    known: Float[Tensor, "time 42"] | None,
+    joints: Float[np.ndarray, "time 22 3"],
+    std: Float[np.ndarray, "time 22"] | None,
+) -> dict[str, Float[np.ndarray, " time"]]:
+    if known is not None:
+        return dict(zip(ISB_ANGLES, known.double().cpu().numpy().T, strict=True))
+    return {} if std is None else flexion_std(joints, std)
+
+
+def _unseen(observed: Bool[Tensor, "time 22"]) -> dict[str, float]:
+    seen = observed.cpu().numpy()
+    shares: dict[str, float] = {}
+    for curve in CURVES:
+        for name in SIDES:
+            side: Side = "left" if name == "left" else "right"
+            share = float(1 - seen[:, curve.seen_joints(side)].all(-1).mean())
+            angle = curve.angle(side)
+            shares[angle] = max(share, shares.get(angle, 0.0))
+    return {name: share for name, share in shares.items() if share > 0}

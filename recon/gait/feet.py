@@ -1,0 +1,244 @@
+"""Heels, toes and pelvis of a motion over time, as gait is told from them."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from recon.body.contacts import contact_labels, rest_heights
+from recon.body.landmarks import landmark
+from recon.body.model import BodyModel
+from recon.core.errors import ReconError
+from recon.core.motion import Motion
+from recon.core.skeleton import joint_index
+
+SIDES = ("left", "right")
+"""Order of the sides wherever an axis has two."""
+CUTOFF = 12.0
+"""Hertz above which the paths of feet are noise. Lower limits, which are common for coordinates of
+walking, blur the moment of the strike: 7 Hz tripled the deviation from marked events."""
+
+_HIPS = tuple(joint_index(f"{side}_hip") for side in SIDES)
+_SOLES = tuple((joint_index(f"{side}_ankle"), joint_index(f"{side}_foot")) for side in SIDES)
+
+
+@dataclass(frozen=True)
+class Feet:
+    """Feet and pelvis of one clip in the frame of the ground that they stand on, metres, z up.
+
+    On a treadmill that is the belt, in whose frame the person walks ahead.
+    """
+
+    heels: Float[np.ndarray, "time 2 3"]
+    """Back of the left and of the right heel."""
+    toes: Float[np.ndarray, "time 2 3"]
+    """Base of the second toe, left and right."""
+    pelvis: Float[np.ndarray, "time 3"]
+    """Joint in the middle of the pelvis."""
+    forward: Float[np.ndarray, "time 2"]
+    """Horizontal direction that the pelvis faces, a unit vector."""
+    bearing: Bool[np.ndarray, "time 2"] | None
+    """Whether a foot is in contact with the ground; None where there is no ground."""
+    times: Float[np.ndarray, " time"]
+    """Seconds of the recording's clock."""
+    fps: float
+
+    @classmethod
+    def of(
+        cls,
+        motion: Motion,
+        body: BodyModel,
+        ground: float | None = 0.0,
+        belt: Float[Tensor, " 2"] | None = None,
+    ) -> "Feet":
+        """The feet of a motion, filtered at 12 Hz without delay.
+
+        Args:
+            motion: one clip without a batch axis.
+            body: whose motion it is; the bundled one, whose heels and toes are known.
+            ground: height of the ground, metres; None where there is none.
+            belt: velocity of a treadmill's belt in the room, m/s; None where the ground rests.
+
+        Raises:
+            ReconError: when the body is another one.
+        """
+        if body.checksum != BodyModel.load().checksum:
+            raise ReconError(
+                f"gait is told from heels and toes, which are known of the bundled body only, not "
+                f"of {body.name!r}: give a motion of the bundled body"
+            )
+        posed = body.pose(motion.detach())
+        times = motion.times.double().cpu()
+        path = torch.zeros(len(times), 3, dtype=torch.float64)
+        if belt is not None:
+            path[:, :2] = (times - times[0])[:, None] * belt.double().cpu()
+        joints = posed.joints.double().cpu() - path[:, None]
+        points = torch.tensor([landmark(f"{s}_{n}") for n in ("heel", "toe2_base") for s in SIDES])
+        skin = posed.points(points).double().cpu() - path[:, None]
+        bearing = None
+        if ground is not None:
+            above = joints - joints.new_tensor([0.0, 0.0, ground])
+            heights = rest_heights(body, motion.shape).double().cpu()
+            labels = contact_labels(above, heights, motion.fps).numpy()
+            bearing = np.stack([labels[:, list(sole)].any(-1) for sole in _SOLES], -1)
+        smooth = low_passed(skin.numpy(), motion.fps)
+        return cls(
+            heels=smooth[:, :2],
+            toes=smooth[:, 2:],
+            pelvis=low_passed(joints[:, 0].numpy(), motion.fps),
+            forward=_forward(low_passed(joints.numpy(), motion.fps)),
+            bearing=bearing,
+            times=times.numpy(),
+            fps=motion.fps,
+        )
+
+
+def low_passed(values: Float[np.ndarray, "time ..."], fps: float) -> Float[np.ndarray, "time ..."]:
+    """Values over time without what is faster than 12 Hz: Butterworth, second order, both ways.
+
+    Values at too low a rate to hold anything faster, or too few, are returned as they are.
+    """
+    from scipy.signal import butter, sosfiltfilt
+
+    if fps <= 2 * CUTOFF or len(values) <= 12:
+        return values
+    sections = butter(2, CUTOFF, fs=fps, output="sos")
+    return sosfiltfilt(sections, values, axis=0, padlen=min(len(values) - 1, round(fps / 2)))
+
+
+def _forward(joints: Float[np.ndarray, "time 22 3"]) -> Float[np.ndarray, "time 2"]:
+    across = (joints[:, _HIPS[0]] - joints[:, _HIPS[1]])[:, :2]
+    across = across / np.linalg.norm(across, axis=-1, keepdims=True).clip(min=1e-9)
+    return np.stack((across[:, 1], -across[:, 0]), -1)
+
+
+Side = Literal["left", "right"]
+
+SHORTEST = 0.3
+"""Seconds between two strikes of one foot, at least."""
+LEAST_SWING = 0.12
+"""Metres that a foot goes back and forth below the pelvis in a step, at least."""
+LEAVING = 0.8
+"""Metres per second from which on toes have left the ground: of the events that five people's
+laboratory marked in C3D files, this speed is nearest (0 ± 14 ms)."""
+_PROMINENCE = 0.35
+"""Share of its largest swing that a foot must make in each."""
+_SWING = 0.4
+"""Seconds before a strike, or after the toes left, in which the foot swings."""
+_BEFORE, _AFTER = 0.03, 0.12
+"""Seconds around the moment of the heel farthest ahead in which the foot strikes."""
+
+
+@dataclass(frozen=True)
+class GaitStance:
+    """A foot on the ground from its strike to the moment at which it leaves."""
+
+    side: Side
+    strike: int | None
+    """Frame of the strike; None where the recording begins later."""
+    off: int | None
+    """Frame at which the toes leave; None where the recording ends before."""
+
+
+def find_stances(feet: Feet) -> tuple[GaitStance, ...]:
+    """All stances of both feet in the order of time; those at the ends may lack an event."""
+    found = [stance for side in range(2) for stance in _stances(feet, side)]
+    return tuple(sorted(found, key=lambda one: (_middle(one, feet), one.side)))
+
+
+def _middle(stance: GaitStance, feet: Feet) -> float:
+    strike = 0 if stance.strike is None else stance.strike
+    off = len(feet.times) - 1 if stance.off is None else stance.off
+    return (strike + off) / 2
+
+
+def _stances(feet: Feet, side: int) -> list[GaitStance]:
+    heel = _ahead(feet, feet.heels[:, side])
+    toe = _ahead(feet, feet.toes[:, side])
+    strikes = _struck(feet, side, _peaks(heel, feet.fps))
+    offs = _left(feet, side, _peaks(-toe, feet.fps))
+    kinds = sorted([(int(k), "strike") for k in strikes] + [(int(k), "off") for k in offs])
+    name: Side = "left" if SIDES[side] == "left" else "right"
+    found: list[GaitStance] = []
+    opened: int | None = None
+    for index, (frame, kind) in enumerate(kinds):
+        if kind == "strike":
+            if opened is not None:
+                found.append(GaitStance(name, opened, None))
+            opened = frame
+        elif opened is not None or index == 0:
+            found.append(GaitStance(name, opened, frame))
+            opened = None
+    if opened is not None:
+        found.append(GaitStance(name, opened, None))
+    return [one for one in found if _bears(feet, side, one)]
+
+
+def _ahead(feet: Feet, points: Float[np.ndarray, "time 3"]) -> Float[np.ndarray, " time"]:
+    return ((points - feet.pelvis)[:, :2] * feet.forward).sum(-1)
+
+
+def _peaks(values: Float[np.ndarray, " time"], fps: float) -> Int[np.ndarray, " peaks"]:
+    """Frames at which values are largest nearby; near the ends one flank is enough."""
+    from scipy.signal import find_peaks
+
+    swing = float(np.quantile(values, 0.98) - np.quantile(values, 0.02))
+    least = max(LEAST_SWING, _PROMINENCE * swing)
+    padded = np.pad(values, 1, constant_values=float(values.min()) - 2 * least)
+    found = find_peaks(padded, prominence=least, distance=max(1, round(SHORTEST * fps)))[0] - 1
+    # where the values still rise at an end, their largest is outside
+    return found[(found > 0) & (found < len(values) - 1)]
+
+
+def _struck(feet: Feet, side: int, ahead: Int[np.ndarray, " steps"]) -> list[int]:
+    """Frames of strikes: the foot falls fastest near the moment of the heel farthest ahead.
+
+    The foot must have swung before: a heel may be farthest ahead while the person still stands.
+    """
+    swings = _speeds(feet, side) > LEAVING
+    middle = (feet.heels[:, side, 2] + feet.toes[:, side, 2]) / 2
+    rise = np.gradient(middle) * feet.fps
+    found: list[int] = []
+    for frame in ahead.tolist():
+        first = max(0, frame - round(_BEFORE * feet.fps))
+        last = min(len(rise), frame + round(_AFTER * feet.fps) + 1)
+        strike = first + int(np.argmin(rise[first:last]))
+        if swings[max(0, strike - round(_SWING * feet.fps)) : strike + 1].any():
+            found.append(strike)
+    return found
+
+
+def _left(feet: Feet, side: int, behind: Int[np.ndarray, " steps"]) -> list[int]:
+    """Frames of toes that leave: the last moment before they are behind at which they rest.
+
+    The foot must swing then: toes may be farthest behind while the person goes on standing.
+    """
+    rests = _speeds(feet, side) < LEAVING
+    found: list[int] = []
+    for frame in behind.tolist():
+        # where toes rest at their farthest, they leave later
+        after = np.flatnonzero(~rests[frame : frame + round(_SWING * feet.fps)])
+        if len(after) == 0:
+            continue
+        first = frame + int(after[0])
+        before = np.flatnonzero(rests[:first])
+        found.append(int(before[-1]) + 1 if len(before) > 0 else first)
+    return found
+
+
+def _speeds(feet: Feet, side: int) -> Float[np.ndarray, " time"]:
+    """Speed of the toes over the ground, m/s."""
+    velocity = np.gradient(feet.toes[:, side], axis=0) * feet.fps
+    return np.linalg.norm(velocity, axis=-1)
+
+
+def _bears(feet: Feet, side: int, stance: GaitStance) -> bool:
+    """Whether the foot is in contact with the ground at some moment of the stance."""
+    if feet.bearing is None:
+        return True
+    first = 0 if stance.strike is None else stance.strike
+    last = len(feet.times) if stance.off is None else stance.off + 1
+    return bool(feet.bearing[first:last, side].any())

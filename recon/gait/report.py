@@ -1,0 +1,169 @@
+"""`recon.report`: the laboratory report of a recording, a motion or a fit."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+from recon.api.convert import convert
+from recon.api.given import BodyLike, MotionLike, body_given, motion_given
+from recon.api.results import MotionResult
+from recon.body.identities import height, weight
+from recon.body.model import BodyModel
+from recon.core.errors import FormatError
+from recon.core.units import Axis
+from recon.diagnosis.motions.belt import belt_velocity
+from recon.formats.json_files import read_json
+from recon.formats.motions import MotionFile
+from recon.formats.outputs import check_outputs
+from recon.formats.reports import checksums, versions
+from recon.gait.analysis import analyse
+from recon.gait.laboratory import LaboratoryReport
+from recon.gait.page import outputs_of
+from recon.gait.plots import LaboratoryContents, PointResiduals, require_matplotlib
+from recon.jobs.convert import recording_files
+
+
+def report(
+    source: MotionLike,
+    *,
+    unit: Literal["m", "cm", "mm", "inch", "cmu"] | None = None,
+    up: Axis | None = None,
+    mapping: str | Path | None = None,
+    body: BodyLike = None,
+) -> LaboratoryReport:
+    """Gait events and cycles, joint angles, figures of time and distance, and what to trust.
+
+    A recording is converted first, as `recon.convert` does. Of a motion file, the residuals and
+    findings are those of the report beside it (FILE.json), of a result those that it has. On a
+    treadmill everything is told in the frame of the belt.
+
+    Args:
+        source: a recording (.c3d, .trc, .bvh, .amc, .mat), a motion file or its arrays, or what a
+            function of `recon` returned.
+        unit: of a recording; None finds it out.
+        up: axis of a recording that points up; None finds it out.
+        mapping: JSON or TOML file that says which joints or markers of a recording are which.
+        body: whose motion it is; only the bundled body has the landmarks that this needs.
+
+    Raises:
+        ReconError: when something is damaged, cannot be converted, or is of another body.
+        FileNotFoundError: when there is no such file.
+    """
+    model = body_given(body)
+    name = Path(str(source)).name if isinstance(source, Path | str) else "motion"
+    if isinstance(source, Path | str) and Path(str(source)).suffix.lower() != ".npz":
+        source = convert(source, unit=unit, up=up, mapping=mapping, body=model)
+    elif (unit, up, mapping) != (None, None, None):
+        raise FormatError(
+            f"{name}: unit, up and mapping are of recordings; a motion has metres and z up"
+        )
+    said = _said(source)
+    try:
+        file = motion_given(source, model).file
+    except FormatError as error:
+        raise FormatError(
+            f"{error}; a report is made of recordings and motions: `recon fit` makes a motion of "
+            "observations"
+        ) from error
+    return LaboratoryReport(_contents(name, file, model, said))
+
+
+def _said(source: MotionLike) -> Mapping[str, Any] | None:
+    """The report of a conversion or a fit; None where there is none."""
+    if isinstance(source, MotionResult):
+        return source.report()
+    if not isinstance(source, Path | str):
+        return None
+    beside = Path(f"{source}.json")
+    found = read_json(beside) if beside.is_file() else None
+    return found if isinstance(found, Mapping) else None
+
+
+def _contents(
+    name: str, file: MotionFile, body: BodyModel, said: Mapping[str, Any] | None
+) -> LaboratoryContents:
+    motion = file.motion
+    belt = belt_velocity(motion, body, file.observed)
+    gait = analyse(
+        motion,
+        body,
+        ground=None if file.ground is None else float(file.ground[3] / file.ground[2]),
+        belt=belt,
+        joint_std=file.joint_std,
+        angle_std=file.angle_std,
+        observed=file.observed,
+    )
+    tall, heavy = height(body, motion.shape), weight(body, motion.shape)
+    said = {} if said is None else said
+    decisions = (*said.get("decisions", ()), *said.get("read", ()))
+    return LaboratoryContents(
+        title=name,
+        facts={
+            "frames": str(motion.frames),
+            "rate": f"{motion.fps:g} Hz",
+            "length": f"{motion.frames / motion.fps:.2f} s",
+            "stature of the fitted body": f"{float(tall):.2f} m",
+            "its mass": f"{float(heavy):.0f} kg",
+            **({} if belt is None else {"treadmill": f"{float(belt.norm()):.2f} m/s"}),
+        },
+        gait=gait,
+        residuals=_residuals(said),
+        warnings=tuple(_messages(said, "warnings")),
+        repairs=tuple(_messages(said, "repairs")),
+        notes=tuple(_messages(said, "diagnosis")),
+        decisions=tuple(str(one) for one in decisions),
+    )
+
+
+def _messages(said: Mapping[str, Any], kind: str) -> Sequence[str]:
+    """The sentences of findings; residuals are drawn instead."""
+    return [
+        str(one["message"])
+        for one in said.get(kind, ())
+        if isinstance(one, Mapping) and "message" in one and one.get("code") != "residual"
+    ]
+
+
+def _residuals(said: Mapping[str, Any]) -> tuple[PointResiduals, ...]:
+    """Residuals by point, of a conversion or of every observation of a fit."""
+    found: list[PointResiduals] = []
+    if isinstance(converted := said.get("residuals_mm"), Mapping):
+        values = {name: float(value) for name, value in converted.items()}
+        found.append(
+            PointResiduals("markers or joints of the recording", "mm", values, "mean distance")
+        )
+    for one in said.get("residuals", ()):
+        scale, unit = (1000.0, "mm") if one["unit"] == "metres" else (1.0, str(one["unit"]))
+        values = {
+            name: scale * value for name, value in one["by_point"].items() if value is not None
+        }
+        if len(values) > 0:
+            found.append(PointResiduals(str(one["name"]), unit, values, "median distance"))
+    return tuple(found)
+
+
+def report_file(
+    source: Path,
+    out: Path | None = None,
+    *,
+    unit: Literal["m", "cm", "mm", "inch", "cmu"] | None = None,
+    up: Axis | None = None,
+    mapping: Path | None = None,
+    overwrite: bool = False,
+) -> tuple[Path, LaboratoryReport]:
+    """Write the page OUT and the table beside it; the default is the source's name, here.
+
+    Returns where the page is, and what it says.
+
+    Raises:
+        FileNotFoundError, ValueError: as `recon.report`; nothing is written then.
+        FileExistsError: when a file is there and recon did not write it, unless `overwrite`.
+    """
+    page = Path(f"{source.name.partition('.')[0]}.html") if out is None else out
+    read = recording_files(source) + ([] if mapping is None else [mapping])
+    check_outputs(outputs_of(page), read, overwrite=overwrite)
+    require_matplotlib()
+    found = report(source, unit=unit, up=up, mapping=mapping)
+    said = {"inputs": checksums(read), "versions": versions()}
+    found.save(page, overwrite=overwrite, report=said)
+    return page, found

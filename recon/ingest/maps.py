@@ -1,0 +1,153 @@
+"""Correspondences of the joints of recorded skeletons to ours: known ones, or from a file."""
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from recon.body.model import BodyModel
+from recon.core import rotations as so3
+from recon.core.errors import ReconError
+from recon.core.skeleton import FEET, JOINTS, joint_index
+from recon.formats.mocap.reader import (
+    NEEDED,
+    SkeletonTable,
+    known_skeletons,
+    plain,
+    skeleton_among,
+)
+from recon.formats.mocap.recording import SkeletonRecording
+
+
+@dataclass(frozen=True)
+class SkeletonMap:
+    """Our joints in a recorded skeleton; feet come last, so that they are one run of rows."""
+
+    name: str
+    positions: tuple[tuple[int, str], ...]
+    """(our joint, their joint whose position it has)."""
+    orientations: tuple[tuple[int, str], ...]
+    """(our joint, their joint that turns with its bone)."""
+
+    @property
+    def joints(self) -> tuple[int, ...]:
+        """Our joints whose positions are known."""
+        return tuple(joint for joint, _ in self.positions)
+
+    @property
+    def bones(self) -> tuple[int, ...]:
+        """Our joints whose bones' orientations are known."""
+        return tuple(joint for joint, _ in self.orientations)
+
+    @property
+    def feet(self) -> tuple[int, int]:
+        """First and last + 1 of the rows of `positions` that are ankles and toes."""
+        return sum(joint not in FEET for joint in self.joints), len(self.joints)
+
+
+def recognise(recording: SkeletonRecording, mapping: str | Path | None = None) -> SkeletonMap:
+    """The joints of a recording that are ours.
+
+    Args:
+        recording: of any skeleton.
+        mapping: TOML file with tables [joints], [positions], [orientations] as in
+            `assets/skeletons.toml`; None tries the skeletons known there.
+
+    Raises:
+        FileNotFoundError: when there is no such mapping file.
+        ValueError: when the skeleton is not known, or the file names joints that do not exist.
+    """
+    theirs = {plain(name): name for name in recording.joint_names}
+    if mapping is not None:
+        return _user_map(Path(mapping), theirs, recording)
+    name = skeleton_among(recording.joint_names, recording.name)
+    return _build(name, known_skeletons()[name], theirs)
+
+
+def _user_map(path: Path, theirs: Mapping[str, str], recording: SkeletonRecording) -> SkeletonMap:
+    if not path.is_file():
+        raise FileNotFoundError(f"no skeleton mapping at {path}; expected a TOML file")
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ReconError(f"{path}: not TOML ({error})") from error
+    parts = {"joints", "positions", "orientations"}
+    if not table or set(table) - parts or not all(isinstance(p, dict) for p in table.values()):
+        raise ReconError(
+            f"{path}: expected the tables {', '.join(sorted(parts))}, got {', '.join(table)}"
+        )
+    for part in table.values():
+        for ours, joint in part.items():
+            joint_index(ours)
+            if not isinstance(joint, str) or plain(joint) not in theirs:
+                raise ReconError(
+                    f"{path}: {ours} = {joint!r}, but {recording.name} has "
+                    f"{', '.join(recording.joint_names)}"
+                )
+    found = _build(path.stem, cast(SkeletonTable, table), theirs)
+    if missing := [n for n in NEEDED if joint_index(n) not in found.joints]:
+        raise ReconError(f"{path}: positions of {', '.join(missing)} are needed for a full body")
+    return found
+
+
+def _build(name: str, table: SkeletonTable, theirs: Mapping[str, str]) -> SkeletonMap:
+    both = dict(table.get("joints", {}))
+    positions = both | dict(table.get("positions", {}))
+    orientations = both | dict(table.get("orientations", {}))
+
+    def ordered(part: Mapping[str, str]) -> tuple[tuple[int, str], ...]:
+        numbers = sorted(map(joint_index, part), key=lambda j: (j in FEET, j))
+        return tuple((j, theirs[plain(part[JOINTS[j]])]) for j in numbers)
+
+    return SkeletonMap(name, ordered(positions), ordered(orientations))
+
+
+_WORST_BONE = 40.0
+"""Degrees: no bone of a T-pose is farther from ours at rest."""
+_CHILD = {
+    joint_index(f"{side}_{name}"): joint_index(f"{side}_{child}")
+    for side in ("left", "right")
+    for name, child in (
+        ("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist"),
+    )
+}  # fmt: skip
+"""Bones whose direction is compared and followed; feet stand flat in any T-pose."""
+
+
+def alignments_from_rest(
+    recording: SkeletonRecording, skeleton: SkeletonMap, body: BodyModel
+) -> Float[Tensor, "bones 3 3"] | None:
+    """Alignment of every mapped bone, or None where the zero pose is no T-pose.
+
+    At zero rotations every recorded bone has orientation I in the file's axes. Our body is laid
+    on it (Q, orthogonal Procrustes of the joints) and each limb swung to the recorded direction
+    by the smallest rotation S: alignment = S Q. A hand follows its forearm.
+    """
+    rest = np.zeros_like(recording.rest_offsets)
+    for joint, parent in enumerate(recording.parents):
+        if parent >= 0:
+            rest[joint] = rest[parent] + recording.rest_offsets[joint]
+    theirs = {j: torch.from_numpy(rest[recording.joint(n)]) for j, n in skeleton.positions}
+    ours = body.joint_template.double()
+    shared = sorted(set(theirs) - set(FEET))
+    a = torch.stack([ours[j] for j in shared])
+    b = torch.stack([theirs[j] for j in shared])
+    turn = so3.nearest((b - b.mean(0)).mT @ (a - a.mean(0)))
+    swings: dict[int, Tensor] = {}
+    for joint, child in _CHILD.items():
+        if joint not in theirs or child not in theirs:
+            return None
+        swing = so3.between(turn @ (ours[child] - ours[joint]), theirs[child] - theirs[joint])
+        if float(torch.rad2deg(so3.log(swing).norm())) > _WORST_BONE:
+            return None
+        swings[joint] = swing
+    for side in ("left", "right"):
+        swings[joint_index(f"{side}_wrist")] = swings[joint_index(f"{side}_elbow")]
+    identity = torch.eye(3, dtype=torch.float64)
+    return torch.stack([swings.get(j, identity) @ turn for j in skeleton.bones]).float()

@@ -1,1 +1,0 @@
-"""Recorded skeletons: which joints are ours, one shape for all clips, the solve."""

@@ -1,0 +1,295 @@
+"""A motion of one body on another mesh, whose surface then lies where the first one does."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from recon.body.model import BodyModel, PosedBody
+from recon.core import rotations as so3
+from recon.core.errors import ReconError
+from recon.core.motion import Motion
+from recon.core.nearest import closest_points
+from recon.core.raster import vertex_normals
+from recon.core.skeleton import JOINTS, PARENTS, joint_index
+from recon.ingest.markers.poses import PoseEnergies, Poses, SkinPoints
+from recon.solver.levenberg_marquardt import LevenbergMarquardt, minimise_frames
+
+ROUNDS = 20
+"""Most rounds of finding nearest points and moving towards them."""
+_STEP = 1e-4
+"""Metres, radians and units of shape over which derivatives are differences."""
+_OUTLIER_AT_REST = 0.02
+"""Metres beyond which points count ever less: hands and faces of two bodies differ."""
+_ALONG = 0.15
+"""Weight of distances along the surface beside those across it, along which points may slide."""
+_SHAPE_STD, _TURN_STD = 0.02, 0.05
+"""Metres of a point's distance that weigh as much as one standard deviation of shape, and as one
+radian of a joint's turn; there are thousands of points."""
+_FACING = 0.3
+"""Cosine between normals below which two points belong to different sides of a limb."""
+_SETTLED = 2e-3
+"""Step, in metres, radians and units of shape, after which no other round is made."""
+_JOINT_ROUNDS = 6
+_JOINTS_WEIGH = 10.0
+_POINTS = 1000
+"""Vertices of either surface that are compared, about."""
+_TURNS = slice(3, 3 + 3 * len(JOINTS))
+"""Place of the turns of joints in a state: after the translation, before the shape."""
+_LIMBS = tuple(
+    joint_index(f"{side}_{name}")
+    for side in ("left", "right")
+    for name in ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")
+)
+"""Joints that are at like places in all bodies of people; those of trunks are not."""
+
+
+@dataclass(frozen=True)
+class Aligned:
+    """A body in the shape and pose of another one at rest."""
+
+    shape: Float[Tensor, " shape"]
+    turns: Float[Tensor, "22 3"]
+    """Rotation vectors of the joints relative to their parents, radians."""
+    translation: Float[Tensor, "3"]
+    """Metres."""
+
+    def motion(self) -> Motion:
+        """One frame in this shape and pose."""
+        rotations = so3.exp(self.turns)[None]
+        return Motion.create(self.translation[None], rotations, self.shape, 30.0)
+
+    @property
+    def orientations(self) -> Float[Tensor, "22 3 3"]:
+        """Rotations of the bones from the body's own rest pose to the other's."""
+        local = so3.exp(self.turns)
+        found: list[Tensor] = []
+        for joint, parent in enumerate(PARENTS):
+            found.append(local[joint] if parent < 0 else found[parent] @ local[joint])
+        return torch.stack(found)
+
+
+def align(body: BodyModel, shape: Float[Tensor, " shape"], target: BodyModel) -> Aligned:
+    """The shape and pose in which the target's surface lies nearest to a body at rest.
+
+    Gauss-Newton over translation, turns and shape: first on the joints of the limbs, then on the
+    distances of points of either surface to the other, across it above all. Both bodies are in
+    double precision.
+
+    Args:
+        body: whose surface is met, unposed.
+        shape: its shape.
+        target: the body that is shaped and posed.
+    """
+    rest = body.rest_vertices(shape).numpy()
+    met = _Met(rest, body.faces.numpy(), vertex_normals(rest, body.faces.numpy()))
+    state = torch.zeros(_TURNS.stop + target.shape_size, dtype=torch.float64)
+    joints = body.rest_joints(shape)[list(_LIMBS)]
+    for _ in range(_JOINT_ROUNDS):
+        away, slopes = _slopes(target, state, None)
+        away = (away - joints).flatten()
+        state = _moved(state, slopes.flatten(0, 1), away, _JOINTS_WEIGH * torch.ones(len(away)))
+    every = torch.arange(len(target.template))
+    for _ in range(ROUNDS):
+        here = _posed(target, state[None]).points(every)[0, 0].numpy()
+        pairs = met.pairs(here, target.faces.numpy())
+        _, slopes = _slopes(target, state, pairs.vertices)
+        across = torch.einsum("rd,rdk->rk", pairs.directions, slopes)
+        rows = torch.cat((across, slopes.flatten(0, 1)))
+        values = torch.cat(
+            ((pairs.residuals * pairs.directions).sum(-1), pairs.residuals.flatten())
+        )
+        along = _ALONG**2 * pairs.weights.repeat_interleave(3)
+        before = state
+        state = _moved(state, rows, values, torch.cat((pairs.weights, along)))
+        if float((state - before).abs().max()) < _SETTLED:
+            break
+    turns = state[_TURNS].unflatten(0, (len(JOINTS), 3))
+    return Aligned(state[_TURNS.stop :], turns, state[:3])
+
+
+@dataclass(frozen=True)
+class _Pairs:
+    """Vertices of the moving body and where they should be."""
+
+    vertices: Int[Tensor, " pairs"]
+    residuals: Float[Tensor, "pairs 3"]
+    """Distances from there, metres."""
+    directions: Float[Tensor, "pairs 3"]
+    """Normals of the surface that is met."""
+    weights: Float[Tensor, " pairs"]
+
+
+@dataclass(frozen=True)
+class _Met:
+    """The surface that is met."""
+
+    vertices: Float[np.ndarray, "vertices 3"]
+    faces: Int[np.ndarray, "faces 3"]
+    normals: Float[np.ndarray, "vertices 3"]
+
+    def pairs(
+        self, here: Float[np.ndarray, "others 3"], faces: Int[np.ndarray, "faces 3"]
+    ) -> _Pairs:
+        """Nearest points of some vertices of either surface on the other."""
+        own = vertex_normals(here, faces)
+        some, ours = _thinned(len(here)), _thinned(len(self.vertices))
+        near = closest_points(here[some], self.vertices, self.faces)
+        facing = np.einsum("pc,pcd->pd", near.shares, self.normals[near.triangles])
+        facing /= np.linalg.norm(facing, axis=-1, keepdims=True).clip(min=1e-9)
+        back = closest_points(self.vertices[ours], here, faces)
+        corners = back.triangles[np.arange(len(ours)), back.shares.argmax(1)]
+        vertices = np.concatenate((some, corners))
+        directions = np.concatenate((facing, self.normals[ours]))
+        residuals = here[vertices] - np.concatenate((near.places, self.vertices[ours]))
+        seen = (own[vertices] * directions).sum(-1) > _FACING
+        share = _OUTLIER_AT_REST**2 / (_OUTLIER_AT_REST**2 + np.square(residuals).sum(-1))
+        arrays = (vertices, residuals, directions, np.square(share) * seen)
+        return _Pairs(*(torch.from_numpy(np.ascontiguousarray(array)) for array in arrays))
+
+
+def _thinned(count: int) -> Int[np.ndarray, " some"]:
+    return np.arange(0, count, max(1, count // _POINTS))
+
+
+def _posed(target: BodyModel, states: Float[Tensor, "states n"]) -> PosedBody:
+    """The target in several states, one frame each."""
+    turns = states[:, _TURNS].unflatten(-1, (len(JOINTS), 3))
+    motion = Motion.create(
+        states[:, None, :3], so3.exp(turns)[:, None], states[:, _TURNS.stop :], 30.0
+    )
+    return target.pose(motion)
+
+
+def _slopes(
+    target: BodyModel, state: Float[Tensor, " n"], vertices: Int[Tensor, " points"] | None
+) -> tuple[Float[Tensor, "points 3"], Float[Tensor, "points 3 n"]]:
+    """Vertices of the target, or the joints of its limbs, and their derivatives."""
+    states = torch.cat((state[None], state + _STEP * torch.eye(len(state)).to(state)))
+    posed = _posed(target, states)
+    if vertices is None:
+        points = posed.joints[:, 0, list(_LIMBS)]
+    else:
+        chosen, back = torch.unique(vertices, return_inverse=True)
+        points = posed.points(chosen)[:, 0, back]
+    return points[0], ((points[1:] - points[0]) / _STEP).movedim(0, -1)
+
+
+def _moved(
+    state: Float[Tensor, " n"],
+    slopes: Float[Tensor, "rows n"],
+    values: Float[Tensor, " rows"],
+    weights: Float[Tensor, " rows"],
+) -> Float[Tensor, " n"]:
+    """The state after one step of Gauss-Newton; turns and shape are drawn to zero."""
+    count = len(state) - _TURNS.stop
+    pull = torch.cat((
+        torch.zeros(3), torch.full((_TURNS.stop - 3,), _TURN_STD), torch.full((count,), _SHAPE_STD)
+    )).double().square()  # fmt: skip
+    weighed = slopes * weights[:, None].to(slopes)
+    normal = weighed.mT @ slopes + torch.diag(pull + 1e-9)
+    return state - torch.linalg.solve(normal, weighed.mT @ values + pull * state)
+
+
+POINTS = 700
+"""Vertices of the target that hold its poses."""
+_OUTLIER_IN_MOTION = 0.03
+"""Metres beyond which a point counts ever less."""
+_SETTINGS = LevenbergMarquardt(max_iterations=30)
+_JUDGED = 20
+"""Frames at which the distance of the surfaces is measured, spread over the motion."""
+
+
+@dataclass(frozen=True)
+class Transferred:
+    """A motion on another body, and how near it is."""
+
+    motion: Motion
+    distances: Float[np.ndarray, "frames vertices"]
+    """Distance of every vertex of the target from the first body's surface, at some frames spread
+    over the motion, metres."""
+
+
+def transfer(motion: Motion, body: BodyModel, target: BodyModel) -> Transferred:
+    """A motion of one body as a motion of another one, with the other's own shape coefficients.
+
+    Shape and rest pose are fitted to the first body's surface; then every frame's pose brings
+    points of the target's skin to those points of the first one's on which they lie at rest.
+
+    Args:
+        motion: one clip without a batch axis.
+        body: whose motion it is.
+        target: the body that moves then.
+
+    Raises:
+        ReconError: when the motion has a batch axis.
+    """
+    if motion.translation.ndim != 2:
+        raise ReconError("expected one clip without a batch axis; bring over motion[k]")
+    dtype = motion.translation.dtype
+    motion = motion.to(dtype=torch.float64)
+    body, target = body.to(dtype=torch.float64), target.to(dtype=torch.float64)
+    rest = align(body, motion.shape, target)
+    moved = _begun_at_rest(motion, body, target, rest)
+    return Transferred(moved.to(dtype=dtype), _distances(motion, body, moved, target))
+
+
+def _begun_at_rest(motion: Motion, body: BodyModel, target: BodyModel, rest: Aligned) -> Motion:
+    vertices = torch.arange(0, len(target.template), max(1, len(target.template) // POINTS))
+    there = target.pose(rest.motion()).points(vertices)[0].numpy()
+    surface = body.rest_vertices(motion.shape).numpy()
+    met = closest_points(there, surface, body.faces.numpy())
+    shares = torch.from_numpy(met.shares)
+    corners, back = np.unique(met.triangles, return_inverse=True)
+    skin = body.pose(motion).points(torch.from_numpy(corners))
+    asked = skin[:, torch.from_numpy(back.reshape(met.triangles.shape))]
+    positions = torch.einsum("pc,tpcd->tdp", shares, asked)
+    local, translation = _begun(motion, body, target, rest)
+    # what at rest is far from the other surface is a part that only one body has
+    far = torch.from_numpy(np.linalg.norm(met.places - there, axis=-1)) > _OUTLIER_IN_MOTION
+    energies = PoseEnergies(
+        rest=target.rest_joints(rest.shape),
+        markers=SkinPoints.of(target, rest.shape, vertices),
+        soles=None,
+        positions=positions.contiguous(),
+        visible=(~far).to(positions).expand(len(positions), -1).contiguous(),
+        linked=torch.zeros(motion.frames - 1, dtype=torch.bool),
+        natural=local[:, 1:].mean(0, keepdim=True),
+        pull=positions.new_zeros(1),
+        ground=0.0,
+        turning=torch.zeros(len(JOINTS), dtype=torch.float64),
+        sigma=_OUTLIER_IN_MOTION,
+    )
+    begun = Poses.of(translation, local, energies.rest)
+    found = minimise_frames(energies, begun, _SETTINGS).state
+    return motion.replace(
+        translation=found.translation, rotations=found.rotations, shape=rest.shape
+    )
+
+
+def _begun(
+    motion: Motion, body: BodyModel, target: BodyModel, rest: Aligned
+) -> tuple[Float[Tensor, "time 22 3 3"], Float[Tensor, "time 3"]]:
+    """Bones turned as those of the first body are, from the pose in which the two agree."""
+    posed = body.pose(motion)
+    world = posed.orientations @ rest.orientations
+    local = torch.cat((world[:, :1], world[:, list(PARENTS[1:])].mT @ world[:, 1:]), 1)
+    pelvis = target.rest_joints(rest.shape)[0]
+    offset = pelvis + rest.translation - body.rest_joints(motion.shape)[0]
+    place = posed.joints[:, 0] + posed.orientations[:, 0] @ offset
+    return local, place - pelvis
+
+
+def _distances(
+    motion: Motion, body: BodyModel, moved: Motion, target: BodyModel
+) -> Float[np.ndarray, "frames vertices"]:
+    frames = np.unique(np.linspace(0, motion.frames - 1, _JUDGED).round().astype(int))
+    found: list[np.ndarray] = []
+    for frame in frames.tolist():
+        ours = body.pose(motion.window(frame, frame + 1)).vertices[0].numpy()
+        theirs = target.pose(moved.window(frame, frame + 1)).vertices[0].numpy()
+        near = closest_points(theirs, ours, body.faces.numpy())
+        found.append(np.linalg.norm(near.places - theirs, axis=-1))
+    return np.stack(found)

@@ -1,0 +1,120 @@
+"""Moments as lines of JSON in, estimates as lines of JSON out, while a person is recorded."""
+
+import json
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from recon.api.observations import load_observation
+from recon.core import rotations as so3
+from recon.core.errors import ReconError
+from recon.live.estimate import LiveEstimate
+from recon.live.moments import MomentLike
+from recon.live.stream import Stream
+
+DIGITS = 6
+"""Decimals of numbers in lines: micrometres and microradians."""
+
+
+def stream_lines(
+    lines: Iterable[str], stream: Stream, complain: Callable[[str], None]
+) -> Iterator[str]:
+    """A line for every estimate, as soon as it is final.
+
+    A line that is no moment is told and passed over.
+
+    Args:
+        lines: one JSON object each: `points`, a row of three numbers per point, null where it was
+            not seen (of several sensors, a list of such rows); and `time`, seconds, unless each
+            moment is one frame after the last. Blank lines are passed over.
+        stream: with a template.
+        complain: is told about lines that are no moments.
+    """
+    for number, line in enumerate(lines, 1):
+        if not line.strip():
+            continue
+        try:
+            points, time = _read(line)
+            estimate = stream.push(points, time)
+        except ReconError as error:
+            complain(f"line {number}: {error}")
+            continue
+        if estimate is not None:
+            yield from _written(estimate)
+    for estimate in stream.finish():
+        yield from _written(estimate)
+
+
+def stream_of(
+    templates: tuple[Path, ...],
+    prior: str,
+    lag: int,
+    camera: Path | None,
+    frame_rate: float | None,
+    noise: float | None,
+    shape: str | None,
+    body: Path | None,
+) -> Stream:
+    """A stream of sensors as observation files show them; see `recon.Stream`.
+
+    Raises:
+        ReconError: when the files are no observations that a stream can follow.
+    """
+    many = templates[0] if len(templates) == 1 else list(templates)
+    seen = load_observation(many, camera=camera, frame_rate=frame_rate)
+    return Stream(prior, lag, template=cast(Any, seen), noise=noise, shape=shape, body=body)
+
+
+def _read(line: str) -> tuple[MomentLike, float | None]:
+    """The points and the time of a line.
+
+    Raises:
+        ReconError: when it is no moment.
+    """
+    try:
+        moment = json.loads(line)
+        points, time = moment["points"], moment.get("time")
+        several = any(_is_sensor(one) for one in points)
+        arrays = [_array(one) for one in points] if several else _array(points)
+        return arrays, None if time is None else float(time)
+    except (ValueError, TypeError, KeyError, AttributeError) as error:
+        raise ReconError(
+            'expected {"points": [[x, y, z], null, ...], "time": seconds}, got '
+            f"{line.strip()[:60]!r}"
+        ) from error
+
+
+def _is_sensor(value: Any) -> bool:
+    """Whether this is the moment of one sensor of several, a list of rows, rather than a row."""
+    return isinstance(value, list) and any(one is None or isinstance(one, list) for one in value)
+
+
+def _array(rows: Any) -> np.ndarray:
+    """Rows of three numbers; null becomes NaN."""
+    return np.array([[np.nan] * 3 if row is None else row for row in rows], dtype=float)
+
+
+def _written(estimate: LiveEstimate) -> Iterator[str]:
+    for one in estimate.every:
+        poses = so3.log(one.rotations.double())
+        fields: dict[str, Any] = {
+            "time": round(one.time, DIGITS),
+            "trans": _rounded(one.translation),
+            "poses": _rounded(poses.flatten()),
+            "joints": _rounded(one.joints),
+            "betas": _rounded(one.shape),
+            "observed": one.observed.int().tolist(),
+        }
+        if one.contacts is not None:
+            fields["contacts"] = _rounded(one.contacts)
+        if one is estimate and estimate.findings:
+            fields["findings"] = [
+                {"code": finding.code, "message": finding.message} for finding in estimate.findings
+            ]
+        yield json.dumps(fields)
+
+
+def _rounded(values: Any) -> Any:
+    return np.round(values.double().numpy(), DIGITS).tolist()

@@ -1,0 +1,131 @@
+"""What is pushed into a stream: one moment of each sensor, always of the same kind and points."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from torch import Tensor
+
+from observations.moments import Tracker, filled, followed, moments, places, timed, without
+from recon.core.arrays import Numbers, finite
+from recon.core.errors import ObservationError
+from recon.core.struct import TensorStruct
+
+MomentLike = Tracker | Sequence[Tracker] | Numbers | Sequence[Numbers]
+"""One moment: an observation of one moment or one per sensor; or their arrays, (points, 3) metres
+of points in space, or u, v and confidence of keypoints, NaN where nothing was seen."""
+
+
+@dataclass(frozen=True)
+class Moment:
+    """One moment of all sensors, without axes of clips."""
+
+    time: float
+    seen: tuple[Tracker, ...]
+
+    @property
+    def empty(self) -> bool:
+        """Whether no point was seen."""
+        return not any(bool(one.shown.any()) for one in self.seen)
+
+
+@dataclass(frozen=True)
+class Door:
+    """The sensors of a stream, by a moment of each; what comes must be alike."""
+
+    sensors: tuple[Tracker, ...]
+
+    @classmethod
+    def of(cls, given: Any) -> "Door":
+        """The sensors of observations of any length.
+
+        Raises:
+            ObservationError: when there is none, one is no named points or no calibrated camera,
+                or their rates differ.
+        """
+        seen = _one_or_more(given)
+        if len(seen) == 0:
+            raise ObservationError("expected at least one observation, got none")
+        sensors = tuple(followed(one) for one in seen)
+        if len(rates := sorted({one.fps for one in sensors})) > 1:
+            raise ObservationError(
+                f"the sensors of a stream need one rate, got {', '.join(f'{r:g}' for r in rates)} "
+                "Hz; give each its own stream, or bring them to one clock first"
+            )
+        return cls(tuple(moments(one, 0, 1) for one in sensors))
+
+    @property
+    def fps(self) -> float:
+        """Moments per second."""
+        return self.sensors[0].fps
+
+    @property
+    def nothing(self) -> tuple[Tracker, ...]:
+        """A moment at which nothing was seen."""
+        return tuple(without(one) for one in self.sensors)
+
+    def moment(self, given: Any, time: float | None, next_time: float) -> Moment:
+        """What was pushed.
+
+        Args:
+            given: a `MomentLike`.
+            time: seconds; None takes the observation's, or `next_time` if that is zero.
+            next_time: when the moment is if nobody says.
+
+        Raises:
+            ObservationError: when the moment is not like those before.
+        """
+        arrays = isinstance(given, Tensor) or not (
+            isinstance(given, TensorStruct)
+            or (isinstance(given, Sequence) and all(isinstance(g, TensorStruct) for g in given))
+        )
+        if arrays:
+            many = len(self.sensors) > 1
+            rows: Any = given if many else [given]
+            self._counted(rows)
+            seen = tuple(filled(s, row) for s, row in zip(self.sensors, rows, strict=True))
+            return Moment(next_time if time is None else finite(time, "time"), seen)
+        rows = _one_or_more(given)
+        self._counted(rows)
+        seen = tuple(_alike(s, row) for s, row in zip(self.sensors, rows, strict=True))
+        starts = [one.start_time for one in seen]
+        if max(starts) - min(starts) > 0.5 / self.fps:
+            raise ObservationError(
+                f"the observations of one push are {max(starts) - min(starts):.3f} s apart, more "
+                "than half a frame; push the moments of all sensors together"
+            )
+        if time is None:
+            time = starts[0] if starts[0] != 0 else next_time
+        return Moment(finite(time, "time"), seen)
+
+    def _counted(self, rows: Any) -> None:
+        if len(rows) != len(self.sensors):
+            raise ObservationError(
+                f"expected one moment of each of {len(self.sensors)} sensors, got {len(rows)}"
+            )
+
+
+def _one_or_more(given: Any) -> tuple[Any, ...]:
+    return (given,) if isinstance(given, TensorStruct) else tuple(given)
+
+
+def _alike(sensor: Tracker, given: Any) -> Tracker:
+    """A moment, checked to be of this sensor."""
+    if type(given) is not type(sensor):
+        raise ObservationError(
+            f"expected {type(sensor).__name__} as before, got {type(given).__name__}"
+        )
+    one = followed(given)
+    if one.moments != 1:
+        raise ObservationError(f"expected one moment, got {one.moments}; push them one by one")
+    if one.fps != sensor.fps:
+        raise ObservationError(f"expected {sensor.fps:g} Hz as before, got {one.fps:g}")
+    before, after = places(sensor), places(one)
+    if before != after:
+        raise ObservationError(
+            f"the points changed: expected the {len(before)} points of before in their order, got "
+            f"{len(after)}; mark points that are not seen as missing, or begin another stream"
+        )
+    return sensor.derived(
+        start_time=one.start_time, **{name: getattr(one, name) for name in timed(one)}
+    )

@@ -1,0 +1,316 @@
+"""The energies of a window, and their Gauss-Newton equations.
+
+They are those of `priors.pose.prior.PosePrior` as a method: data, the density of poses, small
+second differences of the joints' paths. Another prior's energies of steps between frames are
+added (`StepEnergies`).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Protocol, runtime_checkable
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.nn.functional import pad
+
+from observations.moments import Tracker
+from observations.quadratic import energy_of
+from priors.pose.density import PoseDensity
+from priors.pose.prior import PoseWeights
+from recon.body.derivatives import CarriedPoints, turned_by
+from recon.body.kinematics import forward_kinematics
+from recon.body.model import BodyModel
+from recon.core import rotations as so3
+from recon.core.motion import Motion
+from recon.core.struct import TensorStruct
+from recon.method.protocols import REFERENCE_FPS
+from recon.solver.banded import Banded, add_differences
+
+VARIABLES = 69
+"""Variables of one frame: translation, a step of the root's rotation, coordinates of the pose."""
+
+
+@dataclass(frozen=True)
+class Window(TensorStruct):
+    """A stretch of motion; `step` moves it."""
+
+    translation: Float[Tensor, "time 3"]
+    """SMPL translation, metres."""
+    root: Float[Tensor, "time 3 3"]
+    """Rotation of the root in the world."""
+    pose: Float[Tensor, "time 63"]
+    """Coordinates z of `PoseDensity`."""
+
+    @classmethod
+    def of(
+        cls,
+        translation: Float[Tensor, "time 3"],
+        rotations: Float[Tensor, "time 22 3 3"],
+        density: PoseDensity,
+    ) -> "Window":
+        """The variables of a motion; exact."""
+        return cls(translation, rotations[:, 0], density.coordinates(rotations[:, 1:]))
+
+    @property
+    def frames(self) -> int:
+        """Number of frames."""
+        return len(self.translation)
+
+    def rotations(self, density: PoseDensity) -> Float[Tensor, "time 22 3 3"]:
+        """Rotations of all joints relative to their parents."""
+        return torch.cat((self.root[:, None], density.rotations(self.pose)), 1)
+
+    def moved(self, steps: Float[Tensor, "active 69"]) -> "Window":
+        """The window with its last frames moved, the root by R Exp(step)."""
+        place, turn, pose = steps.split((3, 3, VARIABLES - 6), -1)
+        held = self.frames - len(steps)
+        return Window(
+            torch.cat((self.translation[:held], self.translation[held:] + place)),
+            torch.cat((self.root[:held], self.root[held:] @ so3.exp(turn))),
+            torch.cat((self.pose[:held], self.pose[held:] + pose)),
+        )
+
+    def extended(self, damping: float) -> "Window":
+        """One frame more, in which the motion of the last two goes on, slowed by a factor."""
+        before, last = self[-2:-1], self[-1:]
+        turn = so3.log(before.root.mT @ last.root)
+        return Window(
+            torch.cat((self.translation, last.translation.lerp(before.translation, -damping))),
+            torch.cat((self.root, last.root @ so3.exp(damping * turn))),
+            torch.cat((self.pose, last.pose.lerp(before.pose, -damping))),
+        )
+
+
+_BEND = (1.0, -2.0, 1.0)
+"""Second difference of three neighbours."""
+
+
+@runtime_checkable
+class Judged(Protocol):
+    """What is said of the steps of a window."""
+
+    @property
+    def energy(self) -> Float[Tensor, ""]:
+        """The weighted energy."""
+        ...
+
+    @property
+    def contacts(self) -> Float[Tensor, "time 22"]:
+        """Probability that a joint touches the ground."""
+        ...
+
+
+@runtime_checkable
+class StepEnergies(Protocol):
+    """Energies of a prior over steps between frames, such as `priors.humor.live`."""
+
+    reach: ClassVar[int]
+    """Frames so far apart are in one energy."""
+
+    @property
+    def poses(self) -> PoseWeights:
+        """Weights of the density of poses and of smoothness beside them."""
+        ...
+
+    def judged(self, motion: Motion, joints: Float[Tensor, "1 time 22 3"], held: int) -> Judged:
+        """The energy, with a gradient by what the motion was made of."""
+        ...
+
+    def add_curvature(
+        self,
+        motion: Motion,
+        judged: Any,
+        hessian: Banded,
+        of_joints: Float[Tensor, "time some 66"],
+    ) -> None:
+        """Add the Hessian by the variables of all frames, and by the joints' coordinates."""
+        ...
+
+
+@runtime_checkable
+class LivePrior(Protocol):
+    """A prior that a stream can have beside the density of poses."""
+
+    def live(self, noise: float) -> StepEnergies:
+        """Its energies beside points of a standard deviation of `noise` metres a coordinate."""
+        ...
+
+
+@dataclass(frozen=True)
+class Equations:
+    """Second-order model of a window's energies about where it is.
+
+    E + gᵀ dx + hᵀ db + ½ (dxᵀ A dx + 2 dxᵀ G db + dbᵀ C db), with dx the steps of the active
+    frames and db that of the shape.
+    """
+
+    value: float
+    gradient: Float[Tensor, "active 69"]
+    inner: Float[Tensor, "active reach_and_one 69 69"]
+    """Blocks of A: [t, k] couples the frames t and t + k; those of `alone` are included."""
+    alone: Float[Tensor, "active 69 69"]
+    """What data and pose of every frame alone give to A."""
+    gradient_alone: Float[Tensor, "active 69"]
+    border: Float[Tensor, "active 69 shape"]
+    """G."""
+    corner: Float[Tensor, "active shape shape"]
+    """C, frame by frame."""
+    gradient_shape: Float[Tensor, "active shape"]
+    """h, frame by frame."""
+
+    def damped(self, damping: float) -> Banded:
+        """The matrix of a damped step."""
+        inner = self.inner.clone()
+        diagonal = inner[:, 0].diagonal(dim1=1, dim2=2)
+        diagonal.add_(damping * self.alone.diagonal(dim1=1, dim2=2))
+        return Banded(inner, self.border, self.corner.sum(0))
+
+
+@dataclass(frozen=True)
+class Objective:
+    """What does not change while a window is moved."""
+
+    body: BodyModel
+    density: PoseDensity
+    weights: PoseWeights
+    scales: tuple[float, ...]
+    """Weight of every sensor's energy."""
+    points: tuple[CarriedPoints, ...]
+    """The points of every sensor."""
+    joints: CarriedPoints
+    shape: Float[Tensor, " shape"]
+    rest: Float[Tensor, "22 3"]
+    """Joints of the unposed body of this shape, metres."""
+    fps: float
+    offsets: Float[Tensor, "rows 3"]
+    """Constant offsets of points from their place on the model; see `Scene.offsets`."""
+    steps: StepEnergies | None = None
+    """Energies of a prior beside the density of poses."""
+
+    @property
+    def reach(self) -> int:
+        """Frames so far apart are in one energy: the frames before a window that are held."""
+        return len(_BEND) - 1 if self.steps is None else self.steps.reach
+
+    @property
+    def rate(self) -> float:
+        """Multiplier of sums over frames, which weights take at 30 Hz."""
+        return REFERENCE_FPS / self.fps
+
+    @property
+    def stiffness(self) -> float:
+        """Weight of ½ |second difference|² at the rate of the window."""
+        return self.weights.acceleration / self.rate**3
+
+    def posed(self, window: Window) -> tuple[Tensor, Tensor, Tensor]:
+        """Rotations, orientations and joints of all frames."""
+        rotations = window.rotations(self.density)
+        orientations, joints = forward_kinematics(rotations, self.rest)
+        return rotations, orientations, joints + window.translation[:, None]
+
+    def value(self, window: Window, seen: Sequence[Tracker]) -> float:
+        """The energy of a window whose last frames have data."""
+        rotations, orientations, joints = self.posed(window)
+        held = window.frames - seen[0].moments
+        total = self.weights.pose * self.rate * window.pose[held:].square().sum()
+        bend = joints.diff(n=2, dim=0)[max(held - 2, 0) :]
+        total = total + 0.5 * self.stiffness * bend.square().sum()
+        for scale, points, sensor in zip(self.scales, self.points, seen, strict=True):
+            places = points.of(orientations[held:], joints[held:])
+            total = total + scale * energy_of(sensor, places)
+        if self.steps is not None:
+            total = (
+                total
+                + self.steps.judged(self.motion(window, rotations), joints[None], held).energy
+            )
+        return float(total)
+
+    def motion(self, window: Window, rotations: Float[Tensor, "time 22 3 3"]) -> Motion:
+        """The motion of a window with these rotations of its joints, a batch of one."""
+        return Motion.create(window.translation[None], rotations[None], self.shape[None], self.fps)
+
+    def equations(self, window: Window, seen: Sequence[Tracker], with_shape: bool) -> Equations:
+        """The model of the last frames, those with data; earlier ones are held where they are."""
+        rotations, orientations, joints = self.posed(window)
+        held, active = window.frames - seen[0].moments, seen[0].moments
+        pose = window.pose[held:]
+        steps = (pose @ self.density.basis.mT).unflatten(-1, (-1, 3))
+        turns = (turned_by(steps) @ self.density.basis.unflatten(0, (-1, 3))).flatten(1, 2)
+        own = orientations[held:], joints[held:]
+        weight = self.weights.pose * self.rate
+        count = len(self.shape) if with_shape else 0
+        value = weight * pose.square().sum()
+        gradient = pad(2 * weight * pose, (6, 0))
+        alone = torch.diag_embed(pad(pose.new_full(pose.shape, 2 * weight), (6, 0)))
+        border = pose.new_zeros(active, VARIABLES, count)
+        corner = pose.new_zeros(active, count, count)
+        gradient_shape = pose.new_zeros(active, count)
+        for scale, points, sensor in zip(self.scales, self.points, seen, strict=True):
+            model = sensor.point_model(points.of(*own))
+            jacobian = _by_variables(points.by_rotations(*own), turns)
+            pulled = (scale * model.curvature @ jacobian).flatten(1, 2)
+            columns = jacobian.flatten(1, 2)
+            down = scale * model.gradient.flatten(1)[:, None]
+            value = value + scale * model.value
+            gradient = gradient + (down @ columns)[:, 0]
+            alone = alone + columns.mT @ pulled
+            if with_shape:
+                by_shape = points.by_shape(rotations[held:], own[0], self.body).flatten(1, 2)
+                border = border + pulled.mT @ by_shape
+                flat = (scale * model.curvature @ by_shape.unflatten(1, (-1, 3))).flatten(1, 2)
+                corner = corner + by_shape.mT @ flat
+                gradient_shape = gradient_shape + (down @ by_shape)[:, 0]
+        gradient_alone = gradient
+        bend = joints.diff(n=2, dim=0)[max(held - 2, 0) :]
+        second = _second_differences(window.frames, held).to(bend)
+        column = _by_variables(self.joints.by_rotations(*own), turns).flatten(1, 2)
+        force = self.stiffness * (second[:, held:].mT @ bend.flatten(1))
+        gradient = gradient + (force[:, None] @ column)[:, 0]
+        value = value + 0.5 * self.stiffness * bend.square().sum()
+        hessian = Banded.zero(window.frames, self.reach, VARIABLES, 0, pose)
+        of_joints = pose.new_zeros(window.frames, self.reach + 1, column.shape[1])
+        add_differences(of_joints, _BEND, of_joints.new_tensor([[self.stiffness]]))
+        if self.steps is not None:
+            judged, slope = self._judged(window, held)
+            value, gradient = value + judged.energy.detach(), gradient + slope
+            motion = self.motion(window, rotations)[0]
+            self.steps.add_curvature(motion, judged, hessian, of_joints)
+        inner = replace(hessian, inner=hessian.inner[held:], border=hessian.border[held:])
+        inner.add_products(of_joints[held:], column, column[..., :0])
+        inner.inner[:, 0] += alone
+        return Equations(
+            value=float(value),
+            gradient=gradient,
+            inner=inner.inner,
+            alone=alone,
+            gradient_alone=gradient_alone,
+            border=border,
+            corner=corner,
+            gradient_shape=gradient_shape,
+        )
+
+    def _judged(self, window: Window, held: int) -> tuple[Judged, Float[Tensor, "active 69"]]:
+        """What a prior says of the steps, and its slope by the variables of the active frames."""
+        assert self.steps is not None
+        with torch.enable_grad():
+            zero = window.pose.new_zeros(window.frames, VARIABLES, requires_grad=True)
+            moved = window.moved(zero)
+            rotations, _, joints = self.posed(moved)
+            judged = self.steps.judged(self.motion(moved, rotations), joints[None], held)
+            (slope,) = torch.autograd.grad(judged.energy, zero)
+        return judged, slope[held:]
+
+
+def _by_variables(
+    jacobian: Float[Tensor, "time points 3 66"], turns: Float[Tensor, "time 63 63"]
+) -> Float[Tensor, "time points 3 69"]:
+    """Derivatives by the variables of a window from those by steps of the joints' rotations."""
+    moved = torch.eye(3).to(jacobian).expand(*jacobian.shape[:2], 3, 3)
+    posed = (jacobian[..., 3:].flatten(1, 2) @ turns).unflatten(1, (-1, 3))
+    return torch.cat((moved, jacobian[..., :3], posed), -1)
+
+
+def _second_differences(frames: int, held: int) -> Float[Tensor, "rows frames"]:
+    """Rows p_(t+1) - 2 p_t + p_(t-1) that a frame that is not held takes part in."""
+    return torch.eye(frames).diff(n=2, dim=0)[max(held - 2, 0) :]

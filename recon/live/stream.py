@@ -1,0 +1,242 @@
+"""`recon.Stream`: one moment in, the body at the moment `lag` frames before out."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import torch
+
+from observations.moments import Tracker
+from priors.pose.prior import PosePrior
+from recon.api.given import BodyLike, ShapeLike, body_given, shape_given
+from recon.core.arrays import positive
+from recon.core.errors import ObservationError, ReconError, WeightsError
+from recon.diagnosis.findings import Finding
+from recon.fitting.methods import loaded
+from recon.live.estimate import LiveEstimate
+from recon.live.moments import Door, Moment, MomentLike
+from recon.live.objective import LivePrior
+from recon.live.tracking import Person, Tracking
+from recon.method.protocols import REFERENCE_FPS
+
+GONE = 0.5
+"""Seconds without points after which the person has left, and by which a clock may jump."""
+
+
+_OTHER_RATE = 0.1
+"""Share by which a rate may differ from that of a prior over steps."""
+
+
+class Stream:
+    """Fixed-lag smoothing of a person while being recorded.
+
+    Every push moves the newest frames a little towards the likeliest motion, given the frames
+    that are final. An estimate is final when `lag` moments after it have been seen; it is never
+    changed, and motion goes on from it without a seam.
+
+    A stream survives bad input. What cannot be used raises `ObservationError` and changes nothing:
+    push the next moment as if the bad one had been dropped. What can be used with a caveat (late
+    and dropped moments, jumps of the clock, points in impossible places, the person leaving and
+    returning) is told in `LiveEstimate.findings`.
+    """
+
+    def __init__(
+        self,
+        prior: str | LivePrior | PosePrior = "pose",
+        lag: int = 15,
+        *,
+        template: Tracker | Sequence[Tracker] | None = None,
+        noise: float | Sequence[float | None] | None = None,
+        shape: ShapeLike | None = None,
+        body: BodyLike = None,
+    ) -> None:
+        """A stream that has seen nothing yet.
+
+        Args:
+            prior: `pose`, or `humor`, which needs 30 moments a second, takes two to three times as
+                long and is nearer to the truth but in the fastest motions; or a loaded prior.
+            lag: frames after which an estimate is final; 0 gives the newest.
+            template: an observation, or one per sensor, of any moments: what arrays that are
+                pushed mean. None where observations are pushed.
+            noise: standard deviation of every coordinate, metres or, of keypoints, pixels; None
+                estimates it from the first moments.
+            shape: shape coefficients that are held, or a motion that has them; None learns them
+                from the first seconds and holds them then.
+            body: a body, a SMPL-family file, or None for the bundled body.
+
+        Raises:
+            ReconError: for what is no lag, prior, shape or sensor of a stream.
+            FileNotFoundError: when there is no such body.
+        """
+        if not isinstance(lag, int) or not 0 <= lag <= 120:
+            raise ReconError(f"lag: expected 0 to 120 frames, got {lag!r}")
+        self._lag = lag
+        self._body = body_given(body).to(dtype=torch.float32, device="cpu")
+        found = loaded(prior, "open", self._body) if isinstance(prior, str) else prior
+        if not isinstance(found, PosePrior | LivePrior):
+            raise WeightsError(
+                "prior: expected 'pose', 'humor' or a prior with a method live(noise), got "
+                f"{prior if isinstance(prior, str) else type(prior).__name__!r}"
+            )
+        poses = found if isinstance(found, PosePrior) else PosePrior.load()
+        self._poses = poses.to(dtype=torch.float32)
+        self._prior = None if isinstance(found, PosePrior) else found
+        self._noise = noise
+        held = None if shape is None else shape_given(shape, self._body)
+        self._person = Person(held)
+        self._door = None if template is None else Door.of(template)
+        self._tracking: Tracking | None = None
+        self._last: float | None = None
+        self._other_clock: float | None = None
+        self._given: float | None = None
+        self._findings: list[Finding] = []
+
+    @property
+    def lag(self) -> int:
+        """Frames after which an estimate is final."""
+        return self._lag
+
+    def push(self, seen: MomentLike, time: float | None = None) -> LiveEstimate | None:
+        """The newest estimate that is final, or None while there is none.
+
+        Args:
+            seen: one moment: an observation, or one per sensor; or arrays, where the stream has a
+                template: (points, 3) metres, or u, v, confidence; NaN where nothing was seen.
+            time: seconds; None takes the observation's `start_time`, or, where that is zero, one
+                frame after the last moment.
+
+        Raises:
+            ObservationError: when this is no moment of the sensors of before. Nothing of it was
+                used, and the stream goes on with the next.
+        """
+        with torch.no_grad():
+            return self._pushed(seen, time)
+
+    def finish(self) -> tuple[LiveEstimate, ...]:
+        """The estimates of the moments that were pushed last; the stream then begins anew."""
+        with torch.no_grad():
+            told = self._told(self._ended())
+            self._given = None
+            return () if told is None else (*told.earlier, replace(told, earlier=()))
+
+    def _pushed(self, seen: Any, time: float | None) -> LiveEstimate | None:
+        if self._door is None:
+            if not _is_observation(seen):
+                raise ObservationError(
+                    "arrays say nothing of their points: give Stream(template=...), an "
+                    "observation with them, or push observations"
+                )
+            self._door = Door.of(seen)
+        door = self._door
+        last = self._last
+        moment = door.moment(seen, time, 0.0 if last is None else last + 1 / door.fps)
+        if last is None:
+            steps = 1
+        elif abs(moment.time - last) > GONE:
+            return self._jumped(moment, last)
+        else:
+            steps = math.floor((moment.time - last) * door.fps + 0.5)
+        self._other_clock = None
+        if steps < 1:
+            return self._late(moment, -steps)
+        between = [self._dropped(moment.time, steps, k) for k in range(1, steps)]
+        if between:
+            self._tell("gap", f"{len(between)} moments before {moment.time:.3f} s are missing")
+        return self._followed([*between, moment])
+
+    def _followed(self, moments: list[Moment]) -> LiveEstimate | None:
+        """What is final after moments that follow the last."""
+        self._last = moments[-1].time
+        tracking = self._tracking
+        if tracking is None:
+            if moments[-1].empty:
+                return None
+            tracking = self._tracking = self._anew()
+            moments = moments[-1:]
+        done = tracking.push(moments, self._findings)
+        assert self._door is not None
+        if tracking.unseen > GONE * self._door.fps:
+            self._tell("gap", f"at {self._last:.3f} s, nobody has been seen for {GONE:g} s")
+            done += self._ended(keep_clock=True)
+        return self._told(done)
+
+    def _late(self, moment: Moment, back: int) -> LiveEstimate | None:
+        """A moment at or before the last one."""
+        tracking = self._tracking
+        if tracking is not None and tracking.insert(moment, back):
+            self._tell("frame order", f"the moment {moment.time:.3f} s came late and was put in")
+        else:
+            self._tell(
+                "frame order",
+                f"the moment {moment.time:.3f} s came after {self._last:.3f} s and was left out",
+            )
+        return None
+
+    def _jumped(self, moment: Moment, last: float) -> LiveEstimate | None:
+        """A moment far from the last; one alone is taken for an error of its clock."""
+        other = self._other_clock
+        self._other_clock = moment.time
+        if other is None or abs(moment.time - other) > GONE:
+            self._tell(
+                "jump",
+                f"the clock jumped from {last:.3f} s to {moment.time:.3f} s; the moment was left "
+                "out, and the next one tells whether time goes on there",
+            )
+            return None
+        told = self._told(self._ended())
+        self._given = None
+        self._tell("jump", f"time goes on at {moment.time:.3f} s, after {last:.3f} s")
+        after = self._followed([moment])
+        assert after is None, "a first motion takes several moments"
+        return told
+
+    def _anew(self) -> Tracking:
+        door = self._door
+        assert door is not None
+        noise = self._noise
+        if self._prior is not None and abs(door.fps / REFERENCE_FPS - 1) > _OTHER_RATE:
+            raise ObservationError(
+                f"a prior over steps knows those of 1/30 s: expected 30 moments a second, got "
+                f"{door.fps:g}; push moments of that rate, or take prior='pose'"
+            )
+        count = len(door.sensors)
+        rows = list(noise) if isinstance(noise, Sequence) else [noise] * count
+        if len(rows) != count:
+            raise ReconError(f"noise: expected one number for each of {count} sensors")
+        given = tuple(None if one is None else positive(one, "noise") for one in rows)
+        return Tracking(door, self._lag, given, self._person, self._body, self._poses, self._prior)
+
+    def _ended(self, keep_clock: bool = False) -> list[LiveEstimate]:
+        tracking, self._tracking = self._tracking, None
+        if not keep_clock:
+            self._last = self._other_clock = None
+        if tracking is None:
+            return []
+        done = tracking.finish(self._findings)
+        self._person = tracking.known()
+        return done
+
+    def _dropped(self, time: float, steps: int, k: int) -> Moment:
+        assert self._door is not None
+        assert self._last is not None
+        return Moment(self._last + (time - self._last) * k / steps, self._door.nothing)
+
+    def _told(self, done: list[LiveEstimate]) -> LiveEstimate | None:
+        """The newest of some estimates, with the others and with what was noticed."""
+        given = self._given
+        done = [one for one in done if given is None or one.time > given]
+        if not done:
+            return None
+        self._given = done[-1].time
+        findings, self._findings = tuple(self._findings), []
+        return replace(done[-1], earlier=tuple(done[:-1]), findings=findings)
+
+    def _tell(self, code: Any, message: str) -> None:
+        self._findings.append(Finding(code, message))
+
+
+def _is_observation(given: Any) -> bool:
+    """Whether a push is of records rather than arrays."""
+    first = given[0] if isinstance(given, list | tuple) and given else given
+    return hasattr(first, "start_time")

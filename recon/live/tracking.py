@@ -1,0 +1,334 @@
+"""One person in sight: moments gathered for a first motion, then smoothed one by one."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from observations.moments import Tracker, distances, joined, shows, with_moment, without
+from observations.noise import weights_of
+from priors.pose.prior import PosePrior
+from recon.body.contacts import contact_probabilities, rest_heights
+from recon.body.model import BodyModel
+from recon.core.errors import ReconError
+from recon.diagnosis.findings import Finding
+from recon.fitting.clip import fit_clip
+from recon.fitting.methods import FitOptions
+from recon.live.estimate import LiveEstimate
+from recon.live.moments import Door, Moment
+from recon.live.objective import LivePrior, Window
+from recon.live.smoother import ShapeKnowledge, Smoothed, begun
+from recon.method.priors import Traits
+from recon.method.stages import Stage
+from recon.method.terms import Term
+
+_ITERATIONS = 30
+"""Iterations over all poses; the Gauss-Newton steps that follow need a start that is near."""
+
+
+@dataclass(frozen=True)
+class _FirstPoses:
+    """The pose prior, minimised for a short while."""
+
+    traits: ClassVar[Traits] = PosePrior.traits
+    poses: PosePrior
+
+    def method(self, noise: float, body: BodyModel) -> "_FirstPoses":
+        """A copy of the prior whose weights suit this noise."""
+        return _FirstPoses(self.poses.method(noise, body))
+
+    def stages(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
+        """The root first, then all."""
+        return tuple(
+            replace(stage, minimiser=replace(stage.minimiser, max_iterations=_ITERATIONS))
+            for stage in self.poses.stages(data)
+        )
+
+
+@dataclass(frozen=True)
+class Person:
+    """What is known of the person before a motion begins."""
+
+    shape: Float[Tensor, " shape"] | None = None
+    """Shape coefficients; None is anybody."""
+    knowledge: ShapeKnowledge | None = None
+    """What frames have told of the shape; None where it is held."""
+
+
+def begin(
+    moments: Sequence[Moment],
+    noise: tuple[float | None, ...],
+    person: Person,
+    body: BodyModel,
+    poses: PosePrior,
+    prior: LivePrior | None,
+) -> Smoothed:
+    """A window of these moments, each one frame after the other, fitted under the pose prior.
+
+    Raises:
+        ReconError: when nothing can be fitted to them.
+    """
+    seen = list(moments[0].seen)
+    for moment in moments[1:]:
+        seen = [joined(a, b) for a, b in zip(seen, moment.seen, strict=True)]
+    seen = [one.derived(start_time=0.0) for one in seen]
+    options = FitOptions(prior=_FirstPoses(poses), noise=noise, shape=person.shape)
+    batch: Any = [one[None] for one in seen]
+    with torch.enable_grad():
+        fit = fit_clip(batch, options, body)
+    motion, scene = fit.result.motion[0].detach(), fit.result.estimate.scene.detach()
+    rows: Any = [vars(one)["offset_rows"] for one in fit.observations]
+    trackers: list[Tracker] = [
+        one.derived(offset_rows=row) for one, row in zip(seen, rows, strict=True)
+    ]
+    knowledge = person.knowledge
+    if person.shape is None and knowledge is None:
+        knowledge = ShapeKnowledge.none(motion.shape)
+    return begun(
+        Window.of(motion.translation, motion.rotations, poses.density),
+        motion.shape,
+        trackers,
+        weights_of(fit.noises),
+        min(one.metres for one in fit.noises),
+        scene.offsets[0],
+        body,
+        poses.density,
+        knowledge,
+        prior,
+    )
+
+
+BEGINNING = 15
+"""Moments from which a first motion is fitted, at least: they tell noise and posture."""
+_BEYOND = 4
+"""Frames older than the lag that are still moved: what is final later than a frame moves it."""
+_ASTRAY, _SPEED = 0.5, 10.0
+"""Metres, and metres per second since the last moment with points, that a point may lie from where
+it is expected. Nobody moves so fast."""
+_PERSISTS = 0.3
+"""Seconds after which points in an impossible place are taken for the person."""
+_FEWEST = 5
+"""Moments with points of which a motion is made when no more come."""
+_STEPS = 1
+"""Gauss-Newton steps of a push, at most."""
+_FIRST_STEPS = 4
+"""Gauss-Newton steps after the first motion."""
+_LEARNED = 300
+"""Frames after which the shape is held."""
+
+
+@dataclass
+class Tracking:
+    """What a stream remembers while somebody is in sight."""
+
+    door: Door
+    lag: int
+    noise: tuple[float | None, ...]
+    person: Person
+    body: BodyModel
+    poses: PosePrior
+    prior: LivePrior | None = None
+    """The prior over steps, beside the density of poses."""
+    gathered: list[Moment] = field(default_factory=list)
+    """Moments before the first motion, or those that lie astray."""
+    smoothed: Smoothed | None = None
+    times: list[float] = field(default_factory=list)
+    """Seconds of every frame of the window."""
+    final: int = 0
+    """Frames of the window, from the first on, that were given out."""
+    since_seen: int = 0
+    """Moments since points were seen, once there is a motion."""
+
+    @cached_property
+    def _shown(self) -> list[Bool[np.ndarray, "points 22"]]:
+        return [shows(one, self.body) for one in self.door.sensors]
+
+    @property
+    def least(self) -> int:
+        """Moments that a first motion needs."""
+        return max(BEGINNING, self.lag + 1)
+
+    def push(self, moments: list[Moment], findings: list[Finding]) -> list[LiveEstimate]:
+        """What is final after moments that follow each other by one frame."""
+        if self.smoothed is None:
+            self.gathered += moments
+            while self.gathered and self.gathered[0].empty:
+                self.gathered.pop(0)
+            if len(self.gathered) < self.least or self.gathered[-1].empty:
+                return []
+            return self._given_out(self.lag) if self._begun(findings) else []
+        for moment in moments:
+            self._extend(moment, findings)
+        if len(self.gathered) > max(_PERSISTS * self.door.fps, 2):
+            return self._elsewhere(findings)
+        assert self.smoothed is not None
+        self.smoothed = self.smoothed.refined(_STEPS)
+        return self._given_out(self.lag)
+
+    def insert(self, moment: Moment, back: int) -> bool:
+        """Put a late moment in the place of one without points, so many frames back."""
+        if self.smoothed is None:
+            row = len(self.gathered) - 1 - back
+            if row < 0 or not self.gathered[row].empty:
+                return False
+            self.gathered[row] = moment
+            return True
+        row = self.smoothed.active - 1 - back
+        if row < 0 or self._observed(row).any():
+            return False
+        seen = tuple(
+            with_moment(a, row, b) for a, b in zip(self.smoothed.seen, moment.seen, strict=True)
+        )
+        self.smoothed = replace(self.smoothed, seen=seen)
+        self.times[len(self.times) - 1 - back] = moment.time
+        return True
+
+    @property
+    def unseen(self) -> int:
+        """Moments since points were seen."""
+        if self.smoothed is not None:
+            return self.since_seen
+        empty = [moment.empty for moment in reversed(self.gathered)]
+        return empty.index(False) if False in empty else 0
+
+    def finish(self, findings: list[Finding]) -> list[LiveEstimate]:
+        """All that is left, up to the last moment with points."""
+        if self.smoothed is None:
+            several = sum(not moment.empty for moment in self.gathered) >= _FEWEST
+            if not several or not self._begun(findings):
+                return []
+        while self.since_seen > 0 and len(self.times) > self.final:
+            self.since_seen -= 1
+            self.times.pop()
+        return self._given_out(0)
+
+    def known(self) -> Person:
+        """What is known of the person by now."""
+        now = self.smoothed
+        if now is None:
+            return self.person
+        return Person(now.objective.shape, now.knowledge if now.learning else None)
+
+    def _begun(self, findings: list[Finding]) -> bool:
+        """Make a first motion of what was gathered; whether there is one now."""
+        self.since_seen = self.unseen
+        try:
+            first = begin(
+                self.gathered, self.noise, self.person, self.body, self.poses, self.prior
+            )
+        except ReconError as error:
+            times = f"{self.gathered[0].time:.3f} s to {self.gathered[-1].time:.3f} s"
+            findings.append(
+                Finding("unseen", f"no motion can be begun with the moments {times}: {error}")
+            )
+            self.gathered = []
+            return False
+        self.smoothed = first.refined(_FIRST_STEPS)
+        self.times = [moment.time for moment in self.gathered]
+        self.gathered = []
+        return True
+
+    def _extend(self, moment: Moment, findings: list[Finding]) -> None:
+        now = self.smoothed
+        assert now is not None
+        most = self.lag + 1 + _BEYOND
+        after = now.extended(self.door.nothing, most, _LEARNED)
+        self.times.append(moment.time)
+        dropped = len(self.times) - after.window.frames
+        self.times, self.final = self.times[dropped:], max(self.final - dropped, 0)
+        seen, astray = self._believed(after, moment)
+        if astray > 0.5:
+            self.gathered.append(moment)
+        elif any(bool(one.shown.any()) for one in seen):
+            self.gathered = []
+        if astray > 0:
+            findings.append(
+                Finding(
+                    "outliers",
+                    f"at {moment.time:.3f} s, {astray:.0%} of the points lie where the person "
+                    "cannot be; they were left out",
+                    value=astray,
+                )
+            )
+        self.since_seen = 0 if any(bool(s.shown.any()) for s in seen) else self.since_seen + 1
+        rows = tuple(
+            with_moment(a, after.active - 1, b) for a, b in zip(after.seen, seen, strict=True)
+        )
+        self.smoothed = replace(after, seen=rows)
+
+    def _believed(self, after: Smoothed, moment: Moment) -> tuple[tuple[Tracker, ...], float]:
+        """The moment without points that are impossibly far off, and the share of those."""
+        if moment.empty:
+            return moment.seen, 0.0
+        _, orientations, joints = after.objective.posed(after.window[-1:])
+        allowed = _ASTRAY + _SPEED * self.since_seen / self.door.fps
+        kept: list[Tracker] = []
+        seen = far = 0
+        for points, one in zip(after.objective.points, moment.seen, strict=True):
+            away = distances(one, points.of(orientations, joints))
+            shown = one.shown
+            bad = shown & (away > allowed)
+            seen, far = seen + int(shown.sum()), far + int(bad.sum())
+            kept.append(without(one, bad) if bool(bad.any()) else one)
+        share = far / max(seen, 1)
+        return (self.door.nothing if share > 0.5 else tuple(kept)), share
+
+    def _elsewhere(self, findings: list[Finding]) -> list[LiveEstimate]:
+        """The person is where the points have been for a while: end here and begin there."""
+        there = self.gathered
+        self.since_seen = len(there)
+        done = self.finish(findings)
+        findings.append(
+            Finding(
+                "jump",
+                f"from {there[0].time:.3f} s on, the person is somewhere else; the motion begins "
+                "anew there",
+            )
+        )
+        self.person, self.smoothed, self.times, self.final = self.known(), None, [], 0
+        self.since_seen, self.gathered = 0, there
+        return done
+
+    def _given_out(self, lag: int) -> list[LiveEstimate]:
+        now = self.smoothed
+        assert now is not None
+        stop = len(self.times) - lag
+        rows = range(self.final, stop)
+        if len(rows) == 0:
+            return []
+        # one frame more on either side, for speeds
+        first = max(self.final - 1, 0)
+        objective, own = now.objective, slice(self.final - first, stop - first)
+        rotations, _, places = objective.posed(now.window[first : stop + 1])
+        rotations, joints = rotations[own], places[own]
+        held = now.window.frames - now.active
+        contacts = None
+        if objective.steps is not None:
+            heights = rest_heights(self.body, objective.shape)
+            contacts = contact_probabilities(places, heights, objective.fps)[own]
+        self.final = stop
+        return [
+            LiveEstimate(
+                time=self.times[row],
+                translation=now.window.translation[row],
+                rotations=rotations[k],
+                joints=joints[k],
+                shape=objective.shape,
+                observed=torch.from_numpy(self._observed(row - held)),
+                contacts=None if contacts is None else contacts[k],
+            )
+            for k, row in enumerate(rows)
+        ]
+
+    def _observed(self, active: int) -> Bool[np.ndarray, " 22"]:
+        """Joints that an observation tells the place of, in an active frame."""
+        assert self.smoothed is not None
+        found = np.zeros(22, dtype=bool)
+        for one, shown in zip(self.smoothed.seen, self._shown, strict=True):
+            found |= one.shown[active].numpy() @ shown
+        return found

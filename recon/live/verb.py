@@ -1,0 +1,51 @@
+"""`recon stream`: the body behind what is being recorded, moment by moment."""
+
+from pathlib import Path
+
+from tyro.conf import Positional
+
+
+def stream(
+    observations: Positional[tuple[Path, ...]],
+    prior: str = "pose",
+    lag: int = 15,
+    camera: Path | None = None,
+    frame_rate: float | None = None,
+    noise: float | None = None,
+    shape: str | None = None,
+    body: Path | None = None,
+) -> None:
+    """Read moments from stdin and write estimates to stdout while a person is recorded.
+
+    The observations are templates: they say what the points are, their rate and their camera.
+    Stdin has a JSON object per line and moment: {"points": [[x, y, z], null, ...], "time": 0.1},
+    metres, null where a point was not seen; of 2D keypoints u, v and confidence; of several
+    sensors a list of such lists. Without a time, a moment is one frame after the last.
+
+    Stdout has a JSON object per line and estimate: time, trans, poses (axis-angle), joints, betas,
+    observed, and findings where something was noticed. Lines that are no moments are told on
+    stderr and passed over.
+
+    Args:
+        observations: observation files of the sensors, of any length.
+        prior: `pose`; `humor` is nearer to the truth but in the fastest motions, takes two to
+            three times as long and needs 30 moments a second.
+        lag: frames after which an estimate is final.
+        camera: calibration of the cameras that 2D detections come from.
+        frame_rate: frames per second, where files do not tell.
+        noise: standard deviation of coordinates, metres or pixels; default: estimated.
+        shape: held, such as height=1.80,weight=75; default: learned and then held.
+        body: SMPL-family file; default: the bundled body.
+    """
+    import sys
+
+    from recon.cli import console
+    from recon.cli.inputs import check_inputs
+
+    check_inputs({"observations": observations, "camera": camera, "body": body})
+    from recon.live.lines import stream_lines, stream_of
+
+    live = stream_of(observations, prior, lag, camera, frame_rate, noise, shape, body)
+    for line in stream_lines(sys.stdin, live, console.complain):
+        sys.stdout.write(line + "\n")
+        sys.stdout.flush()

@@ -1,0 +1,339 @@
+"""Derivatives of joints, poses and residuals by the coordinates of a motion of one clip.
+
+Columns are the 69 coordinates of a frame (the translation, then the rotation step of every joint),
+the coefficients of the shape, and coordinates of the ground. Joints and the points that bones
+carry have derivatives in closed form (`recon.body.derivatives`); a residual of such a point
+follows from the point's own by what a translation of the body does to it. All other residuals are
+differentiated numerically, coordinate by coordinate.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal, cast
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from recon.body.contacts import contact_labels, rest_heights
+from recon.body.derivatives import CarriedPoints
+from recon.body.model import BodyModel
+from recon.core import rotations as so3
+from recon.core.motion import Motion
+from recon.core.residuals import Residuals
+from recon.core.scene import TILT, Scene, UnknownGround
+from recon.core.skeleton import FEET, joint_index
+from recon.method.newton import is_pointwise
+from recon.method.protocols import Decoded, Estimate, Sensor
+from recon.method.stages import Matched
+from recon.solver.blocks import Bordered
+
+FRAME = 69
+"""Coordinates of a frame: three of the translation, three of every joint's rotation step."""
+LEAST = 0.1
+"""Curvature that every coordinate has at least, 1 / metres² or 1 / radians²: what nothing holds is
+unknown by no more than three metres and half a turn."""
+
+
+@dataclass(frozen=True)
+class Accumulated:
+    """Blocks of the Hessian while residuals are added, in place."""
+
+    frames: Float[Tensor, "time 3 n n"]
+    """[t, k]: the block that couples frame t with frame t + k."""
+    border: Float[Tensor, "time n m"]
+    shape: Float[Tensor, "m m"]
+
+    @classmethod
+    def zero(cls, frames: int, size: int, like: Tensor) -> "Accumulated":
+        """Nothing but the least curvature of every coordinate."""
+        m = size - FRAME
+        blocks = like.new_zeros(frames, 3, FRAME, FRAME)
+        blocks[:, 0].diagonal(dim1=-2, dim2=-1).add_(LEAST)
+        corner = LEAST * torch.eye(m, dtype=like.dtype, device=like.device)
+        return cls(blocks, like.new_zeros(frames, FRAME, m), corner)
+
+    def add_sensor(self, frame: Tensor, jacobian: Tensor, weight: Tensor) -> None:
+        """Residuals of single moments, each at its frame."""
+        whole = jacobian.mT @ (jacobian * weight[..., None])
+        self._add(frame, whole)
+
+    def add_poses(self, jacobian: Float[Tensor, "time residuals 63"]) -> None:
+        """Whitened residuals of poses, by the rotation steps of all joints but the root."""
+        first = FRAME - jacobian.shape[-1]
+        self.frames[:, 0, first:, first:] += jacobian.mT @ jacobian
+
+    def add_frames(self, jacobian: Tensor) -> None:
+        """Whitened residuals of single frames."""
+        self._add(torch.arange(len(jacobian)), jacobian.mT @ jacobian)
+
+    def _add(self, frame: Tensor, whole: Tensor) -> None:
+        self.frames[:, 0].index_add_(0, frame, whole[:, :FRAME, :FRAME])
+        self.border.index_add_(0, frame, whole[:, :FRAME, FRAME:])
+        self.shape.add_(whole[:, FRAME:, FRAME:].sum(0))
+
+    def add_accelerations(self, joints: Tensor, weight: float) -> None:
+        """½ weight |p_(t-1) - 2 p_t + p_(t+1)|² of all joints."""
+        if len(joints) < 3:
+            return
+        moved, shaped = joints[..., :FRAME], joints[..., FRAME:]
+        sign = joints.new_tensor([1.0, -2.0, 1.0])
+        inner = len(joints) - 2
+        bend = shaped[:-2] - 2 * shaped[1:-1] + shaped[2:]
+        self.shape.add_(weight * (bend.mT @ bend).sum(0))
+        for a in range(3):
+            left = moved[a : a + inner]
+            self.border[a : a + inner] += weight * sign[a] * (left.mT @ bend)
+            for b in range(a, 3):
+                right = moved[b : b + inner]
+                pair = weight * sign[a] * sign[b] * (left.mT @ right)
+                self.frames[a : a + inner, b - a] += pair
+
+    def bordered(self) -> Bordered:
+        """Two frames to a block, so that only neighbouring blocks couple."""
+        count = len(self.frames)
+        pairs = -(-count // 2)
+        n = 2 * FRAME
+        own = self.frames.new_zeros(pairs, 2, 2, FRAME, FRAME)
+        beside = self.frames.new_zeros(pairs, 2, 2, FRAME, FRAME)
+        even, odd = self.frames[::2], self.frames[1::2]
+        full = len(odd)
+        own[:, 0, 0] = even[:, 0]
+        own[:full, 1, 1] = odd[:, 0]
+        own[full:, 1, 1] = torch.eye(FRAME, dtype=own.dtype, device=own.device)
+        own[:full, 0, 1] = even[:full, 1]
+        own[:full, 1, 0] = even[:full, 1].mT
+        beside[: pairs - 1, 0, 0] = even[:-1, 2]
+        beside[: pairs - 1, 1, 0] = odd[: pairs - 1, 1]
+        if full > 1:
+            beside[: full - 1, 1, 1] = odd[:-1, 2]
+        border = self.border.new_zeros(pairs, 2, FRAME, self.border.shape[-1])
+        border[:, 0], border[:full, 1] = self.border[::2], self.border[1::2]
+        return Bordered(
+            diagonal=own.transpose(2, 3).reshape(pairs, n, n),
+            upper=beside[: pairs - 1].transpose(2, 3).reshape(pairs - 1, n, n),
+            border=border.reshape(pairs, n, -1),
+            corner=self.shape,
+        )
+
+
+_HEAD = joint_index("head")
+_ANKLES = [joint_index("left_ankle"), joint_index("right_ankle")]
+
+
+@dataclass(frozen=True)
+class GroundBelief:
+    """How far the grounds of clips are from where people's feet and posture put them."""
+
+    stance: float
+    """Standard deviation of the mean height of a clip's standing feet above the ground, metres."""
+    upright: float
+    """Standard deviation of a clip's mean direction from feet to head about each horizontal axis,
+    radians."""
+    coordinates: Literal[0, 1, 3]
+    """How many of the ground's coordinates are unknown: none, its lift, or with it two turns."""
+    shown: float = 0.0
+    """Inverse variance of a plane that is given or seen, 1 / metres² and 1 / radians²."""
+
+
+@dataclass(frozen=True)
+class GroundDeviation:
+    """Standard deviations of a ground that was found."""
+
+    normal: float
+    """Standard deviation of its normal about a horizontal axis, radians; 0 where it is known."""
+    height: float
+    """Standard deviation of its height below the origin of the recording's frame, metres."""
+
+    @property
+    def normal_degrees(self) -> float:
+        """The standard deviation of the normal in degrees."""
+        return math.degrees(self.normal)
+
+
+def perturbed(scene: Scene, rows: int, belief: GroundBelief, step: float) -> Scene:
+    """Scenes of so many rows; in the last ones a coordinate of the ground each is moved."""
+    scenes = scene[torch.zeros(rows, dtype=torch.long)]
+    if belief.coordinates == 0:
+        return scenes
+    assert scenes.ground is not None, "the ground is known: ask for no deviation of it"
+    tilt, lift = scenes.ground.tilt.clone(), scenes.ground.lift.clone()
+    first = rows - belief.coordinates
+    lift[first] += step
+    for axis in range(belief.coordinates - 1):
+        tilt[first + 1 + axis, axis] += step / TILT
+    return scenes.replace(ground=UnknownGround(tilt, lift, scenes.ground.pivot))
+
+
+def add_stance(
+    hessian: Accumulated,
+    estimate: Estimate,
+    joints: Float[Tensor, "time 66 coordinates"],
+    belief: GroundBelief,
+) -> bool:
+    """Add what standing feet and upright postures tell; whether any foot stands at all.
+
+    All moments of a clip together tell as much as one whose standard deviation is that of clips:
+    a person who leans or whose shoes are thick does so all the time.
+
+    Args:
+        hessian: that is added to.
+        estimate: the fit.
+        joints: derivatives of its joints in the world.
+        belief: how far grounds are from where they are told to be.
+    """
+    motion, feet = estimate.motion, list(FEET)
+    places = estimate.body.joints[0]
+    heights = rest_heights(estimate.body.model, motion.shape[0])
+    standing = contact_labels(places, heights, motion.fps)[:, feet]
+    if not bool(standing.any()):
+        return False
+    rows = joints.unflatten(1, (22, 3))
+    share = standing / standing.sum() / belief.stance**2
+    hessian.add_frames(rows[:, feet, 2] * share.sqrt()[..., None])
+    if belief.coordinates == 3:
+        rise = places[:, _HEAD] - places[:, _ANKLES].mean(1)
+        lean = (rows[:, _HEAD] - rows[:, _ANKLES].mean(1))[:, :2]
+        tall = rise.norm(dim=-1).clamp(min=0.1)[:, None, None]
+        hessian.add_frames(lean / tall / (len(places) ** 0.5 * belief.upright))
+    if belief.coordinates > 0:
+        corner = hessian.shape.diagonal()[-belief.coordinates :]
+        corner += belief.shown
+    return True
+
+
+def deviation(
+    covariance: Float[Tensor, "m m"], scenes: Scene, belief: GroundBelief, step: float
+) -> GroundDeviation:
+    """The ground's part of the border's covariance in metres and radians."""
+    count = belief.coordinates
+    own = covariance[-count:, -count:]
+    assert scenes.ground is not None
+    above = scenes.ground.T_world_recording[:, 2, 3]
+    slope = (above[-count:] - above[0]) / step
+    height = float((slope @ own @ slope).sqrt())
+    return GroundDeviation(float(own.diagonal()[1:].mean().sqrt()) if count > 1 else 0.0, height)
+
+
+STEP = 1e-3
+"""Metres, radians and standard deviations of shape over which derivatives are differences."""
+_AXES = 3
+
+
+@dataclass(frozen=True)
+class Neighbourhood:
+    """A motion of one clip, and what is asked about motions near it."""
+
+    motion: Motion
+    """A leading axis of length one."""
+    scene: Scene
+    body: BodyModel
+    ground: GroundBelief | None
+
+    @property
+    def unknown(self) -> int:
+        """Coordinates of the ground."""
+        return 0 if self.ground is None else self.ground.coordinates
+
+    @cached_property
+    def here(self) -> Estimate:
+        """The motion as it is, for correspondences, which hold for all motions near it."""
+        return Estimate(Decoded(self.motion), self.body.pose(self.motion), self.scene)
+
+    @cached_property
+    def translated(self) -> Estimate:
+        """Rows: the motion as it is, moved along each axis, and with each ground that is moved."""
+        rows = 1 + _AXES + self.unknown
+        motion = self.motion[torch.zeros(rows, dtype=torch.long)]
+        place = motion.translation.clone()
+        for axis in range(_AXES):
+            place[1 + axis, :, axis] += STEP
+        return self._estimate(motion.replace(translation=place))
+
+    @cached_property
+    def everywhere(self) -> Estimate:
+        """Rows: the motion as it is, and after a step of each column's coordinate."""
+        shapes, frames = self.motion.shape.shape[-1], self.motion.frames
+        rows = 1 + FRAME + shapes + self.unknown
+        motion = self.motion[torch.zeros(rows, dtype=torch.long)]
+        place, shape = motion.translation.clone(), motion.shape.clone()
+        steps = place.new_zeros(rows, frames, FRAME // 3 - 1, 3)
+        for k in range(_AXES):
+            place[1 + k, :, k] += STEP
+        for k in range(FRAME - _AXES):
+            steps[1 + _AXES + k, :, k // 3, k % 3] = STEP
+        for k in range(shapes):
+            shape[1 + FRAME + k, k] += STEP
+        turned = motion.rotations @ so3.exp(steps)
+        return self._estimate(motion.replace(translation=place, rotations=turned, shape=shape))
+
+    def _estimate(self, motion: Motion) -> Estimate:
+        """Motions of some rows; the last ones are of grounds that are moved."""
+        rows = len(motion.translation)
+        if self.ground is None:
+            scenes = self.scene[torch.zeros(rows, dtype=torch.long)]
+        else:
+            scenes = perturbed(self.scene, rows, self.ground, STEP)
+        return Estimate(Decoded(motion), self.body.pose(motion), scenes)
+
+    @cached_property
+    def joints(self) -> Float[Tensor, "time 66 columns"]:
+        """Derivatives of the joints in the world, metres."""
+        carried = CarriedPoints.joints(self.body, self.motion.shape[0])
+        moved = self._by_motion(carried)
+        none = moved.new_zeros(*moved.shape[:-1], self.unknown)
+        return torch.cat((moved, none), -1).flatten(1, 2)
+
+    def _by_motion(self, points: CarriedPoints) -> Float[Tensor, "time points 3 motion"]:
+        """Derivatives of points by the coordinates of frames and shape."""
+        posed = self.translated.body
+        orientations, joints = posed.orientations[0], posed.joints[0]
+        turned = points.by_rotations(orientations, joints)
+        identity = torch.eye(3, dtype=turned.dtype, device=turned.device)
+        moved = identity.expand(*turned.shape[:2], 3, 3)
+        rotations = self.motion.rotations[0]
+        return torch.cat((moved, turned, points.by_shape(rotations, orientations, self.body)), -1)
+
+    def seen(self) -> Float[Tensor, "time 66 columns"]:
+        """Derivatives of the joints in the frame of the recording, metres."""
+        scenes, world = self.translated.scene, self.translated.body.joints
+        if scenes.ground is None:
+            return self.joints
+        turn = scenes.ground.T_world_recording[0, :3, :3].mT
+        turned = turn @ self.joints.unflatten(1, (-1, 3))
+        if self.unknown > 0:
+            moved = differences(scenes.to_recording(world))[..., -self.unknown :]
+            turned = torch.cat((turned[..., : -self.unknown], moved), -1)
+        return turned.flatten(1, 2)
+
+    def residuals(
+        self, one: Sensor, frame: Int[Tensor, " moments"]
+    ) -> tuple[Residuals, Float[Tensor, "moments points dims columns"]]:
+        """What a sensor misses, one clip, and its derivatives.
+
+        Args:
+            one: the sensor.
+            frame: of the motion, for every moment of the sensor.
+        """
+        carries = is_pointwise(one)
+        held = cast(Sensor, one.matched(self.here)) if isinstance(one, Matched) else one
+        found = _of(held, self.translated if carries else self.everywhere)
+        slopes = differences(found.values)
+        if carries:
+            points = one.carried(self.body, self.motion.shape[0], self.scene.offsets[0])
+            moved = slopes[..., :_AXES] @ self._by_motion(points)[frame]
+            slopes = torch.cat((moved, slopes[..., _AXES:]), -1)
+        return found[0], slopes
+
+
+def _of(one: Sensor, estimates: Estimate) -> Residuals:
+    rows = torch.zeros(len(estimates.motion.translation), dtype=torch.long)
+    return one[rows].residuals(estimates)
+
+
+def differences(
+    values: Float[Tensor, "rows time points dims"],
+) -> Float[Tensor, "time points dims columns"]:
+    """Differences of rows from the first, per unit of the step."""
+    return ((values[1:] - values[:1]) / STEP).movedim(0, -1)

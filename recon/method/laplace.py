@@ -1,0 +1,252 @@
+"""How sure a fit is: standard deviations of joints from the curvature of the objective (Laplace).
+
+Around its minimum -log p of a motion given the data is nearly quadratic. Its Hessian H is taken
+in the Gauss-Newton approximation, Σ JᵀJ over all residuals divided by their standard deviations;
+the covariance of the motion is H⁻¹ and that of a joint G H⁻¹ Gᵀ, with G the joint's derivative.
+
+Every frame has 69 coordinates: the translation in metres and the rotation steps of 22 joints in
+radians, R_j Exp(w_j). The shape is shared by all. A residual of a sensor depends on one frame, a
+pose's coordinates likewise, a joint's acceleration on three; so H is banded in time, with the
+shape as a border (`recon.solver.blocks`). Where the ground is unknown, its height and tilt are in
+the border, too.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol, runtime_checkable
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from recon.body.model import BodyModel
+from recon.core import rotations as so3
+from recon.core.motion import Motion
+from recon.core.residuals import Noise
+from recon.core.scene import Scene
+from recon.method.derivatives import (
+    FRAME,
+    STEP,
+    Accumulated,
+    GroundBelief,
+    GroundDeviation,
+    Neighbourhood,
+    add_stance,
+    deviation,
+)
+from recon.method.protocols import REFERENCE_FPS, Density, Estimate, Sensor
+from recon.solver.blocks import Inverse, inverse
+
+_DISBELIEVED = 4.0
+"""Standard deviations beyond which residuals say ever less: the fit does not believe them."""
+_PEOPLE = 1.0
+"""Inverse variance of a shape coefficient among people, the most that is believed of it: a prior
+that counts for every frame would be ever surer."""
+_CHUNK = 150
+"""Frames that are looked at together; longer motions are cut, and cuts overlap."""
+_OVERLAP = 15
+
+
+@runtime_checkable
+class Believing(Protocol):
+    """A prior that says how likely motions are, as a density that has a curvature."""
+
+    def belief(self, noise: float) -> Density:
+        """The density that the prior's weights stand for beside data of this noise, metres."""
+        ...
+
+
+@dataclass(frozen=True)
+class Deviations:
+    """Standard deviations of a fitted motion of one clip."""
+
+    joints: Float[Tensor, "time 22"]
+    """Standard deviation of a coordinate of every joint, metres, over its three axes."""
+    root: Float[Tensor, " time"]
+    """Standard deviation of the rotation of the root about an axis, radians."""
+    shape: Float[Tensor, " shape"]
+    """Standard deviation of every shape coefficient."""
+    ground: GroundDeviation | None = None
+    """Standard deviations of the ground; None where it is known, and where nothing tells it."""
+    measures: Float[Tensor, "time measures"] | None = None
+    """Standard deviations of what was measured of every frame's pose; None where nothing was."""
+
+
+Measure = Callable[[Motion], Float[Tensor, "rows time measures"]]
+"""Numbers that follow from the rotations of each frame, such as joint angles, of several clips."""
+
+
+def deviations(
+    estimate: Estimate,
+    sensors: Sequence[Sensor],
+    noises: Sequence[Noise],
+    density: Density,
+    ground: GroundBelief | None = None,
+    measure: Measure | None = None,
+) -> Deviations:
+    """How far the joints of a fit of one clip may be from the truth.
+
+    Joints are those in the frame of the recording, whatever is believed of the ground.
+
+    Args:
+        estimate: the fit; a leading axis of length one.
+        sensors: what was seen, likewise.
+        noises: standard deviations of the sensors' coordinates.
+        density: how likely poses, shapes and accelerations are, without the data.
+        ground: what is believed of an unknown ground; None where it is known or not asked for.
+        measure: numbers of every frame's pose whose standard deviations are asked for, too.
+    """
+    body = estimate.body.model.to(dtype=torch.float64)
+    motion = estimate.motion.detach().to(dtype=torch.float64)
+    scene = estimate.scene.detach().to(dtype=torch.float64)
+    held = [one.to(dtype=torch.float64) for one in sensors]
+    cuts = _cuts(motion.frames)
+    windows = [motion.window(first, stop) for first, stop in cuts]
+    parts = [
+        _of_window(one, scene, body, _during(held, one), noises, density, ground, measure)
+        for one in windows
+    ]
+    joints = motion.translation.new_zeros(motion.frames, len(body.joint_template))
+    root = motion.translation.new_zeros(motion.frames)
+    measured = parts[0].measures
+    if measured is not None:
+        measured = joints.new_zeros(motion.frames, measured.shape[-1])
+    for (first, stop), part in zip(cuts, parts, strict=True):
+        skip = _OVERLAP // 2 if first > 0 else 0
+        joints[first + skip : stop] = part.joints[skip:]
+        root[first + skip : stop] = part.root[skip:]
+        if measured is not None and part.measures is not None:
+            measured[first + skip : stop] = part.measures[skip:]
+    least = torch.stack([part.shape for part in parts]).amin(0)
+    told = [part.ground for part in parts if part.ground is not None]
+    # windows of a long recording share one ground, which the surest of them tells best
+    surest = min(told, key=lambda one: one.height) if told else None
+    return Deviations(joints, root, least, surest, measured)
+
+
+def _cuts(frames: int) -> list[tuple[int, int]]:
+    """First and last frame, exclusive, of overlapping windows."""
+    step = _CHUNK - _OVERLAP
+    firsts = range(0, max(frames - _OVERLAP, 1), step)
+    return [(first, min(first + _CHUNK, frames)) for first in firsts]
+
+
+def _during(sensors: Sequence[Sensor], motion: Motion) -> list[Sensor]:
+    """What the sensors saw during a motion; the rest of a long recording costs nothing."""
+    return [one.window(motion.start_time, motion.stop_time) for one in sensors]
+
+
+def _of_window(
+    motion: Motion,
+    scene: Scene,
+    body: BodyModel,
+    sensors: Sequence[Sensor],
+    noises: Sequence[Noise],
+    density: Density,
+    ground: GroundBelief | None,
+    measure: Measure | None,
+) -> Deviations:
+    near = Neighbourhood(motion, scene, body, ground)
+    h = Accumulated.zero(motion.frames, near.joints.shape[-1], like=motion.translation)
+    for one, noise in zip(sensors, noises, strict=True):
+        frame = _clock(one, motion)
+        h.add_sensor(frame, *_whitened(one, noise, near, frame))
+    h.add_poses(density.by_rotations(motion)[0] * (REFERENCE_FPS / motion.fps) ** 0.5)
+    rate = (motion.fps / REFERENCE_FPS) ** 3
+    h.add_accelerations(near.joints, density.acceleration * rate)
+    shapes = motion.shape.shape[-1]
+    shape = h.shape.diagonal()[:shapes]
+    shape += min(density.shape * motion.frames * REFERENCE_FPS / motion.fps, _PEOPLE)
+    told = ground is not None and add_stance(h, near.translated, near.joints, ground)
+    found = inverse(h.bordered())
+    marginals = _marginals(found, near.seen(), shapes)
+    if measure is not None:
+        variance = _variances(found, _by_rotations(measure, motion, h.shape.shape[-1]))
+        marginals = replace(marginals, measures=variance.sqrt())
+    if ground is None or ground.coordinates == 0 or not told:
+        return marginals
+    lying = deviation(found.border, near.translated.scene, ground, STEP)
+    return replace(marginals, ground=lying)
+
+
+def _whitened(
+    one: Sensor, noise: Noise, near: Neighbourhood, frame: Int[Tensor, " moments"]
+) -> tuple[Float[Tensor, "moments residuals columns"], Float[Tensor, "moments residuals"]]:
+    """Derivatives of a sensor's residuals and their weights, standard deviations taken out."""
+    found, slopes = near.residuals(one, frame)
+    distance = found.values.norm(dim=-1) / (_DISBELIEVED * noise.own)
+    # the curvature of Geman-McClure's kernel, as far as it is positive
+    belief = (1 + distance.square()).reciprocal().square()
+    weight = found.weights.square() * belief / noise.own**2 * (REFERENCE_FPS / one.fps)
+    dims = found.values.shape[-1]
+    return slopes.flatten(1, 2), weight[..., None].expand(*weight.shape, dims).flatten(-2)
+
+
+def _clock(one: Sensor, motion: Motion) -> Tensor:
+    """The frame of the motion that is nearest to every moment of a sensor."""
+    times = one.start_time + torch.arange(one.moments, dtype=torch.float64) / one.fps
+    frame = ((times - motion.start_time) * motion.fps).round().long()
+    return frame.clamp(0, motion.frames - 1)
+
+
+def _marginals(
+    found: Inverse, joints: Float[Tensor, "time 66 coordinates"], shapes: int
+) -> Deviations:
+    """Standard deviations of every frame's joints and root, and of the shape.
+
+    Those of the root are given the ground.
+    """
+    own, onto = _own_frames(found, len(joints))
+    variance = _variances(found, joints)
+    given, onto_shape = _given_rest(found.border, shapes), onto[..., :shapes]
+    turned = own + onto_shape @ given @ onto_shape.mT
+    root = turned[:, 3:6, 3:6].diagonal(dim1=-2, dim2=-1).mean(-1).sqrt()
+    per_joint = variance.unflatten(-1, (-1, 3)).mean(-1).sqrt()
+    return Deviations(per_joint, root, found.border.diagonal()[:shapes].sqrt())
+
+
+def _by_rotations(
+    measure: Measure, motion: Motion, border: int
+) -> Float[Tensor, "time measures coordinates"]:
+    """Derivatives of what is measured by the rotation steps; by all else it does not change."""
+    steps = motion.translation.new_zeros(FRAME - 2, 22, 3)
+    steps[1:].flatten(1).diagonal().fill_(STEP)
+    turned = motion.rotations @ so3.exp(steps)[:, None]
+    clips = motion.replace(
+        translation=motion.translation.expand(len(steps), -1, -1),
+        rotations=turned,
+        shape=motion.shape.expand(len(steps), -1),
+        valid=motion.valid.expand(len(steps), -1),
+    )
+    values = measure(clips)
+    slopes = ((values[1:] - values[:1]) / STEP).movedim(0, -1)
+    return torch.nn.functional.pad(slopes, (3, border))
+
+
+def _own_frames(
+    found: Inverse, count: int
+) -> tuple[Float[Tensor, "time n n"], Float[Tensor, "time n m"]]:
+    """Covariance of every frame's coordinates given the border, and how the border moves them."""
+    blocks = found.within.unflatten(-1, (2, FRAME)).unflatten(-3, (2, FRAME))
+    own = torch.stack((blocks[:, 0, :, 0], blocks[:, 1, :, 1]), 1).flatten(0, 1)[:count]
+    return own, found.onto.unflatten(1, (2, FRAME)).flatten(0, 1)[:count]
+
+
+def _variances(
+    found: Inverse, slopes: Float[Tensor, "time values coordinates"]
+) -> Float[Tensor, "time values"]:
+    """Variances of values of every frame, from their derivatives by its coordinates."""
+    own, onto = _own_frames(found, len(slopes))
+    moved, shaped = slopes[..., :FRAME], slopes[..., FRAME:]
+    rest = shaped - moved @ onto
+    return ((moved @ own) * moved).sum(-1) + ((rest @ found.border) * rest).sum(-1)
+
+
+def _given_rest(covariance: Float[Tensor, "m m"], count: int) -> Float[Tensor, "count count"]:
+    """Covariance of the first coordinates where all others are known."""
+    first, across, rest = (
+        covariance[:count, :count], covariance[:count, count:], covariance[count:, count:],
+    )  # fmt: skip
+    if rest.numel() == 0:
+        return first
+    return first - across @ torch.linalg.solve(rest, across.mT)

@@ -1,1 +1,0 @@
-"""Second-order minimisation of a stage: Gauss-Newton Hessians in bands, and two uses of them."""

@@ -1,1 +1,0 @@
-"""Fits that run side by side and share their minimisations, as one batch of the solver."""

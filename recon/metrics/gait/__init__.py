@@ -1,1 +1,0 @@
-"""Gait as laboratories measure it: events, cycles, and the figures of time and space."""

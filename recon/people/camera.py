@@ -1,0 +1,160 @@
+"""The one camera that saw several people: its ground and lens from a quick fit of each."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from observations import kinds
+from observations.files.images import camera_above
+from recon.api.result import Result
+from recon.core.motion import Motion
+
+_SIZE = 0.05
+"""Standard deviation of the logarithm of a person's size, and so of the distance from the camera,
+where one view is all there is: that of the statures of adults."""
+_UPRIGHT = 0.03
+"""Standard deviation of the direction up that one person's posture tells, radians."""
+_ON_GROUND = 0.03
+"""Standard deviation of the height of a person's path above the ground, metres."""
+_PLACES = 20
+"""Places of a person that are laid on the ground."""
+
+
+@dataclass(frozen=True)
+class SharedCamera:
+    """A camera in a world whose ground is z = 0."""
+
+    matrix: Float[Tensor, "3 3"]
+    T_camera_world: Float[Tensor, "4 4"]
+    starts: tuple[Motion, ...]
+    """Everybody's first motion in that world."""
+    described: str
+    """What was found, in a sentence."""
+
+
+@dataclass(frozen=True)
+class _Alone:
+    """What the quick fit of one person says, in the frame of the camera."""
+
+    result: Result
+    focal: float
+    depth: float
+    """Mean distance of the pelvis along the viewing axis, metres."""
+    up: Float[np.ndarray, "3"]
+    places: Float[np.ndarray, "places 3"]
+    """Places of the pelvis, brought down to the ground; metres."""
+
+    @classmethod
+    def of(cls, result: Result) -> "_Alone":
+        """What a fit with a camera of unknown pose found."""
+        (view,) = kinds.views(result.examined.fit.observations)
+        T = result.T_world_camera
+        assert T is not None
+        assert result.ground is not None
+        back = torch.linalg.inv(T.double()).numpy()
+        pelvis = result.joints[:, 0].double().numpy()
+        rows = np.linspace(0, len(pelvis) - 1, min(_PLACES, len(pelvis))).round().astype(int)
+        below = pelvis[rows].copy()
+        below[:, 2] = float(result.ground[3])
+        depth = (pelvis @ back[:3, :3].T + back[:3, 3])[:, 2].mean()
+        return cls(
+            result=result,
+            focal=float(view.camera.camera_matrix[0, ..., 0, 0].mean()),
+            depth=float(depth),
+            up=back[:3, 2],
+            places=below @ back[:3, :3].T + back[:3, 3],
+        )
+
+    def zoomed(self, focal: float) -> Float[np.ndarray, "places 3"]:
+        """The places for another focal length: farther along the viewing axis, as it is longer."""
+        return self.places + np.array([0.0, 0.0, (focal / self.focal - 1) * self.depth])
+
+
+def shared_camera(results: Sequence[Result]) -> SharedCamera:
+    """The camera that fits everybody best.
+
+    Focal lengths are averaged. The ground is the plane to which the places of all people come
+    nearest, each of whom may be so much farther away and larger as people differ, and whose
+    normal is as near as can be to what each posture says is up.
+
+    Args:
+        results: fits to one camera of unknown pose, one per person.
+    """
+    alone = [_Alone.of(one) for one in results]
+    seen = np.array([one.motion.frames for one in results], float)
+    focal = float(np.exp(np.average([np.log(one.focal) for one in alone], weights=seen)))
+    places = [one.zoomed(focal) for one in alone]
+    normal, above, factors = _plane(places, [one.up for one in alone])
+    T_world_camera = camera_above((*normal.tolist(), -above))
+    T = torch.from_numpy(T_world_camera)
+    starts = tuple(
+        _moved(one, T_world_camera, focal, float(factor), spots)
+        for one, factor, spots in zip(alone, factors, places, strict=True)
+    )
+    (view,) = kinds.views(results[0].examined.fit.observations)
+    matrix = view.camera.camera_matrix.reshape(-1, 3, 3)[0].double().cpu()
+    zoomed = matrix.clone()
+    zoomed[:2, :2] *= focal / alone[0].focal
+    tilts = [np.degrees(np.arccos(np.clip(one.up @ normal, -1, 1))) for one in alone]
+    return SharedCamera(
+        matrix=zoomed.float(),
+        T_camera_world=torch.linalg.inv(T).float(),
+        starts=starts,
+        described=(
+            f"one camera for {len(alone)} people: {above:.2f} m above the ground, focal length "
+            f"{focal:.0f} pixels (each alone: "
+            + ", ".join(f"{one.focal:.0f}" for one in alone)
+            + "; so much farther away: "
+            + ", ".join(f"{factor:.2f}" for factor in factors)
+            + "; up differs by " + ", ".join(f"{tilt:.1f}" for tilt in tilts) + " degrees)"
+        ),
+    )  # fmt: skip
+
+
+def _plane(
+    places: Sequence[Float[np.ndarray, "places 3"]], ups: Sequence[Float[np.ndarray, "3"]]
+) -> tuple[Float[np.ndarray, "3"], float, Float[np.ndarray, " people"]]:
+    """Normal, height of the camera above the ground, and everybody's factor of distance."""
+    from scipy.optimize import least_squares
+
+    mean = np.mean(ups, axis=0)
+    mean /= np.linalg.norm(mean)
+    side = np.linalg.svd(mean[None])[2][1:]
+
+    def parts(x: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
+        normal = mean + x[:2] @ side
+        return normal / np.linalg.norm(normal), float(np.exp(x[2])), np.exp(x[3:])
+
+    def residuals(x: np.ndarray) -> np.ndarray:
+        normal, above, factors = parts(x)
+        out = [x[3:] / _SIZE]
+        for spots, up, factor in zip(places, ups, factors, strict=True):
+            out.append((factor * spots @ normal + above) / _ON_GROUND / np.sqrt(len(spots)))
+            out.append((up - normal) / _UPRIGHT)
+        return np.concatenate(out)
+
+    above = max(float(np.mean([-(spots @ mean).mean() for spots in places])), 0.1)
+    found = least_squares(residuals, np.array([0.0, 0.0, np.log(above), *[0.0] * len(places)]))
+    return parts(found.x)
+
+
+def _moved(
+    one: _Alone,
+    T_world_camera: Float[np.ndarray, "4 4"],
+    focal: float,
+    factor: float,
+    places: Float[np.ndarray, "places 3"],
+) -> Motion:
+    """A person's first motion where the shared camera sees it."""
+    assert one.result.T_world_camera is not None
+    shift = np.eye(4)
+    shift[:3, 3] = (0.0, 0.0, (focal / one.focal - 1) * one.depth)
+    shift[:3, 3] += (factor - 1) * places.mean(0)
+    T = T_world_camera @ shift @ np.linalg.inv(one.result.T_world_camera.double().numpy())
+    motion = one.result.motion
+    pelvis = one.result.body.rest_joints(motion.shape)[0]
+    return motion.carried(torch.from_numpy(T).to(motion.translation), pelvis)

@@ -1,0 +1,201 @@
+"""`recon.load_people` and `recon.fit_people`: everybody in a recording, in one world."""
+
+import logging
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal
+
+from observations import kinds
+from observations.keypoints2d import Keypoints2D
+from recon.api.fit import fit
+from recon.api.given import BodyLike, body_given
+from recon.api.result import Result
+from recon.batch.together import FRAMES, Raised, ended_together
+from recon.body.model import BodyModel
+from recon.core.errors import FormatError, ReconError
+from recon.core.motion import Motion
+from recon.fitting.clip_files import Clip, PersonClip
+from recon.fitting.clip_files import load_people as read_people
+from recon.fitting.methods import PriorObject
+from recon.fitting.settings import FitSettings
+from recon.people.camera import SharedCamera, shared_camera
+from recon.people.results import People
+
+_LOG = logging.getLogger("recon")
+_QUICK = ("body", "noise", "robust", "ground", "between", "device", "callback", "repair")
+"""Arguments of a fit that concern the first look at the camera as well."""
+
+
+def load_people(
+    path: Path | str | Sequence[Path | str],
+    *,
+    frame_rate: float,
+    body: BodyModel | None = None,
+    layout: str | None = None,
+    camera: Path | str | None = None,
+    camera_unit: Literal["m", "mm"] | None = None,
+    camera_up: Literal["x", "y", "z"] | None = None,
+    image_size: tuple[int, int] | None = None,
+    camera_track: Path | str | None = None,
+    ground: tuple[float, float, float, float] | Literal["none"] | None = None,
+) -> list[PersonClip]:
+    """Everybody in 2D detections of one or several views, as `recon.fit_people` takes them.
+
+    People are followed past each other by where and how they move. Where who is who cannot be
+    told, a person ends and another one begins. Who is seen for less than half a second, or a
+    tenth as completely as who is seen best, is left out. All decisions are logged.
+
+    Args:
+        path: files and folders of one recording.
+        frame_rate: frames per second.
+        body: that is to be fitted; default: the bundled one.
+        layout: as of `recon.load_observation`, and so are the others.
+        camera: calibration of the cameras; default, for one view: a phone's.
+        camera_unit: unit of the calibration, where it does not tell.
+        camera_up: axis of the calibration's world that points up.
+        image_size: width and height, pixels, where no calibration tells.
+        camera_track: how the one camera was carried.
+        ground: plane n·x = d below a camera without pose, in its frame, metres.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+        FormatError: when something cannot be read, or arguments are missing; says what to do.
+    """
+    paths = [path] if isinstance(path, Path | str) else path
+    settings = FitSettings(
+        frame_rate=frame_rate, layout=layout, camera=None if camera is None else Path(camera),
+        camera_unit=camera_unit, camera_up=camera_up, image_size=image_size,
+        camera_track=None if camera_track is None else Path(camera_track), ground=ground,
+    )  # fmt: skip
+    try:
+        people, notes = read_people(
+            [Path(one) for one in paths], settings, BodyModel.load() if body is None else body
+        )
+    except ReconError:
+        raise
+    except ValueError as error:
+        raise FormatError(str(error)) from error
+    for note in notes:
+        _LOG.info("%s", note)
+    return list(people)
+
+
+def fit_people(
+    people: Sequence[PersonClip],
+    prior: str | PriorObject = "humor",
+    *,
+    together: int = FRAMES,
+    body: BodyLike = None,
+    notes: Sequence[str] = (),
+    **arguments: Any,
+) -> People:
+    """The motions of several people, in one world.
+
+    Where all were seen by one fixed camera of unknown pose, a quick fit of each tells where the
+    ground below the camera is and how long its lens is; what fits all of them best is then given
+    to all, so that they stand on one floor at their distances from each other, each with the
+    shape that the quick fit found. People before calibrated cameras are in one world anyway. With
+    a carried camera everybody's ground is found for itself.
+
+    Args:
+        people: of one recording, as `recon.load_people` returns them.
+        prior: as of `recon.fit`.
+        together: frames of several people that are minimised together at most.
+        body: as of `recon.fit`.
+        notes: what was decided before, for the report.
+        arguments: others of `recon.fit`, the same for all people.
+
+    Raises:
+        ReconError: as `recon.fit`, naming the person; when there is nobody.
+        FileNotFoundError: as `recon.fit`.
+    """
+    if len(people) == 0:
+        raise ReconError("people: nobody to fit: expected at least one person, got none")
+    model = body_given(body)
+    arguments = arguments | {"body": model}
+    numbers = tuple(one.number for one in people)
+    clips = [one.clip for one in people]
+    starts: list[Motion | None] = [None] * len(clips)
+    shared: SharedCamera | None = None
+    if len(clips) > 1 and arguments.get("ground", "auto") in ("auto", "unknown"):
+        views = [_only_view(clip) for clip in clips]
+        if all(view is not None for view in views):
+            quick = {name: value for name, value in arguments.items() if name in _QUICK}
+            first = _fitted(numbers, clips, "pose", [quick] * len(clips), together)
+            shared = shared_camera(first)
+            clips = [_before(clip, shared) for clip in clips]
+            starts = list(shared.starts)
+            arguments = arguments | {"ground": "auto"}
+            notes = (*notes, shared.described)
+    each = [
+        arguments if start is None else arguments | {"start": start} | {"shape": start.shape}
+        for start in starts
+    ]
+    results = _fitted(numbers, clips, prior, each, together)
+    if shared is not None:
+        results = [_on_one_floor(one) for one in results]
+    return People(tuple(results), numbers, shared is not None, tuple(notes))
+
+
+def _on_one_floor(result: Result) -> Result:
+    """A result whose warning about the floor says that it was found and not given."""
+    return replace(
+        result,
+        warnings=tuple(
+            replace(
+                finding,
+                message=f"the soles stand at {finding.value:.2f} m above the floor that was found "
+                "for all people together: what each shows of the ground does not agree. Give the "
+                "ground (--ground), or a calibration (--camera)",
+            )
+            if finding.code == "floor" and finding.value is not None
+            else finding
+            for finding in result.warnings
+        ),
+    )
+
+
+def _only_view(clip: Clip) -> Keypoints2D | None:
+    """The one fixed camera of unknown pose that saw a clip; None where it is otherwise."""
+    views = kinds.views(clip.observations)
+    if len(views) != 1 or len(clip.observations) != 1 or clip.ground_given:
+        return None
+    (view,) = views
+    fixed = view.camera.T_camera_world.shape[-3] == 1
+    return view if fixed and not view.ground_known else None
+
+
+def _before(clip: Clip, shared: SharedCamera) -> Clip:
+    """The clip as the shared camera saw it, whose pose is known from here on."""
+    (view,) = kinds.views(clip.observations)
+    camera = view.camera.derived(
+        camera_matrix=shared.matrix.to(view.camera.camera_matrix)[None, None],
+        T_camera_world=shared.T_camera_world.to(view.camera.T_camera_world)[None, None],
+    )
+    posed = view.derived(camera=camera, ground_known=True, focal_known=True)
+    T = shared.T_camera_world.double().inverse().numpy()
+    return replace(clip, observations=(posed,), T_recording_camera=T)
+
+
+def _fitted(
+    numbers: Sequence[int],
+    clips: Sequence[Clip],
+    prior: str | PriorObject,
+    arguments: Sequence[dict[str, Any]],
+    together: int,
+) -> list[Result]:
+    functions = [
+        partial(fit, clip, prior, **own) for clip, own in zip(clips, arguments, strict=True)
+    ]
+    results: dict[int, Result] = {}
+    for k, outcome in ended_together(functions, together):
+        if not isinstance(outcome, Raised):
+            results[k] = outcome
+        elif isinstance(outcome.error, ReconError):
+            error = type(outcome.error)(f"person {numbers[k]}: {outcome.error}")
+            raise error from outcome.error
+        else:
+            raise outcome.error
+    return [results[k] for k in range(len(clips))]

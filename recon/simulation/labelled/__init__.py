@@ -1,1 +1,0 @@
-"""Clouds whose points know where on a body they lie: what a network learns labels from."""

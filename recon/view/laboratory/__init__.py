@@ -1,1 +1,0 @@
-"""The laboratory report: one page with figures of gait, and a table beside it."""

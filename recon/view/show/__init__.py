@@ -1,1 +1,0 @@
-"""What is shown, as values: figures, points, cameras, viewpoints."""

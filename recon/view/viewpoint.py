@@ -1,0 +1,179 @@
+"""The viewpoint: a pinhole camera at three-quarter view that follows the person."""
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float
+
+from recon.view.scene import Figure, Show
+
+FIELD_OF_VIEW = math.radians(32)
+"""Across the shorter side of the picture: a portrait lens, which keeps limbs in proportion."""
+AZIMUTH = math.radians(38)
+"""Azimuth of the camera, seen from above, away from the person's front."""
+ELEVATION = math.radians(13)
+OVERVIEW_ELEVATION = math.radians(20)
+OVERVIEW_REACH = 10.0
+"""Metres from the people's middle within which cameras are kept in the picture."""
+FOLLOW_SECONDS = 0.4
+"""Standard deviation of the window that smooths the followed path."""
+
+
+@dataclass(frozen=True)
+class Viewpoint:
+    """A pinhole camera in the world (OpenCV axes: x right, y down, z forward)."""
+
+    R_camera_world: Float[np.ndarray, "3 3"]
+    position: Float[np.ndarray, "3"]
+    """World, metres."""
+    target: Float[np.ndarray, "3"]
+    """The point looked at; world, metres."""
+    focal: float
+    """Pixels."""
+    size: tuple[int, int]
+    """Width and height, pixels."""
+    middle: tuple[float, float] | None = None
+    """Pixel that the viewing axis goes through; None: the middle of the picture."""
+
+    @property
+    def centre(self) -> tuple[float, float]:
+        """Pixel that the viewing axis goes through."""
+        return (self.size[0] / 2, self.size[1] / 2) if self.middle is None else self.middle
+
+    def scaled(self, factor: int) -> "Viewpoint":
+        """The view with `factor` times as many pixels along each side."""
+        x, y = self.centre
+        return dataclasses.replace(
+            self,
+            focal=self.focal * factor,
+            size=(self.size[0] * factor, self.size[1] * factor),
+            middle=(x * factor, y * factor),
+        )
+
+    def part(self, left: int, top: int, right: int, bottom: int) -> "Viewpoint":
+        """A rectangle of the picture; `right` and `bottom` are the first column and row beyond."""
+        x, y = self.centre
+        size, middle = (right - left, bottom - top), (x - left, y - top)
+        return dataclasses.replace(self, size=size, middle=middle)
+
+    def project(
+        self, points: Float[np.ndarray, "points 3"]
+    ) -> tuple[Float[np.ndarray, "points 2"], Float[np.ndarray, " points"]]:
+        """Pixels (the centre of the first pixel is 0.5) and depth in metres."""
+        local = (points - self.position) @ self.R_camera_world.T
+        depth = local[:, 2]
+        safe = np.where(np.abs(depth) < 1e-6, 1e-6, depth)
+        return local[:, :2] / safe[:, None] * self.focal + self.centre, depth
+
+    def along(self, axis: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+        """A world axis times the rays through pixels, as weights of (column, row, 1).
+
+        A ray has unit depth, not unit length; columns and rows count from 0 at pixels' centres.
+        """
+        right, down, forward = self.R_camera_world @ axis
+        x, y = self.centre
+        right, down = right / self.focal, down / self.focal
+        return np.array([right, down, forward - right * (x - 0.5) - down * (y - 0.5)])
+
+
+def viewpoints(shows: Sequence[Show], size: tuple[int, int]) -> tuple[Viewpoint, ...]:
+    """One camera per frame for all shows: following, or standing where cameras are shown too."""
+    figures = [figure for show in shows for figure in show.figures]
+    centres = [
+        view.at(frame).T_world_camera[:3, 3].numpy()
+        for show in shows
+        for view in show.cameras
+        for frame in (range(show.frames) if view.camera.T_camera_world.ndim == 3 else (0,))
+    ]
+    return overview(figures, np.stack(centres), size) if centres else follow(figures, size)
+
+
+def follow(
+    figures: Sequence[Figure], size: tuple[int, int], margin: float = 0.9
+) -> tuple[Viewpoint, ...]:
+    """One camera per frame that keeps all figures in view from a constant direction.
+
+    The direction is `AZIMUTH` from the first figure's mean heading, the distance the smallest at
+    which the surface stays within `margin` of the picture in 98 % of the frames.
+    """
+    surface = np.concatenate([_outline(figure) for figure in figures], 1)
+    pelvis = np.mean([figure.posed.joints[:, 0].numpy() for figure in figures], 0)
+    target = _smooth(pelvis.astype(np.float64), figures[0].motion.fps * FOLLOW_SECONDS)
+    target[:, 2] = (max(surface[..., 2].max(), 0.5) + min(surface[..., 2].min(), 0)) / 2
+
+    R_camera_world = _three_quarter(figures[0], ELEVATION)
+    toward = -R_camera_world[2]
+    half = np.array(size) / 2
+    focal = float(half.min() / math.tan(FIELD_OF_VIEW / 2))
+    local = np.abs((surface - target[:, None]) @ R_camera_world.T)
+    signed = (surface - target[:, None]) @ R_camera_world[2]
+    needed = (local[..., :2] * focal / (half * margin)).max(-1) - signed
+    distance = float(np.quantile(needed.max(1), 0.98))
+    return tuple(
+        Viewpoint(R_camera_world, place + distance * toward, place, focal, size)
+        for place in target
+    )
+
+
+def overview(
+    figures: Sequence[Figure],
+    others: Float[np.ndarray, "points 3"],
+    size: tuple[int, int],
+    margin: float = 0.9,
+) -> tuple[Viewpoint, ...]:
+    """One standing camera, repeated for every frame, that sees the figures and other points.
+
+    Points farther than `OVERVIEW_REACH` from everybody are left out of it.
+    """
+    surface = np.concatenate([_outline(figure) for figure in figures], 1).reshape(-1, 3)
+    middle = (surface.min(0) + surface.max(0)) / 2
+    reach = OVERVIEW_REACH + np.ptp(surface, axis=0).max() / 2
+    kept = others[np.linalg.norm(others - middle, axis=1) < reach]
+    points = np.concatenate([surface, kept])
+    R_camera_world = _three_quarter(figures[0], OVERVIEW_ELEVATION)
+    local = points @ R_camera_world.T
+    target = (local.min(0) + local.max(0)) / 2 @ R_camera_world
+    half = np.array(size) / 2
+    focal = float(half.min() / math.tan(FIELD_OF_VIEW / 2))
+    local = (points - target) @ R_camera_world.T
+    needed = (np.abs(local[:, :2]) * focal / (half * margin)).max(1) - local[:, 2]
+    place = target - float(needed.max()) * R_camera_world[2]
+    view = Viewpoint(R_camera_world, place, target, focal, size)
+    return (view,) * figures[0].motion.frames
+
+
+def across(figure: Figure) -> Float[np.ndarray, "3"]:
+    """The level direction that is to the right in pictures of a figure, unit length."""
+    return _three_quarter(figure, ELEVATION)[0]
+
+
+def _three_quarter(figure: Figure, elevation: float) -> Float[np.ndarray, "3 3"]:
+    """R_camera_world of a camera `AZIMUTH` from a figure's mean heading, looking down on it."""
+    front = figure.posed.orientations[:, 0, :2, 2].double().numpy().sum(0)
+    heading = math.atan2(front[1], front[0]) - AZIMUTH
+    level = np.array([math.cos(heading), math.sin(heading), 0.0])
+    toward = math.cos(elevation) * level + np.array([0.0, 0.0, math.sin(elevation)])
+    right = np.array([-math.sin(heading), math.cos(heading), 0.0])
+    return np.stack([right, np.cross(-toward, right), -toward])
+
+
+def _outline(figure: Figure) -> Float[np.ndarray, "time points 3"]:
+    """Every fortieth vertex: enough to know how far a body reaches."""
+    some = torch.arange(0, len(figure.body.template), 40)
+    return figure.posed.points(some).double().numpy()
+
+
+def _smooth(path: Float[np.ndarray, "time 3"], deviation: float) -> Float[np.ndarray, "time 3"]:
+    """Local straight-line fits under a Gaussian window: no lag at the ends of a walk."""
+    offset = np.arange(len(path))[None] - np.arange(len(path))[:, None]
+    window = np.exp(-0.5 * (offset / max(deviation, 1e-3)) ** 2)
+    first, second = window * offset, window * offset**2
+    first = first.sum(1)
+    second = second.sum(1) + 1e-6  # a lone frame has no slope
+    # Weighted least squares of position on offset; the value at offset zero, scaled to sum 1.
+    weights = window * (second[:, None] - first[:, None] * offset)
+    return (weights / weights.sum(1, keepdims=True)) @ path

@@ -1,0 +1,1 @@
+"""Training of the priors from a converted corpus; in no wheel."""

@@ -1,0 +1,1 @@
+"""Training of the anchor-frame VAE of gait cycles (Marsot et al. 2022)."""

@@ -1,0 +1,224 @@
+"""The corpus as cycles of gait, varied as drawn: shifted, mirrored, on other bodies."""
+
+import logging
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from priors.anchor.frames import ANCHORS, POSED, Alignment, Anchors, rest_pelvis
+from recon.benchmark.dataset import Licence, Part, Splits, files_on_flat_ground
+from recon.body.cycles import Cycle, find_cycles
+from recon.body.model import BodyModel
+from recon.body.motion_files import with_shape
+from recon.core import rotations as so3
+from recon.core.skeleton import MIRROR, UPPER
+from recon.core.struct import TensorStruct
+from recon.formats.motions import load_motion
+
+_LOG = logging.getLogger(__name__)
+
+MARGIN = 10
+"""Anchors kept before and after a cycle, where the recording goes on."""
+_UPPER = [POSED.index(joint) for joint in UPPER]
+"""Rows of neck, head and arms."""
+_MIRRORED = [POSED.index(MIRROR[joint]) for joint in POSED]
+
+
+@dataclass(frozen=True)
+class CycleVariation:
+    """Random variations of cycles in training; zeros leave them as recorded."""
+
+    mirror: float = 0.5
+    """Chance of being mirrored."""
+    shift: int = 5
+    """Anchors by which the cycle begins earlier or later, at most."""
+    shape: float = 0.7
+    """Standard deviation by which each shape coefficient is moved."""
+    speed: float = 0.1
+    """Played up to this fraction faster or slower."""
+    exchange: float = 0.3
+    """Chance of neck, head and arms of another cycle of the same phase: arms are free."""
+    mix: float = 0.3
+    """Chance of being mixed with another cycle, each with a random share."""
+
+
+@dataclass(frozen=True)
+class CycleBatch(TensorStruct):
+    """Aligned cycles and the bodies that perform them."""
+
+    anchors: Anchors
+    shape: Float[Tensor, "cycles shape"]
+
+
+@dataclass(frozen=True)
+class CycleCorpus(TensorStruct):
+    """All cycles of one part, with what comes shortly before and after them."""
+
+    columns: Float[Tensor, "cycles frames 20 6"]
+    """Rotations; 120 frames, of which the middle 100 are the cycle."""
+    translation: Float[Tensor, "cycles frames 3"]
+    room: Int[Tensor, "cycles 2"]
+    """Frames before and after the cycle that were recorded; others repeat the nearest."""
+    duration: Float[Tensor, " cycles"]
+    shape: Float[Tensor, "cycles shape"]
+    left: Bool[Tensor, " cycles"]
+    """Whether the cycle begins with the left foot."""
+    chance: Float[Tensor, " cycles"]
+    """Relative chance of being drawn: a subject counts as the square root of its number of
+    cycles."""
+    body: BodyModel
+    cycles: tuple[Cycle, ...]
+    clips: tuple[str, ...]
+    """The clip of every cycle."""
+
+    @classmethod
+    def load(
+        cls, folder: str | Path, splits: Splits, part: Part, licence: Licence, body: BodyModel
+    ) -> "CycleCorpus":
+        """All cycles of the clips of one part on flat ground.
+
+        Raises:
+            ValueError: when there is none.
+        """
+        rows: list[tuple[Tensor, Tensor, Tensor]] = []
+        room: list[tuple[int, int]] = []
+        cycles: list[Cycle] = []
+        clips: list[str] = []
+        for name, path in files_on_flat_ground(folder, splits, part, licence).items():
+            motion = load_motion(path).motion
+            for cycle in find_cycles(motion):
+                step = cycle.duration / (ANCHORS - 1)
+                around = torch.arange(-MARGIN, ANCHORS + MARGIN, dtype=torch.float64)
+                times = cycle.start + around * step
+                inside = (times >= motion.times[0]) & (times <= motion.times[-1])
+                at = motion.at(times.clamp(motion.times[0], motion.times[-1]), 1 / step)
+                rows.append((so3.to_6d(at.rotations[:, POSED]), at.translation, motion.shape))
+                before, after = inside[:MARGIN].sum(), inside[-MARGIN:].sum()
+                room.append((int(before), int(after)))
+                cycles.append(cycle)
+                clips.append(name)
+        if len(rows) == 0:
+            raise ValueError(f"{folder}: no {part} cycle of gait there ({licence})")
+        _LOG.info("%d %s cycles (%s)", len(rows), part, licence)
+        columns, translation, shape = (torch.stack(x) for x in zip(*rows, strict=True))
+        return cls(
+            columns=columns,
+            translation=translation,
+            room=torch.tensor(room),
+            duration=torch.tensor([cycle.duration for cycle in cycles]),
+            shape=shape,
+            left=torch.tensor([cycle.side == "left" for cycle in cycles]),
+            chance=_chances([splits.subject(clip) for clip in clips]),
+            body=body,
+            cycles=tuple(cycles),
+            clips=tuple(clips),
+        )
+
+    def every(self, alignment: Alignment) -> CycleBatch:
+        """All cycles as recorded."""
+        rows = torch.arange(len(self.duration))
+        return self._cut(rows, torch.zeros_like(rows), self.shape, alignment)
+
+    def draw(
+        self,
+        count: int,
+        variation: CycleVariation,
+        alignment: Alignment,
+        random: torch.Generator,
+    ) -> CycleBatch:
+        """Random cycles."""
+
+        def uniform() -> Tensor:
+            return torch.rand(count, generator=random)
+
+        row = torch.multinomial(self.chance, count, replacement=True, generator=random)
+        reach = self.room[row].clamp(max=variation.shift)
+        shift = ((uniform() * (reach.sum(-1) + 1)).long() - reach[:, 0]).clamp(max=reach[:, 1])
+        normal = torch.randn(count, self.shape.shape[1], generator=random)
+        shape = self.shape[row] + variation.shape * normal
+        batch = self._cut(row, shift, shape, alignment)
+        mirror = uniform() < variation.mirror
+        batch = _where(mirror, _mirrored(batch), batch)
+        left = self.left[row] ^ mirror
+        anchors = self._blended(batch.anchors, left, variation, random)
+        faster = ((2 * uniform() - 1) * variation.speed).exp()
+        return batch.replace(anchors=anchors.replace(times=anchors.times * faster[:, None]))
+
+    def _cut(self, row: Tensor, shift: Tensor, shape: Tensor, alignment: Alignment) -> CycleBatch:
+        frames = MARGIN + shift[:, None] + torch.arange(ANCHORS)
+        step = self.duration[row] / (ANCHORS - 1)
+        anchors = Anchors(
+            rotations=so3.from_6d(self.columns[row[:, None], frames]),
+            translation=self.translation[row[:, None], frames],
+            times=step[:, None] * torch.arange(ANCHORS),
+        )
+        own = anchors.motion(self.shape[row], 1.0)
+        anchors = anchors.replace(translation=with_shape(own, self.body, shape).translation)
+        return CycleBatch(anchors.aligned(alignment, rest_pelvis(self.body, shape))[0], shape)
+
+    def _blended(
+        self,
+        anchors: Anchors,
+        left: Bool[Tensor, " cycles"],
+        variation: CycleVariation,
+        random: torch.Generator,
+    ) -> Anchors:
+        """Some cycles with the arms of others, and some mixed with others, of the same foot."""
+        count = len(left)
+        columns = so3.to_6d(anchors.rotations)
+        partner = _partners(left, random)
+        upper = torch.rand(count, generator=random) < variation.exchange
+        exchanged = columns.clone()
+        exchanged[:, :, _UPPER] = columns[partner][:, :, _UPPER]
+        columns = torch.where(upper[:, None, None, None], exchanged, columns)
+        partner = _partners(left, random)
+        share = torch.rand(count, generator=random)
+        share = share * (torch.rand(count, generator=random) < variation.mix)
+
+        def mixed(own: Tensor, other: Tensor) -> Tensor:
+            return own.lerp(other, share.reshape(-1, *(1,) * (own.ndim - 1)))
+
+        height = anchors.translation[..., 2:]
+        place = mixed(anchors.translation[..., :2], anchors.translation[partner][..., :2])
+        return Anchors(
+            rotations=so3.from_6d(mixed(columns, columns[partner])),
+            translation=torch.cat((place, height), -1),
+            times=mixed(anchors.times, anchors.times[partner]),
+        )
+
+
+def _partners(left: Bool[Tensor, " cycles"], random: torch.Generator) -> Int[Tensor, " cycles"]:
+    """Random partners of cycles, one for each, that begin with the same foot."""
+    partner = torch.arange(len(left))
+    for side in (left, ~left):
+        rows = side.nonzero()[:, 0]
+        partner[rows] = rows[torch.randperm(len(rows), generator=random)]
+    return partner
+
+
+def _mirrored(batch: CycleBatch) -> CycleBatch:
+    flip = batch.shape.new_tensor([-1.0, 1.0, 1.0])
+    anchors = batch.anchors
+    rotations = (flip[:, None] * anchors.rotations * flip)[..., _MIRRORED, :, :]
+    return batch.replace(
+        anchors=anchors.replace(rotations=rotations, translation=anchors.translation * flip)
+    )
+
+
+def _where(choice: Bool[Tensor, " cycles"], one: CycleBatch, other: CycleBatch) -> CycleBatch:
+    pairs = iter(zip(one.tensors().values(), other.tensors().values(), strict=True))
+
+    def choose(_: Tensor) -> Tensor:
+        a, b = next(pairs)
+        return torch.where(choice.reshape(-1, *(1,) * (a.ndim - 1)), a, b)
+
+    return one.map(choose)
+
+
+def _chances(subjects: list[str]) -> Float[Tensor, " cycles"]:
+    count = Counter(subjects)
+    return torch.tensor([count[subject] ** -0.5 for subject in subjects])

@@ -1,0 +1,187 @@
+"""One step of an optimiser, and the average of the weights over time that is the result."""
+
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol, runtime_checkable
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+
+@runtime_checkable
+class Descending(Protocol):
+    """A training run, as far as a step of it goes."""
+
+    optimiser: torch.optim.Optimizer
+    step: int
+
+    @property
+    def networks(self) -> nn.Module:
+        """The networks that are trained."""
+        ...
+
+    @property
+    def averaged(self) -> nn.Module:
+        """Their average over time."""
+        ...
+
+
+def descend(run: Descending, loss: Tensor, rate: float, clip: float, average: float) -> None:
+    """One step against the gradient of a loss; none where the gradient is not finite.
+
+    Args:
+        run: whose step it is.
+        loss: one number.
+        rate: learning rate of this step.
+        clip: longest gradient.
+        average: share of the averaged weights that is kept; less in the first steps.
+    """
+    run.optimiser.zero_grad()
+    loss.backward()
+    norm = torch.nn.utils.clip_grad_norm_(run.networks.parameters(), clip)
+    for group in run.optimiser.param_groups:
+        group["lr"] = rate
+    if bool(norm.isfinite()):
+        run.optimiser.step()
+    run.step += 1
+    keep = min(average, run.step / (run.step + 10))
+    with torch.no_grad():
+        for mean, now in zip(run.averaged.parameters(), run.networks.parameters(), strict=True):
+            mean.lerp_(now, 1 - keep)
+
+
+def cosine(progress: float) -> float:
+    """Factor of a learning rate that falls from 1 to a hundredth as progress goes from 0 to 1."""
+    return 0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * progress))
+
+
+_QUINTIC = (3.4445, -4.7750, 2.0315)
+"""Coefficients of the iteration X <- a X + b (X Xᵀ) X + c (X Xᵀ)² X, published."""
+_ITERATIONS, _MOMENTUM, _SCALE = 5, 0.95, 0.2
+_BETAS, _EPS = (0.9, 0.99), 1e-8
+
+
+class Muon(torch.optim.Optimizer):
+    """Muon for some matrices and AdamW for other parameters, at one learning rate."""
+
+    def __init__(
+        self, matrices: Iterable[Tensor], others: Iterable[Tensor], lr: float, weight_decay: float
+    ) -> None:
+        """Settings alone: momentum comes with the first step."""
+        groups = [
+            {"params": list(matrices), "orthogonal": True},
+            {"params": list(others), "orthogonal": False},
+        ]
+        super().__init__(groups, {"lr": lr, "weight_decay": weight_decay})
+
+    @torch.no_grad()
+    def step(self, closure: Callable[[], Any] | None = None) -> None:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """One step against the gradients that are there."""
+        del closure
+        for group in self.param_groups:
+            for parameter in group["params"]:
+                if parameter.grad is None:
+                    continue
+                state = self.state[parameter]
+                update = _orthogonal if group["orthogonal"] else _adaptive
+                parameter.mul_(1 - group["lr"] * group["weight_decay"])
+                parameter.add_(update(parameter.grad, state), alpha=-group["lr"])
+
+
+def orthogonalised(matrix: Float[Tensor, "rows columns"]) -> Float[Tensor, "rows columns"]:
+    """About the nearest matrix with orthonormal rows or columns: singular values 0.7 to 1.2."""
+    a, b, c = _QUINTIC
+    wide = matrix if matrix.shape[0] <= matrix.shape[1] else matrix.mT
+    x = wide / wide.norm().clamp(min=1e-12)
+    for _ in range(_ITERATIONS):
+        gram = x @ x.mT
+        x = a * x + (b * gram + c * gram @ gram) @ x
+    return x if wide is matrix else x.mT
+
+
+def _orthogonal(gradient: Tensor, state: dict[str, Any]) -> Tensor:
+    """Step of a matrix, for a learning rate of one."""
+    momentum = state.setdefault("momentum", torch.zeros_like(gradient))
+    momentum.lerp_(gradient, 1 - _MOMENTUM)
+    ahead = gradient.lerp(momentum, _MOMENTUM)
+    return _SCALE * max(gradient.shape) ** 0.5 * orthogonalised(ahead)
+
+
+def _adaptive(gradient: Tensor, state: dict[str, Any]) -> Tensor:
+    """Step of Adam, for a learning rate of one."""
+    first = state.setdefault("first", torch.zeros_like(gradient))
+    second = state.setdefault("second", torch.zeros_like(gradient))
+    count = state["count"] = state.get("count", 0) + 1
+    first.lerp_(gradient, 1 - _BETAS[0])
+    second.lerp_(gradient.square(), 1 - _BETAS[1])
+    scale = (second / (1 - _BETAS[1] ** count)).sqrt() + _EPS
+    return first / (1 - _BETAS[0] ** count) / scale
+
+
+LEAST = 0.5
+"""Weight no loss falls below. The times of anchors are learned at once; their gradient then
+vanishes, and equal gradients would leave no weight to the others."""
+_FIRST = 20
+"""Steps over which the first losses are averaged."""
+
+
+@dataclass
+class GradNorm:
+    """Weights of some losses; their sum is their number.
+
+    With g_i the norm of a loss' gradient in shared parameters and G_i = w_i g_i, every weight
+    follows its target mean(G) r_i^alpha, r_i how much slower than the others the loss falls.
+    """
+
+    names: tuple[str, ...]
+    alpha: float = 0.5
+    rate: float = 0.025
+    """Relative change of a weight per step."""
+    weights: dict[str, float] = field(default_factory=dict)
+    first: dict[str, float] = field(default_factory=dict)
+    """Losses of the first steps."""
+    steps: int = 0
+
+    def __post_init__(self) -> None:
+        """All weights are one before the first step."""
+        if not self.weights:
+            self.weights = dict.fromkeys(self.names, 1.0)
+
+    def update(self, losses: Mapping[str, Tensor], shared: Tensor) -> None:
+        """One step of the weights, before the network's own.
+
+        Args:
+            losses: unweighted, on the graph.
+            shared: parameters, or activations, that all losses depend on.
+        """
+        value = {name: losses[name].item() for name in self.names}
+        self.steps += 1
+        if self.steps <= _FIRST:
+            share = 1 / self.steps
+            self.first = {
+                name: (1 - share) * self.first.get(name, 0.0) + share * value[name]
+                for name in self.names
+            }
+        norms = {name: gradient_norm(losses[name], shared) for name in self.names}
+        scaled = {name: self.weights[name] * norms[name] for name in self.names}
+        mean = sum(scaled.values()) / len(scaled)
+        left = {name: value[name] / max(self.first[name], 1e-12) for name in self.names}
+        average = max(sum(left.values()) / len(left), 1e-12)
+        for name in self.names:
+            target = mean * (left[name] / average) ** self.alpha
+            sign = (scaled[name] > target) - (scaled[name] < target)
+            self.weights[name] = max(self.weights[name] * (1 - self.rate * sign), LEAST)
+        total = sum(self.weights.values())
+        self.weights = {name: w * len(self.names) / total for name, w in self.weights.items()}
+
+    def total(self, losses: Mapping[str, Tensor]) -> Tensor:
+        """The weighted sum."""
+        return torch.stack([self.weights[name] * losses[name] for name in self.names]).sum()
+
+
+def gradient_norm(loss: Tensor, shared: Tensor) -> float:
+    """Length of a loss' gradient in shared tensors; the graph is kept."""
+    (gradient,) = torch.autograd.grad(loss, shared, retain_graph=True)
+    return gradient.norm().item()

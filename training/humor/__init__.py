@@ -1,0 +1,1 @@
+"""Training of HuMoR (Rempe et al. 2021)."""

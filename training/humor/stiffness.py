@@ -1,0 +1,151 @@
+"""Learning the mean curvature of a step (`priors.humor.steps`) from the corpus.
+
+    python -m training.humor.stiffness CORPUS --out humor_steps.safetensors
+
+Steps are drawn from all clips alike; the same corpus gives the same file. The file says which
+networks and which pose density it was made of: with those of others it is as correct and slower.
+"""
+
+import argparse
+import logging
+from pathlib import Path
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from priors.checkpoints import save_checkpoint
+from priors.humor.collocation import CollocatedHumor
+from priors.humor.prior import Humor
+from priors.humor.state import states_of
+from priors.humor.steps import SPAN, explain, latents_of
+from priors.pose.prior import PosePrior, PoseVariables
+from recon.benchmark.dataset import SPLITS, Splits, load_clips
+from recon.core import rotations as so3
+from recon.core.motion import Motion
+from recon.core.struct import stack
+from recon.formats.replacing import file_checksum
+from recon.formats.weight_files import weights_path
+from recon.method.quadratic import FRAME
+
+_LOG = logging.getLogger(__name__)
+
+_STEP = 1e-5
+"""Metres, radians and standard deviations over which derivatives are differences."""
+
+
+def main() -> None:
+    """Learn and write."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument("corpus", type=Path, help="folder of all converted motions")
+    parser.add_argument("--splits", type=Path, default=SPLITS)
+    parser.add_argument("--steps", type=int, default=128, help="drawn from the training clips")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--out", type=Path, default=Path("humor_steps.safetensors"))
+    arguments = parser.parse_args()
+    clips = [
+        clip.motion
+        for clip in load_clips(arguments.corpus, Splits.load(arguments.splits), "train")
+        if clip.motion.frames >= SPAN
+    ]
+    drawn = draw(clips, arguments.steps, arguments.seed)
+    roots = {name: root(matrix) for name, matrix in curvature(Humor.load(), drawn).items()}
+    about = {
+        "data": "open", "steps": arguments.steps, "seed": arguments.seed,
+        "made_of": {kind: file_checksum(weights_path("open", kind)) for kind in ("humor", "pose")},
+    }  # fmt: skip
+    save_checkpoint(arguments.out, "humor_steps", roots, about)
+    logging.basicConfig(level=logging.INFO)
+    _LOG.info("wrote %s, from %d clips", arguments.out, len(clips))
+
+
+def draw(clips: list[Motion], count: int, seed: int) -> Motion:
+    """Short windows, each of a clip and from a frame that are drawn; axes (count, frames)."""
+    random = torch.Generator().manual_seed(seed)
+
+    def below(stop: int) -> int:
+        return int(torch.randint(stop, (1,), generator=random))
+
+    found: list[Motion] = []
+    for _ in range(count):
+        clip = clips[below(len(clips))]
+        first = below(clip.frames - SPAN + 1)
+        found.append(clip.window(first, first + SPAN).replace(start_time=0.0))
+    return stack(found)
+
+
+def curvature(humor: Humor, motion: Motion) -> dict[str, Float[Tensor, "numbers numbers"]]:
+    """Mean of JᵀJ for the middle steps of windows, in the heading of the frame before each."""
+    exact = humor.to(dtype=torch.float64)
+    motion = motion.to(dtype=torch.float64)
+    prior = CollocatedHumor(exact, PosePrior.load())
+    with torch.no_grad():
+        base = prior.encode(motion)
+        here = _residuals(prior, base)
+        columns = [
+            tuple(
+                (moved - at) / _STEP for moved, at in zip(_residuals(prior, v), here, strict=True)
+            )
+            for v in _perturbed(prior, base)
+        ]
+    error, latents = (torch.stack(part, 1) for part in zip(*columns, strict=True))
+    turn = so3.heading(motion.rotations[:, 1, 0])
+    return {
+        name: _mean_product(_in_heading(jacobian, turn))
+        for name, jacobian in (("error", error), ("latents", latents))
+    }
+
+
+def root(matrix: Float[Tensor, "n n"]) -> Float[Tensor, "n n"]:
+    """F with F Fᵀ the matrix, whose numbers fit into half precision."""
+    values, vectors = torch.linalg.eigh(matrix)
+    return (vectors * values.clamp(min=0).sqrt()).half()
+
+
+def _perturbed(prior: CollocatedHumor, base: PoseVariables) -> list[PoseVariables]:
+    """Variables after a step of every frame's numbers, then of the shape's."""
+    found: list[PoseVariables] = []
+    for k in range(SPAN * FRAME):
+        steps = base.pose.new_zeros(len(base.pose), SPAN, FRAME)
+        steps[:, k // FRAME, k % FRAME] = _STEP
+        found.append(prior.from_steps(base, steps))
+    for k in range(base.shape.shape[-1]):
+        shape = base.shape.clone()
+        shape[:, k] += _STEP
+        found.append(base.derived(shape=shape))
+    return found
+
+
+def _residuals(prior: CollocatedHumor, variables: PoseVariables) -> tuple[Tensor, Tensor]:
+    """Residuals of the middle step: the decoder's whitened error, and the latents' surprise."""
+    motion = prior.poses.decode(variables).motion
+    states = states_of(motion, prior.humor.body)
+    middle = states.map(lambda t: t[:, 1:3])
+    networks, pelvis = prior.humor.networks, prior.humor.pelvis(motion.shape)
+    error = explain(networks, middle, pelvis).error[:, 0] @ prior.humor.error_whitening
+    mean, log_variance, prior_mean, prior_log_variance = latents_of(networks, middle, pelvis)
+    # KL is ½ (e^r - 1 - r + |away|²) with r the difference of the log-variances
+    away = (mean - prior_mean) * (-0.5 * prior_log_variance).exp()
+    ratio = 2 * (0.5 * (log_variance - prior_log_variance)).exp()
+    return error, torch.cat((away, ratio), -1)[:, 0]
+
+
+def _in_heading(
+    jacobian: Float[Tensor, "windows numbers rows"], turn: Float[Tensor, "windows 3 3"]
+) -> Float[Tensor, "windows numbers rows"]:
+    turned = jacobian.clone()
+    for frame in range(SPAN):
+        place = slice(frame * FRAME, frame * FRAME + 3)
+        turned[:, place] = turn @ jacobian[:, place]
+    return turned
+
+
+def _mean_product(jacobian: Float[Tensor, "windows numbers rows"]) -> Tensor:
+    flat = jacobian.transpose(0, 1).flatten(1)
+    return flat @ flat.mT / len(jacobian)
+
+
+if __name__ == "__main__":
+    main()

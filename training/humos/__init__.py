@@ -1,0 +1,1 @@
+"""Training of HUMOS (Tripathi et al. 2024)."""

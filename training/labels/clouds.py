@@ -1,0 +1,295 @@
+"""Labelled clouds on disk and in memory, and the random variations they are learned with."""
+
+import math
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int, Integer
+from torch import Generator, Tensor
+
+from priors.labels.regions import MIRRORED_REGIONS, REGIONS
+from recon.core.struct import TensorStruct
+from recon.formats.opening import load_arrays, save_arrays
+
+POINTS = 768
+"""Most points of a moment in a file."""
+NOT_BODY = 255
+"""Region of a point that is on no body."""
+SEEN_FROM_ALL_SIDES = 1000.0
+"""Stands for the sensor's place where there is none."""
+
+
+@dataclass(frozen=True)
+class Shard:
+    """Some windows as a file holds them; metres, z up, about the middle of each window."""
+
+    points: Float[np.ndarray, "windows moments points 3"]
+    places: Float[np.ndarray, "windows moments points 3"]
+    """Places on the unposed body of average shape; zero off the body."""
+    regions: Integer[np.ndarray, "windows moments points"]
+    """Number of the region, or `NOT_BODY`."""
+    counts: Integer[np.ndarray, "windows moments"]
+    """Number of the points of each moment; the others are zero."""
+    eyes: Float[np.ndarray, "windows 3"]
+    """Place of the sensor, or `SEEN_FROM_ALL_SIDES` three times."""
+    spacing: float
+    """Seconds between moments."""
+
+    @classmethod
+    def empty(cls, windows: int, moments: int, spacing: float) -> "Shard":
+        """Windows without points."""
+        return cls(
+            np.zeros((windows, moments, POINTS, 3), np.float16),
+            np.zeros((windows, moments, POINTS, 3), np.float16),
+            np.full((windows, moments, POINTS), NOT_BODY, np.uint8),
+            np.zeros((windows, moments), np.int16),
+            np.zeros((windows, 3), np.float32),
+            spacing,
+        )
+
+    def save(self, path: Path) -> None:
+        """Write the file in one step."""
+        save_arrays(path, {f.name: np.asarray(getattr(self, f.name)) for f in fields(self)})
+
+    @classmethod
+    def load(cls, path: Path) -> "Shard":
+        """Read a file.
+
+        Raises:
+            ValueError: when it is damaged or none of these.
+        """
+        arrays = load_arrays(path)
+        if missing := [f.name for f in fields(cls) if f.name not in arrays]:
+            raise ValueError(f"{path}: expected labelled clouds, {', '.join(missing)} are missing")
+        spacing = float(arrays["spacing"])
+        return cls(**{f.name: arrays[f.name] for f in fields(cls)[:-1]}, spacing=spacing)
+
+
+@dataclass(frozen=True)
+class LabelledClouds(TensorStruct):
+    """Windows of clouds with the truth about their points; metres."""
+
+    points: Float[Tensor, "windows moments points 3"]
+    present: Bool[Tensor, "windows moments points"]
+    places: Float[Tensor, "windows moments points 3"]
+    regions: Int[Tensor, "windows moments points"]
+    """Number of the region; -1 off the body."""
+    eyes: Float[Tensor, "windows 3"]
+    """Place of the sensor; zero where there is none."""
+    has_eye: Bool[Tensor, " windows"]
+    level: Bool[Tensor, " windows"]
+    """Whether z is known to point up."""
+
+
+@dataclass(frozen=True)
+class CloudVariation:
+    """Random variations of windows, besides any heading and mirror images."""
+
+    tilted: float = 0.25
+    """Share of windows that are turned in any way, so that nothing is known of gravity."""
+    hidden: float = 0.4
+    """Share of windows of which something is hidden besides."""
+    lost_limb: float = 0.2
+    """Share of windows whose points lack some regions."""
+    fewest: int = 80
+    most: int = 448
+    """Range of the number of points of a moment (logarithmically uniform)."""
+    blind: float = 0.05
+    """Share of windows whose sensor's place is withheld."""
+    lone: float = 0.5
+    """Share of the steps that learn from single moments, of as many more windows."""
+
+
+class CloudCorpus:
+    """Windows of all files of a folder in memory."""
+
+    def __init__(self, shards: list[Shard]) -> None:
+        """Join the windows of some files."""
+        self.points = np.concatenate([shard.points for shard in shards])
+        self.places = np.concatenate([shard.places for shard in shards])
+        self.regions = np.concatenate([shard.regions for shard in shards])
+        self.counts = np.concatenate([shard.counts for shard in shards])
+        self.eyes = np.concatenate([shard.eyes for shard in shards])
+
+    @classmethod
+    def load(cls, folder: Path) -> "CloudCorpus":
+        """All labelled clouds of a folder.
+
+        Raises:
+            FileNotFoundError: when there are none.
+        """
+        paths = sorted(folder.glob("clouds_*.npz"))
+        if len(paths) == 0:
+            raise FileNotFoundError(f"{folder}: no clouds_*.npz there; make them first")
+        return cls([Shard.load(path) for path in paths])
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def draw(self, windows: int, variation: CloudVariation, random: Generator) -> LabelledClouds:
+        """Some windows in random variations, all with the same number of rows of points.
+
+        At times their moments are windows of their own, of as many more windows.
+        """
+        moments = self.points.shape[1]
+        lone = torch.rand((), generator=random).item() < variation.lone
+        count = windows * moments if lone else windows
+        chosen = torch.randint(len(self), (count,), generator=random)
+        span = math.log(variation.most / variation.fewest)
+        share = torch.rand((), generator=random).item()
+        rows = min(round(variation.fewest * math.exp(span * share)), POINTS)
+        moment = torch.randint(moments, (count, 1), generator=random)
+        plain = self.take(chosen, min(2 * rows, POINTS), random, moment if lone else None)
+        return thinned(varied(plain, variation, random), rows)
+
+    def take(
+        self,
+        windows: Int[Tensor, " windows"],
+        rows: int,
+        random: Generator | None,
+        moment: Int[Tensor, "windows 1"] | None = None,
+    ) -> LabelledClouds:
+        """Some windows as they are, of each moment at most `rows` points; None: all moments."""
+        index = windows.numpy()
+        moments = np.arange(self.points.shape[1])[None] if moment is None else moment.numpy()
+        # points come in random order, so that those from anywhere on are drawn at random
+        count = torch.from_numpy(self.counts[index[:, None], moments].astype(np.int64))
+        first = torch.zeros_like(count)
+        if random is not None:
+            first = torch.rand(count.shape, generator=random) * (count - rows + 1).clamp(min=0)
+            first = first.long()
+        row = first[..., None] + torch.arange(rows)
+        present = row < count[..., None]
+        row = row.clamp(max=POINTS - 1).numpy()
+        pick = (index[:, None, None], moments[..., None], row)
+        regions = torch.from_numpy(self.regions[pick].astype(np.int64))
+        eyes = torch.from_numpy(self.eyes[index])
+        has_eye = eyes[:, 0] < SEEN_FROM_ALL_SIDES
+        return LabelledClouds(
+            points=torch.from_numpy(self.points[pick].astype(np.float32)),
+            present=present,
+            places=torch.from_numpy(self.places[pick].astype(np.float32)),
+            regions=regions.where(regions != NOT_BODY, -1).where(present, -1),
+            eyes=eyes.where(has_eye[:, None], 0.0),
+            has_eye=has_eye,
+            level=torch.ones_like(has_eye),
+        )
+
+
+def varied(clouds: LabelledClouds, variation: CloudVariation, random: Generator) -> LabelledClouds:
+    """Clouds turned, mirrored, partly hidden and of other sizes."""
+    windows = len(clouds.points)
+
+    def chance(share: float) -> Bool[Tensor, " windows"]:
+        return torch.rand(windows, generator=random) < share
+
+    clouds = mirrored_where(chance(0.5), clouds)
+    tilted = chance(variation.tilted)
+    angle = math.tau * torch.rand(windows, generator=random)
+    turns = torch.where(tilted[:, None, None], _any_turn(windows, random), _about_z(angle))
+    blind = chance(variation.blind)
+    present = clouds.present & ~_hidden(clouds, chance(variation.hidden), random)
+    present &= ~_lost(clouds, chance(variation.lost_limb), random)
+    # a window of which little remains is left whole
+    enough = present.flatten(1).sum(-1) >= 0.25 * clouds.present.flatten(1).sum(-1)
+    present = torch.where(enough[:, None, None], present, clouds.present)
+    return clouds.replace(
+        points=clouds.points @ turns.mT[:, None],
+        eyes=(turns @ clouds.eyes[..., None])[..., 0],
+        has_eye=clouds.has_eye & ~blind,
+        level=clouds.level & ~tilted,
+        present=present,
+        regions=clouds.regions.where(present, -1),
+    )
+
+
+def thinned(clouds: LabelledClouds, rows: int) -> LabelledClouds:
+    """Clouds of at most so many points a moment; those present come first."""
+    order = (~clouds.present).byte().argsort(dim=-1, stable=True)[..., :rows]
+    wide = order[..., None].expand(*order.shape, 3)
+    present = clouds.present.gather(-1, order)
+    return clouds.replace(
+        points=clouds.points.gather(-2, wide).where(present[..., None], 0.0),
+        places=clouds.places.gather(-2, wide),
+        regions=clouds.regions.gather(-1, order),
+        present=present,
+    )
+
+
+def mirrored_where(which: Bool[Tensor, " windows"], clouds: LabelledClouds) -> LabelledClouds:
+    """The chosen windows as a mirror at the plane x = 0 shows them, labels exchanged."""
+    flip = torch.where(which[:, None], torch.tensor([-1.0, 1.0, 1.0]), torch.ones(3))
+    other = torch.tensor([*MIRRORED_REGIONS, -1])[clouds.regions]
+    regions = torch.where(which[:, None, None], other, clouds.regions)
+    return clouds.replace(
+        points=clouds.points * flip[:, None, None],
+        places=clouds.places * flip[:, None, None],
+        eyes=clouds.eyes * flip,
+        regions=regions,
+    )
+
+
+def half_hidden(clouds: LabelledClouds, random: Generator) -> LabelledClouds:
+    """Clouds of which the points beyond a plane through the middle are hidden, in any direction.
+
+    The plane halves the points on the body of all moments of a window together.
+    """
+    normal = torch.randn(len(clouds.points), 3, generator=random)
+    along = (clouds.points * normal[:, None, None]).sum(-1)
+    on_body = clouds.regions >= 0
+    middle = along.where(on_body, torch.nan).flatten(1).nanmedian(-1).values
+    present = clouds.present & (along < middle[:, None, None])
+    return clouds.replace(present=present, regions=clouds.regions.where(present, -1))
+
+
+def _hidden(clouds: LabelledClouds, which: Tensor, random: Generator) -> Tensor:
+    """Points beyond a plane, or inside a box, both through the cloud; the same all the time."""
+    windows = len(clouds.points)
+    normal = torch.randn(windows, 3, generator=random)
+    # half of the planes are level, as tables and low walls are
+    level = torch.rand(windows, generator=random) < 0.5
+    normal = torch.where(level[:, None], torch.tensor([0.0, 0.0, -1.0]), normal)
+    normal = torch.nn.functional.normalize(normal, dim=-1)
+    along = (clouds.points * normal[:, None, None]).sum(-1)
+    spread = along.where(clouds.present, 0.0).flatten(1).std(-1).clamp(min=0.05)
+    cut = spread * (2.0 * torch.rand(windows, generator=random) - 0.6)
+    beyond = along > cut[:, None, None]
+    pick = (
+        torch.rand(windows, 1, 1, generator=random) * clouds.present[:, 0].sum(-1)[:, None, None]
+    )
+    centre = clouds.points[:, 0].gather(
+        1, pick.long().clamp(max=clouds.points.shape[2] - 1).expand(-1, 1, 3)
+    )
+    size = 0.1 + 0.4 * torch.rand(windows, 1, 1, 3, generator=random)
+    inside = ((clouds.points - centre[:, None]).abs() < size).all(-1)
+    by_box = torch.rand(windows, generator=random) < 0.5
+    return torch.where(by_box[:, None, None], inside, beyond) & which[:, None, None]
+
+
+def _lost(clouds: LabelledClouds, which: Tensor, random: Generator) -> Tensor:
+    """Points of regions of which nothing is seen, drawn for every window."""
+    gone = torch.rand(len(which), len(REGIONS) + 1, generator=random) < 0.25
+    gone[:, -1] = False
+    lost = gone.gather(1, clouds.regions.flatten(1) % (len(REGIONS) + 1))
+    return lost.unflatten(1, clouds.regions.shape[1:]) & which[:, None, None]
+
+
+def _about_z(angle: Float[Tensor, " windows"]) -> Float[Tensor, "windows 3 3"]:
+    c, s, zero = angle.cos(), angle.sin(), torch.zeros_like(angle)
+    rows = torch.stack([c, -s, zero, s, c, zero, zero, zero, zero + 1], -1)
+    return rows.unflatten(-1, (3, 3))
+
+
+def _any_turn(count: int, random: Generator) -> Float[Tensor, "count 3 3"]:
+    """Rotations drawn evenly: unit quaternions of normal numbers."""
+    w, x, y, z = torch.nn.functional.normalize(
+        torch.randn(count, 4, generator=random), dim=-1
+    ).unbind(-1)
+    rows = [
+        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
+    ]  # fmt: skip
+    return torch.stack(rows, -1).unflatten(-1, (3, 3))

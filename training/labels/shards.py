@@ -1,0 +1,134 @@
+"""Files of labelled clouds, drawn from a corpus: what the network of labels is trained on."""
+
+import logging
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from scipy.spatial import KDTree
+
+from priors.labels.regions import Regions
+from recon.benchmark.dataset import Licence, Part, Splits, load_clips
+from recon.body.model import BodyModel
+from recon.core.motion import Motion
+from training.labels.clouds import NOT_BODY, POINTS, SEEN_FROM_ALL_SIDES, Shard
+from training.labels.people import SPACING, Postures, drawn_shape, turned_over, wardrobe
+from training.labels.rooms import Glimpse, all_around, drawn_room, glimpse
+
+_LOG = logging.getLogger(__name__)
+
+WINDOW = 3
+"""Moments of a window, `SPACING` apart."""
+WINDOWS, LEARNED, CHECKED = 500, 24, 2
+"""Windows of a file, and files of the training and the validation people."""
+_SUITS = 150
+"""Different clothes that people wear."""
+_LEAST = 60
+"""Points of the body that a moment must show, on average of a window."""
+_LEFT_OVER = ("nothing", "ball", "box")
+
+
+@dataclass(frozen=True)
+class Source:
+    """People and postures from which windows are drawn."""
+
+    postures: Postures
+    wardrobe: list[BodyModel]
+    body: BodyModel
+
+    @classmethod
+    def of(
+        cls, corpus: Path, splits: Splits, part: Part, seed: int, licence: Licence = "open"
+    ) -> "Source":
+        """Postures of one part of a corpus.
+
+        Raises:
+            FileNotFoundError: when the folder holds no motion files.
+        """
+        body = BodyModel.load()
+        clips = load_clips(corpus, splits, part, licence)
+        rows = [(clip.subject, clip.motion.rotations) for clip in clips]
+        return cls(Postures.of(rows, clips[0].motion.fps), wardrobe(body, _SUITS, seed), body)
+
+
+def make_training_clouds(
+    corpus: Path, folder: Path, licence: Licence, seed: int
+) -> tuple[Path, Path]:
+    """The folders of labelled clouds of the training and the validation people of a corpus.
+
+    Files that are there already are not made again.
+
+    Raises:
+        FileNotFoundError: when the corpus holds no motion files.
+    """
+    parts: tuple[tuple[Part, int], ...] = (("train", LEARNED), ("validation", CHECKED))
+    for number, (part, files) in enumerate(parts):
+        source = Source.of(corpus, Splits.load(), part, seed + number, licence)
+        make_shards(source, folder / part, range(files), WINDOWS, seed + number)
+    return folder / "train", folder / "validation"
+
+
+def make_shards(source: Source, folder: Path, shards: range, windows: int, seed: int) -> None:
+    """Write `clouds_0000.npz` and so on, those of the range that are not there yet.
+
+    The same seed and number give the same file.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    for number in shards:
+        path = folder / f"clouds_{number:04d}.npz"
+        if path.is_file():
+            continue
+        draw_shard(source, windows, np.random.default_rng([seed, number])).save(path)
+        _LOG.info("wrote %s", path)
+
+
+def draw_shard(source: Source, windows: int, random: np.random.Generator) -> Shard:
+    """Windows of drawn people in drawn rooms."""
+    shard = Shard.empty(windows, WINDOW, SPACING)
+    regions = Regions.of(source.body)
+    of_vertex = regions.of_vertex.numpy()
+    tree = KDTree(source.body.template.numpy())
+    for window in range(windows):
+        glimpses, eye = draw_window(source, random)
+        while sum(int(each.on_body.sum()) for each in glimpses) < _LEAST * WINDOW:
+            glimpses, eye = draw_window(source, random)
+        middle = np.median(np.concatenate([each.points for each in glimpses]), 0)
+        for moment, each in enumerate(glimpses):
+            pick = random.permutation(len(each.points))[:POINTS]
+            region = of_vertex[tree.query(each.places[pick])[1]] if len(pick) else pick
+            region = np.where(each.on_body[pick] > 0, region, NOT_BODY)
+            row = (window, moment, slice(0, len(pick)))
+            shard.points[row] = (each.points[pick] - middle).clip(-30, 30)
+            shard.places[row] = each.places[pick]
+            shard.regions[row] = region
+            shard.counts[window, moment] = len(pick)
+        shard.eyes[window] = SEEN_FROM_ALL_SIDES if eye is None else eye - middle
+    return shard
+
+
+def draw_window(
+    source: Source, random: np.random.Generator
+) -> tuple[list[Glimpse], Float[np.ndarray, "3"] | None]:
+    """What is seen of a person at the moments of a window, and from where; None: all sides."""
+    suit = source.wardrobe[int(random.integers(len(source.wardrobe)))]
+    rotations = source.postures.draw(WINDOW, random)
+    rotations[:, 0] = turned_over(random).astype(np.float32) @ rotations[:, 0]
+    motion = Motion.create(
+        torch.zeros(WINDOW, 3),
+        torch.from_numpy(np.ascontiguousarray(rotations, np.float32)),
+        drawn_shape(source.body, random),
+        1 / SPACING,
+    )
+    vertices = suit.pose(motion).vertices.double().numpy()
+    steps = random.normal(0.0, random.choice([0.05, 0.3]), 2) * SPACING
+    vertices[..., :2] += np.arange(WINDOW)[:, None, None] * steps
+    lift = random.uniform(0, 0.6) if random.random() < 0.15 else 0.0
+    vertices[..., 2] += lift - vertices[..., 2].min()
+    faces, places = suit.faces.numpy(), source.body.template.double().numpy()
+    if random.random() < 0.15:
+        return [all_around(row, faces, places, POINTS, random) for row in vertices], None
+    room = drawn_room(vertices, random)
+    left_over = str(random.choice(_LEFT_OVER, p=[0.5, 0.2, 0.3]))
+    return [glimpse(row, faces, places, room, left_over, random) for row in vertices], room.eye

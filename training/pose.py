@@ -1,0 +1,90 @@
+"""Training the pose density: gather poses, fit one Gaussian, measure it on held-out people.
+
+The fit has a closed form, so there is nothing to resume: a run takes seconds, writes its file in
+one step at the end, and gives the same file for the same corpus and settings.
+"""
+
+import logging
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+from jaxtyping import Float
+from torch import Tensor
+
+from priors.checkpoints import save_checkpoint
+from priors.pose.density import COORDINATES, PoseDensity, fit_density
+from recon.benchmark.dataset import SPLITS, Licence, Splits, load_clips, poses
+from recon.body.model import BodyModel
+from training.run import logged_to
+
+_LOG = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class PoseTraining:
+    """Settings of a run."""
+
+    corpus: Path
+    """Folder of converted motions (`recon convert --all`)."""
+    out: Path = Path("pose.safetensors")
+    """Weights to write."""
+    log: Path | None = None
+    """Log of the run to write; None is beside the weights, .log."""
+    data: Licence = "open"
+    """`open`: clips whose weights may be shipped; `nc`: the non-commercial ones too."""
+    splits: Path = SPLITS
+    """Table of the subjects that are held out."""
+    floor: float = 0.05
+    """Standard deviation added to every direction of pose space, radians."""
+    rate: float = 10.0
+    """Poses per second taken from each clip; neighbours in time teach nothing new."""
+    most: int = 500
+    """Poses of one subject at most."""
+
+
+def train(settings: PoseTraining) -> Path:
+    """Fit the density and write it.
+
+    Raises:
+        FileNotFoundError: when there is no corpus, splits file or folder for the output.
+        ValueError: when no clip of the corpus may be learned from.
+    """
+    with logged_to(settings.log or settings.out.with_suffix(".log"), "w"):
+        return _train(settings)
+
+
+def _train(settings: PoseTraining) -> Path:
+    _LOG.info("settings: %s", settings)
+    splits = Splits.load(settings.splits)
+    learned = load_clips(settings.corpus, splits, "train", settings.data)
+    held_out = load_clips(settings.corpus, splits, "validation", settings.data)
+    if len(learned) == 0:
+        raise ValueError(f"{settings.corpus}: no clip there may be learned from ({settings.data})")
+
+    rotations = poses(learned, settings.rate, settings.most)[:, 1:]
+    density = fit_density(rotations, settings.floor, BodyModel.load())
+    _LOG.info("trained on %d poses: %.2f nats per pose", len(rotations), score(density, rotations))
+    if len(held_out) > 0:
+        unseen = poses(held_out, settings.rate, settings.most)[:, 1:]
+        _LOG.info("%d poses of held-out people: %.2f nats", len(unseen), score(density, unseen))
+
+    tensors = {name: tensor.float() for name, tensor in density.tensors().items()}
+    about = {
+        "data": settings.data,
+        "floor": settings.floor,
+        "rate": settings.rate,
+        "most": settings.most,
+        "poses": len(rotations),
+        "subjects": sorted({clip.subject for clip in learned}),
+    }
+    save_checkpoint(settings.out, "pose", tensors, about)
+    _LOG.info("wrote %s", settings.out)
+    return settings.out
+
+
+def score(density: PoseDensity, rotations: Float[Tensor, "poses 21 3 3"]) -> float:
+    """Mean log-density of poses in nats, over tangent vectors in radians."""
+    coordinates = density.coordinates(rotations.to(density.basis))
+    normaliser = density.basis.slogdet().logabsdet + COORDINATES / 2 * math.log(2 * math.pi)
+    return (-0.5 * coordinates.square().sum(-1).mean() - normaliser).item()
