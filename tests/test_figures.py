@@ -137,7 +137,7 @@ def f():
         return 1
     "".join([])
 '''
-    assert statements(ast.parse(source)) == 5
+    assert statements(ast.parse(source)) == 6
 
 
 @pytest.mark.parametrize(
