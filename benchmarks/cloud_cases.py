@@ -91,9 +91,17 @@ VIEWS = ((3.0, 90.0), (3.6, 0.0), (6.3, 180.0), (6.5, 60.0))
 the sensor: 0 comes nearer, 180 goes away."""
 
 
+def view_of(number: int) -> tuple[float, float]:
+    """The view of a walk in the list of walks, one person's after the other's.
+
+    The first view changes from person to person, so that some of the walks show all views.
+    """
+    return VIEWS[(number + number // len(VIEWS)) % len(VIEWS)]
+
+
 @dataclass(frozen=True)
 class SeenWalk(Seen):
-    """A straight walk before a sensor of known pose; every other one without the ground."""
+    """A straight walk before a sensor of known pose; every other person without the ground."""
 
     distance: float
     """Metres from the sensor to the middle of the way."""
@@ -112,8 +120,8 @@ class SeenWalk(Seen):
 
     @functools.cached_property
     def cloud(self) -> PointsFile:
-        """Nothing is hidden; half of the walks of every view have no ground."""
-        ground = (Surface.GROUND,) if (self.number + self.number // len(VIEWS)) % 2 else ()
+        """Nothing is hidden."""
+        ground = (Surface.GROUND,) if self.number // len(VIEWS) % 2 else ()
         return depth_points(
             self.truth, self.body, self.camera, Corruption(), self.number,
             points=_PIXELS_KEPT, surfaces=(Surface.BODY, *ground), shown=self.shown,

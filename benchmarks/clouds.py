@@ -11,7 +11,7 @@ nothing below 0.9 m is seen in the middle third. `depth` knows the pose of its s
 sensor unknown`, `2D` and `2D + depth` do not, nor where the ground is; 2D keypoints are in the
 sensor's own image, with one pixel of noise; joints have 3 cm. `walks` are 2.5 s of straight walks
 of six people, 2 to 8 m from a sensor of known pose: across its view, towards it, away from it and
-askew; every other one without the ground.
+askew; every other person without the ground.
 
 Errors of joints about the pelvis and of vertices in the world (by way of the true sensor) are in
 centimetres; a window is lost where joints are off by more than 15 cm in the mean. Windows whose
@@ -30,7 +30,16 @@ from rich.console import Console
 
 import recon
 from benchmarks.arguments import over_windows
-from benchmarks.cloud_cases import CASES, VIEWS, WALK_FRAMES, WALKS, Seen, SeenWalk, write_files
+from benchmarks.cloud_cases import (
+    CASES,
+    VIEWS,
+    WALK_FRAMES,
+    WALKS,
+    Seen,
+    SeenWalk,
+    view_of,
+    write_files,
+)
 from benchmarks.humor import evenly
 from benchmarks.results import corpus_source, earlier, write
 from benchmarks.scores import Columns, Row, by_subject, rounded, tables
@@ -72,7 +81,7 @@ def main() -> None:
         for k in chosen:
             name, seen = windows.names[k], Seen(windows.truth[k], body, k)
             if case == "walks":
-                seen = SeenWalk(windows.truth[k], body, k, *VIEWS[k % len(VIEWS)])
+                seen = SeenWalk(windows.truth[k], body, k, *view_of(k))
             if name not in done:
                 done[name] = fitted(seen, case, given.prior)
                 print(case, name, done[name], flush=True)
@@ -89,8 +98,7 @@ def walks(corpus: Path, splits: Splits, body: BodyModel) -> TrueWindows:
     found = load_windows(corpus, listed, "validation", body, SEED, WALK_FRAMES)
     every = found.take([k for k in range(len(found.names)) for _ in VIEWS])
     names = [
-        f"{name}, {VIEWS[k % len(VIEWS)][0]:g} m, {VIEWS[k % len(VIEWS)][1]:g} degrees"
-        for k, name in enumerate(every.names)
+        "{}, {:g} m, {:g} degrees".format(name, *view_of(k)) for k, name in enumerate(every.names)
     ]
     return replace(every, names=tuple(names))
 

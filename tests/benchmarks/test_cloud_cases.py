@@ -1,6 +1,6 @@
 """Observation files of the benchmark of clouds."""
 
-from benchmarks.cloud_cases import Seen, SeenWalk, write_files
+from benchmarks.cloud_cases import Seen, SeenWalk, view_of, write_files
 from recon.formats.observations import PointsFile, PositionsFile, load_observation
 from tests.filmed import bundled, walk
 
@@ -18,7 +18,8 @@ def test_joints_are_written_as_they_are_read(tmp_path):
 def test_a_walk_is_seen_from_where_it_is_said(tmp_path):
     truth = walk(6)
     for number, angle in enumerate((0.0, 90.0, 180.0)):
-        seen = SeenWalk(truth, bundled(), number, 3.0, angle)
+        # the second person, of two, is seen with the ground
+        seen = SeenWalk(truth, bundled(), 4 * number, 3.0, angle)
         (path,) = write_files(seen, "walks", tmp_path)
         file = load_observation(path)
         assert isinstance(file, PointsFile)
@@ -29,3 +30,7 @@ def test_a_walk_is_seen_from_where_it_is_said(tmp_path):
         assert abs(float(away[0] + away[-1]) / 2 - 3.0) < 0.05
         nearer = float(away[0] - away[-1]) / float((pelvis[0] - pelvis[-1])[:2].norm())
         assert abs(nearer - (1.0, 0.0, -1.0)[number]) < 0.1
+
+
+def test_people_are_seen_from_all_sides():
+    assert len({view_of(k) for k in range(4)}) == len({view_of(4 * k) for k in range(4)}) == 4
