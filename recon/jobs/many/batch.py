@@ -11,7 +11,7 @@ from recon.jobs.many.subjects import shapes_of_subjects
 from recon.jobs.many.workers import Failure, run_jobs
 from recon.jobs.many.worklog import Record, open_log
 
-FIT_VERSION = 11
+FIT_VERSION = 12
 """Version of the method. It is raised when the same clip and settings give another motion, so that
 results of older versions are made anew."""
 
