@@ -28,9 +28,13 @@ _MOVED = 0.15
 def marker_residuals(fit: MarkerFit, recording: MarkerRecording) -> Mapping[str, float]:
     """Mean distance of every marker that is ever visible from its place, millimetres."""
     away, seen = marker_distances(fit, recording), recording.visible
-    mean = (away * seen).sum(0) / seen.sum(0).clip(min=1)
-    pairs = zip(recording.marker_names, (1000 * mean).tolist(), seen.any(0).tolist(), strict=True)
-    return {label: value for label, value, shown in pairs if shown}
+    frames = seen.sum(0)
+    mean = (away * seen).sum(0) / frames.clip(min=1)
+    return {
+        label: 1000 * float(mean[marker])
+        for marker, label in enumerate(recording.marker_names)
+        if frames[marker] > 0
+    }
 
 
 def marker_findings(
