@@ -1,6 +1,8 @@
 # make demo: reconstruct the bundled noisy clip.   make test: lint, types, tests.
 # make test-slow: the tests marked slow, run before a release.
 # make mutants: small faults in some modules, and which of them their tests notice.
+# make frozen-reference, make frozen: what short fits, verbs and exporters give now, kept in $(OUT)/frozen,
+# and whether they still give it (four minutes each).
 # make dist: wheel and sdist in dist/, tried in empty environments of Python 3.11 to 3.13.
 # make docs: the documentation site, in site/.
 # make tables: the tables of README.md and docs/ from benchmarks/results.
@@ -15,7 +17,7 @@ OUT ?= out
 # hang on neither, and were checked before.
 NUMERICS = JAXTYPING_DISABLE=1 $(BIN)/pytest -q -n 2 --dist loadfile -m 'numerics and not slow' --ulps 4
 
-.PHONY: demo test test-slow dist docs mutants tables clients bench clean
+.PHONY: demo test test-slow frozen frozen-reference dist docs mutants tables clients bench clean
 
 demo: .venv/installed
 	$(BIN)/recon demo --out demo
@@ -31,6 +33,12 @@ test: .venv/developed
 test-slow: .venv/developed
 	$(BIN)/pytest -q -n 2 --dist loadfile -m slow
 	ATEN_CPU_CAPABILITY=avx2 $(NUMERICS)
+
+frozen-reference: .venv/developed
+	$(BIN)/python -m scripts.frozen --out $(OUT)/frozen
+
+frozen: .venv/developed
+	$(BIN)/python -m scripts.frozen --against $(OUT)/frozen
 
 dist: .venv/developed
 	$(BIN)/python -m scripts.distributions --out dist
