@@ -3,6 +3,8 @@
 # make figures: how large the project is; fails when a figure is above its ceiling.
 # make changelog: fails when commits since BASE (origin/main) ask for a line that is not there.
 # make mutants: small faults in some modules, and which of them their tests notice.
+# make frozen-reference, make frozen: what short fits, verbs and exporters give now, kept in $(OUT)/frozen,
+# and whether they still give it (four minutes each).
 # make dist: wheel and sdist in dist/, tried in empty environments of Python 3.11 to 3.13.
 # make docs: the documentation site, in site/.
 # make tables: the tables of README.md and docs/ from benchmarks/results.
@@ -16,7 +18,7 @@ CI := $(BIN)/python -m scripts.ci
 OUT ?= out
 BASE ?= origin/main
 
-.PHONY: demo test test-slow figures changelog dist docs mutants tables clients bench clean
+.PHONY: demo test test-slow frozen frozen-reference figures changelog dist docs mutants tables clients bench clean
 
 demo: .venv/installed
 	$(CI) demo
@@ -29,6 +31,12 @@ test-slow: .venv/developed
 
 figures: .venv/developed
 	$(CI) figures
+
+frozen-reference: .venv/developed
+	$(BIN)/python -m scripts.frozen --out $(OUT)/frozen
+
+frozen: .venv/developed
+	$(BIN)/python -m scripts.frozen --against $(OUT)/frozen
 
 dist: .venv/developed
 	$(CI) dist
