@@ -51,12 +51,8 @@ COMMANDS: dict[str, tuple[str, ...]] = {
                           "one camera"),
     "cameras_half": ("cameras", "CORPUS", "--only", "8", "--cases", *_HALVES),
     "labels": ("labels", "CORPUS", "PEOPLE", "--only", "15"),
-    "clouds": ("clouds", "CORPUS", "--part", "test", "--cases", "depth",
-               "--methods", "recon", "0.1.0", "--baseline", "BASELINE"),
-    "clouds_people": ("clouds", "CORPUS", "--part", "test", "--only", "12", "--cases",
-                      "depth, MakeHuman", "--people", "PEOPLE"),
-    "clouds_turned": ("clouds", "CORPUS", "--part", "validation", "--only", "8", "--cases",
-                      "depth", "--methods", "turned"),
+    "clouds": ("clouds", "CORPUS", "--part", "test"),
+    "clouds_walks": ("clouds", "CORPUS", "--cases", "walks"),
     "clouds_mixed": ("clouds", "CORPUS", "--part", "test", "--only", "12", "--cases",
                      "depth, sensor unknown", "2D", "2D + depth", "joints", "joints + depth"),
     "pose2sim": ("pose2sim", "OBSERVATIONS"),
@@ -150,12 +146,12 @@ def main() -> None:
     run("benchmarks.free_recordings", str(data), str(corpus))
     if {"ablations", "cameras_ablations"} & set(given.only):
         run("benchmarks.ablations", str(corpus), "--out", str(out / "ablations"))
-    beside_0_1_0 = {"batch", "clouds", "convert", "pictures", "start"} & set(given.only)
+    beside_0_1_0 = {"batch", "convert", "pictures", "start"} & set(given.only)
     if beside_0_1_0 and not (out / "baseline").is_dir():
         commit = ("git", "worktree", "add", "--detach", str(out / "baseline"), _VERSION_0_1_0)
         subprocess.run(commit, check=True)
     people = out / "people.npz"
-    if {"labels", "clouds_people"} & set(given.only) and not people.is_file():
+    if "labels" in given.only and not people.is_file():
         run("benchmarks.people", str(people))
     places = {
         "CORPUS": str(corpus),

@@ -164,7 +164,7 @@ def _shared(shapes: Sequence[Shape]) -> Shape:
     return tuple(shared_shape([torch.tensor(shape) for shape in shapes]).tolist())
 
 
-FIT_VERSION = 11
+FIT_VERSION = 12
 """Version of the method. It is raised when the same clip and settings give another motion, so that
 results of older versions are made anew."""
 

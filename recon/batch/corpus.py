@@ -34,7 +34,7 @@ from recon.ingest.subject import SubjectModel
 
 logger = logging.getLogger(__name__)
 
-CONVERSION_VERSION = 5
+CONVERSION_VERSION = 6
 """Raised when the conversion gives other results, so that old outputs are made anew."""
 _SURVEYED_TOGETHER = 20
 """Files that a process looks at in a row."""
