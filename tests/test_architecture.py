@@ -14,11 +14,10 @@ ROOT = Path(__file__).parents[1]
 PACKAGES = ("recon", "priors", "observations")
 SOURCES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 SURVIVES = {
-    ROOT / "recon" / "jobs" / "many" / "workers.py": ("BaseException",),
-    ROOT / "recon" / "method" / "together" / "threads.py": (),
+    ROOT / "recon" / "batch" / "workers.py": ("BaseException",),
 }
 """Files that catch what is not known, and what not even they catch: whatever goes wrong with one
-of many jobs is its own, and what a thread raises is raised by the one who waits for it."""
+of many jobs is its own."""
 TOLD = [
     *SOURCES,
     *(p for f in ("benchmarks", "scripts", "examples") for p in (ROOT / f).rglob("*.py")),

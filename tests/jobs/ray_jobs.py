@@ -29,8 +29,7 @@ def sums(manifest: Path, out: Path, kill_after: int | None) -> None:
         assert joined.cpus == 2
         clips = read_manifest(manifest)
         records = fit_all(
-            clips, out, FitSettings(), joined.cpus, out / "log.jsonl", sum_one,
-            together=1 if kill_after is None else 1000, run=joined.run,
+            clips, out, FitSettings(), joined.cpus, out / "log.jsonl", sum_one, run=joined.run
         )  # fmt: skip
         for count, record in enumerate(records, 1):
             said(f"{record['id']} {record['status']} {record.get('error', '')}")

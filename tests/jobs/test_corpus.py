@@ -15,8 +15,7 @@ import pytest
 
 from recon.batch.collection import collections, contents
 from recon.batch.corpus import convert_corpus
-from recon.batch.crew import Begun, Ended, run_items
-from recon.batch.workers import Failure
+from recon.batch.workers import Begun, Ended, Failure, run_items
 from recon.batch.worklog import read_log
 from recon.benchmark.dataset import Splits, clip_files
 from recon.cli import FAILED, OK, run
