@@ -16,7 +16,7 @@ from recon.fitting.settings import FitSettings
 from recon.formats.observations import PositionsFile, save_observation
 from recon.formats.opening import load_arrays, save_arrays
 from tests.api.test_front_door import noisy
-from tests.jobs.batch_jobs import WAYS, here, sum_one
+from tests.batch.batch_jobs import WAYS, here, sum_one
 
 
 def manifest(folder: Path, *rows: object) -> Path:

@@ -13,7 +13,7 @@ from recon.core.skeleton import JOINTS
 from recon.fitting.settings import FitSettings
 from recon.formats.observations import PositionsFile, save_observation
 from tests.api.test_front_door import noisy
-from tests.jobs.batch_jobs import here
+from tests.batch.batch_jobs import here
 
 
 def written(folder: Path, names: dict[str, str | None]) -> Path:
