@@ -23,7 +23,6 @@ _POINTS = ("noisy joints", "occluded points")
 _COLUMNS = ("--columns", "p=0", "p=50+lm", "f=5+lm", "p=50")
 
 _HALVES = ("half a body, one camera, posed", "half a body, three views")
-_SEGMENTS = ("segments", "CORPUS", "--only", "2", "--protocols")
 _ROLLOUT = ("rollout_fits", "CORPUS", "--part", "validation", "--only", "2", "--protocols")
 COMMANDS: dict[str, tuple[str, ...]] = {
     "corpus": ("corpus", "CORPUS"),
@@ -111,13 +110,6 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "rollout_camera": (*_ROLLOUT, "one camera", "one camera, posed"),
     "rollout_views": (*_ROLLOUT, "three views"),
     "rollout_depth": (*_ROLLOUT, "keypoints and depth", "joints and depth"),
-    "segments": (*_SEGMENTS, "noisy joints", "--methods", "collocation", "segments of 5",
-                 "segments of 15"),
-    "segments_ends": (*_SEGMENTS, "noisy joints", "--methods", "segments of 1", "roll-out"),
-    "segments_hidden": (*_SEGMENTS, "hidden points", "--methods", "collocation", "segments of 5"),
-    "segments_hidden_1": (*_SEGMENTS, "hidden points", "--methods", "segments of 1"),
-    "segments_hidden_15": (*_SEGMENTS, "hidden points", "--methods", "segments of 15"),
-    "segments_hidden_rollout": (*_SEGMENTS, "hidden points", "--methods", "roll-out"),
     "strangers": ("strangers", "CORPUS", "FOLDS"),
     "strangers_all": ("strangers", "CORPUS", "FOLDS"),
     "strangers_varied": ("strangers", "CORPUS", "FOLDS", "--only", "60", "02"),

@@ -77,9 +77,8 @@ def fit(
             method with `stages(data)`, or "package.module:Class".
         weights: of a prior given by its name: `open`, `nc` (not for commercial use) or a file.
         method: the way in which the prior is fitted, one of its `methods`; None is the usual one.
-            `humor` has `collocation` (the motion itself is moved; usual), `rollout` (a first
-            state and latents, through the decoder's roll-out) and `shooting` (a state every five
-            steps and latents, through roll-outs in between).
+            `humor` has `collocation` (the motion itself is moved; usual) and `rollout` (a first
+            state and latents, through the decoder's roll-out).
         body: a body, a SMPL-family file, or None for the bundled body.
         shape: shape coefficients that are held, or a motion, result or motion file that has them
             (of a static trial, say); or the person's height in metres or a `recon.Shape`, which

@@ -23,8 +23,7 @@ from recon.batch.corpus_jobs import (
     survey,
     write_report,
 )
-from recon.batch.crew import run_items
-from recon.batch.workers import Failure, run_jobs
+from recon.batch.workers import Failure, run_items, run_jobs
 from recon.batch.worklog import Record, WorkLog, open_log
 from recon.body.model import BodyModel
 from recon.formats.replacing import file_checksum, value_checksum

@@ -13,7 +13,7 @@ from recon.benchmark.dataset import Splits
 from recon.body.model import BodyModel
 from recon.body.sampled import spread_vertices
 from recon.formats.motions import MotionFile, save_motion
-from tests.priors.test_humor_training import SPLITS
+from tests.training.test_humor import SPLITS
 from tests.walking import a_walk
 from training.anchor import train as module
 from training.anchor.corpus import CycleCorpus, CycleVariation

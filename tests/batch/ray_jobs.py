@@ -1,7 +1,7 @@
 """As a program: a batch on a Ray cluster of two nodes, one of which may be killed in the middle.
 
-python -m tests.jobs.ray_jobs sums MANIFEST OUT [--kill-after CLIPS]
-python -m tests.jobs.ray_jobs command MANIFEST OUT [options of recon batch]
+python -m tests.batch.ray_jobs sums MANIFEST OUT [--kill-after CLIPS]
+python -m tests.batch.ray_jobs command MANIFEST OUT [options of recon batch]
 """
 
 import sys
@@ -12,7 +12,7 @@ from recon.batch.ray_cluster import ray_cluster
 from recon.batch.worklog import read_manifest
 from recon.cli import run
 from recon.fitting.settings import FitSettings
-from tests.jobs.batch_jobs import sum_one
+from tests.batch.batch_jobs import sum_one
 
 
 def sums(manifest: Path, out: Path, kill_after: int | None) -> None:
@@ -29,8 +29,7 @@ def sums(manifest: Path, out: Path, kill_after: int | None) -> None:
         assert joined.cpus == 2
         clips = read_manifest(manifest)
         records = fit_all(
-            clips, out, FitSettings(), joined.cpus, out / "log.jsonl", sum_one,
-            together=1 if kill_after is None else 1000, run=joined.run,
+            clips, out, FitSettings(), joined.cpus, out / "log.jsonl", sum_one, run=joined.run
         )  # fmt: skip
         for count, record in enumerate(records, 1):
             said(f"{record['id']} {record['status']} {record.get('error', '')}")

@@ -15,13 +15,12 @@ import pytest
 
 from recon.batch.collection import collections, contents
 from recon.batch.corpus import convert_corpus
-from recon.batch.crew import Begun, Ended, run_items
-from recon.batch.workers import Failure
+from recon.batch.workers import Begun, Ended, Failure, run_items
 from recon.batch.worklog import read_log
 from recon.benchmark.dataset import Splits, clip_files
 from recon.cli import FAILED, OK, run
-from tests.jobs.batch_jobs import WAYS
-from tests.jobs.corpus_jobs import unknown, write_clip
+from tests.batch.batch_jobs import WAYS
+from tests.batch.corpus_jobs import unknown, write_clip
 
 ROOT = Path(__file__).parents[2]
 
@@ -235,7 +234,7 @@ def test_a_changed_recording_redoes_its_subject_and_no_other(tmp_path, capsys):
 
 def run_killed(source: Path, out: Path, seconds: float | None) -> int:
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
-    command = [sys.executable, "-m", "tests.jobs.corpus_jobs", str(source), str(out)]
+    command = [sys.executable, "-m", "tests.batch.corpus_jobs", str(source), str(out)]
     process = subprocess.Popen(command, env=environment, cwd=ROOT)
     if seconds is None:
         return process.wait()

@@ -13,7 +13,7 @@ from recon.benchmark.dataset import Licence, Part, Splits
 from recon.body.model import BodyModel
 from recon.body.motion_files import leg_length
 from recon.formats.motions import MotionFile, save_motion
-from tests.priors.test_humor_training import SPLITS
+from tests.training.test_humor import SPLITS
 from tests.walking import a_walk
 from training.humos import train as module
 from training.humos.corpus import AS_RECORDED, BodyCorpus, BodyVariation

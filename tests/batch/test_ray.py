@@ -43,12 +43,12 @@ def test_files_of_settings_are_named_from_the_root(tmp_path, monkeypatch):
 
 
 def in_cluster(folder: Path, kind: str, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """Run `tests.jobs.ray_jobs` on a manifest; Ray and its processes end with it."""
+    """Run `tests.batch.ray_jobs` on a manifest; Ray and its processes end with it."""
     environment = {
         **os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", "SECONDS_PER_CLIP": "0.3",
     }  # fmt: skip
     return subprocess.run(
-        [sys.executable, "-m", "tests.jobs.ray_jobs", kind, folder / "clips.jsonl", *arguments],
+        [sys.executable, "-m", "tests.batch.ray_jobs", kind, folder / "clips.jsonl", *arguments],
         env=environment, cwd=ROOT, capture_output=True, text=True, timeout=300, check=False,
     )  # fmt: skip
 

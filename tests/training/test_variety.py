@@ -15,7 +15,7 @@ from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.skeleton import CONTACT_JOINTS, FEET
 from recon.formats.motions import MotionFile, save_motion
-from tests.priors.test_humor_training import AS_RECORDED, SPLITS
+from tests.training.test_humor import AS_RECORDED, SPLITS
 from training.humor import moments as limits
 from training.humor.arms import UPPER, clear_of_trunk, joined, moved
 from training.humor.corpus import Corpus, StateWindows, Variation

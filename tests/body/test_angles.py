@@ -16,7 +16,7 @@ from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.skeleton import MIRROR, joint_index
 from recon.formats.motions import load_motion
-from tests.export.angles_beside import angles_by_points, coordinates_by_points
+from tests.body.angles_beside import angles_by_points, coordinates_by_points
 
 
 def standing(body: BodyModel, frames: int = 1) -> Motion:

@@ -12,7 +12,7 @@ from priors.anchor.prior import AnchorFrames
 from recon.benchmark.dataset import Splits
 from recon.body.model import BodyModel
 from recon.formats.motions import MotionFile, save_motion
-from tests.priors.test_humor_training import SPLITS
+from tests.training.test_humor import SPLITS
 from tests.walking import a_walk
 from training.anchor.components import components
 from training.anchor.corpus import CycleCorpus

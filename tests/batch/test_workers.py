@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from recon.batch.workers import Failure, run_jobs
-from tests.jobs.batch_jobs import WAYS
+from tests.batch.batch_jobs import WAYS
 
 
 def act(name: str) -> str:
@@ -79,7 +79,7 @@ def test_whoever_stops_listening_stops_the_work(tmp_path):
 def test_processes_of_a_killed_parent_end(tmp_path):
     """They would finish their jobs, and overwrite what the next run has done by then."""
     script = (
-        "from recon.batch.workers import run_jobs; from tests.jobs.test_workers import mark\n"
+        "from recon.batch.workers import run_jobs; from tests.batch.test_workers import mark\n"
         f"if __name__ == '__main__':\n    list(run_jobs(mark, [('{tmp_path}/a',)], 1))\n"
     )
     (tmp_path / "script.py").write_text(script)

@@ -7,16 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recon.batch.batch import fit_all
-from recon.batch.crew import Crew, Run
-from recon.batch.workers import run_jobs
+import recon
+from recon.batch.batch import fit_all, large_first
+from recon.batch.workers import Run, run_jobs
 from recon.batch.worklog import BatchClip, read_manifest, shard
 from recon.core.skeleton import JOINTS
 from recon.fitting.settings import FitSettings
 from recon.formats.observations import PositionsFile, save_observation
 from recon.formats.opening import load_arrays, save_arrays
 from tests.api.test_front_door import noisy
-from tests.jobs.batch_jobs import WAYS, here, sum_one
+from tests.batch.batch_jobs import WAYS, here, sum_one
 
 
 def manifest(folder: Path, *rows: object) -> Path:
@@ -49,7 +49,7 @@ def statuses(
     clips, out: Path, settings: FitSettings | None = None, run: Run = here
 ) -> dict[str, str]:
     log, how = out / "log.jsonl", settings or FitSettings()
-    found = fit_all(clips, out, how, 2, log, sum_one, together=1, run=run)
+    found = fit_all(clips, out, how, 2, log, sum_one, run=run)
     return {record["id"]: record["status"] for record in found}
 
 
@@ -118,54 +118,38 @@ def test_ten_bad_clips_are_lines_of_the_log_and_no_more(clips, tmp_path):
     assert len((out / "log.jsonl").read_text().splitlines()) == len(lines)
 
 
-def test_a_bad_clip_of_a_group_costs_its_neighbours_nothing(clips, tmp_path):
-    """Clips are fitted several at a time; each must end as if it had been alone."""
-    out = tmp_path / "out"
-    names = ("refuse", "be_killed", "exhaust", "overflow", "leave")
+def test_bad_clips_cost_their_neighbours_nothing(clips, tmp_path):
+    out, names = tmp_path / "out", ("refuse", "be_killed", "exhaust")
     bad = [BatchClip(name, (tmp_path / "a.npz",)) for name in names]
-    both = [*bad[:2], *clips, *bad[2:]]
-    found = fit_all(both, out, FitSettings(), 1, out / "log.jsonl", sum_one)
+    found = fit_all([*bad[:2], *clips, bad[2]], out, FitSettings(), 1, out / "log.jsonl", sum_one)
     expected = dict.fromkeys("abcd", "ok") | {name: WAYS[name][1] for name in names}
     assert {record["id"]: record["status"] for record in found} == expected
-    lines = [json.loads(line) for line in (out / "log.jsonl").read_text().splitlines()]
-    assert sorted(line["id"] for line in lines) == sorted(expected)
     assert statuses(clips, out) == dict.fromkeys("abcd", "skipped")
+    with pytest.raises(ValueError, match="at least one process, got 0"):
+        list(fit_all(clips, out, FitSettings(), 0, out / "log.jsonl", sum_one))
 
 
-def test_groups_are_of_one_size_and_large_ones_come_first(clips, tmp_path):
-    (tmp_path / "a.npz").write_bytes(b"-" * 90_000)
+def test_large_files_come_first(clips, tmp_path):
+    (tmp_path / "b.npz").write_bytes(b"-" * 90_000)
     (tmp_path / "c.npz").write_bytes(b"-" * 80_000)
-    names = [{clip.name for clip in group} for group in Crew(2).groups(clips)]
-    assert names == [{"a", "c"}, {"b", "d"}]
-    assert [len(group) for group in Crew(1, together=1).groups(clips)] == [1, 1, 1, 1]
-    many = [BatchClip(str(k), (tmp_path / "none",)) for k in range(50)]
-    assert [len(group) for group in Crew(2).groups(many)] == [16, 16, 16, 2]
-    with pytest.raises(ValueError, match="at least one frame"):
-        Crew(1, together=0)
+    assert [clip.name for clip in large_first(clips)][:2] == ["b", "c"]
+    missing = [BatchClip("none", (tmp_path / "none",)), BatchClip("nothing", ())]
+    assert {clip.name for clip in large_first([*missing, *clips])[-2:]} == {"none", "nothing"}
 
 
-def test_fits_of_a_batch_are_those_of_one_by_one(tmp_path):
-    """Within the tolerance of the minimiser, also of clips with noises of their own."""
-    for k, frames in enumerate((10, 12, 11)):
+def test_fits_of_a_batch_are_those_of_recon_fit(tmp_path):
+    for k, frames in enumerate((6, 8)):
         seen = np.ones((frames, 22), bool)
         file = PositionsFile("joints3d", noisy(frames, 0.01 * (k + 1)), seen, JOINTS, 30.0)
         save_observation(tmp_path / f"{k}.npz", file)
-    rows = [{"id": f"clip{k}", "observations": f"{k}.npz"} for k in range(3)]
-    clips, settings = read_manifest(manifest(tmp_path, *rows)), FitSettings(prior="pose")
-    for name, together in (("alone", 1), ("joined", 1000)):
-        out = tmp_path / name
-        found = fit_all(clips, out, settings, 1, out / "log.jsonl", together=together, run=here)
-        assert [record["status"] for record in found] == ["ok"] * 3
-    for k in range(3):
-        alone, joined = (
-            np.load(tmp_path / name / f"clip{k}.npz")["joints"] for name in ("alone", "joined")
-        )
-        assert np.linalg.norm(alone - joined, axis=-1).mean() < 4e-4
-        said = json.loads((tmp_path / "joined" / f"clip{k}.npz.json").read_text())
-        assert (
-            said["noise"]
-            == json.loads((tmp_path / "alone" / f"clip{k}.npz.json").read_text())["noise"]
-        )
+    rows = [{"id": f"clip{k}", "observations": f"{k}.npz"} for k in range(2)]
+    clips, out = read_manifest(manifest(tmp_path, *rows)), tmp_path / "out"
+    found = fit_all(clips, out, FitSettings(prior="pose"), 1, out / "log.jsonl", run=here)
+    assert [record["status"] for record in found] == ["ok"] * 2
+    for k in range(2):
+        alone = recon.fit(tmp_path / f"{k}.npz", "pose")
+        joints = np.load(out / f"clip{k}.npz")["joints"]
+        np.testing.assert_allclose(joints, alone.joints.numpy(), atol=1e-5)
 
 
 @pytest.mark.parametrize("where", ["observation", "report", "camera", "folder"])

@@ -12,8 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from recon.batch.batch import Job, fit_all, fit_one, is_done
-from recon.batch.crew import TOGETHER
-from recon.batch.workers import DONE
+from recon.batch.workers import attempt
 from recon.batch.worklog import Record, read_manifest
 from recon.fitting.clip_inputs import clip_checksum
 from recon.fitting.settings import FitSettings
@@ -103,16 +102,15 @@ def here(function, jobs, processes):
     """What `run_jobs` does without processes of their own, whose start takes seconds."""
     del processes
     for job in jobs:
-        for message in function(*job):
+        for message, _ in attempt(function, job):
             yield job, message
-        yield job, DONE
 
 
 if __name__ == "__main__":
     manifest, out, kind = Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3]
     settings = FitSettings(prior="pose")
-    work, together = (fit_or_go_wrong, TOGETHER) if kind == "fit" else (sum_one, 1)
+    work = fit_or_go_wrong if kind == "fit" else sum_one
     log = out / "log.jsonl"
-    for record in fit_all(read_manifest(manifest), out, settings, 2, log, work, together=together):
+    for record in fit_all(read_manifest(manifest), out, settings, 2, log, work):
         sys.stdout.write(f"{record['id']} {record['status']}\n")
         sys.stdout.flush()

@@ -21,7 +21,7 @@ from recon.fitting.settings import FitSettings
 from recon.formats.motions import load_motion
 from recon.formats.observations import PositionsFile, save_observation
 from recon.formats.opening import save_arrays
-from tests.jobs.batch_jobs import WAYS
+from tests.batch.batch_jobs import WAYS
 
 ROOT = Path(__file__).parents[2]
 
@@ -32,7 +32,7 @@ def start(folder: Path, out: Path, kind: str, seconds: float) -> subprocess.Pope
         "OMP_NUM_THREADS": "1",
     }  # fmt: skip
     return subprocess.Popen(
-        [sys.executable, "-m", "tests.jobs.batch_jobs", folder / "clips.jsonl", out, kind],
+        [sys.executable, "-m", "tests.batch.batch_jobs", folder / "clips.jsonl", out, kind],
         env=environment, cwd=ROOT, stdout=subprocess.DEVNULL, start_new_session=True,
     )  # fmt: skip
 

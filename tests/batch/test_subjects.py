@@ -8,13 +8,12 @@ import pytest
 
 from recon.batch import batch as subjects
 from recon.batch.batch import fit_all
-from recon.batch.crew import Crew
 from recon.batch.worklog import read_manifest, shard
 from recon.core.skeleton import JOINTS
 from recon.fitting.settings import FitSettings
 from recon.formats.observations import PositionsFile, save_observation
 from tests.api.test_front_door import noisy
-from tests.jobs.batch_jobs import here
+from tests.batch.batch_jobs import here
 
 
 def written(folder: Path, names: dict[str, str | None]) -> Path:
@@ -63,9 +62,7 @@ def test_what_is_no_subject_is_refused(tmp_path):
         read_manifest(path)
     clips = read_manifest(written(tmp_path, {"a": "anna"}))
     with pytest.raises(ValueError, match="shapes of their own"):
-        subjects.shapes_of_subjects(
-            clips, FitSettings(prior="anchor"), Crew(1), tmp_path / "l", ""
-        )
+        subjects.shapes_of_subjects(clips, FitSettings(prior="anchor"), 1, tmp_path / "l", "")
 
 
 def test_the_first_look_at_shapes_has_a_method_of_its_own(tmp_path):

@@ -23,14 +23,12 @@ def test_a_leading_axis_is_one_of_clips():
     results = recon.fit_clips(seen(both), Quick())
     alone = recon.fit(seen(both[1]), Quick())
     assert (results[1].joints - alone.joints).abs().max() < 1e-4
-    plain = recon.fit_clips(seen(both), Quick(), together=1)
-    assert torch.equal(plain[1].joints, alone.joints)
 
 
 def test_clips_of_one_subject_share_the_median_of_their_shapes():
     clips = [seen(noisy(4, deviation)) for deviation in (0.01, 0.02, 0.04)]
     first = [recon.fit(one, "pose").motion.shape for one in clips]
-    results = recon.fit_clips(clips, Quick(), subject=True, together=1)
+    results = recon.fit_clips(clips, Quick(), subject=True)
     for result in results:
         torch.testing.assert_close(result.motion.shape, torch.stack(first).median(0).values)
     two = [torch.tensor([0.0, 1.0]), torch.tensor([1.0, 3.0])]
