@@ -52,7 +52,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "cameras_half": ("cameras", "CORPUS", "--only", "8", "--cases", *_HALVES),
     "labels": ("labels", "CORPUS", "PEOPLE", "--only", "15"),
     "clouds": ("clouds", "CORPUS", "--part", "test"),
-    "clouds_walks": ("clouds", "CORPUS", "--cases", "walks"),
+    "clouds_walks": ("clouds", "CORPUS", "--cases", "walks", "--only", "6"),
     "clouds_mixed": ("clouds", "CORPUS", "--part", "test", "--only", "12", "--cases",
                      "depth, sensor unknown", "2D", "2D + depth", "joints", "joints + depth"),
     "pose2sim": ("pose2sim", "OBSERVATIONS"),

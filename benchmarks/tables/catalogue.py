@@ -90,6 +90,7 @@ TABLES: Mapping[str, Table] = {
     "depth": clouds.depth,
     "depth-by-subject": clouds.depth_by_subject,
     "depth-compared": clouds.depth_compared,
+    "depth-walks": clouds.depth_walks,
     "depth-warned": clouds.depth_warned,
     "rigs": rigs.found,
     "rigs-fits": rigs.fits,

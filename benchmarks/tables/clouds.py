@@ -127,6 +127,30 @@ def depth_by_subject() -> str:
     return markdown(["all joints, cm", *people], rows) + source(*present(_FILES))
 
 
+def depth_walks() -> str:
+    """Straight walks before a sensor, by where they are seen from: means over windows."""
+    found = result("clouds_walks")
+    views: dict[str, list[dict[str, Any]]] = {}
+    for methods in found["values"].values():
+        for name, row in methods["humor"].items():
+            views.setdefault(name.split(", ", 1)[1], []).append(row)
+    rows = []
+    for view, every in [*views.items(), ("all", [row for own in views.values() for row in own])]:
+        fitted = [row for row in every if "refused" not in row]
+        cells = [
+            number(sum(row[k] for row in fitted) / len(fitted), 100, 1)
+            for k in ("root_visible", "root_all", "vertices")
+        ]
+        worst = number(max(row["root_all"] for row in fitted), 100, 1)
+        lost = sum(bool(row["lost"]) for row in fitted)
+        rows.append(
+            [view, f"{len(every)}", *cells, worst, f"{lost}", f"{len(every) - len(fitted)}"]
+        )
+    headings = ["from the sensor, and the way in its view", "windows", "visible cm", "all cm",
+                "vertices cm", "worst, all cm", "lost", "refused"]  # fmt: skip
+    return markdown(headings, rows) + source("clouds_walks")
+
+
 def depth_warned() -> str:
     """Fits of clouds that are far off and say nothing, and right ones that warn."""
     found = _clouds()
