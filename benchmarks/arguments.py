@@ -1,4 +1,4 @@
-"""The command line that the tables over the listed windows have in common."""
+"""The command line of `benchmarks.clouds`."""
 
 import argparse
 from pathlib import Path
@@ -7,7 +7,7 @@ from priors.training.dataset import SPLITS
 
 
 def over_windows(about: str | None) -> argparse.ArgumentParser:
-    """A parser of corpus, splits, part and the JSON to write; a table adds its own."""
+    """A parser of corpus, splits, part and the JSON to write; `clouds` adds its own."""
     parser = argparse.ArgumentParser(
         description=about, formatter_class=argparse.RawTextHelpFormatter
     )
