@@ -16,10 +16,11 @@ The error is the Chamfer distance to the full scans.
 
 import tempfile
 from collections import defaultdict
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import process_time
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -183,24 +184,19 @@ def _cut(path: Path) -> Motion:
     return motion.window(0, min(motion.frames, round(LONGEST * motion.fps) + 1))
 
 
-@dataclass(frozen=True)
-class FoundCycle:
-    """One cycle of gait and where it is from."""
+class FoundCycle(NamedTuple):
+    """One cycle of gait alone, at 50 Hz, whose name is its clip and when it begins."""
 
     name: str
-    """Its clip and when it begins."""
     subject: str
     motion: Motion
-    """The motion of the cycle alone, at 50 Hz."""
 
 
-def found_cycles(
-    corpus: Path, splits: Splits, part: Part, clips: Collection[str] | None = None
-) -> Iterator[FoundCycle]:
-    """All cycles of one part on flat ground, clip by clip; `clips` are the only ones, or None."""
+def found_cycles(corpus: Path, splits: Splits, part: Part) -> Iterator[FoundCycle]:
+    """All cycles of one part on flat ground, clip by clip."""
     files = clip_files(corpus)
     for name, own in splits.parts(list(files)).items():
-        if own != part or (clips is not None and name not in clips) or not is_flat(files[name]):
+        if own != part or not is_flat(files[name]):
             continue
         motion = recon.load_motion(files[name]).motion
         for cycle in find_cycles(motion):

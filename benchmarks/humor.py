@@ -131,7 +131,7 @@ def by_subject(found: Mapping[str, BenchTable]) -> Table:
     first = next(iter(found.values()))
     apart = sorted(set(first.subjects) - set(first.counted))
     rows: list[list[Cell]] = []
-    for name in MAIN.keys() & found.keys():
+    for name in (name for name in MAIN if name in found):
         for method in found[name].values:
             own = found[name].by_subject(method, MAIN[name])
             mean = found[name].mean(method, MAIN[name])

@@ -1,7 +1,7 @@
 """Real marker recordings: lower markers hidden and given back, and every fifth one predicted.
 
     python -m benchmarks.real OBSERVATIONS --out FOLDER
-    python -m benchmarks.real OBSERVATIONS --only cmu_c3d --pictures FOLDER
+    python -m benchmarks.real OBSERVATIONS --only cmu_c3d
 
 `hidden_markers.toml` lists the runs, walks and jumps, and those that are measured apart. Markers
 below 0.9 m are hidden in every frame, as by a table; the fit sees the others. What is measured is
@@ -34,12 +34,8 @@ from recon.formats.mocap.recording import MarkerRecording
 from recon.ingest.markers.coverage import MarkerSet, full_body_markers
 from recon.ingest.markers.fit import MarkerFit, fit_markers
 from recon.metrics.intervals import Interval
-from recon.view.frames import write_png
-from recon.view.show.colours import GREY
-from recon.view.show.scene import Figure, Points, Show
 
 LIST = Path(__file__).parent / "hidden_markers.toml"
-PICTURED = "cmu_c3d/02_01.c3d"
 SECONDS, HIDDEN_BELOW, NOISE = 3.0, 0.9, 0.02
 """Length of a clip; height below which markers are hidden; and the standard deviation of a marker
 against its landmark, which skin and the hand that taped it make. Seconds and metres."""
@@ -85,17 +81,14 @@ def main() -> None:
     arguments = parser(__doc__, "observations")
     arguments.add_argument("--weights", default="open", help="of HuMoR: open, nc or a file")
     arguments.add_argument("--only", nargs="*", default=[""], help="paths that hold one of these")
-    arguments.add_argument("--pictures", type=Path, default=None)
     given = arguments.parse_args()
     body, errors = BodyModel.load(), dict[HiddenMarkers, Mapping[str, float]]()
     for one in load_list():
         if not any(part in one.path for part in given.only):
             continue
         seen = observation(given.observations / one.path, body, one.first)
-        found, errors[one] = given_back(seen, given.weights, body)
+        errors[one] = given_back(seen, given.weights, body)
         print(one.path, {k: f"{value:.1f} cm" for k, value in errors[one].items()}, flush=True)
-        if given.pictures is not None and one.path == PICTURED:
-            draw(given.pictures / "real_markers.png", one.path, seen, found, body)
     tables = {"real-hidden": means(errors), "real-recordings": recordings(errors)}
     names = [name for name in PREDICTED if any(part in name for part in given.only)]
     if given.weights == "open":
@@ -104,26 +97,24 @@ def main() -> None:
     tell(given.out, None, source, tables)
 
 
-def given_back(
-    seen: Markers3D, weights: str, body: BodyModel
-) -> tuple[dict[str, recon.Result], dict[str, float]]:
-    """Fits by prior from the upper markers, and the mean error of the hidden ones, cm.
+def given_back(seen: Markers3D, weights: str, body: BodyModel) -> dict[str, float]:
+    """Mean errors of the hidden markers by prior, from the upper ones, centimetres.
 
-    Last comes the pose prior's fit to all markers. Nothing is examined or repaired.
+    Last comes the pose prior's fit to all markers. Nothing is repaired.
     """
     hidden = lower(seen)
     spoilt = seen.replace(visible=seen.visible & ~hidden)
     fits = {POSE: (spoilt, "pose", "open"), HUMOR: (spoilt, "humor", weights),
             EVERYTHING: (seen, "pose", "open")}  # fmt: skip
-    found, errors = dict[str, recon.Result](), dict[str, float]()
+    errors: dict[str, float] = {}
     for label, (data, prior, own) in fits.items():
         result = recon.fit(data, prior, weights=own, body=body, noise=NOISE, repair=False)
         times = torch.arange(seen.positions.shape[1], dtype=torch.float64) / seen.fps
         kept = times <= result.motion.stop_time + 1e-6
         there = seen.on(body.pose(result.motion.at(times[kept], seen.fps)))
         away = (there - seen.positions[0, kept]).norm(dim=-1)
-        found[label], errors[label] = result, 100 * away[hidden[0, kept]].mean().item()
-    return found, errors
+        errors[label] = 100 * away[hidden[0, kept]].mean().item()
+    return errors
 
 
 def lower(seen: Markers3D) -> Bool[Tensor, "1 time markers"]:
@@ -243,26 +234,6 @@ def placed(
     seen = visible[::OFFSET_EVERY, :, None]
     own = local.where(seen, 0.0).sum(0) / seen.sum(0).clamp(min=1)
     return tuple(skin + (turns @ o[..., None])[..., 0] for o in (own, markers.nominal))  # type: ignore[return-value]
-
-
-def draw(
-    path: Path, name: str, seen: Markers3D, found: Mapping[str, recon.Result], body: BodyModel
-) -> None:
-    """Pictures of each method's motion, that of all markers behind it in grey."""
-    upper = seen.visible & ~lower(seen)
-    shows = [
-        Show(
-            f"{name}: {label}",
-            (
-                Figure(body, found[label].motion, "reconstruction"),
-                Figure(body, found[EVERYTHING].motion, "all markers seen", colour=GREY,
-                       opacity=0.4),
-            ),
-            Points(seen.positions[0], upper[0], seen.positions[0]),
-        )
-        for label in (POSE, HUMOR)
-    ]  # fmt: skip
-    write_png(path, shows)
 
 
 if __name__ == "__main__":

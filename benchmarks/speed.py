@@ -1,16 +1,15 @@
-"""Speed: posing, fits, long recordings, streams and batches, and what a million clips cost.
+"""Speed: fits, long recordings, streams and batches, and what a million clips cost.
 
     python -m benchmarks.speed CORPUS --out FOLDER
     python -m benchmarks.speed CORPUS --parts batch --clips 32 --out FOLDER
 
-All on one thread. `speed` poses 60 frames, forward and backward, and fits one clip and sixteen.
-`long` fits the longest clip, run there and back until it lasts so long, each length in a process
-of its own whose peak memory is told: where it turns round, every joint's velocity changes sign at
-once. The largest change of a joint's velocity from one frame to the next shows seams. `live`
-pushes the longest clips of subjects moment by moment, beside fits at once; a step is the 99th
-percentile of how far a joint moves in a frame. `batch` runs `recon batch` on the listed windows,
-one by one and together, and counts CPU seconds of all processes. Joints have 4 cm of noise per
-coordinate in all of them.
+All on one thread. `speed` fits one clip of two seconds, and sixteen together. `long` fits the
+longest clip, run there and back until it lasts so long, each length in a process of its own whose
+peak memory is told: where it turns round, every joint's velocity changes sign at once. The largest
+change of a joint's velocity from one frame to the next shows seams. `live` pushes the longest
+clips of subjects moment by moment, beside fits at once; a step is the 99th percentile of how far a
+joint moves in a frame. `batch` runs `recon batch` on the listed windows, one by one and together,
+and counts CPU seconds of all processes. Joints have 4 cm of noise per coordinate in all of them.
 """
 
 import json
@@ -61,7 +60,7 @@ def main() -> None:
     longest = longest_clips(files, splits, given.part)[: given.only]
     tables: dict[str, Table] = {}
     if "speed" in given.parts:
-        tables["speed"] = posing_and_fitting(BodyModel.load())
+        tables["speed"] = fitting()
     if "long" in given.parts:
         tables["long"] = long_recordings(given.corpus, files[longest[0]], longest[0])
     if "live" in given.parts:
@@ -83,23 +82,12 @@ def longest_clips(files: Mapping[str, Path], splits: Splits, part: str) -> list[
     return list(of_subject.values())
 
 
-def posing_and_fitting(body: BodyModel) -> Table:
-    """Milliseconds of forward and backward passes, and seconds of fits, medians."""
+def fitting() -> Table:
+    """CPU seconds of fits of one clip, and of sixteen together, medians."""
     motion = demo_clip(FRAMES)
-
-    def passes(value: Callable[[Motion], Tensor]) -> Callable[[], None]:
-        def call() -> None:
-            leaves = [t.clone().requires_grad_() for t in (motion.rotations, motion.translation)]
-            moved = motion.replace(rotations=leaves[0], translation=leaves[1])
-            torch.autograd.grad(value(moved).square().sum(), leaves)
-
-        return call
-
     one = recon.simulate(motion, "joints3d", noise=NOISE, seed=SEED)
     many = [recon.simulate(motion, "joints3d", noise=NOISE, seed=k) for k in range(16)]
     calls: dict[str, tuple[Callable[[], object], int]] = {
-        "joints, forward + backward, ms": (passes(lambda m: body.pose(m).joints), 15),
-        "mesh, forward + backward, ms": (passes(lambda m: body.pose(m).vertices), 15),
         "fit of one clip of 2 s, pose prior, s": (lambda: recon.fit(one, "pose"), 3),
         "fit of one clip of 2 s, HuMoR, s": (lambda: recon.fit(one), 3),
         "fits of sixteen such clips together, pose prior, s":
@@ -113,7 +101,7 @@ def posing_and_fitting(body: BodyModel) -> Table:
             began = time.process_time()
             call()
             spent.append(time.process_time() - began)
-        rows.append([name, number(float(np.median(spent)), 1000 if name.endswith("ms") else 1)])
+        rows.append([name, number(float(np.median(spent)))])
     return Table([("one thread", None), ("CPU time", 2)], rows)
 
 
