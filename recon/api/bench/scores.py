@@ -5,7 +5,6 @@ rows hold the values of every window under `WINDOWS`, from which intervals are m
 """
 
 import numpy as np
-import torch
 from jaxtyping import Bool
 from torch import Tensor
 
@@ -100,15 +99,3 @@ def mean_of(rows: list[Row]) -> Row:
         values = [v for row in rows if (v := row[key]) is not None]
         found[key] = float(np.mean(values)) if values else None
     return found
-
-
-def subject_mean(windows: TrueWindows, values: Tensor) -> float:
-    """Mean over each subject's windows, then over the subjects who count."""
-    means = [values[windows.of(s)].mean() for s in windows.counted]
-    return torch.stack(means).mean().item()
-
-
-def acceleration_ratio(row: Row) -> float | None:
-    """Own over true size of accelerations; None where either is not known."""
-    own, true = row.get("accel"), row.get("accel_truth")
-    return own / true if own is not None and true else None
