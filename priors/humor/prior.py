@@ -51,7 +51,7 @@ _METHODS: Mapping[str, tuple[str, Mapping[str, int]]] = {
     "shooting": ("priors.humor.shooting:Shooting", {"segment": 5}),
 }
 """Classes of the ways to fit and their settings, by name; the usual one first. Lengths other
-than 5 steps were measured on validation windows (`benchmarks.segments`)."""
+than 5 steps were measured on validation windows (abaa3a0: benchmarks/segments.py)."""
 
 
 @dataclass(frozen=True)
