@@ -48,7 +48,7 @@ changelog: .venv/developed
 	$(CI) changelog --base $(BASE)
 
 mutants: .venv/developed
-	$(BIN)/python -m benchmarks.mutants --out benchmarks/results/mutants.json
+	$(BIN)/python -m benchmarks.mutants --out benchmarks/results
 
 tables: .venv/developed
 	$(BIN)/python -m benchmarks.tables
@@ -62,7 +62,7 @@ clients: .venv/developed
 	npm install --silent --prefix $(OUT)/clients/node three@0.187.0 gltf-validator@2.0.0-dev.3.10
 	$(BIN)/python -m benchmarks.clients --python $(OUT)/clients/opensim/bin/python \
 		--blender $(OUT)/clients/blender/bin/python --node $(OUT)/clients/node/node_modules \
-		--json benchmarks/results/clients.json
+		--out benchmarks/results
 	$(BIN)/pytest -q -rs tests/view/test_page.py
 
 bench: .venv/developed

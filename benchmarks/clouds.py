@@ -1,7 +1,7 @@
 """Depth alone and with other sensors through files: what somebody who has only files gets.
 
-    python -m benchmarks.clouds CORPUS --json clouds.json
-    python -m benchmarks.clouds CORPUS --cases walks --prior pose
+    python -m benchmarks.clouds CORPUS --part test --out FOLDER
+    python -m benchmarks.clouds CORPUS --part validation --cases walks --only 6 --prior pose
 
 Every window is simulated and written to observation files, which `recon.load_observation` reads
 and `recon.fit` fits. The sensor has 512 x 424 pixels, noise, holes and flying pixels.
@@ -15,21 +15,17 @@ askew; every other person without the ground.
 
 Errors of joints about the pelvis and of vertices in the world (by way of the true sensor) are in
 centimetres; a window is lost where joints are off by more than 15 cm in the mean. Windows whose
-files are refused are counted, and the JSON says why. Windows that the JSON has already, of the
-same commit, are not fitted again.
+files are refused are counted, and why is printed.
 """
 
 import math
 import tempfile
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
-
-from rich.console import Console
 
 import recon
-from benchmarks.arguments import over_windows
 from benchmarks.cloud_cases import (
     CASES,
     VIEWS,
@@ -40,9 +36,17 @@ from benchmarks.cloud_cases import (
     view_of,
     write_files,
 )
-from benchmarks.humor import evenly
-from benchmarks.results import corpus_source, earlier, write
-from benchmarks.scores import Columns, Row, by_subject, rounded, tables
+from benchmarks.protocol import (
+    Cell,
+    Metrics,
+    Table,
+    cells,
+    columns_of,
+    corpus_source,
+    evenly,
+    over_windows,
+    tell,
+)
 from benchmarks.uncertainty import NINE_TENTHS
 from recon.benchmark.dataset import Splits
 from recon.benchmark.windows import TrueWindows, load_windows
@@ -53,23 +57,26 @@ SEED, FRAMES = 0, 90
 LOST = 0.15
 """Mean error of joints about the pelvis from which on a window is lost, metres."""
 
-COLUMNS: Columns = {
-    "root_visible": ("visible", 100), "root_hidden": ("hidden", 100), "root_all": ("all", 100),
-    "vertices": ("vertices", 100), "normal": ("normal °", 1), "height": ("height", 100),
-    "covered_visible": ("within, seen", 1), "covered_hidden": ("within, hidden", 1),
-    "lost": ("lost %", 100), "said": ("warned %", 100), "seconds": ("CPU s", 1),
+COLUMNS: Metrics = {
+    "root_visible": ("visible cm", 100, 1), "root_hidden": ("hidden cm", 100, 1),
+    "root_all": ("all cm", 100, 1), "vertices": ("vertices cm", 100, 1),
+    "normal": ("normal °", 1, 1), "height": ("height cm", 100, 1),
+    "covered_visible": ("within std, seen", 1, 2), "covered_hidden": ("hidden", 1, 2),
+    "said": ("warned %", 100, 0), "seconds": ("CPU s", 1, 1),
 }  # fmt: skip
+
+Row = dict[str, float | None]
+"""Metrics of one window, SI units."""
 
 
 def main() -> None:
+    """Simulate, write, read, fit, judge, print and write."""
     parser = over_windows(__doc__)
-    parser.add_argument("--only", type=int, default=None, help="use so many windows in all")
     parser.add_argument("--cases", nargs="+", choices=("walks", *CASES), default=["depth"])
     parser.add_argument("--prior", default="humor", help="as in recon.fit")
-    parser.set_defaults(part="validation")
     given = parser.parse_args()
     body, splits = BodyModel.load(), Splits.load(given.splits)
-    values: dict[str, dict[str, dict[str, Any]]] = earlier(given.json, "values")
+    rows: list[list[Cell]] = []
     for case in given.cases:
         windows = (
             walks(given.corpus, splits, body)
@@ -77,19 +84,19 @@ def main() -> None:
             else load_windows(given.corpus, splits, given.part, body, SEED, FRAMES)
         )
         chosen = evenly(windows, given.only)
-        done = values.setdefault(case, {}).setdefault(given.prior, {})
+        found: list[Row] = []
         for k in chosen:
-            name, seen = windows.names[k], Seen(windows.truth[k], body, k)
+            seen = Seen(windows.truth[k], body, k)
             if case == "walks":
                 seen = SeenWalk(windows.truth[k], body, k, *view_of(k))
-            if name not in done:
-                done[name] = fitted(seen, case, given.prior)
-                print(case, name, done[name], flush=True)
-            if given.json is not None:
-                some = windows.take(chosen)
-                write(given.json, SEED, corpus_source(given.corpus, windows.files),
-                      part=given.part, **some.about, values=values)  # fmt: skip
-        show(case, windows.take(chosen), done)
+            found.append(fitted(seen, case, given.prior))
+            print(case, windows.names[k], found[-1], flush=True)
+        rows.append(means(case, windows.take(chosen), found))
+    headings = columns_of("case", COLUMNS)
+    headings[1:1] = [("windows", 0), ("lost", 0), ("refused", 0)]
+    source = corpus_source(given.corpus)
+    name = "depth-walks" if given.cases == ["walks"] else "depth"
+    tell(given.out, SEED, source, {name: Table(headings, rows)})
 
 
 def walks(corpus: Path, splits: Splits, body: BodyModel) -> TrueWindows:
@@ -103,15 +110,16 @@ def walks(corpus: Path, splits: Splits, body: BodyModel) -> TrueWindows:
     return replace(every, names=tuple(names))
 
 
-def fitted(seen: Seen, case: str, prior: str) -> dict[str, Any]:
-    """One window's columns, or why its files are refused."""
+def fitted(seen: Seen, case: str, prior: str) -> Row:
+    """One window's metrics; none where its files are refused."""
     with tempfile.TemporaryDirectory() as folder:
         paths = write_files(seen, case, Path(folder))
         began = time.process_time()
         try:
             result = recon.fit(recon.load_observation(paths), prior)
         except recon.ReconError as error:
-            return {"refused": str(error)}
+            print(f"refused: {error}", flush=True)
+            return {}
     seconds = time.process_time() - began
     motion, camera, body = result.motion, seen.camera.T_world_camera, seen.body
     found = result.T_world_camera
@@ -134,26 +142,19 @@ def fitted(seen: Seen, case: str, prior: str) -> dict[str, Any]:
         within = (away <= NINE_TENTHS * result.joint_std[..., None]).float().mean(-1)
         row["covered_visible"] = float(within[visible].mean())
         row["covered_hidden"] = None if visible.all() else float(within[~visible].mean())
-    codes = [warning.code for warning in result.warnings]
-    return {**{k: rounded(v) for k, v in row.items()}, "warnings": codes}
+    return row
 
 
-def show(case: str, windows: TrueWindows, values: dict[str, dict[str, Any]]) -> None:
-    """Print every window, and means over subjects of those that were fitted."""
-    rows = [values[name] for name in windows.names]
-    there = [k for k, row in enumerate(rows) if "refused" not in row]
+def means(case: str, windows: TrueWindows, rows: Sequence[Row]) -> list[Cell]:
+    """A row of the table: how many were lost and refused, and means over subjects of the rest."""
+    there = [k for k, row in enumerate(rows) if row]
     lost = sum(bool(rows[k]["lost"]) for k in there)
-    console = Console(width=190)
-    for name, row in zip(windows.names, rows, strict=True):
-        errors = [row.get(k) for k in ("root_visible", "root_all")]
-        seen, every = ("-" if v is None else f"{100 * v:.1f}" for v in errors)
-        console.print(f"{name}: visible {seen}, all {every} cm {row.get('refused', '')}")
-    console.print(f"{case}: {len(rows)} windows, {lost} lost, {len(rows) - len(there)} refused")
-    if there:
-        columns = [{column: rows[k].get(column) for column in COLUMNS} for k in there]
-        means = by_subject(windows.take(there), columns)
-        for table in tables(case, COLUMNS, {"recon": means}):
-            console.print(table)
+    kept = [rows[k] for k in there]
+    values = {key: [row.get(key) for row in kept] for key in COLUMNS}
+    counts: list[Cell] = [case, len(rows), lost, len(rows) - len(there)]
+    return counts + (
+        cells(values, windows.take(there), COLUMNS) if there else [None] * len(COLUMNS)
+    )
 
 
 if __name__ == "__main__":

@@ -1,59 +1,63 @@
-"""Completing sparse scans of gait cycles: Chamfer distance to the full scans, and vertex error.
+"""Completing sparse scans with `recon.complete`: whole recordings, and cycles of gait.
 
-python -m benchmarks.complete CORPUS --weights nc --json benchmarks/results/complete_nc.json
+    python -m benchmarks.complete CORPUS --part validation --parts recordings --out FOLDER
+    python -m benchmarks.complete CORPUS --parts cycles --weights nc open --each 3 --out FOLDER
 
-Columns are those of Marsot et al., table 1: p points a frame, or f of 100 frames with all points;
-each with the 16 landmarks (+lm) and without. Test cycles, each of a body and in clothes of its
-own (benchmarks/scans.py). The row of the truth is the bare body in its true motion. `frames` fits
-every frame for itself, `smooth` is the same pose prior with its smoothness; `pose` and `humor` are
-what `recon fit` does with these priors, whose noise it tells from the data.
+Bodies nobody has, in clothes, are scanned (`benchmarks.scans`). Recordings are clips of held-out
+people, at most ten seconds of each: gait, and whatever else they do. Cases are scans a second
+times points, or the 16 landmarks; `cycles of gait` join where few moments are seen. Vertices are
+compared with the true ones at every third frame. A jump is the change of a joint's displacement
+from one frame to the next, as a speed; the largest of a clip, beside the truth's, shows seams.
+
+Cycles are completed under the prior of cycles of gait, by what of them is seen (Marsot et al.,
+table 1): p points a frame, or f of 100 frames with all points, with the 16 landmarks and without.
+The error is the Chamfer distance to the full scans.
 """
 
-import json
-from collections.abc import Callable, Sequence
+import tempfile
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import process_time
+from typing import NamedTuple
 
 import numpy as np
 import torch
-from rich.console import Console
-from rich.table import Table
 
-from benchmarks.arguments import over_windows
-from benchmarks.cycles import FoundCycle, chosen, found_cycles
-from benchmarks.results import corpus_source, write
+import recon
+from benchmarks.protocol import Cell, Table, corpus_source, number, over_windows, tell
 from benchmarks.scans import (
+    FPS,
     ScannedCycle,
+    scanned,
     scanned_cycle,
     thinned_frames,
     thinned_landmarks,
     thinned_points,
 )
-from observations.curvature import Surfels
-from observations.depth import PointCloud
-from observations.files.points import positions_of
-from observations.kinds import InSpace
-from priors.anchor.fit import AnchorFit, PublishedAnchorFit
-from priors.pose.prior import PosePrior, PoseWeights
-from recon.benchmark.dataset import Part, Splits
-from recon.body.model import BodyModel
-from recon.core.motion import Motion
-from recon.core.struct import concatenate
-from recon.fitting.clip import fit_clip
-from recon.fitting.cycles import NAMED_NOISE, complete
-from recon.fitting.methods import FitOptions
-from recon.method.reconstruction import solve
+from recon import BodyModel, Motion
+from recon.benchmark.dataset import Part, Splits, clip_files, is_flat
+from recon.benchmark.table import paired
+from recon.body.cycles import find_cycles
+from recon.fitting.recording import WholeRecording
+from recon.formats.observations import ObservationFile, PointsFile, PositionsFile, save_observation
 from recon.metrics.errors import chamfer_of_clip
 
-READ = 512
-"""Most points of a frame that the command keeps when it reads scans."""
-_JUDGED = 3
-"""Every so many frames are compared with the full scans."""
+SEED, LONGEST, POINTS, JUDGED = 0, 10.0, 500, 3
+CLIPS = {
+    "validation": ("12_02", "06_02", "10_04", "27_01", "martial_04"),
+    "test": ("07_05", "07_12", "49_08", "49_21"),
+}
+CASES: dict[str, tuple[float, int]] = {
+    "50/s x 500": (50, POINTS), "5/s x 500": (5, POINTS), "50/s landmarks": (50, 0),
+    "5/s landmarks": (5, 0), "2.5/s landmarks": (2.5, 0),
+}  # fmt: skip
+"""Scans a second, and points of each; no points are landmarks."""
 
 
 @dataclass(frozen=True)
-class Column:
+class Shown:
     """What of a scanned cycle is observed."""
 
     points: int | None = None
@@ -63,202 +67,201 @@ class Column:
     landmarks: bool = True
 
 
-COLUMNS = {
-    "p=0": Column(points=0),
-    **{f"p={p}+lm": Column(points=p) for p in (50, 100, 1000, 10000)},
-    **{f"p={p}": Column(points=p, landmarks=False) for p in (50, 100, 1000, 10000)},
-    **{f"f={f}+lm": Column(frames=f) for f in (5, 20, 100)},
-    **{f"f={f}": Column(frames=f, landmarks=False) for f in (5, 20, 100)},
-}
-Fitter = Callable[[list[InSpace]], list[Motion]]
+SEEN = {
+    "16 landmarks in every frame": Shown(points=0),
+    "and 50 points": Shown(points=50), "and 100 points": Shown(points=100),
+    "and 1,000 points": Shown(points=1000),
+    "5 of 100 frames, all points and landmarks": Shown(frames=5),
+    "20 of 100 frames, likewise": Shown(frames=20),
+    "50 points in every frame, no landmarks": Shown(points=50, landmarks=False),
+    "10,000 points, no landmarks": Shown(points=10000, landmarks=False),
+    "5 of 100 frames, no landmarks": Shown(frames=5, landmarks=False),
+    "20 of 100 frames, no landmarks": Shown(frames=20, landmarks=False),
+}  # fmt: skip
 
 
-def observe(scanned: ScannedCycle, column: Column, body: BodyModel) -> list[InSpace]:
-    """The observations of one cycle."""
-    scans, landmarks = scanned.scans, scanned.landmarks
-    if column.frames is not None:
-        scans = thinned_frames(scans, column.frames)
-        landmarks = thinned_landmarks(landmarks, column.frames)
-    found: list[InSpace] = []
-    if column.points != 0:
-        most = min(column.points or READ, READ)
-        thin = thinned_points(scans, most, 0)
-        found.append(cloud_from(thin.points, thin.frame, scanned.truth.frames, most, body))
-    if column.landmarks:
-        found.append(positions_of(landmarks, scanned.name, body))
-    return found
-
-
-def together(cycles: Sequence[list[InSpace]]) -> list[InSpace]:
-    """Observations of several cycles as one batch; shorter ones see nothing at their end."""
-    return [concatenate([_longer(o, kind) for o in kind]) for kind in zip(*cycles, strict=True)]
-
-
-def completed(weights: str, body: BodyModel, kind: type[AnchorFit] = AnchorFit) -> Fitter:
-    """The anchor-frame prior."""
-
-    def run(observations: list[InSpace]) -> list[Motion]:
-        result = complete(
-            observations, FitOptions(prior="anchor", weights=weights), body, kind=kind
-        ).result
-        return [result.clip(k).detach() for k in range(len(result.motion.shape))]
-
-    return run
-
-
-def frame_by_frame(body: BodyModel, *, smooth: bool) -> Fitter:
-    """The density of single poses, which knows no motion, with its smoothness or without."""
-    weights = PoseWeights.for_noise(NAMED_NOISE)
-    if not smooth:
-        weights = replace(weights, velocity=0.0, acceleration=0.0)
-    prior = PosePrior.load(weights=weights)
-
-    def run(observations: list[InSpace]) -> list[Motion]:
-        start = (observations[-1]).start(body)
-        result = solve(observations, prior, body, start=start)
-        return [result.clip(k).detach() for k in range(len(result.motion.shape))]
-
-    return run
-
-
-def fitted(settings: FitOptions, body: BodyModel) -> Fitter:
-    """What `recon fit` does with the same observations, all frames of the batch."""
-
-    def run(observations: list[InSpace]) -> list[Motion]:
-        result = fit_clip(observations, settings, body).result
-        return [result.clip(k).detach() for k in range(len(result.motion.shape))]
-
-    return run
-
-
-def called(cycle: FoundCycle) -> str:
-    """The name of a cycle in result files: its clip and when it begins."""
-    return f"{cycle.clip}@{cycle.cycle.start:.2f}"
-
-
-def listed(result: Path, corpus: Path, splits: Splits, part: Part) -> list[FoundCycle]:
-    """The cycles of a part that a result file lists, for comparison with it.
-
-    Raises:
-        ValueError: when one of them is not found in the corpus.
-    """
-    tables = json.loads(result.read_text(encoding="utf-8"))["cycles"]
-    names = {name for row in tables.values() for name in row}
-    clips = {name.rsplit("@", 1)[0] for name in names}
-    wanted = {clip for clip, own in splits.parts(sorted(clips)).items() if own == part}
-    found = {
-        called(c): c for c in found_cycles(corpus, splits, part, wanted) if called(c) in names
-    }
-    if missing := {n for n in names if n.rsplit("@", 1)[0] in wanted} - set(found):
-        raise ValueError(f"{corpus}: these cycles of {result.name} are not there: {missing}")
-    return [found[name] for name in sorted(found)]
-
-
-def judged(
-    motion: Motion, scanned: ScannedCycle, body: BodyModel, step: int = _JUDGED
-) -> dict[str, float]:
-    """Chamfer distance to the full scans, the truth's own, and vertex error, mm.
-
-    Every `step`-th frame is compared.
-    """
-    last = min(motion.times[-1].item(), scanned.truth.times[-1].item()) + 1e-6
-    scans = scanned.scans
-    kept = (scans.frame % step == 0) & (scans.frame / scans.fps <= last)
-    scans = replace(scans, points=scans.points[kept], frame=scans.frame[kept])
-    times = scanned.truth.times[scanned.truth.times <= last][::step]
-    pair = [body.pose(m.at(times, scans.fps)).vertices for m in (motion, scanned.truth)]
-    return {
-        "chamfer": 1000 * chamfer_of_clip(motion, body, scans),
-        "truth": 1000 * chamfer_of_clip(scanned.truth, body, scans),
-        "vertices": 1000 * (pair[0] - pair[1]).norm(dim=-1).mean().item(),
-    }
-
-
-def cloud_from(
-    points: np.ndarray, frame: np.ndarray, frames: int, most: int, body: BodyModel
-) -> PointCloud:
-    """Points with the numbers of their frames, at most so many of each, as scans at 50 Hz."""
-    padded, present = np.zeros((1, frames, most, 3)), np.zeros((1, frames, most), np.bool_)
-    for k in range(frames):
-        own = points[frame == k]
-        padded[0, k, : len(own)], present[0, k, : len(own)] = own, True
-    return PointCloud(
-        torch.from_numpy(padded).float(), torch.from_numpy(present), Surfels.of(body), fps=50.0
-    )
-
-
-def _longer(one: InSpace, others: Sequence[InSpace]) -> InSpace:
-    longest = max(_moments(other) for other in others) - _moments(one)
-
-    def pad(tensor: torch.Tensor) -> torch.Tensor:
-        return torch.cat((tensor, torch.zeros_like(tensor[:, :1]).expand(
-            -1, longest, *tensor.shape[2:])), 1)  # fmt: skip
-
-    if isinstance(one, PointCloud):
-        return one.replace(points=pad(one.points), present=pad(one.present))
-    return one.replace(positions=pad(one.positions), visible=pad(one.visible))
-
-
-def _moments(one: InSpace) -> int:
-    return (one.present if isinstance(one, PointCloud) else one.visible).shape[1]
-
-
-def _show(title: str, table: dict[str, dict[str, float]]) -> None:
-    shown = Table("observed", "Chamfer mm", "sd", "truth", "vertices mm", "CPU s", title=title)
-    for name, row in table.items():
-        shown.add_row(name, *(f"{row[key]:.1f}" for key in row))
-    Console().print(shown)
-
-
-def _main() -> None:
-    parser = over_windows(__doc__)
-    parser.add_argument("--weights", default="nc", help="of the anchor prior: open, nc or a file")
-    methods = ("complete", "published", "frames", "smooth", "pose", "humor")
-    parser.add_argument("--method", choices=methods, default="complete")
-    parser.add_argument("--like", type=Path, help="complete the cycles that a result file lists")
-    parser.add_argument("--each", type=int, default=4, help="cycles of every subject")
-    parser.add_argument("--columns", nargs="*", choices=COLUMNS, default=list(COLUMNS))
-    given = parser.parse_args()
+def main() -> None:
+    """Scan, complete, judge, print and write."""
+    arguments = over_windows(__doc__)
+    parts = ("recordings", "cycles")
+    arguments.add_argument("--parts", nargs="+", choices=parts, default=list(parts))
+    arguments.add_argument("--weights", nargs="+", default=["open"], help="of the prior of cycles")
+    arguments.add_argument("--each", type=int, default=3, help="cycles of every subject")
+    given = arguments.parse_args()
     torch.set_num_threads(1)
-    body = BodyModel.load()
-    splits = Splits.load(given.splits)
-    if given.like is None:
-        cycles = chosen(list(found_cycles(given.corpus, splits, given.part)), given.each)
-    else:
-        cycles = listed(given.like, given.corpus, splits, given.part)
-    scanned = [scanned_cycle(called(c), c.subject, c.motion, body) for c in cycles]
-    fitter = {
-        "complete": lambda: completed(given.weights, body),
-        "published": lambda: completed(given.weights, body, PublishedAnchorFit),
-        "frames": lambda: frame_by_frame(body, smooth=False),
-        "smooth": lambda: frame_by_frame(body, smooth=True),
-        "pose": lambda: fitted(FitOptions(prior="pose"), body),
-        "humor": lambda: fitted(FitOptions(prior="humor", weights=given.weights), body),
-    }[given.method]()
-    table: dict[str, dict[str, float]] = {}
-    every: dict[str, dict[str, dict[str, float]]] = {}
-    for name in given.columns:
-        seen = [observe(one, COLUMNS[name], body) for one in scanned]
-        began = process_time()
-        motions = fitter(together(seen))
-        seconds = (process_time() - began) / len(scanned)
-        rows = [judged(m, one, body) for m, one in zip(motions, scanned, strict=True)]
-        every[name] = {one.name: row for one, row in zip(scanned, rows, strict=True)}
-        chamfer = [row["chamfer"] for row in rows]
-        table[name] = {
-            "chamfer": float(np.mean(chamfer)),
-            "sd": float(np.std(chamfer)),
-            "truth": float(np.mean([row["truth"] for row in rows])),
-            "vertices": float(np.mean([row["vertices"] for row in rows])),
-            "seconds": seconds,
-        }
-        _show(f"{given.method}, {given.weights}, {given.part}", table)
-        if given.json is not None:
-            write(
-                given.json, 0, corpus_source(given.corpus), method=given.method,
-                weights=given.weights, part=given.part, mean=table, cycles=every,
-            )  # fmt: skip
+    body, splits = BodyModel.load(), Splits.load(given.splits)
+    tables: dict[str, Table] = {}
+    if "recordings" in given.parts:
+        files = clip_files(given.corpus)
+        clips = CLIPS[given.part][: given.only]
+        tables["recordings"] = recordings({clip: files[clip] for clip in clips}, splits, body)
+    if "cycles" in given.parts:
+        some = chosen(list(found_cycles(given.corpus, splits, given.part)), given.each)[
+            : given.only
+        ]
+        tables["completion"] = cycles(some, given.weights, splits.apart, body)
+    tell(given.out, SEED, corpus_source(given.corpus), tables)
+
+
+def recordings(files: Mapping[str, Path], splits: Splits, body: BodyModel) -> Table:
+    """Every case over whole recordings, with cycles of gait where few moments are seen."""
+    scans = {
+        clip: scanned(clip, splits.subject(clip), _cut(path), body, points=POINTS + 100)
+        for clip, path in files.items()
+    }
+    rows: list[list[Cell]] = []
+    for case, (rate, points) in CASES.items():
+        plain: list[dict[str, float]] = []
+        for label, name in (("no cycles", None), ("cycles of gait", "anchor")):
+            if name is not None and rate > 10:
+                continue
+            prior = WholeRecording(steps="humor", cycles=name, cycle_weights="open")
+            found: list[dict[str, float]] = []
+            for one in scans.values():
+                began = process_time()
+                motion = completed([thinned(one, rate, points)], prior, "open", body)
+                seconds = process_time() - began
+                found.append({**judged(motion, one.truth, body), "seconds": seconds})
+            plain = plain or found
+            ours, theirs = ([row["vertices"] for row in own] for own in (found, plain))
+            less = paired(ours, theirs, list(scans), ["all"] * len(scans))
+            mean = {key: float(np.mean([row[key] for row in found])) for key in found[0]}
+            keys = ("worst_tenth", "jump", "jump_truth", "seconds")
+            rows.append([f"{case}, {label}", len(found), number(mean["vertices"]),
+                         number(less.mean), *(number(mean[key]) for key in keys)])  # fmt: skip
+    heads = (("clips", 0), ("vertices mm", 1), ("less those without", 1),
+             ("worst tenth of moments", 1), ("largest jump m/s", 2), ("true one", 2),
+             ("CPU s", 0))  # fmt: skip
+    return Table([("seen", None), *heads], rows)
+
+
+def thinned(one: ScannedCycle, rate: float, points: int) -> ObservationFile:
+    """A recording of so many moments a second."""
+    step = round(FPS / rate)
+    if points == 0:
+        seen = one.landmarks
+        return replace(seen, positions=seen.positions[::step], visible=seen.visible[::step],
+                       fps=FPS / step)  # fmt: skip
+    scans = thinned_points(one.scans, points, SEED)
+    kept = scans.frame % step == 0
+    return replace(scans, points=scans.points[kept], frame=scans.frame[kept] // step,
+                   fps=FPS / step)  # fmt: skip
+
+
+def completed(
+    seen: Sequence[ObservationFile], prior: WholeRecording | str, weights: str, body: BodyModel
+) -> Motion:
+    """What `recon.complete` makes of files that say nothing which only a simulation knows."""
+    with tempfile.TemporaryDirectory() as folder:
+        paths = [Path(folder) / f"{k}.npz" for k in range(len(seen))]
+        for path, file in zip(paths, seen, strict=True):
+            save_observation(path, replace(file, truth_visible=None))
+        return recon.complete(paths, prior, weights=weights, body=body).motion
+
+
+def judged(motion: Motion, truth: Motion, body: BodyModel) -> dict[str, float]:
+    """Distances of vertices, mm, and the largest jumps, m/s."""
+    last = min(float(motion.times[-1]), float(truth.times[-1])) + 1e-6
+    times = truth.times[truth.times <= last][::JUDGED]
+    pair = [body.pose(one.at(times, FPS)).vertices for one in (motion, truth)]
+    away = 1000 * (pair[0] - pair[1]).norm(dim=-1).mean(-1)
+    every = motion.times[motion.times <= last]
+    jumps = [
+        body.pose(one.at(every, motion.fps)).joints.diff(n=2, dim=0).norm(dim=-1).max()
+        for one in (motion, truth)
+    ]
+    return {
+        "vertices": float(away.mean()),
+        "worst_tenth": float(away.quantile(0.9)),
+        "jump": float(jumps[0]) * motion.fps,
+        "jump_truth": float(jumps[1]) * motion.fps,
+    }
+
+
+def _cut(path: Path) -> Motion:
+    """The first ten seconds of a clip, or all of it."""
+    motion = recon.load_motion(path).motion
+    return motion.window(0, min(motion.frames, round(LONGEST * motion.fps) + 1))
+
+
+class FoundCycle(NamedTuple):
+    """One cycle of gait alone, at 50 Hz, whose name is its clip and when it begins."""
+
+    name: str
+    subject: str
+    motion: Motion
+
+
+def found_cycles(corpus: Path, splits: Splits, part: Part) -> Iterator[FoundCycle]:
+    """All cycles of one part on flat ground, clip by clip."""
+    files = clip_files(corpus)
+    for name, own in splits.parts(list(files)).items():
+        if own != part or not is_flat(files[name]):
+            continue
+        motion = recon.load_motion(files[name]).motion
+        for cycle in find_cycles(motion):
+            frames = max(round(cycle.duration * FPS), 2) + 1
+            label = f"{name}@{cycle.start:.2f}"
+            yield FoundCycle(label, splits.subject(name), cycle.of(motion, frames))
+
+
+def chosen(found: Sequence[FoundCycle], each: int) -> list[FoundCycle]:
+    """Cycles, so many of every subject, of clips evenly spread over its names, one of each.
+
+    From every clip it is the middle cycle, so that nobody chose it by looking.
+    """
+    by_clip: dict[str, list[FoundCycle]] = defaultdict(list)
+    for one in found:
+        by_clip[one.name.rsplit("@", 1)[0]].append(one)
+    by_subject: dict[str, list[FoundCycle]] = defaultdict(list)
+    for _, own in sorted(by_clip.items()):
+        by_subject[own[0].subject].append(own[len(own) // 2])
+    picked: list[FoundCycle] = []
+    for _, own in sorted(by_subject.items()):
+        rows = np.unique(np.linspace(0, len(own) - 1, min(each, len(own))).round().astype(int))
+        picked += [own[row] for row in rows]
+    return picked
+
+
+def cycles(
+    found: Sequence[FoundCycle], weights: Sequence[str], apart: Sequence[str], body: BodyModel
+) -> Table:
+    """Chamfer distances and their deviations over cycles of people who are not apart."""
+    scans = [scanned_cycle(c.name, c.subject, c.motion, body) for c in found
+             if c.subject not in apart]  # fmt: skip
+    rows: list[list[Cell]] = []
+    for label, shown in SEEN.items():
+        cells: list[Cell] = []
+        for own in weights:
+            errors = [
+                full_scans(completed(observed(one, shown), "anchor", own, body), one, body)
+                for one in scans
+            ]
+            cells.append(f"{np.mean(errors):.1f} ± {np.std(errors):.1f}")
+        rows.append([label, *cells])
+    return Table([("seen", None), *((f"{own} weights", None) for own in weights)], rows)
+
+
+def observed(one: ScannedCycle, shown: Shown) -> list[PointsFile | PositionsFile]:
+    """What of a scanned cycle is seen."""
+    scans, landmarks = one.scans, one.landmarks
+    if shown.frames is not None:
+        scans = thinned_frames(scans, shown.frames)
+        landmarks = thinned_landmarks(landmarks, shown.frames)
+    elif shown.points:
+        scans = thinned_points(scans, shown.points, SEED)
+    files = [scans] if shown.points != 0 else []
+    return [*files, *([landmarks] if shown.landmarks else [])]
+
+
+def full_scans(motion: Motion, one: ScannedCycle, body: BodyModel) -> float:
+    """Chamfer distance to every third full scan, mm."""
+    scans = one.scans
+    last = min(motion.times[-1].item(), one.truth.times[-1].item()) + 1e-6
+    kept = (scans.frame % JUDGED == 0) & (scans.frame / scans.fps <= last)
+    some = replace(scans, points=scans.points[kept], frame=scans.frame[kept])
+    return 1000 * chamfer_of_clip(motion, body, some)
 
 
 if __name__ == "__main__":
-    _main()
+    main()

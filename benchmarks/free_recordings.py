@@ -1,28 +1,27 @@
 """Freely licensed marker recordings as clips of the corpus, beside those of `recon convert --all`.
 
     recon convert --all DATA/mocap CORPUS
-    python -m benchmarks.free_recordings DATA CORPUS --json free_recordings.json
+    python -m benchmarks.free_recordings DATA CORPUS --out FOLDER
 
 DATA is the folder of all real recordings. `free_recordings.toml` lists every freely licensed
 recording that is not in the main folders of CMU's collection: who moves, under which licence, and
 whether it is learned from, or why not. Those with a clip name are converted to
 CORPUS/observations/CLIP.npz, with notes beside (CLIP.json) that hold the licence.
 
-The result file tells each recording's use, length and residual, and clips, people and minutes of
-the open corpus with the recordings that are learned from, and without.
+The tables tell each recording's use, length and residual, and clips, people and minutes of the
+open corpus with the recordings that are learned from, and without.
 """
 
-import argparse
 import json
 import tomllib
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
-from benchmarks.results import show, write
+from benchmarks.protocol import Cell, Table, number, parser, tell
 from recon.benchmark.dataset import SPLITS, Splits, clip_files
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
@@ -36,6 +35,12 @@ LIST = Path(__file__).parent / "free_recordings.toml"
 FOLDER = "observations"
 """Folder of the corpus that the marker recordings are written to."""
 PARTS = ("train", "validation")
+PART_NAMES = {"train": "training", "validation": "validation"}
+WORDS = {"train": "trains", "validation": "validates", "test": "only tested", "none": "unused"}
+COLUMNS = (("recording", None), ("person", None), ("motion", None), ("licence", None), ("s", 1),
+           ("residual mm", 1), ("falls at m/s²", 1), ("used, and why", None))  # fmt: skip
+MINUTES = (("part", None), ("clips", 0), ("known people", 0), ("minutes", 2),
+           ("on flat ground", 2), ("of which with contacts", 2))  # fmt: skip
 ALOFT, SHORTEST_FLIGHT = 0.05, 0.2
 """Metres and seconds; somebody on tiptoe lifts the joints of the toes by less."""
 UNKNOWN = "unknown"
@@ -71,14 +76,10 @@ def load_list(path: Path = LIST) -> tuple[tuple[FreeRecording, ...], dict[str, s
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("data", type=Path, help="folder of all real recordings")
-    parser.add_argument("corpus", type=Path, help="folder of all converted motions")
-    parser.add_argument("--splits", type=Path, default=SPLITS)
-    parser.add_argument("--json", type=Path, default=None)
-    arguments = parser.parse_args()
+    """Convert, note licences, count, print and write."""
+    asked = parser(__doc__, "data", "corpus")
+    asked.add_argument("--splits", type=Path, default=SPLITS)
+    arguments = asked.parse_args()
 
     recordings, licences = load_list()
     body = BodyModel.load()
@@ -101,19 +102,23 @@ def main() -> None:
         "without": counted({k: v for k, v in notes.items() if k not in new}, splits),
         "with": counted(notes, splits),
     }
-    for label, parts in counts.items():
-        for part, row in parts.items():
-            show(f"{part}, {label} the recordings of this list", row)
-    if arguments.json is not None:
-        rows: list[dict[str, Any]] = []
-        for one in recordings:
-            row = measured(files[one.clip_name], body) if one.use in PARTS else {}
-            rows.append({**asdict(one), **row})
-        sources = {
-            "DATA": (arguments.data, [arguments.data / one.path for one in used]),
-            "CORPUS": (arguments.corpus, files.values()),
-        }
-        write(arguments.json, None, sources, recordings=rows, counts=counts)
+    rows: list[list[Cell]] = []
+    for one in recordings:
+        row = measured(files[one.clip_name], body) if one.use in PARTS else {}
+        rows.append([one.path.split("/", 1)[1], one.person, one.motion, one.licence,
+                     *(number(row.get(key)) for key in ("seconds", "residual_mm", "falls")),
+                     f"{WORDS[one.use]}: {one.why}"])  # fmt: skip
+    lines: list[list[Cell]] = [
+        [f"{PART_NAMES[part]}, {label} them", *map(number, own[part].values())]
+        for part in PARTS
+        for label, own in counts.items()
+    ]
+    sources = {
+        "DATA": (arguments.data, [arguments.data / one.path for one in used]),
+        "CORPUS": (arguments.corpus, files.values()),
+    }
+    tables = {"free-recordings": Table(COLUMNS, rows), "free-minutes": Table(MINUTES, lines)}
+    tell(arguments.out, None, sources, tables)
 
 
 def convert_one(data: Path, corpus: Path, recording: FreeRecording, body: BodyModel) -> Path:

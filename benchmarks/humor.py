@@ -1,248 +1,188 @@
-"""HuMoR on the listed windows, beside what it must beat: the paper's Table 2, and two recipes.
+"""Points in space: noisy joints, hidden points, gaps and upper bodies, as `recon bench` has them.
 
-    python -m benchmarks.humor CORPUS --json humor.json
-    python -m benchmarks.humor CORPUS --part validation --only 6 --shooting 3
-    python -m benchmarks.humor CORPUS --ablations FOLDER --nc WEIGHTS --json humor.json
+    python -m benchmarks.humor CORPUS --out FOLDER
+    python -m benchmarks.humor CORPUS --part validation --only 6
+    python -m benchmarks.humor CORPUS --nc weights-nc/humor.safetensors --out FOLDER
 
-Windows of 60 and of 90 frames. Noisy joints: 22 with 4 cm of noise per coordinate. Occluded
-points: 43 of the skin, those below 0.9 m hidden. In-betweening: 22 joints with 1 cm of noise,
-nothing seen for one second in the middle; errors are those inside the gap. Upper body: the joints
-from the pelvis up with 1 cm of noise, no legs. Smoothers, and all weights but published ones, were
-chosen on the validation windows. `CPU s` is the time of one processor for one clip, sixteen clips
-at once. FOLDER is what `benchmarks.ablations` wrote.
+The protocols are those of `recon.bench` (docs/bench.md) on all listed windows, those of people
+whose recordings are not free for commercial use with them. Smoothers and the pose prior stand
+beside collocation under HuMoR; `compared` takes the last two window by window, and `kinds` sorts
+the windows by what the description of each recording says is done in it.
 """
 
-import sys
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import numpy as np
-from jaxtyping import Float
-from rich.console import Console
-from torch import Tensor
-
-from benchmarks.ablations import ABLATIONS, load_ablations
-from benchmarks.arguments import over_windows
-from benchmarks.humor_recipes import (
-    GAP_COLUMNS,
-    UPPER_COLUMNS,
-    in_between_rows,
-    upper_body_rows,
+import recon
+from benchmarks.protocol import (
+    Cell,
+    Metrics,
+    Table,
+    columns_of,
+    corpus_source,
+    number,
+    over_windows,
+    spread,
+    tell,
 )
-from benchmarks.results import corpus_source, write
-from benchmarks.scores import (
-    WINDOWS,
-    Columns,
-    Fitted,
-    Rows,
-    constant_contacts,
-    fit_windows,
-    score,
-    score_points,
-    tables,
-)
-from benchmarks.stage12 import SEED, tune_smoothers
-from observations.joints3d import Joints3D
-from observations.markers3d import Markers3D
-from priors.humor.collocation import Collocation
-from priors.humor.prior import Humor
-from priors.humor.shooting import Shooting
-from priors.pose.prior import PosePrior, PoseWeights
-from recon.benchmark.dataset import Splits
-from recon.benchmark.protocols import noisy_joints, occluded_points
-from recon.benchmark.windows import FRAMES, TrueWindows, load_windows
-from recon.body.model import BodyModel
-from recon.method.reconstruction import Method
+from recon.benchmark.dataset import clip_files
+from recon.benchmark.methods import BenchMethod, method_named
+from recon.benchmark.protocols import noise_of, sensor_of
+from recon.benchmark.table import BenchTable, interval, paired
+from recon.formats.observations import PositionsFile
+from training.humor.corpus import OTHER, described, kind_of
 
-_FEET_COLUMNS: Columns = {
-    "joints_legs": ("legs", 100), "vertices": ("vertices", 100),
-    "accel_ratio": ("accel / true", 1), "accel_error": ("accel error", 1),
-    "penetration_freq": ("pen. %", 100), "penetration_freq_truth": ("true pen.", 100),
-    "sole_height": ("soles cm", 100), "slip_speed": ("slip cm/s", 100),
-    "contact_accuracy": ("contacts %", 100), "feet_balanced": ("feet, bal. %", 100),
-    "seconds": ("CPU s", 1),
-}  # fmt: skip
-COLUMNS: dict[str, Columns] = {
-    "noisy joints": {"joints_all": ("all", 100), **_FEET_COLUMNS},
-    "occluded points": {
-        "observed_all": ("all", 100), "observed_visible": ("visible", 100),
-        "observed_hidden": ("hidden", 100), **_FEET_COLUMNS,
+PROTOCOLS = {
+    "noisy-joints": "noisy-joints",
+    "hidden-points": "hidden-points",
+    "in-betweening": "gap",
+    "upper-body": "upper-body",
+}
+"""Tables, and the protocols of `recon.bench`."""
+SMOOTHERS = {"butterworth": "Butterworth, 2 Hz", "least-squares": "penalised least squares"}
+POSE, HUMOR = "stages 1-2 (`--prior pose`)", "**collocation, HuMoR (the default)**"
+COLUMNS: Mapping[str, Metrics] = {
+    "noisy-joints": {
+        "joints_all": ("joints cm", 100, 2), "joints_legs": ("legs cm", 100, 2),
+        "accel_error": ("accel. error m/s²", 1, 2), "penetration_freq": ("below ground %", 100, 2),
+        "slip_speed": ("slip cm/s", 100, 1), "seconds": ("CPU s per clip", 1, 1),
     },
-    "in-betweening": GAP_COLUMNS,
-    "upper body": UPPER_COLUMNS,
+    "hidden-points": {
+        "observed_visible": ("seen cm", 100, 2), "observed_hidden": ("hidden cm", 100, 1),
+        "observed_all": ("all points cm", 100, 2), "joints_legs": ("legs cm", 100, 1),
+        "vertices": ("vertices cm", 100, 2), "penetration_freq": ("below ground %", 100, 1),
+        "seconds": ("CPU s per clip", 1, 1),
+    },
 }  # fmt: skip
-"""`soles`: mean distance of the soles from the ground while they truly stand on it."""
-
-Observed = Joints3D | Markers3D
+RECIPE: Metrics = {
+    "joints_all": ("joints cm", 100, 1), "joints_legs": ("legs cm", 100, 1),
+    "accel_error": ("accel. error m/s²", 1, 2), "slip_speed": ("slip cm/s", 100, 1),
+}  # fmt: skip
+COMPARED = {
+    "noisy-joints": {"joints_all": "joints", "joints_legs": "legs", "slip_speed": "slip a second"},
+    "hidden-points": {"observed_visible": "seen points", "observed_hidden": "hidden points",
+                      "joints_legs": "legs"},
+    "in-betweening": {"joints_all": "joints", "joints_legs": "legs"},
+    "upper-body": {"joints_all": "joints", "joints_legs": "legs"},
+}  # fmt: skip
+MAIN = {"noisy-joints": "joints_all", "hidden-points": "observed_hidden"}
+"""The metric that stands for a protocol by subject and by kind of motion."""
 
 
 def main() -> None:
-    parser = over_windows(__doc__)
-    parser.add_argument("--frames", type=int, nargs="+", default=[FRAMES, 90])
-    parser.add_argument("--weights", type=Path, default=None, help="HuMoR's; default: bundled")
-    parser.add_argument("--nc", type=Path, default=None, help="weights of more data, a row more")
-    parser.add_argument("--ablations", type=Path, default=None, help="folder of their weights")
-    parser.add_argument(
-        "--shooting", type=int, default=None, help="fit so many windows by it; 0: none"
-    )
-    parser.add_argument("--protocols", nargs="+", choices=COLUMNS, default=list(COLUMNS))
-    parser.add_argument("--only", type=int, default=None, help="use so many windows in all")
-    arguments = parser.parse_args()
-
-    body, splits = BodyModel.load(), Splits.load(arguments.splits)
-    networks = Networks.load(arguments.weights, arguments.nc, arguments.ablations)
-    console = Console(width=None if sys.stdout.isatty() else 180)
-    about: dict[str, dict[str, object]] = {}
-    found: dict[str, dict[str, dict[str, Rows]]] = {}
-    for frames in arguments.frames:
-        windows, tuning = (
-            load_windows(arguments.corpus, splits, part, body, SEED, frames)
-            for part in (arguments.part, "validation")
-        )
-        if arguments.only is not None:
-            windows = windows.take(evenly(windows, arguments.only))
-        key = f"{frames} frames"
-        console.print(f"{key}: {len(windows.names)} of {windows.listed} listed windows")
-        about[key] = windows.about
-        found[key] = {}
-        rows_of = protocols(windows, tuning, body, networks, arguments.shooting)
-        for name in arguments.protocols:
-            rows = found[key][name] = rows_of[name]()
-            for shown in tables(f"{name}, {key}, {arguments.part}", COLUMNS[name], rows):
-                console.print(shown)
-            if arguments.json is not None:
-                source = corpus_source(arguments.corpus, (*windows.files, *tuning.files))
-                write(arguments.json, SEED, source, part=arguments.part, windows=about,
-                      tables=found)  # fmt: skip
+    """Fit all windows in all protocols, print and write."""
+    arguments = over_windows(__doc__)
+    arguments.add_argument("--nc", type=Path, default=None, help="weights of HuMoR, a row more")
+    arguments.add_argument("--protocols", nargs="+", choices=PROTOCOLS, default=list(PROTOCOLS))
+    given = arguments.parse_args()
+    body = recon.BodyModel.load()
+    found: dict[str, BenchTable] = {}
+    for name in given.protocols:
+        smoothers = SMOOTHERS if name == "noisy-joints" else {}
+        methods: dict[str, BenchMethod] = {
+            **{label: method_named(own, body) for own, label in smoothers.items()},
+            POSE: method_named("pose", body),
+            HUMOR: method_named("collocation", body),
+        }
+        if given.nc is not None:
+            methods["collocation, nc weights"] = under_weights(given.nc)
+        found[name] = recon.bench(
+            PROTOCOLS[name], methods, given.corpus,
+            part=given.part, splits=given.splits, only=given.only,
+        )  # fmt: skip
+    files = clip_files(given.corpus)
+    clips = {n.rsplit("@", 1)[0] for own in found.values() for n in own.names}
+    tables = {name: means(own, COLUMNS.get(name, RECIPE)) for name, own in found.items()}
+    tables |= {"by-subject": by_subject(found), "compared": compared(found),
+               "windows": counted(next(iter(found.values())))}  # fmt: skip
+    if MAIN.keys() <= found.keys():
+        tables["kinds"] = kinds(found, {clip: described(files[clip]) for clip in clips})
+    tell(given.out, 0, corpus_source(given.corpus, [files[clip] for clip in clips]), tables)
 
 
-@dataclass(frozen=True)
-class Networks:
-    """What is compared."""
+def under_weights(weights: Path) -> BenchMethod:
+    """`recon.fit` under weights of a file."""
 
-    default: Humor
-    nc: Humor | None
-    ablations: dict[str, Humor]
+    def fitted(seen: PositionsFile) -> recon.Motion:
+        noise = noise_of(seen)
+        sensor = sensor_of(seen)
+        return recon.fit(sensor, weights=str(weights), noise=noise if noise > 0 else None).motion
 
-    @classmethod
-    def load(cls, default: Path | None, nc: Path | None, ablations: Path | None) -> "Networks":
-        """Networks of files; without `default` the bundled ones, without the others none."""
-        return cls(
-            default=Humor.load(default),
-            nc=None if nc is None else Humor.load(nc),
-            ablations={} if ablations is None else load_ablations(ablations),
-        )
-
-    @property
-    def trained(self) -> dict[str, Humor]:
-        """Weights of the package, and those of more data where they are given."""
-        return {"HuMoR": self.default} | ({} if self.nc is None else {"HuMoR, nc": self.nc})
+    return fitted
 
 
-@dataclass(frozen=True)
-class Entry:
-    """A row to be."""
-
-    name: str
-    method: Method
-    most: int | None = None
-    """Windows; None is all."""
-
-
-def entries(
-    networks: Networks,
-    noise: float,
-    published: PoseWeights,
-    most: int | None,
-) -> list[Entry]:
-    """All that is fitted to points with so much noise.
-
-    Args:
-        networks: what is compared.
-        noise: metres.
-        published: weights of stages 1 and 2.
-        most: windows that are fitted through the roll-out.
-    """
-    tuned = PoseWeights.for_noise(noise)
-    few = "" if most is None else f", {most} windows"
-    rolled = Shooting.for_noise(networks.default, noise)
-    found = [
-        Entry("stages 1-2, published", PosePrior.load(weights=published)),
-        Entry("stages 1-2, tuned", PosePrior.load(weights=tuned)),
-    ]
-    if most != 0:
-        found.append(Entry(f"HuMoR by shooting{few}", rolled, most))
-    found += [
-        Entry(name, Collocation.for_noise(humor, noise))
-        for name, humor in networks.trained.items()
-    ]
-    for name, humor in networks.ablations.items():
-        found.append(Entry(f"short: {name}", ABLATIONS[name].method(humor, noise)))
-    return found
+def means(found: BenchTable, metrics: Metrics) -> Table:
+    """Every method's means over subjects, with intervals."""
+    rows: list[list[Cell]] = []
+    for method, values in found.values.items():
+        every = {k: found.mean(method, k) if k in values else None for k in metrics}
+        cells = [spread(every[k], factor) for k, (_, factor, _) in metrics.items()]
+        rows.append([method, *cells, number(found.feet[method], 100)])
+    return Table([*columns_of("method", metrics), ("feet right, balanced %", 1)], rows)
 
 
-def protocols(
-    windows: TrueWindows,
-    tuning: TrueWindows,
-    body: BodyModel,
-    networks: Networks,
-    most: int | None,
-) -> dict[str, Callable[[], dict[str, Rows]]]:
-    """What measures the rows of each table."""
-    joints = body.pose(windows.truth).joints
-
-    def noisy() -> dict[str, Rows]:
-        seen = noisy_joints(windows.truth, body, SEED)
-        rows = {"observed": score_points(windows, seen.positions, joints)}
-        for name, (smooth, _) in tune_smoothers(tuning, body).items():
-            if "tuned" in name:
-                rows[name] = score_points(windows, smooth(seen.positions), joints)
-        published = PoseWeights.published_joints()
-        rows |= fitted_rows(windows, seen, joints, entries(networks, 0.04, published, most), body)
-        return {**rows, "each joint's more frequent contact": constant_contacts(windows)}
-
-    def hidden() -> dict[str, Rows]:
-        occluded, points = occluded_points(windows.truth, body)
-        fits = entries(networks, 0.0, PoseWeights.published_points(), most)
-        return fitted_rows(windows, occluded, points, fits, body)
-
-    return {
-        "noisy joints": noisy,
-        "occluded points": hidden,
-        "in-betweening": lambda: in_between_rows(windows, body, networks.trained, SEED),
-        "upper body": lambda: upper_body_rows(windows, body, networks.trained, SEED),
-    }
+def by_subject(found: Mapping[str, BenchTable]) -> Table:
+    """The main metric of each person; those apart stand after the mean."""
+    first = next(iter(found.values()))
+    apart = sorted(set(first.subjects) - set(first.counted))
+    rows: list[list[Cell]] = []
+    for name in (name for name in MAIN if name in found):
+        for method in found[name].values:
+            own = found[name].by_subject(method, MAIN[name])
+            mean = found[name].mean(method, MAIN[name])
+            cells = [number(own[who], 100) for who in first.counted]
+            cells.append(None if mean is None else number(mean.mean, 100))
+            rows.append([f"{name}: {method}", *cells, *(number(own[who], 100) for who in apart)])
+    heads = [*first.counted, "mean", *(f"{who}, apart" for who in apart)]
+    return Table([("cm (joints; hidden points)", None), *((head, 2) for head in heads)], rows)
 
 
-def fitted_rows(
-    windows: TrueWindows,
-    observed: Observed,
-    truth: Float[Tensor, "clips time points 3"],
-    fits: list[Entry],
-    body: BodyModel,
-) -> dict[str, Rows]:
-    """A row for every method, and the truth's own."""
-    rows: dict[str, Rows] = {}
-    for entry in fits:
-        chosen = evenly(windows, entry.most)
-        fitted = fit_windows(observed[chosen], entry.method, body)
-        print(f"{entry.name}: {fitted.seconds:.1f} CPU s per clip", flush=True)
-        some = windows.take(chosen)
-        row = score(some, fitted, body, truth[chosen], observed.visible[chosen])
-        if len(chosen) < len(windows.names):
-            row[WINDOWS]["names"] = some.names  # type: ignore[assignment]
-        rows[entry.name] = row
-    itself = Fitted(windows.truth, points=truth)
-    return {**rows, "truth": score(windows, itself, body, truth, observed.visible)}
+def compared(found: Mapping[str, BenchTable]) -> Table:
+    """Collocation less stages 1-2, window by window."""
+    rows: list[list[Cell]] = []
+    for name, own in found.items():
+        kept = [i for i, who in enumerate(own.subjects) if who in own.counted]
+        clips = [own.names[i].rsplit("@", 1)[0] for i in kept]
+        people = [own.subjects[i] for i in kept]
+        for metric, words in COMPARED[name].items():
+            ours, theirs = ([own.values[m][metric][i] for i in kept] for m in (HUMOR, POSE))
+            less = paired(ours, theirs, clips, people)
+            verdict = "sure" if less.sure else "inside noise"
+            rows.append([f"{name}: {words}, cm", spread(less, 100), verdict])
+    return Table([("collocation less stages 1-2", None), ("difference", 2), ("95 %", None)], rows)
 
 
-def evenly(windows: TrueWindows, most: int | None) -> list[int]:
-    """Numbers of so many windows, evenly from the list; all when there are no more."""
-    count = len(windows.names)
-    if most is None or most >= count:
-        return list(range(count))
-    return np.linspace(0, count - 1, most).round().astype(int).tolist()
+def counted(found: BenchTable) -> Table:
+    """How many windows there are, by subject."""
+    people = sorted(set(found.subjects), key=lambda who: (who not in found.counted, who))
+    counts = [found.subjects.count(who) for who in people]
+    heads = [who if who in found.counted else f"{who}, apart" for who in people]
+    return Table([("windows", None), *((head, 0) for head in heads)], [["60 frames", *counts]])
+
+
+def kinds(found: Mapping[str, BenchTable], told: Mapping[str, str]) -> Table:
+    """Every kind of motion, the easiest first, with intervals over its clips."""
+    names, subjects = found["noisy-joints"].names, found["noisy-joints"].subjects
+    clips = [name.rsplit("@", 1)[0] for name in names]
+    own = [kind_of(told[clip]) for clip in clips]
+    pairs = [(name, method) for name in MAIN for method in (POSE, HUMOR)]
+    rows: list[tuple[float, list[Cell]]] = []
+    for kind in dict.fromkeys(own):
+        some = [i for i, its in enumerate(own) if its == kind]
+        groups: tuple[Sequence[str], Sequence[str]] = (
+            [clips[i] for i in some], [subjects[i] for i in some],
+        )  # fmt: skip
+        errors = [
+            interval([found[n].values[m][MAIN[n]][i] for i in some], *groups) for n, m in pairs
+        ]
+        words = sorted({told[clips[i]] for i in some}) if kind == OTHER else []
+        label = f"{kind}: {'; '.join(words)}" if words else kind
+        count = f"{len(some)} of {', '.join(sorted(set(groups[1])))}"
+        rows.append((errors[-1].mean, [label, count, *(spread(one, 100) for one in errors)]))
+    heads = ["noisy joints cm: pose prior", "collocation", "hidden points cm: pose prior",
+             "collocation"]  # fmt: skip
+    columns = [("kind of motion", None), ("windows", None), *((head, 1) for head in heads)]
+    return Table(columns, [row for _, row in sorted(rows, key=lambda one: one[0])])
 
 
 if __name__ == "__main__":

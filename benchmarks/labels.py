@@ -1,7 +1,7 @@
 """Labels of the points of clouds, on people and motions that the network has not seen.
 
     python -m benchmarks.people PEOPLE.npz            # needs the group `bench`
-    python -m benchmarks.labels CORPUS PEOPLE.npz --json labels.json
+    python -m benchmarks.labels CORPUS PEOPLE.npz --out FOLDER
 
 Every listed window of 90 frames is seen by a depth sensor at a place drawn for it, in a room with
 furniture, at ten moments 0.3 s apart, which is as far apart as the network looks. Its person is
@@ -12,10 +12,8 @@ segmentation leaves around the body; scans from all sides. Intervals are those o
 `recon.benchmark.table`.
 """
 
-import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -23,13 +21,21 @@ from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
-from benchmarks.arguments import over_windows
 from benchmarks.people import People
-from benchmarks.results import corpus_source, write
+from benchmarks.protocol import (
+    Cell,
+    Metrics,
+    Table,
+    cells,
+    columns_of,
+    corpus_source,
+    evenly,
+    over_windows,
+    tell,
+)
 from priors.labels.looking import CloudLabeller, PointLabels
 from priors.labels.regions import MIRRORED_REGIONS, Regions
 from recon.benchmark.dataset import Splits
-from recon.benchmark.table import interval
 from recon.benchmark.windows import TrueWindows, load_windows
 from recon.body.model import BodyModel
 from recon.core.raster import vertex_normals
@@ -37,10 +43,14 @@ from recon.simulation.scenery import Clothing, clothed, offsets
 from training.labels.people import SPACING, drawn_shape
 from training.labels.rooms import Glimpse, all_around, drawn_room, glimpse
 
-POINTS = 512
-FRAMES = 90
+SEED, POINTS, FRAMES = 0, 512, 90
 CASES = ("whole", "half hidden", "any tilt", "coarse segmentation", "scans from all sides")
 BODIES = ("MakeHuman", "our body")
+COLUMNS: Metrics = {
+    "accuracy": ("right, %", 1, 0), "but for sides": ("but for sides, %", 1, 0),
+    "place_median_cm": ("place, median cm", 1, 1), "covered": ("within 2 std, %", 1, 0),
+    "stray": ("on a body, %", 1, 1),
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -56,68 +66,28 @@ class Clouds:
 
 
 def main() -> None:
-    parser = over_windows(__doc__)
-    parser.add_argument("people", type=Path, help="file that benchmarks.people wrote")
-    parser.add_argument("--weights", type=Path, default=None)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--only", type=int, default=None, help="so many windows, evenly")
-    options = parser.parse_args()
+    """See, label, judge, print and write."""
+    arguments = over_windows(__doc__)
+    arguments.add_argument("people", type=Path, help="file that benchmarks.people wrote")
+    arguments.add_argument("--weights", type=Path, default=None)
+    given = arguments.parse_args()
     torch.set_num_threads(1)
-    body, people = BodyModel.load(), People.load(options.people)
-    windows = load_windows(
-        options.corpus, Splits.load(options.splits), options.part, body, 0, FRAMES
-    )
-    if options.only is not None:
-        every = len(windows.names)
-        windows = windows.take(list(range(0, every, max(1, every // options.only))))
-    labeller = CloudLabeller.load(options.weights)
-    rows: dict[str, Any] = {
-        f"{who}, {case}": scores(labeller, windows, body, people, who, case, options.seed)
-        for who in BODIES
-        for case in CASES
-    }
-    for name, row in rows.items():
-        means = ", ".join(f"{key} {value['mean']:.3g}" for key, value in row["means"].items())
-        print(f"{name:<34} {means}")
-    seconds = seconds_of_a_clip(labeller)
-    print(f"90 moments of 512 points: {seconds:.2f} CPU s")
-    if options.json is not None:
-        write(
-            options.json,
-            options.seed,
-            corpus_source(options.corpus, windows.files),
-            windows=windows.about,
-            points=POINTS,
-            seconds=seconds,
-            rows=rows,
-            correspondence_mm=1e3 * float(np.median(people.apart)),
-        )
-
-
-def scores(
-    labeller: CloudLabeller,
-    windows: TrueWindows,
-    body: BodyModel,
-    people: People,
-    who: str,
-    case: str,
-    seed: int,
-) -> dict[str, object]:
-    """Means over subjects with intervals, and the values of every window."""
-    values = [
-        errors(labeller, clouds_of(windows, row, body, people, who, case, seed))
-        for row in range(len(windows.names))
-    ]
-    counted = [i for i, own in enumerate(windows.subjects) if own in windows.counted]
-    clips, subjects = (
-        [column[i] for i in counted] for column in (windows.clips, windows.subjects)
-    )
-    means = {
-        key: vars(interval([values[i][key] for i in counted], clips, subjects))
-        for key in values[0]
-    }
-    columns = {key: [value[key] for value in values] for key in values[0]}
-    return {"means": means, "windows": columns}
+    body, people = BodyModel.load(), People.load(given.people)
+    listed = Splits.load(given.splits)
+    windows = load_windows(given.corpus, listed, given.part, body, SEED, FRAMES)
+    windows = windows.take(evenly(windows, given.only))
+    labeller = CloudLabeller.load(given.weights)
+    rows: list[list[Cell]] = []
+    for who in BODIES:
+        for case in CASES:
+            values = [
+                errors(labeller, clouds_of(windows, row, body, people, who, case))
+                for row in range(len(windows.names))
+            ]
+            columns = {key: [value[key] for value in values] for key in COLUMNS}
+            rows.append([f"{who}, {case}", *cells(columns, windows, COLUMNS)])
+    source = corpus_source(given.corpus, windows.files)
+    tell(given.out, SEED, source, {"labels": Table(columns_of("person, cloud", COLUMNS), rows)})
 
 
 def clouds_of(
@@ -127,10 +97,9 @@ def clouds_of(
     people: People,
     who: str,
     case: str,
-    seed: int,
 ) -> Clouds:
     """One window as its sensor saw it; the same draw for all cases but what they change."""
-    random = np.random.default_rng([seed, *windows.names[row].encode()])
+    random = np.random.default_rng([SEED, *windows.names[row].encode()])
     motion = windows.truth[row]
     frames = np.rint(np.arange(0, motion.frames / motion.fps, SPACING) * motion.fps).astype(int)
     person, number = row % len(people.vertices), int(random.integers(2**31))
@@ -176,9 +145,7 @@ def errors(labeller: CloudLabeller, clouds: Clouds) -> dict[str, float | None]:
     )
     on = clouds.regions >= 0
     if not on.any():
-        return dict.fromkeys(
-            ("accuracy", "but for sides", "place_cm", "place_median_cm", "stray", "covered")
-        )
+        return dict.fromkeys(COLUMNS)
     away = np.linalg.norm(said.places.numpy() - clouds.places, axis=-1)
     told = (said.on_body.numpy() > 0.5) == on
     region = said.region.numpy()
@@ -188,23 +155,10 @@ def errors(labeller: CloudLabeller, clouds: Clouds) -> dict[str, float | None]:
     return {
         "accuracy": 100 * float(right[on].mean()),
         "but for sides": 100 * float(np.maximum(right.sum(1), exchanged.sum(1)).sum() / on.sum()),
-        "place_cm": 100 * float(away[on].mean()),
         "place_median_cm": 100 * float(np.median(away[on])),
         "stray": 100 * float(told[clouds.regions > -2].mean()),
         "covered": 100 * float(within[on].mean()),
     }
-
-
-def seconds_of_a_clip(labeller: CloudLabeller, moments: int = 90) -> float:
-    """CPU seconds of one thread for a clip of 512 points a moment, the best of three."""
-    points = torch.randn(moments, POINTS, 3, generator=torch.Generator().manual_seed(0)) * 0.3
-    present = torch.ones(moments, POINTS, dtype=torch.bool)
-    times = []
-    for _ in range(3):
-        began = time.process_time()
-        labeller(points, present, 30.0, torch.tensor([[3.0, 0.0, 0.0]]))
-        times.append(time.process_time() - began)
-    return min(times)
 
 
 def _clouds(

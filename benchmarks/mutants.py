@@ -1,6 +1,6 @@
 """Mutation testing: which small faults in a module do its tests notice?
 
-    python -m benchmarks.mutants --out benchmarks/results/mutants.json
+    python -m benchmarks.mutants --out benchmarks/results
 
 Every module of `MODULES` gets a sample of the faults of `benchmarks.mutation`, one at a time, and
 its tests are run on it until one fails. Each run is a fork of this process, into which the large
@@ -10,7 +10,6 @@ is touched.
 
 import argparse
 import importlib.machinery
-import json
 import os
 import random
 import signal
@@ -18,7 +17,7 @@ import sys
 import time
 from pathlib import Path
 
-from benchmarks.mutation import Mutant, mutant, places
+from benchmarks.mutation import mutant, places
 
 MODULES = {
     "recon/core/robust.py": ("tests/core/test_robust.py",),
@@ -50,43 +49,28 @@ _ROOT = Path(__file__).parents[1]
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--out", type=Path, default=None, help="folder of the table")
     parser.add_argument("--each", type=int, default=15, help="faults of each module")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--again", type=Path, help="a result whose survivors alone are judged")
     parser.add_argument("--only", nargs="*", default=list(MODULES), help="modules")
     options = parser.parse_args()
     for name in _LIBRARIES:
         __import__(name)
-    before = {} if options.again is None else _survivors(options.again)
-    rows = [_judge(path, options.each, options.seed, before.get(path)) for path in options.only]
+    rows = [_judge(path, options.each, options.seed) for path in options.only]
     total = sum(row["mutants"] for row in rows)
     killed = sum(row["killed"] for row in rows)
     # only now, as it imports the modules that were tested
-    from benchmarks.results import write
+    from benchmarks.protocol import Table, tell
 
-    write(
-        options.out, options.seed, each=options.each, modules=rows,
-        mutants=total, killed=killed, share=round(killed / total, 3),
-    )  # fmt: skip
+    cells = [[f"`{row['module']}`", row["mutants"], str(row["killed"])] for row in rows]
+    cells.append(["all", total, f"{killed} ({100 * killed / total:.0f} %)"])
+    columns = (("module", None), ("faults tried", 0), ("noticed", None))
+    tell(options.out, options.seed, {}, {"mutants": Table(columns, cells)})
     print(f"{killed} of {total} killed ({killed / total:.0%})")
 
 
-def _survivors(result: Path) -> dict[str, set[tuple]]:
-    """Mutants that an earlier run with the same sample did not notice, by module."""
-    return {
-        row["module"]: {
-            (s["line"], s["operator"], s["before"], s["after"]) for s in row["survivors"]
-        }
-        for row in json.loads(result.read_text())["modules"]
-    }
-
-
-def _judge(path: str, each: int, seed: int, before: set[tuple] | None) -> dict:
-    """How many of a module's sampled faults its tests notice, and those that they do not.
-
-    Of the faults of an earlier run only those that survived it are tried again: tests grow.
-    """
+def _judge(path: str, each: int, seed: int) -> dict:
+    """How many of a module's sampled faults its tests notice; those that survive are printed."""
     source = (_ROOT / path).read_text()
     every = places(source)
     some = random.Random(f"{seed} {path}").sample(every, min(each, len(every)))
@@ -94,26 +78,13 @@ def _judge(path: str, each: int, seed: int, before: set[tuple] | None) -> dict:
     code, limit = _run(path, None, MODULES[path], 3600.0)
     if code != 0:
         raise SystemExit(f"{path}: its tests fail without any fault ({', '.join(MODULES[path])})")
-    survivors: list[Mutant] = []
+    killed = 0
     for one in chosen:
-        known = (one.line, one.operator, one.before, one.after)
-        if before is not None and known not in before:
-            continue
         code, seconds = _run(path, one.source, MODULES[path], _PATIENCE * limit + 10)
+        killed += code != 0
         print(f"{path}:{one.line} {one.operator}: {one.before[:60]!r} -> {one.after[:60]!r}",
               "survived" if code == 0 else "killed", f"{seconds:.1f} s", flush=True)  # fmt: skip
-        if code == 0:
-            survivors.append(one)
-    return {
-        "module": path,
-        "possible": len(every),
-        "mutants": len(chosen),
-        "killed": len(chosen) - len(survivors),
-        "survivors": [
-            {"line": s.line, "operator": s.operator, "before": s.before, "after": s.after}
-            for s in survivors
-        ],
-    }
+    return {"module": path, "mutants": len(chosen), "killed": killed}
 
 
 def _run(path: str, source: str | None, tests: tuple[str, ...], limit: float) -> tuple[int, float]:

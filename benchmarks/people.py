@@ -27,7 +27,7 @@ from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
-from benchmarks.results import ROOT
+from benchmarks.protocol import ROOT
 from recon.body.model import BodyModel
 from recon.core.skeleton import JOINTS, PARENTS
 from recon.formats.opening import load_arrays, save_arrays

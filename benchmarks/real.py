@@ -1,49 +1,58 @@
-"""Real marker recordings with their lower markers hidden: given back without and with HuMoR.
+"""Real marker recordings: lower markers hidden and given back, and every fifth one predicted.
 
-    python -m benchmarks.real OBSERVATIONS --json real.json --pictures FOLDER
+    python -m benchmarks.real OBSERVATIONS --out FOLDER
+    python -m benchmarks.real OBSERVATIONS --only cmu_c3d
 
 `hidden_markers.toml` lists the runs, walks and jumps, and those that are measured apart. Markers
 below 0.9 m are hidden in every frame, as by a table; the fit sees the others. What is measured is
 how far the hidden markers are from their place on the body that is given back, a centimetre or two
 of which is how far any marker sits from its nominal landmark: the row of a fit that saw everything
-tells that floor. At most three seconds of a recording, at 30 Hz or a little more. Pictures are of
-CMU's recording only, which is free to show.
+tells that floor. At most three seconds of a recording, at 30 Hz or a little more.
 
-What is in the JSON already, of the same commit, is not run again; with `--minutes` the command
-ends after the recording that is then under way, and goes on when it is run once more.
+`markers` leaves out every fifth known marker of a conversion, five times, in all frames. A marker
+that is left out has no fitted offset from its landmark: that is the mean over every tenth frame of
+the body that was fitted without it, and the error is measured in the other frames. `without its
+offset` has no offset but the 9.5 mm from skin to marker centre. Millimetres, at most 200 frames.
 """
 
-import argparse
 import tomllib
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from time import monotonic
-from typing import Any
 
+import numpy as np
 import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
 
-from benchmarks.results import earlier, recordings_source, write
-from observations.markers3d import Markers3D
-from observations.timing import at_observation_times
-from priors.humor.collocation import Collocation
-from priors.humor.prior import Humor
-from priors.pose.prior import PosePrior, PoseWeights
-from recon.body.model import BodyModel
-from recon.core.motion import Motion
+import recon
+from benchmarks.protocol import Cell, Table, number, parser, recordings_source, spread, tell
+from benchmarks.strangers.compare import estimated, over_people, quotient
+from recon import BodyModel, Markers3D
+from recon.benchmark.table import Interval
 from recon.formats.mocap.reader import read_recording
 from recon.formats.mocap.recording import MarkerRecording
-from recon.ingest.markers.coverage import full_body_markers
-from recon.method.reconstruction import Method, solve
-from recon.view.frames import write_png
-from recon.view.scene import GREY, Figure, Points, Show
+from recon.ingest.markers.coverage import MarkerSet, full_body_markers
+from recon.ingest.markers.fit import MarkerFit, fit_markers
 
 LIST = Path(__file__).parent / "hidden_markers.toml"
-PICTURED = "cmu_c3d/02_01.c3d"
 SECONDS, HIDDEN_BELOW, NOISE = 3.0, 0.9, 0.02
 """Length of a clip; height below which markers are hidden; and the standard deviation of a marker
 against its landmark, which skin and the hand that taped it make. Seconds and metres."""
-POSE, HUMOR, EVERYTHING = "pose prior", "HuMoR", "pose prior, nothing hidden"
+POSE, HUMOR, EVERYTHING = "stages 1-2", "collocation", "nothing hidden"
+KINDS = ("runs", "walks", "jumps")
+FOLDS, FRAMES, OFFSET_EVERY = 5, 200, 10
+PREDICTED = (
+    "cmu_c3d/02_01.c3d", "cmu_c3d/02_05.c3d", "cmu_c3d/06_01.c3d", "rehazenter/2014001_C1_01.c3d",
+    "bmc/walk1.trc", "opensim/gait2354_subject01_walk1.trc",
+    "opensim/hamner_subject02_running.trc", "opensim/rajagopal_walk.trc",
+    "nimblephysics/hamner04_run300.trc", "nimblephysics/nick_freeform_001.c3d",
+    "nimblephysics/sehoon_squat.c3d", "nimblephysics/sprinter_run0500cms.trc",
+    "nimblephysics/opencap_s4_DJ1.trc", "nimblephysics/opencap_s3_DJ2.trc",
+    "nimblephysics/opencap_s6_walking1.trc", "mocaptoolbox/mcdemodata.mat::dance1",
+    "mocaptoolbox/mcdemodata.mat::walk1",
+)  # fmt: skip
+"""One or more recordings of every marker set."""
 
 
 @dataclass(frozen=True)
@@ -68,82 +77,49 @@ def load_list(path: Path = LIST) -> tuple[HiddenMarkers, ...]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
-    )
-    parser.add_argument("observations", type=Path, help="folder of marker recordings")
-    parser.add_argument("--weights", default="open", help="of HuMoR: open, nc or a file")
-    parser.add_argument("--minutes", type=float, default=None, help="begin no recording later")
-    parser.add_argument("--pictures", type=Path, default=None)
-    parser.add_argument("--json", type=Path, default=None)
-    arguments = parser.parse_args()
-    began, listed, body = monotonic(), load_list(), BodyModel.load()
-    methods: dict[str, Method] = {
-        POSE: PosePrior.load(weights=PoseWeights.for_noise(NOISE)),
-        HUMOR: Collocation.for_noise(Humor.load(arguments.weights, body=body), NOISE),
-    }
-    rows: dict[str, dict[str, Any]] = earlier(arguments.json, "recordings")
-    source = recordings_source(arguments.observations, [one.path for one in listed])
-    for one in listed:
-        late = arguments.minutes is not None and monotonic() - began > 60 * arguments.minutes
-        if one.path in rows or late:
+    """Hide, fit, print and write."""
+    arguments = parser(__doc__, "observations")
+    arguments.add_argument("--weights", default="open", help="of HuMoR: open, nc or a file")
+    arguments.add_argument("--only", nargs="*", default=[""], help="paths that hold one of these")
+    given = arguments.parse_args()
+    body, errors = BodyModel.load(), dict[HiddenMarkers, Mapping[str, float]]()
+    for one in load_list():
+        if not any(part in one.path for part in given.only):
             continue
-        seen = observation(arguments.observations / one.path, body, one.first)
-        found, errors = given_back(seen, methods, body)
-        rows[one.path] = {**asdict(one), "frames": seen.positions.shape[1], "error_cm": errors}
-        print(one.path, {k: f"{value:.1f} cm" for k, value in errors.items()}, flush=True)
-        if arguments.pictures is not None and one.path == PICTURED:
-            draw(arguments.pictures / "real_markers.png", one.path, seen, found, body)
-        if arguments.json is not None:
-            write(arguments.json, None, source, recordings=rows)
+        seen = observation(given.observations / one.path, body, one.first)
+        errors[one] = given_back(seen, given.weights, body)
+        print(one.path, {k: f"{value:.1f} cm" for k, value in errors[one].items()}, flush=True)
+    tables = {"real-hidden": means(errors), "real-recordings": recordings(errors)}
+    names = [name for name in PREDICTED if any(part in name for part in given.only)]
+    if given.weights == "open":
+        tables["markers"] = predicted(given.observations, names, body)
+    source = recordings_source(given.observations, [*(one.path for one in errors), *names])
+    tell(given.out, None, source, tables)
 
 
-def given_back(
-    seen: Markers3D, methods: Mapping[str, Method], body: BodyModel
-) -> tuple[dict[str, Motion], dict[str, float]]:
-    """Motions by method from the upper markers, and the mean error of the hidden ones, cm.
+def given_back(seen: Markers3D, weights: str, body: BodyModel) -> dict[str, float]:
+    """Mean errors of the hidden markers by prior, from the upper ones, centimetres.
 
-    Last comes the pose prior's motion from all markers.
+    Last comes the pose prior's fit to all markers. Nothing is repaired.
     """
     hidden = lower(seen)
     spoilt = seen.replace(visible=seen.visible & ~hidden)
-    given = {label: (spoilt, method) for label, method in methods.items()}
-    motions: dict[str, Motion] = {}
+    fits = {POSE: (spoilt, "pose", "open"), HUMOR: (spoilt, "humor", weights),
+            EVERYTHING: (seen, "pose", "open")}  # fmt: skip
     errors: dict[str, float] = {}
-    for label, (data, method) in {**given, EVERYTHING: (seen, methods[POSE])}.items():
-        result = solve([data], method, body)
-        there, when = at_observation_times(
-            seen.predict(result.estimate), result.motion,
-            fps=seen.fps, start_time=0.0, moments=seen.positions.shape[1],
-        )  # fmt: skip
-        away = (there - seen.positions[:, when]).norm(dim=-1)
-        motions[label] = result.clip(0).detach()
-        errors[label] = 100 * away[hidden[:, when]].mean().item()
-    return motions, errors
+    for label, (data, prior, own) in fits.items():
+        result = recon.fit(data, prior, weights=own, body=body, noise=NOISE, repair=False)
+        times = torch.arange(seen.positions.shape[1], dtype=torch.float64) / seen.fps
+        kept = times <= result.motion.stop_time + 1e-6
+        there = seen.on(body.pose(result.motion.at(times[kept], seen.fps)))
+        away = (there - seen.positions[0, kept]).norm(dim=-1)
+        errors[label] = 100 * away[hidden[0, kept]].mean().item()
+    return errors
 
 
-def lower(seen: Markers3D) -> torch.Tensor:
+def lower(seen: Markers3D) -> Bool[Tensor, "1 time markers"]:
     """Which positions are hidden."""
     return seen.visible & (seen.positions[..., 2] < HIDDEN_BELOW)
-
-
-def draw(
-    path: Path, name: str, seen: Markers3D, found: Mapping[str, Motion], body: BodyModel
-) -> None:
-    """Pictures of each method's motion, that of all markers behind it in grey."""
-    upper = seen.visible & ~lower(seen)
-    shows = [
-        Show(
-            f"{name}: {label}",
-            (
-                Figure(body, found[label], "reconstruction"),
-                Figure(body, found[EVERYTHING], "all markers seen", colour=GREY, opacity=0.4),
-            ),
-            Points(seen.positions[0], upper[0], seen.positions[0]),
-        )
-        for label in (POSE, HUMOR)
-    ]
-    write_png(path, shows)
 
 
 def observation(path: Path, body: BodyModel, first: float = 0.0) -> Markers3D:
@@ -161,6 +137,103 @@ def observation(path: Path, body: BodyModel, first: float = 0.0) -> Markers3D:
         vertices=markers.vertices,
         fps=chosen.fps / step,
     )
+
+
+def means(errors: Mapping[HiddenMarkers, Mapping[str, float]]) -> Table:
+    """Mean errors over people of each kind of motion, with 95 % intervals."""
+    rows: list[list[Cell]] = []
+    for kind in KINDS:
+        own = {one: found for one, found in errors.items() if one.row == kind}
+        if not own:
+            continue
+        count = f"{len(own)} of {sum(one.row == kind for one in load_list())}"
+        cells = [spread(over(own, label)) for label in (POSE, HUMOR, EVERYTHING)]
+        people = len({one.person for one in own})
+        rows.append([kind, people, count, *cells, spread(over(own, HUMOR, POSE))])
+    heads = ((POSE, 1), (HUMOR, 1), (EVERYTHING, 1), ("collocation / stages 1-2", 2))
+    columns = [("hidden markers, cm", None), ("people", 0), ("recordings measured", None), *heads]
+    return Table(columns, rows)
+
+
+def over(
+    errors: Mapping[HiddenMarkers, Mapping[str, float]], label: str, other: str | None = None
+) -> Interval:
+    """The mean over people of an error, or of its ratio to another.
+
+    People are drawn again where there are several, and their recordings.
+    """
+    by_person: dict[str, list[tuple[float, float]]] = {}
+    for one, found in errors.items():
+        pair = found[label], 1.0 if other is None else found[other]
+        by_person.setdefault(one.person, []).append(pair)
+    sums = [np.array(own) for own in by_person.values()]
+    return estimated(sums[0], quotient) if len(sums) == 1 else over_people(sums, quotient)
+
+
+def recordings(errors: Mapping[HiddenMarkers, Mapping[str, float]]) -> Table:
+    """Each recording, those of no mean last."""
+    rows: list[list[Cell]] = [
+        [one.path, one.person, one.row + (f": {one.why}" if one.why else ""),
+         *(number(found[label]) for label in (POSE, HUMOR, EVERYTHING))]
+        for one, found in errors.items()
+    ]  # fmt: skip
+    heads = ((POSE, 1), (HUMOR, 1), (EVERYTHING, 1))
+    return Table(
+        [("recording, cm", None), ("person", None), ("counted among", None), *heads], rows
+    )
+
+
+def predicted(observations: Path, names: Sequence[str], body: BodyModel) -> Table:
+    """Each fifth marker left out and predicted."""
+    rows: list[list[Cell]] = []
+    for name in names:
+        recording = read_recording(f"{observations}/{name}")
+        assert isinstance(recording, MarkerRecording)
+        markers = full_body_markers(recording, body)
+        rows.append([name, len(markers.labels), *left_out(recording, markers, body)])
+    heads = ("left-out, own offset known", "without its offset", "residual of the others")
+    return Table([("recording, mm", None), ("markers", 0), *((head, 1) for head in heads)], rows)
+
+
+def left_out(recording: MarkerRecording, markers: MarkerSet, body: BodyModel) -> list[float]:
+    """Mean errors with the marker's own offset, without it, and of the fitted markers, mm."""
+    chosen = recording.select(markers.labels)
+    step = -(-chosen.frames // FRAMES)
+    chosen = replace(chosen, positions=chosen.positions[::step], visible=chosen.visible[::step],
+                     fps=chosen.fps / step)  # fmt: skip
+    positions = torch.from_numpy(chosen.positions).float()
+    visible, numbers = torch.from_numpy(chosen.visible), torch.arange(len(markers.labels))
+    errors: tuple[list[Tensor], ...] = ([], [], [])
+    for fold in range(FOLDS):
+        used = numbers % FOLDS != fold
+        shown = replace(chosen, visible=chosen.visible & used.numpy())
+        fit = fit_markers(shown, markers, body)
+        judged = visible & ~used
+        judged[::OFFSET_EVERY] = False
+        for kept, place in zip(
+            errors, placed(fit, markers, positions, visible, body), strict=False
+        ):
+            kept.append((place - positions).norm(dim=-1)[judged])
+        errors[2].append((fit.predicted - positions).norm(dim=-1)[:, used][visible[:, used]])
+    return [round(1000 * torch.cat(own).mean().item(), 1) for own in errors]
+
+
+def placed(
+    fit: MarkerFit,
+    markers: MarkerSet,
+    positions: Float[Tensor, "time markers 3"],
+    visible: Bool[Tensor, "time markers"],
+    body: BodyModel,
+) -> tuple[Tensor, Tensor]:
+    """All markers with the offset of every tenth frame, and without one of their own."""
+    posed = body.pose(fit.motion)
+    bones = body.weights[list(markers.vertices)].argmax(-1)
+    turns = posed.orientations[:, bones]
+    skin = posed.points(torch.tensor(markers.vertices))
+    local = (turns.mT @ (positions - skin)[..., None])[..., 0][::OFFSET_EVERY]
+    seen = visible[::OFFSET_EVERY, :, None]
+    own = local.where(seen, 0.0).sum(0) / seen.sum(0).clamp(min=1)
+    return tuple(skin + (turns @ o[..., None])[..., 0] for o in (own, markers.nominal))  # type: ignore[return-value]
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """Errors of a network's estimates of test windows, refined, and of plain fits to them.
 
-    python -m benchmarks.refine CORPUS --json refine.json
-    python -m benchmarks.refine CORPUS --part validation --clips 8
+    python -m benchmarks.refine CORPUS --out FOLDER
+    python -m benchmarks.refine CORPUS --part validation --only 8
 
 Estimates have the errors of `recon.simulation.regressor`: biased and wandering joints, jitter, a
 limb hidden for a second, legs exchanged for moments, a path that drifts. Columns: mean error of
@@ -11,38 +11,42 @@ speed to the true one and how far it is from one. Baselines: the estimate itself
 taken as independent noise by `recon.fit` (pose prior, HuMoR).
 """
 
-import argparse
 import time
-from collections.abc import Callable, Sequence
-from pathlib import Path
+from collections.abc import Callable
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from benchmarks.results import corpus_source, write
-from benchmarks.slips.recordings import evenly, windows_of
-from observations.joints3d import Joints3D
-from recon.api.fit import fit
-from recon.api.refine import refine
-from recon.benchmark.windows import FPS
-from recon.body.model import BodyModel
-from recon.core.motion import Motion
+import recon
+from benchmarks.protocol import (
+    Metrics,
+    Table,
+    cells,
+    columns_of,
+    corpus_source,
+    evenly,
+    over_windows,
+    tell,
+)
+from recon import BodyModel, Joints3D, Motion
+from recon.benchmark.dataset import Splits
+from recon.benchmark.windows import FPS, load_windows
 from recon.core.skeleton import FEET, JOINTS, TOES
 from recon.simulation.regressor import RegressorErrors, estimated
 
+SEED = 0
 FAST = 3.0
 """Speed above which a hand or toe counts as fast, metres per second."""
 _ENDS = (JOINTS.index("left_wrist"), JOINTS.index("right_wrist"), *TOES)
+COLUMNS: Metrics = {
+    "joints": ("joints, cm", 100, 1), "about_pelvis": ("about the pelvis, cm", 100, 2),
+    "acceleration": ("acceleration, m/s²", 1, 1), "slip": ("slip, cm/s", 100, 1),
+    "peak": ("peak speed / true", 1, 2), "peak_error": ("off by, %", 100, 0),
+    "seconds": ("CPU s", 1, 1),
+}  # fmt: skip
 
 Method = Callable[[Motion, BodyModel], Motion]
-Row = dict[str, float | None]
-
-
-def as_it_is(motion: Motion, body: BodyModel) -> Motion:
-    """The estimate itself."""
-    del body
-    return motion
 
 
 def as_joints(prior: str) -> Method:
@@ -54,18 +58,18 @@ def as_joints(prior: str) -> Method:
             joints, torch.ones(joints.shape[:-1], dtype=torch.bool), tuple(range(22)), motion.fps,
             ground_known=False,
         )  # fmt: skip
-        return fit(seen, prior, body=body, shape=motion.shape, start=motion).motion
+        return recon.fit(seen, prior, body=body, shape=motion.shape, start=motion).motion
 
     return fitted
 
 
 def refined(prior: str) -> Method:
     """`recon.refine`."""
-    return lambda motion, body: refine(motion, prior, body=body).motion
+    return lambda motion, body: recon.refine(motion, prior, body=body).motion
 
 
 METHODS: dict[str, Method] = {
-    "the estimate": as_it_is,
+    "the estimate": lambda motion, body: motion,
     "its joints, pose prior": as_joints("pose"),
     "its joints, HuMoR": as_joints("humor"),
     "refined, pose prior": refined("pose"),
@@ -75,43 +79,32 @@ METHODS: dict[str, Method] = {
 
 def main() -> None:
     """Estimate, refine, judge, print and write."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
-    )
-    parser.add_argument("corpus", type=Path)
-    parser.add_argument("--part", choices=("test", "validation"), default="test")
-    parser.add_argument("--clips", type=int, default=24, help="windows, evenly from all subjects")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--json", type=Path, default=None)
-    arguments = parser.parse_args()
+    arguments = over_windows(__doc__)
+    arguments.set_defaults(only=12)
+    given = arguments.parse_args()
     torch.set_num_threads(1)
     body = BodyModel.load()
-    windows = windows_of(arguments.corpus, arguments.part, body)
-    clips = evenly(windows, arguments.clips)
-    rows: dict[str, list[Row]] = {name: [] for name in METHODS}
-    for clip in clips:
-        truth = windows.truth[clip]
-        seen = estimated(truth, RegressorErrors(), arguments.seed + clip)
+    windows = load_windows(given.corpus, Splits.load(given.splits), given.part, body)
+    chosen = evenly(windows, given.only)
+    some = windows.take(chosen)
+    values: dict[str, dict[str, list[float | None]]] = {m: {} for m in METHODS}
+    for number, clip in enumerate(chosen):
+        truth = some.truth[number]
+        seen = estimated(truth, RegressorErrors(), SEED + clip)
         for name, method in METHODS.items():
             began = time.process_time()
             found = method(seen, body)
-            row = judged(found, truth, windows.contacts[clip], body)
-            rows[name].append(row | {"seconds": time.process_time() - began})
-    subjects = [windows.subjects[clip] for clip in clips]
-    table = {name: summary(own, subjects) for name, own in rows.items()}
-    for name, row in table.items():
-        print(name, row)
-    if arguments.json is not None:
-        names = [windows.names[clip] for clip in clips]
-        write(
-            arguments.json, arguments.seed, corpus_source(arguments.corpus, windows.files),
-            part=arguments.part, windows=names, subjects=subjects, rows=rows, table=table,
-        )  # fmt: skip
+            row = judged(found, truth, some.contacts[number], body)
+            for key, value in {**row, "seconds": time.process_time() - began}.items():
+                values[name].setdefault(key, []).append(value)
+    rows = [[name, *cells(own, some, COLUMNS)] for name, own in values.items()]
+    source = corpus_source(given.corpus, windows.files)
+    tell(given.out, SEED, source, {"refine": Table(columns_of("", COLUMNS), rows)})
 
 
 def judged(
     found: Motion, truth: Motion, contacts: Bool[Tensor, "time 22"], body: BodyModel
-) -> Row:
+) -> dict[str, float | None]:
     """Errors of one window, SI units."""
     frames = min(found.frames, truth.frames)
     own, true = (body.pose(m).joints.detach()[:frames].double() for m in (found, truth))
@@ -135,23 +128,6 @@ def judged(
 def _peaks(joints: Float[Tensor, "time 22 3"]) -> Float[Tensor, " ends"]:
     """Highest speed of hands and toes, m/s."""
     return (joints[:, list(_ENDS)].diff(dim=0).norm(dim=-1) * FPS).amax(0)
-
-
-def summary(rows: Sequence[Row], subjects: Sequence[str]) -> dict[str, float | None]:
-    """Means over a subject's windows, then over subjects."""
-    found: dict[str, float | None] = {}
-    for column in rows[0]:
-        means: list[float] = []
-        for subject in sorted(set(subjects)):
-            values = [
-                value
-                for row, own in zip(rows, subjects, strict=True)
-                if own == subject and (value := row[column]) is not None
-            ]
-            if values:
-                means.append(sum(values) / len(values))
-        found[column] = sum(means) / len(means) if means else None
-    return found
 
 
 if __name__ == "__main__":

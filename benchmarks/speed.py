@@ -1,126 +1,274 @@
-"""Speed: joints against the mesh, and stages 1-2 of one clip and of sixteen.
+"""Speed: fits, long recordings, streams and batches, and what a million clips cost.
 
-    python -m benchmarks.speed --json speed.json
+    python -m benchmarks.speed CORPUS --out FOLDER
+    python -m benchmarks.speed CORPUS --parts batch --clips 32 --out FOLDER
 
-Ratios are taken within one run, the variants in turn; quote those. One thread throughout: a second
-one gains little on so small operations, and on a shared machine costs many times what it gains.
+All on one thread. `speed` fits one clip of two seconds, and sixteen together. `long` fits the
+longest clip, run there and back until it lasts so long, each length in a process of its own whose
+peak memory is told: where it turns round, every joint's velocity changes sign at once. The largest
+change of a joint's velocity from one frame to the next shows seams. `live` pushes the longest
+clips of subjects moment by moment, beside fits at once; a step is the 99th percentile of how far a
+joint moves in a frame. `batch` runs `recon batch` on the listed windows, one by one and together,
+and counts CPU seconds of all processes. Joints have 4 cm of noise per coordinate in all of them.
 """
 
-import argparse
+import json
 import os
+import resource
+import subprocess
+import sys
+import tempfile
 import time
-from collections.abc import Callable
+from argparse import SUPPRESS
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
 import torch
+from torch import Tensor
 
-from benchmarks.results import demo_clip, show, write
-from observations import Joints3D
-from priors.pose.prior import PosePrior
-from recon.body.model import BodyModel
-from recon.core import rotations as so3
-from recon.core.motion import Motion
-from recon.core.struct import stack
-from recon.method.reconstruction import solve
-from recon.simulation import points as simulate
-from recon.simulation.points import Corruption
+import recon
+from benchmarks.protocol import Cell, Table, corpus_source, demo_clip, number, over_windows, tell
+from recon import BodyModel, Motion
+from recon.benchmark.dataset import Splits, clip_files
+from recon.benchmark.protocols import noisy_joints
+from recon.benchmark.windows import FPS, FRAMES, load_windows
+from recon.core.skeleton import JOINTS
+from recon.formats.observations import PositionsFile, save_observation
 
-FRAMES, SEED = 60, 0
+SEED, NOISE, PRIORS, LAGS = 0, 0.04, ("pose", "humor"), (0, 5, 15)
+SECONDS, CLIP_SECONDS, CORES, MILLION = (10, 20, 40, 60), (2, 10, 60), 64, 1_000_000
+Row = dict[str, float]
 
 
 def main() -> None:
     """Measure, print and write."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--json", type=Path)
-    arguments = parser.parse_args()
+    arguments = over_windows(__doc__)
+    parts = ("speed", "long", "live", "batch")
+    arguments.add_argument("--parts", nargs="+", choices=parts, default=list(parts))
+    arguments.add_argument("--clips", type=int, default=64, help="of the batch")
+    arguments.add_argument("--processes", type=int, default=2, help="of the batch")
+    arguments.add_argument("--alone", nargs=3, default=None, help=SUPPRESS)
+    given = arguments.parse_args()
     torch.set_num_threads(1)
-    body = BodyModel.load()
+    if given.alone is not None:
+        prior, file, seconds = given.alone
+        print(json.dumps(over_long(prior, Path(file), int(seconds))))
+        return
+    files = clip_files(given.corpus)
+    splits = Splits.load(given.splits)
+    longest = longest_clips(files, splits, given.part)[: given.only]
+    tables: dict[str, Table] = {}
+    if "speed" in given.parts:
+        tables["speed"] = fitting()
+    if "long" in given.parts:
+        tables["long"] = long_recordings(given.corpus, files[longest[0]], longest[0])
+    if "live" in given.parts:
+        tables["live"] = streams([recon.load_motion(files[clip]).motion for clip in longest])
+    if "batch" in given.parts:
+        truth = load_windows(given.corpus, splits, given.part, BodyModel.load(), SEED).truth
+        tables |= batches(truth, given.clips, given.processes)
+    source = corpus_source(given.corpus, [files[clip] for clip in longest])
+    tell(given.out, SEED, source, tables)
+
+
+def longest_clips(files: Mapping[str, Path], splits: Splits, part: str) -> list[str]:
+    """The longest clip of every subject of a part, the longest of all first."""
+    parts = splits.parts(list(files))
+    motions = {c: recon.load_motion(files[c]).motion for c in parts if parts[c] == part}
+    of_subject: dict[str, str] = {}
+    for clip in sorted(motions, key=lambda c: -motions[c].frames / motions[c].fps):
+        of_subject.setdefault(splits.subject(clip), clip)
+    return list(of_subject.values())
+
+
+def fitting() -> Table:
+    """CPU seconds of fits of one clip, and of sixteen together, medians."""
     motion = demo_clip(FRAMES)
-    rows = {**posing(body, motion), **fitting(body, motion)}
-    show(f"{FRAMES} frames, {os.cpu_count()} cores", rows)
-    if arguments.json is not None:
-        write(arguments.json, SEED, rows=rows)
+    one = recon.simulate(motion, "joints3d", noise=NOISE, seed=SEED)
+    many = [recon.simulate(motion, "joints3d", noise=NOISE, seed=k) for k in range(16)]
+    calls: dict[str, tuple[Callable[[], object], int]] = {
+        "fit of one clip of 2 s, pose prior, s": (lambda: recon.fit(one, "pose"), 3),
+        "fit of one clip of 2 s, HuMoR, s": (lambda: recon.fit(one), 3),
+        "fits of sixteen such clips together, pose prior, s":
+            (lambda: recon.fit_clips(many, "pose"), 1),
+    }  # fmt: skip
+    rows: list[list[Cell]] = []
+    for name, (call, rounds) in calls.items():
+        call()
+        spent = []
+        for _ in range(rounds):
+            began = time.process_time()
+            call()
+            spent.append(time.process_time() - began)
+        rows.append([name, number(float(np.median(spent)))])
+    return Table([("one thread", None), ("CPU time", 2)], rows)
 
 
-def posing(body: BodyModel, motion: Motion) -> dict[str, float]:
-    """Forward and backward pass of 60 frames: joints only, 43 points, the naive full mesh."""
-    turns = so3.log(motion.rotations.double()).float()
-
-    def run(value: Callable[[Motion], torch.Tensor]) -> Callable[[], None]:
-        def call() -> None:
-            leaves = [
-                t.clone().requires_grad_() for t in (turns, motion.translation, motion.shape)
-            ]
-            moved = Motion.create(leaves[1], so3.exp(leaves[0]), leaves[2], motion.fps)
-            torch.autograd.grad(value(moved).square().sum(), leaves)
-
-        return call
-
-    some = torch.arange(0, len(body.template), len(body.template) // 43)
-    seconds = interleaved(
-        {
-            "joints": run(lambda m: body.pose(m).joints),
-            "43 points": run(lambda m: body.pose(m).points(some)),
-            "mesh, one matrix product": run(lambda m: body.pose(m).vertices),
-            "mesh, vertex by vertex": run(lambda m: naive_vertices(body, m)),
-        }
+def there_and_back(motion: Motion, seconds: float) -> Motion:
+    """A clip run forwards, backwards and so on until it lasts so long; its clock starts at 0."""
+    period = 2 * (motion.frames - 1)
+    place = torch.arange(round(seconds * motion.fps)) % period
+    place = torch.minimum(place, period - place)
+    return Motion.create(
+        motion.translation[place], motion.rotations[place], motion.shape, motion.fps
     )
-    rows = {f"{name}, forward + backward, ms": 1e3 * s for name, s in seconds.items()}
-    joints = seconds["joints"]
-    return rows | {
-        "joints are faster than the naive mesh by": seconds["mesh, vertex by vertex"] / joints,
-        "joints are faster than our mesh by": seconds["mesh, one matrix product"] / joints,
-    }
 
 
-def naive_vertices(body: BodyModel, motion: Motion) -> torch.Tensor:
-    """Skinning as it is usually written: a blended 3 x 4 transform per vertex and frame."""
-    posed = body.pose(motion)
-    shift = posed.joints - (posed.orientations @ posed.rest[..., None])[..., 0]
-    transform = torch.cat((posed.orientations, shift[..., None]), -1).flatten(-2)
-    blended = (body.weights @ transform).unflatten(-1, (3, 4))
-    unposed = body.rest_vertices(motion.shape)
-    return (blended[..., :3] @ unposed[..., None])[..., 0] + blended[..., 3]
+def long_recordings(corpus: Path, file: Path, clip: str) -> Table:
+    """Every length under both priors, each in a fresh process."""
+    rows: list[list[Cell]] = []
+    for prior, label in (("humor", "collocation"), ("pose", "pose prior")):
+        for seconds in SECONDS:
+            command = [sys.executable, "-m", "benchmarks.speed", str(corpus), "--alone"]
+            done = subprocess.run(
+                [*command, prior, str(file), str(seconds)], stdout=subprocess.PIPE, check=True,
+                env={**os.environ, "OMP_NUM_THREADS": "1"},
+            )  # fmt: skip
+            row = json.loads(done.stdout)
+            rest = (number(row[key]) for key in ("jump", "jump_truth"))
+            rows.append([f"{label}, {clip}, {seconds} s", number(row["cpu"]), number(row["mb"]),
+                         number(row["error"], 100), *rest])  # fmt: skip
+    heads = (("CPU s", 0), ("peak MB", 0), ("error cm", 2),
+             ("largest change of velocity m/s", 2), ("the truth's m/s", 2))  # fmt: skip
+    return Table([("4 cm of noise", None), *heads], rows)
 
 
-def fitting(body: BodyModel, motion: Motion) -> dict[str, float]:
-    """Stages 1 and 2: one clip, and sixteen as one batch."""
-    clips = stack([simulate.joints3d(motion, body, Corruption(noise=0.04), k) for k in range(16)])
-    one = clips[:1]
-    prior = PosePrior.load()
-    solve([one], prior, body)
-
-    def timed(observation: Joints3D) -> float:
-        began = time.perf_counter()
-        solve([observation], prior, body)
-        return time.perf_counter() - began
-
-    single = float(np.median([timed(one) for _ in range(5)]))
-    batch = float(np.median([timed(clips) for _ in range(3)]))
-    return {
-        "stages 1-2 of one clip, s": single,
-        "stages 1-2 of sixteen clips at once, s": batch,
-        "clips per minute, sixteen at once": 60 * 16 / batch,
-        "at once, a clip is faster by": 16 * single / batch,
-    }
+def over_long(prior: str, file: Path, seconds: int) -> Row:
+    """Fit one recording in this process."""
+    body = BodyModel.load()
+    truth = there_and_back(recon.load_motion(file).motion.resample(FPS), seconds)
+    seen = noisy_joints(truth[None], body, SEED, NOISE)
+    began = time.process_time()
+    result = recon.fit(seen, prior, body=body, noise=NOISE)
+    row = {"cpu": time.process_time() - began}
+    row["mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    motion = result.motion
+    joints, true = (body.pose(m).joints for m in (motion, truth.at(motion.times, motion.fps)))
+    row["error"] = float((joints - true).norm(dim=-1).mean())
+    jumps = [p.diff(n=2, dim=0).norm(dim=-1).max() * FPS for p in (joints, true)]
+    return row | {"jump": float(jumps[0]), "jump_truth": float(jumps[1])}
 
 
-def interleaved(calls: dict[str, Callable[[], None]], rounds: int = 15) -> dict[str, float]:
-    """Median seconds of each, the variants in turn.
+def streams(recorded: list[Motion], seconds: float = 6.0) -> Table:
+    """Streams of several lags beside fits of the same clips at once, means over clips."""
+    body, found = BodyModel.load(), dict[str, list[Row]]()
+    for motion in recorded:
+        whole = motion.resample(FPS)
+        truth = whole.window(0, min(whole.frames, round(seconds * FPS))).replace(start_time=0.0)
+        seen, true = noisy_joints(truth[None], body, SEED, NOISE), body.pose(truth).joints
+        for prior in PRIORS:
+            for lag in LAGS:
+                found.setdefault(f"{prior}, lag {lag}", []).append(pushed(seen, true, prior, lag))
+            offline = recon.fit(seen, prior, body=body, noise=NOISE).joints
+            found.setdefault(f"offline, {prior}", []).append(compared(offline, true))
+    rows: list[list[Cell]] = []
+    for name, own in found.items():
+        pairs = zip(own, found["offline, pose"], strict=True)
+        ratio = float(np.mean([row["error"] / other["error"] for row, other in pairs]))
+        mean = {key: float(np.mean([row[key] for row in own])) for key in own[0]}
+        times = (number(mean.get(key)) for key in ("median", "p95", "longest"))
+        rows.append([name, number(mean["error"], 100), number(ratio), number(mean["step"], 100),
+                     number(mean["step_truth"], 100), *times])  # fmt: skip
+    heads = (("error cm", 2), ("of offline, pose", 3), ("99 % step cm", 2), ("the truth's cm", 2),
+             ("CPU ms a push, median", 0), ("95 %", 0), ("longest", 0))  # fmt: skip
+    return Table([("4 cm of noise", None), *heads], rows)
 
-    A turn is five calls of which the last three count: the first ones pay for the memory and the
-    caches that another variant left behind.
+
+def pushed(seen: recon.Joints3D, true: Tensor, prior: str, lag: int) -> Row:
+    """A clip pushed moment by moment."""
+    stream = recon.Stream(prior, lag)
+    found: list[Tensor] = []
+    spent: list[float] = []
+    for moment in range(seen.moments):
+        one = seen[0].window(moment / FPS, moment / FPS)
+        began = time.process_time()
+        estimate = stream.push(one, moment / FPS)
+        spent.append(1000 * (time.process_time() - began))
+        found += [] if estimate is None else [each.joints for each in estimate.every]
+    found += [each.joints for each in stream.finish()]
+    return {"median": float(np.median(spent)), "p95": float(np.quantile(spent, 0.95)),
+            "longest": max(spent), **compared(torch.stack(found), true)}  # fmt: skip
+
+
+def compared(joints: Tensor, true: Tensor) -> Row:
+    """Errors and steps, metres."""
+    steps = [p.diff(dim=0).norm(dim=-1).quantile(0.99) for p in (joints, true)]
+    return {"error": float((joints - true[: len(joints)]).norm(dim=-1).mean()),
+            "step": float(steps[0]), "step_truth": float(steps[1])}  # fmt: skip
+
+
+def cost_of(*words: str, folder: Path) -> tuple[float, float]:
+    """CPU seconds of all processes of a `recon batch`, and memory of the largest, megabytes.
+
+    Raises:
+        RuntimeError: when a clip was not fitted.
     """
-    times: dict[str, list[float]] = {name: [] for name in calls}
-    for _ in range(rounds):
-        for name, call in calls.items():
-            for turn in range(5):
-                began = time.perf_counter()
-                call()
-                if turn >= 2:
-                    times[name].append(time.perf_counter() - began)
-    return {name: float(np.median(values)) for name, values in times.items()}
+    log = folder / "log"
+    with log.open("w") as file:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "recon", "batch", *words], cwd=folder, stdout=file,
+            stderr=file, env={**os.environ, "OMP_NUM_THREADS": "1"},
+        )  # fmt: skip
+        _, status, used = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode != 0:
+        raise RuntimeError(f"{process.args}: {log.read_text(encoding='utf-8')}")
+    return used.ru_utime + used.ru_stime, used.ru_maxrss / 1024
+
+
+def batches(truth: Motion, count: int, processes: int) -> dict[str, Table]:
+    """`recon batch` under both priors, clips one by one and together."""
+    rows: list[list[Cell]] = []
+    million: list[list[Cell]] = []
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        manifest(folder, truth, count)
+        for prior in PRIORS[::-1]:
+            for label, more in (("one by one", ("--together", "1")), ("together", ())):
+                how = ("--prior", prior, "--processes", str(processes), *more)
+                out = f"{prior} {label}"
+                cpu, mb = cost_of("all.jsonl", "--out", out, *how, folder=folder)
+                found = fitted_joints(folder / out, count)
+                true = BodyModel.load().pose(truth).joints.double().numpy()
+                known = true[np.arange(count) % len(true)]
+                error = float(np.linalg.norm(found - known, axis=-1).mean())
+                rows.append([f"`{prior}`, {label}", number(cpu / count), number(mb),
+                             number(error, 100)])  # fmt: skip
+            frame = cpu / count / FRAMES
+            hours = [MILLION * FPS * seconds * frame / 3600 for seconds in CLIP_SECONDS]
+            told = (f"{round(one, -2):,.0f}" for one in hours)
+            million.append([f"`{prior}`", number(frame, 1000), *told,
+                            number(hours[0] / CORES / 24), number(CORES * mb / 1024)])  # fmt: skip
+    heads = (("CPU s a clip", 2), ("MB a process", 0), ("error cm", 2))
+    hours_of = [(f"core hours, clips of {seconds} s", None) for seconds in CLIP_SECONDS]
+    return {
+        "batch": Table([(f"{count} clips, {processes} processes", None), *heads], rows),
+        "million": Table(
+            [("a million clips at 30 Hz", None), ("CPU ms a frame", 1), *hours_of,
+             (f"days of {CORES} cores, {CLIP_SECONDS[0]} s", 1), (f"GB of {CORES} processes", 0)],
+            million,
+        ),
+    }  # fmt: skip
+
+
+def manifest(folder: Path, truth: Motion, count: int) -> None:
+    """Observation files of noisy joints, several draws where there are more clips than windows."""
+    body, lines = BodyModel.load(), list[str]()
+    for k in range(count):
+        seen = noisy_joints(truth[[k % len(truth.translation)]], body, SEED + k, NOISE)
+        positions, visible = seen.positions[0].double().numpy(), seen.visible[0].numpy()
+        file = PositionsFile("joints3d", positions, visible, JOINTS, seen.fps)
+        save_observation(folder / f"{k}.npz", file)
+        lines.append(json.dumps({"id": str(k), "observations": f"{k}.npz"}) + "\n")
+    (folder / "all.jsonl").write_text("".join(lines), encoding="utf-8")
+
+
+def fitted_joints(folder: Path, count: int) -> np.ndarray:
+    """Joints of all results, axes (clips, time, joints, 3), metres."""
+    body = BodyModel.load()
+    motions = [recon.load_motion(folder / f"{k}.npz").motion for k in range(count)]
+    return np.stack([body.pose(motion).joints.double().numpy() for motion in motions])
 
 
 if __name__ == "__main__":

@@ -1,100 +1,62 @@
-"""Do errors keep to the standard deviations that fits state?
+"""Do errors keep to the standard deviations that `recon.fit` states?
 
-    python -m benchmarks.uncertainty CORPUS --json uncertainty.json
-    python -m benchmarks.uncertainty CORPUS --part validation --clips 6 --prior pose
+    python -m benchmarks.uncertainty CORPUS --out FOLDER
+    python -m benchmarks.uncertainty CORPUS --part validation --only 6 --prior pose
 
 Windows of two seconds of joints, markers, three cameras, one camera with and one without a known
 pose, and depth. The table has the share of errors along an axis of at most 1.645 standard
 deviations (0.90 where they are right), the median standard deviation beside the root mean square
-error of an axis, the rank correlation of standard deviations with the errors of joints, and CPU
-seconds beside those of the fit. Joints that were seen and joints that nobody saw are judged apart,
-in the frame of the recording. Where the ground was found, its height below that frame's origin
-(the camera) and its normal are judged likewise, a row per clip. The table has how often feet touch
-where they are said to with some probability. Constants were chosen on validation.
+error of an axis, and the rank correlation of standard deviations with the errors of joints. Joints
+that were seen and joints that nobody saw are judged apart. Where the ground was found, its height
+and its normal are judged likewise, a row per clip; so is how often feet touch where they are said
+to with some probability. Constants were chosen on validation.
 """
 
-import argparse
 import math
-import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from benchmarks.cameras import depth
-from benchmarks.results import corpus_source, write
-from benchmarks.slips.recordings import Sensor, evenly, recording_of, windows_of
-from observations.joints3d import Joints3D
-from recon.benchmark.windows import TrueWindows
-from recon.body.model import BodyModel
+import recon
+from benchmarks.cameras import in_true_world
+from benchmarks.cloud_cases import Seen, write_files
+from benchmarks.protocol import (
+    Cell,
+    Table,
+    corpus_source,
+    evenly,
+    number,
+    over_windows,
+    tell,
+)
+from benchmarks.slips.recordings import Sensor, recording_of
+from recon import BodyModel
+from recon.benchmark.dataset import Splits
+from recon.benchmark.windows import TrueWindows, load_windows
 from recon.core.skeleton import FEET
-from recon.diagnosis.certainty import certainty, fitted_contacts
-from recon.diagnosis.doubts import observed_joints
-from recon.fitting.clip import ClipFit, fit_clip
-from recon.fitting.methods import FitOptions
-from recon.method.laplace import Deviations
-from recon.method.protocols import Sensor as Observed
 from recon.simulation.points import Corruption
 
 NINE_TENTHS = 1.645
 """Standard deviations within which nine of ten normal errors lie."""
-
-
-@dataclass(frozen=True)
-class Recorded:
-    """What was seen of a window, and where it was."""
-
-    observations: tuple[Observed, ...]
-    T_world_recording: Float[Tensor, "4 4"]
-    """Maps the frame of the observations to the true world."""
-
-
-Film = Callable[[TrueWindows, int, BodyModel], Recorded]
-
-
-def by_sensor(sensor: Sensor, count: int, corruption: Corruption) -> Film:
-    """Windows before the first sensors of a kind."""
-
-    def film(windows: TrueWindows, clip: int, body: BodyModel) -> Recorded:
-        found = recording_of(windows, clip, sensor, body, corruption)
-        return Recorded(found.clean[:count], found.T_world_recording)
-
-    return film
-
-
-def joints_above_nothing(windows: TrueWindows, clip: int, body: BodyModel) -> Recorded:
-    """Joints with z up, whose ground is not known."""
-    (seen,) = by_sensor("joints3d", 1, Corruption(noise=0.02))(windows, clip, body).observations
-    assert isinstance(seen, Joints3D)
-    return Recorded((replace(seen, ground_known=False),), torch.eye(4))
-
-
-def depth_alone(windows: TrueWindows, clip: int, body: BodyModel) -> Recorded:
-    """A depth sensor of unknown pose that sees the ground; legs are hidden for a third."""
-    found = depth(windows.truth[clip], body, clip)
-    assert found.T_world_camera is not None
-    assert found.T_recording_camera is not None
-    back = torch.linalg.inv(found.T_recording_camera[0])
-    return Recorded(found.observations, found.T_world_camera[0].float() @ back)
-
-
-PROTOCOLS: dict[str, Film] = {
-    "joints, 4 cm": by_sensor("joints3d", 1, Corruption(noise=0.04)),
-    "joints, 2 cm, hidden below 0.9 m for a third": by_sensor(
-        "joints3d", 1, Corruption(noise=0.02, hide_below=0.9, during=(0.67, 1.33))
-    ),
-    "joints, 2 cm, ground not known": joints_above_nothing,
-    "markers, 1 cm, hidden below 0.9 m": by_sensor(
-        "markers3d", 1, Corruption(noise=0.01, hide_below=0.9)
-    ),
-    "three cameras, 4 px": by_sensor("cameras", 3, Corruption(noise=4.0)),
-    "one camera of known pose, 4 px": by_sensor("cameras", 1, Corruption(noise=4.0)),
-    "one camera, ground not known, 4 px": by_sensor("camera", 1, Corruption(noise=4.0)),
-    "depth, hidden below 0.9 m for a third": depth_alone,
-}
+DEPTH = "depth, hidden below 0.9 m for a third"
+PROTOCOLS: dict[str, tuple[Sensor, Corruption, bool]] = {
+    "joints, 4 cm": ("joints3d", Corruption(noise=0.04), True),
+    "joints, 2 cm, hidden below 0.9 m for a third":
+        ("joints3d", Corruption(noise=0.02, hide_below=0.9, during=(0.67, 1.33)), True),
+    "joints, 2 cm, ground not known": ("joints3d", Corruption(noise=0.02), False),
+    "markers, 1 cm, hidden below 0.9 m":
+        ("markers3d", Corruption(noise=0.01, hide_below=0.9), True),
+    "three cameras, 4 px": ("cameras", Corruption(noise=4.0), True),
+    "one camera of known pose, 4 px": ("cameras", Corruption(noise=4.0), True),
+    "one camera, ground not known, 4 px": ("camera", Corruption(noise=4.0), False),
+}  # fmt: skip
+"""Sensors, their noise, and whether the ground is known; depth is not among them."""
+_SHARES = ((0.0, 0.2), (0.2, 0.4), (0.4, 0.6), (0.6, 0.8), (0.8, 1.0))
 
 
 @dataclass(frozen=True)
@@ -104,147 +66,139 @@ class Judged:
     error: Float[Tensor, "time 22 3"]
     std: Float[Tensor, "time 22"]
     observed: Bool[Tensor, "time 22"]
-    fit_seconds: float
-    seconds: float
-    height: tuple[float, float] | None = None
+    height: tuple[float, float] | None
     """Error and standard deviation of the height of a ground that was found, metres."""
-    normal: tuple[float, float, float] | None = None
-    """Errors of its normal about two axes, and their standard deviation, radians; None where the
+    normal: tuple[float, float, float] | None
+    """Errors of its normal about two axes, and their standard deviation, degrees; None where the
     vertical is known."""
-    contacts: tuple[Tensor, Tensor] | None = None
+    contacts: tuple[Tensor, Tensor] | None
     """Probabilities that feet touch, and whether they do."""
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
-    )
-    parser.add_argument("corpus", type=Path)
-    parser.add_argument("--part", choices=("test", "validation"), default="test")
-    parser.add_argument("--clips", type=int, default=12, help="windows of each protocol")
-    parser.add_argument("--prior", choices=("pose", "humor"), nargs="+", default=["pose", "humor"])
-    parser.add_argument("--only", choices=PROTOCOLS, nargs="+", default=list(PROTOCOLS))
-    parser.add_argument("--json", type=Path, default=None)
-    arguments = parser.parse_args()
+    """Fit, judge, print and write."""
+    arguments = over_windows(__doc__)
+    names = [*PROTOCOLS, DEPTH]
+    arguments.set_defaults(only=12)
+    arguments.add_argument("--prior", choices=("pose", "humor"), nargs="+",
+                           default=["pose", "humor"])  # fmt: skip
+    arguments.add_argument("--protocols", choices=names, nargs="+", default=names)
+    given = arguments.parse_args()
     body = BodyModel.load()
-    windows = windows_of(arguments.corpus, arguments.part, body)
-    clips = evenly(windows, arguments.clips)
-    rows: dict[str, dict[str, dict[str, float]]] = {}
-    for prior in arguments.prior:
-        for name in arguments.only:
-            found = [judged(windows, k, PROTOCOLS[name], prior, body) for k in clips]
-            rows[f"{name}; {prior}"] = row = summary(found)
-            print(f"{name}; {prior}", row, flush=True)
-            if arguments.json is not None:
-                sources = corpus_source(arguments.corpus, windows.files)
-                names = [windows.names[k] for k in clips]
-                write(arguments.json, 0, sources, part=arguments.part, windows=names, rows=rows)
+    windows = load_windows(given.corpus, Splits.load(given.splits), given.part, body)
+    clips = evenly(windows, given.only)
+    found: dict[str, list[Judged]] = {}
+    for prior in given.prior:
+        for name in given.protocols:
+            found[f"{name}; {prior}"] = [judged(windows, k, name, prior, body) for k in clips]
+    tell(given.out, 0, corpus_source(given.corpus, windows.files), tables(found))
 
 
-def judged(windows: TrueWindows, clip: int, film: Film, prior: str, body: BodyModel) -> Judged:
+def judged(windows: TrueWindows, clip: int, name: str, prior: str, body: BodyModel) -> Judged:
     """Fit one window and compare its errors with their standard deviations."""
-    seen = film(windows, clip, body)
-    began = time.process_time()
-    fit = fit_clip(seen.observations, FitOptions(prior=prior), body)
-    fitted = time.process_time()
-    found = certainty(fit)
-    done = time.process_time()
-    assert isinstance(found, Deviations)
-    truth = body.pose(windows.truth[[clip]]).joints[0]
-    frames = min(len(truth), len(found.joints))
-    there = fit.result.estimate.scene.to_recording(fit.result.body.joints)[0].detach()
-    T = seen.T_world_recording
-    error = (there @ T[:3, :3].mT + T[:3, 3] - truth)[:frames]
-    observed = observed_joints(fit.observations, fit.result.estimate)[:frames]
-    judged = Judged(
-        error, found.joints[:frames], torch.from_numpy(observed), fitted - began, done - fitted
-    )
-    return replace(
-        _with_ground(judged, fit, found, T), contacts=_contacts(fit, found, windows.contacts[clip])
-    )
+    if name == DEPTH:
+        seen = Seen(windows.truth[clip], body, clip)
+        camera = seen.camera
+        with tempfile.TemporaryDirectory() as folder:
+            files = write_files(seen, "depth, sensor unknown", Path(folder))
+            result = recon.fit(files, prior, body=body)
+    else:
+        sensor, corruption, ground = PROTOCOLS[name]
+        recording = recording_of(windows, clip, sensor, body, corruption)
+        camera = recording.cameras[0] if recording.cameras else None
+        views = recording.clean[: 1 if name.startswith("one") else None]
+        result = recon.fit(views, prior, body=body, ground="auto" if ground else "unknown")
+    truth = windows.truth[clip]
+    place = torch.eye(4) if camera is None else camera.T_world_camera
+    there, _ = in_true_world(result, place, body)
+    frames = min(truth.frames, there.frames)
+    assert result.joint_std is not None
+    error = (body.pose(there).joints - body.pose(truth).joints[:frames])[:frames]
+    said = result.contact_probability
+    feet = list(FEET)
+    return Judged(
+        error.detach(), result.joint_std[:frames], result.observed[:frames],
+        *_ground(result, place),
+        None if said is None else
+        (said[:frames, feet].flatten(), windows.contacts[clip][:frames, feet].flatten()),
+    )  # fmt: skip
 
 
-def _with_ground(
-    judged: Judged, fit: ClipFit, found: Deviations, T_world_recording: Float[Tensor, "4 4"]
-) -> Judged:
-    """The clip with the errors of the ground, where the fit found it and says how well."""
-    if found.ground is None:
-        return judged
-    T = fit.T_world_recording[0].to(T_world_recording)
-    height = float(T[2, 3] - T_world_recording[2, 3])
-    judged = replace(judged, height=(height, found.ground.height))
-    if found.ground.normal == 0:
-        return judged
-    x, y, _ = (T_world_recording[:3, :3] @ T[:3, :3].mT)[:, 2].tolist()
-    return replace(judged, normal=(x, y, found.ground.normal))
+def _ground(
+    result: recon.Result, T_world_camera: Float[Tensor, "4 4"]
+) -> tuple[tuple[float, float] | None, tuple[float, float, float] | None]:
+    """Errors of a ground that was found, beside what the fit says of them."""
+    std, found = result.ground_std, result.T_world_camera
+    if std is None or result.ground is None:
+        return None, None
+    if found is None:
+        return (float(result.ground[3]), std.height), None
+    height = float(found[2, 3] - T_world_camera[2, 3])
+    x, y, _ = (T_world_camera[:3, :3] @ found[:3, :3].mT.to(T_world_camera))[:, 2].tolist()
+    return (height, std.height), (math.degrees(x), math.degrees(y), math.degrees(std.normal))
 
 
-def _contacts(fit: ClipFit, sure: Deviations, truth: Tensor) -> tuple[Tensor, Tensor] | None:
-    """How likely feet touch the ground, by their motion and how sure it is, and the truth."""
-    if not fit.grounded:
-        return None
-    said = fitted_contacts(fit, sure)
-    frames, feet = min(len(said), len(truth)), list(FEET)
-    return said[:frames, feet].flatten(), truth[:frames, feet].flatten() > 0.5
-
-
-def summary(found: Sequence[Judged]) -> dict[str, dict[str, float]]:
-    """Numbers of joints that were seen, and of those that were not, over all windows."""
-    error, std = torch.cat([one.error for one in found]), torch.cat([one.std for one in found])
-    observed = torch.cat([one.observed for one in found])
-    cost = sum(one.seconds for one in found) / sum(one.fit_seconds for one in found)
-    rows = {"cost": {"share_of_fit": cost}}
-    for name, some in (("seen", observed), ("hidden", ~observed)):
-        if some.any():
-            rows[name] = _numbers(error[some], std[some])
-    heights = [one.height for one in found if one.height is not None]
-    if heights:
-        away, sure = torch.tensor(heights).T
-        rows["height"] = _few(away[:, None], sure)
-    normals = [one.normal for one in found if one.normal is not None]
-    if normals:
-        angles = torch.tensor(normals) * (180 / math.pi)
-        rows["normal, degrees"] = _few(angles[:, :2], angles[:, 2])
-    told = [one.contacts for one in found if one.contacts is not None]
-    if told:
-        rows["contacts"] = _touching(*map(torch.cat, zip(*told, strict=True)))
-    return rows
-
-
-def _few(error: Float[Tensor, "clips axes"], std: Float[Tensor, " clips"]) -> dict[str, float]:
-    """Numbers of what there is once a clip."""
+def tables(found: Mapping[str, Sequence[Judged]]) -> dict[str, Table]:
+    """Joints, grounds and contacts."""
+    joints: list[list[Cell]] = []
+    grounds: list[list[Cell]] = []
+    contacts: list[list[Cell]] = []
+    for name, rows in found.items():
+        error, std = torch.cat([r.error for r in rows]), torch.cat([r.std for r in rows])
+        observed = torch.cat([r.observed for r in rows])
+        for kind, some in (("seen", observed), ("hidden", ~observed)):
+            if some.any():
+                joints.append([name, kind, *_of_joints(error[some], std[some])])
+        heights = [r.height for r in rows if r.height is not None]
+        normals = [r.normal for r in rows if r.normal is not None]
+        if heights:
+            grounds.append([name, "height, cm", *_of_ground(heights, 100)])
+        if normals:
+            grounds.append([name, "normal, degrees", *_of_ground(normals, 1)])
+        told = [r.contacts for r in rows if r.contacts is not None]
+        if told:
+            said, truth = (torch.cat(own) for own in zip(*told, strict=True))
+            contacts.append([name, *_touching(said, truth)])
+    first = ("data; prior", None)
     return {
-        "within": float((error.abs() <= NINE_TENTHS * std[:, None]).double().mean()),
-        "within_two": float((error.abs() <= 2 * std[:, None]).double().mean()),
-        "rms": float(error.square().mean().sqrt()),
-        "median_error": float(error.abs().median()),
-        "median_std": float(std.median()),
-    }
+        "uncertainty": Table(
+            [first, ("joints", None), ("within 1.645 std (0.9)", 2), ("error of an axis, cm", 2),
+             ("median std, cm", 2), ("rank correlation", 2)], joints,
+        ),
+        "uncertainty-grounds": Table(
+            [first, ("ground", None), ("within 1.645 std (0.9)", 2), ("median error", 1),
+             ("RMS error", 1), ("median std", 1)], grounds,
+        ),
+        "uncertainty-contacts": Table(
+            [("feet that touch, %, where the probability is", None),
+             *((f"{low:.1f}-{high:.1f}", 0) for low, high in _SHARES)], contacts,
+        ),
+    }  # fmt: skip
 
 
-def _touching(said: Float[Tensor, " rows"], truth: Bool[Tensor, " rows"]) -> dict[str, float]:
-    """Mean squared error of probabilities, and how often feet touch where it says so."""
-    rows = {
-        "brier": float((said - truth.float()).square().mean()),
-        "touch": float(truth.double().mean()),
-    }
-    for low, high in ((0.0, 0.2), (0.2, 0.4), (0.4, 0.6), (0.6, 0.8), (0.8, 1.01)):
-        some = (said >= low) & (said < high)
-        if bool(some.any()):
-            rows[f"said {low:.1f}-{min(high, 1.0):.1f}"] = float(truth[some].double().mean())
-    return rows
-
-
-def _numbers(error: Float[Tensor, "rows 3"], std: Float[Tensor, " rows"]) -> dict[str, float]:
+def _of_joints(error: Float[Tensor, "rows 3"], std: Float[Tensor, " rows"]) -> list[Cell]:
     within = (error.abs() <= NINE_TENTHS * std[:, None]).double().mean()
     rms = error.double().square().mean().sqrt()
     ranks = torch.stack((error.norm(dim=-1), std.to(error))).argsort(-1).argsort(-1).double()
-    return {
-        "within": float(within),
-        "rms": float(rms),
-        "median_std": float(std.median()),
-        "rank_correlation": float(torch.corrcoef(ranks)[0, 1]),
-    }
+    correlation = float(torch.corrcoef(ranks)[0, 1])
+    return [number(float(within)), number(float(rms), 100), number(float(std.median()), 100),
+            number(correlation)]  # fmt: skip
+
+
+def _of_ground(rows: Sequence[tuple[float, ...]], factor: float) -> list[Cell]:
+    """Numbers of what there is once a clip: errors, and in the last place their deviation."""
+    told = torch.tensor(rows, dtype=torch.float64)
+    error, std = told[:, :-1], told[:, -1:]
+    numbers = (error.abs().median(), error.square().mean().sqrt(), std.median())
+    within = float((error.abs() <= NINE_TENTHS * std).double().mean())
+    return [number(within), *(number(float(one), factor) for one in numbers)]
+
+
+def _touching(said: Float[Tensor, " rows"], truth: Bool[Tensor, " rows"]) -> list[Cell]:
+    """How often feet touch where a probability is said, %."""
+    groups = [(said >= low) & ((said < high) | (high == 1.0)) for low, high in _SHARES]
+    return [number(truth[some].double().mean().item(), 100) if some.any() else None
+            for some in groups]  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -4,7 +4,6 @@ import ast
 import re
 import sys
 import tomllib
-from collections.abc import Iterator
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
@@ -18,11 +17,10 @@ SURVIVES = {
 }
 """Files that catch what is not known, and what not even they catch: whatever goes wrong with one
 of many jobs is its own."""
-TOLD = [
+TREE = [
     *SOURCES,
-    *(p for f in ("benchmarks", "scripts", "examples") for p in (ROOT / f).rglob("*.py")),
+    *(p for f in ("benchmarks", "scripts", "examples", "tests") for p in (ROOT / f).rglob("*.py")),
 ]
-TREE = [*TOLD, *(ROOT / "tests").rglob("*.py")]
 
 
 @pytest.mark.parametrize("path", TREE, ids=lambda path: str(path.relative_to(ROOT)))
@@ -41,7 +39,6 @@ def test_library_code_keeps_its_manners(path):
             assert node.type.id not in refused, f"{path}:{node.lineno}"
         if isinstance(node, ast.ImportFrom):
             assert node.module != "__future__", f"{path}: shapes are checked, so no lazy ones"
-    assert ast.get_docstring(tree), f"{path} does not say what it is"
     assert path.name not in ("utils.py", "helpers.py", "misc.py", "common.py")
 
 
@@ -61,15 +58,51 @@ def _children(folder: Path) -> list[str]:
 
 
 FOLDERS = sorted({path.parent for path in SOURCES})
+FLAT = 25
+"""Modules and packages that a room may list before it needs rooms of its own."""
+DEEPEST = 2
+"""Levels of folders below a package."""
+TO_FLATTEN = frozenset({
+    "priors/anchor", "priors/humor/training", "priors/humos", "priors/labels", "recon/body",
+    "recon/cli/verbs", "recon/core", "recon/diagnosis/views", "recon/fitting", "recon/metrics",
+    "recon/simulation",
+})  # fmt: skip
+"""Rooms that were divided before they were full, when 15 entries were the most. No new ones."""
+TO_RAISE = frozenset({
+    "priors/humor/training/variety", "recon/cli/verbs/generation", "recon/cli/verbs/judging",
+    "recon/diagnosis/views/rigs",
+})  # fmt: skip
+"""Folders that lie too deep since then. No new ones."""
 
 
-@pytest.mark.parametrize("folder", FOLDERS, ids=lambda path: str(path.relative_to(ROOT)))
-def test_folders_list_about_a_dozen_entries(folder):
+def _path(folder: Path) -> str:
+    return str(folder.relative_to(ROOT))
+
+
+@pytest.mark.parametrize("folder", FOLDERS, ids=_path)
+def test_a_room_lists_what_a_reader_can_take_in(folder):
     """`recon/` once listed 80 flat modules, which hid what belongs together."""
     children = _children(folder)
-    assert len(children) <= 15, f"{folder}: {len(children)} entries; make rooms by idea"
+    assert len(children) <= FLAT, f"{folder}: {len(children)} entries; make rooms by idea"
     assert len(set(children)) == len(children), f"{folder}: a module and a package of one name"
     assert (folder / "__init__.py").is_file()
+
+
+def test_a_room_is_flat_until_it_is_full():
+    """A limit of 15 entries made 75 folders, 12 of them with three files or fewer."""
+    divided = {
+        _path(folder)
+        for folder in FOLDERS
+        if folder.parent != ROOT
+        and any(other.parent == folder for other in FOLDERS)
+        and sum(folder in path.parents for path in SOURCES) <= FLAT
+    }
+    assert divided == TO_FLATTEN, "make no rooms in a small one; take those that are gone off"
+
+
+def test_no_folder_lies_deep():
+    deep = {_path(f) for f in FOLDERS if len(f.relative_to(ROOT).parts) > 1 + DEEPEST}
+    assert deep == TO_RAISE, "two levels below a package; take those that are gone off"
 
 
 def test_the_import_contract_is_the_list_of_rooms():
@@ -109,7 +142,7 @@ def _name(path: Path) -> str:
 MODULES = {_name(path) for path in SOURCES}
 
 
-@pytest.mark.parametrize("folder", FOLDERS, ids=lambda path: str(path.relative_to(ROOT)))
+@pytest.mark.parametrize("folder", FOLDERS, ids=_path)
 def test_no_entries_of_a_folder_import_each_other_in_a_circle(folder):
     """Of every folder's modules and packages; six circles once held the rooms together."""
     here = _name(folder / "__init__.py")
@@ -148,16 +181,12 @@ def test_the_map_of_modules_names_what_exists():
     assert [name for name in named if not _exists(name)] == []
 
 
-def test_the_map_of_modules_has_every_room_in_its_own_words():
+def test_the_map_of_modules_has_every_room():
     text = (ROOT / "docs" / "modules.md").read_text(encoding="utf-8")
-    told = dict(re.findall(r"^\* `([\w.]+)`: (.*)$", text, flags=re.MULTILINE))
+    told = set(re.findall(r"^\* `([\w.]+)`: ", text, flags=re.MULTILINE))
     rooms = [ROOT / "priors", ROOT / "observations"]
     rooms += [path.parent for path in (ROOT / "recon").glob("*/__init__.py")]
-    for room in rooms:
-        tree = ast.parse((room / "__init__.py").read_text(encoding="utf-8"))
-        docstring = ast.get_docstring(tree)
-        assert docstring is not None
-        assert told[_name(room / "__init__.py")] == docstring.splitlines()[0]
+    assert {_name(room / "__init__.py") for room in rooms} <= told
 
 
 def test_a_public_class_has_a_name_of_its_own():
@@ -168,26 +197,3 @@ def test_a_public_class_has_a_name_of_its_own():
             if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
                 places.setdefault(node.name, []).append(_name(path))
     assert {name: found for name, found in places.items() if len(found) > 1} == {}
-
-
-FRAGMENT = re.compile(
-    r"(Of|As|Those|Likewise|Times (the|by|that|g)|The same( |,|;)|Where|When|That|And|But|"
-    r"Also|Because|So|Than|From|For|By|In|At|On|With|Without|To|Whose|Who|Why|Either|Both|Not)\b"
-)
-"""Words that begin the second half of a sentence, whose first half a reader would have to find."""
-
-
-def _docstrings(tree: ast.AST) -> Iterator[tuple[int, str]]:
-    """Strings that stand alone: of modules, classes, functions, and below fields and constants."""
-    for node in ast.walk(tree):
-        match node:
-            case ast.Expr(value=ast.Constant(value=str(text))):
-                yield node.lineno, text
-
-
-@pytest.mark.parametrize("path", TOLD, ids=lambda path: str(path.relative_to(ROOT)))
-def test_docstrings_are_sentences_of_their_own(path):
-    """Some 330 began as fragments ("Of the second phase.", "The same in metres.", "Those ...")."""
-    found = _docstrings(ast.parse(path.read_text(encoding="utf-8")))
-    bad = [f"{path}:{line}: {text!r:.60}" for line, text in found if FRAGMENT.match(text)]
-    assert bad == [], "say what it is: a noun first, in the field's terms"

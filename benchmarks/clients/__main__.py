@@ -1,7 +1,7 @@
 """Our files in the programs they are for: Blender, three.js, OpenSim, OpenUSD and validators.
 
     python -m benchmarks.clients --python CLIENTS/bin/python --blender BLENDER/bin/python
-        --node CLIENTS/node_modules --json benchmarks/results/clients.json
+        --node CLIENTS/node_modules --out benchmarks/results
 
 `make clients` installs them and runs this. Every client runs in a process of its own, without
 recon, and says where it puts the joints, the skin or the segments of the bundled clip; the errors
@@ -9,7 +9,6 @@ against our own body are written with the versions of the clients. Exit code 1 w
 its limit.
 """
 
-import argparse
 import json
 import subprocess
 import sys
@@ -22,7 +21,7 @@ import torch
 
 import recon
 from benchmarks.clients.bodies import marker_sizes, segment_sizes, turned_segments
-from benchmarks.results import ROOT, write
+from benchmarks.protocol import ROOT, Cell, Table, parser, tell
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS, PARENTS
@@ -44,12 +43,12 @@ without muscles does not have."""
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="Our files in other programs.")
-    parser.add_argument("--python", type=Path, required=True, help="has opensim and usd-core")
-    parser.add_argument("--blender", type=Path, required=True, help="has bpy")
-    parser.add_argument("--node", type=Path, required=True, help="has three and gltf-validator")
-    parser.add_argument("--json", type=Path)
-    given = parser.parse_args()
+    """Export, ask every client, compare, print and write."""
+    asks = parser(__doc__)
+    asks.add_argument("--python", type=Path, required=True, help="has opensim and usd-core")
+    asks.add_argument("--blender", type=Path, required=True, help="has bpy")
+    asks.add_argument("--node", type=Path, required=True, help="has three and gltf-validator")
+    given = asks.parse_args()
     motion, body = load_motion(DEMO, torch.float64).motion, BodyModel.load()
     body = body.to(dtype=torch.float64)
     with tempfile.TemporaryDirectory() as folder:
@@ -65,13 +64,19 @@ def main() -> None:
         found |= blender(given.blender, files, out, motion, body)
         found |= usd(given.python, files["usd"], out, motion, body)
         found |= opensim(given.python, files, out, motion, body)
-    for name, value in found.items():
-        print(f"{name}: {value}")
-    if given.json is not None:
-        write(given.json, None, rows=[found], limits=LIMITS)
+    rows: list[list[Cell]] = [
+        [name, _told(value), LIMITS.get(name)] for name, value in found.items()
+    ]
+    columns = (("figure", None), ("value", 6), ("largest allowed", 2))
+    tell(given.out, None, {}, {"clients": Table(columns, rows)})
     above = [name for name, limit in LIMITS.items() if not found[name] <= limit]
     if above:
         sys.exit(f"above its limit: {', '.join(above)}")
+
+
+def _told(value: Any) -> Cell:
+    """Numbers as they are; the rest as text."""
+    return value if isinstance(value, int | float) else str(value)
 
 
 def asked(*command: str | Path) -> dict[str, Any]:

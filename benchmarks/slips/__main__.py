@@ -1,127 +1,140 @@
 """Are slips repaired or warned of, is their cause named, and are good recordings left in peace?
 
-    python -m benchmarks.slips CORPUS --good 300 --observations OBSERVATIONS --json slips.json
-    python -m benchmarks.slips CORPUS --part validation --clips 3 --sensor joints3d
-    python -m benchmarks.slips CORPUS --part validation --slip mirrored --unrepaired
-    python -m benchmarks.slips CORPUS --part validation --clips 0 --good 20 --observations FOLDER
+    python -m benchmarks.slips CORPUS OBSERVATIONS --good 300 --out FOLDER
+    python -m benchmarks.slips CORPUS OBSERVATIONS --part validation --clips 3 --sensor joints3d
+    python -m benchmarks.slips CORPUS OBSERVATIONS --part validation --clips 0 --good 20
 
-45 slips (`benchmarks.slips.kinds`) at sizes that were fixed on validation people
-(`benchmarks.slips.sizes`), each on 20 test windows of two seconds: joints with 2 cm of noise, 43
-markers with 1 cm, keypoints with 3 pixels. A slip is caught (`told`) when a warning is given or
-the fit is as good as the clean clip's (`good`: within 1.2 times its error, over the joints that
-the slip spoils, or over the others where the fit declares those to be inferred rather than seen).
-It is `named` when one of the codes that were reported is right, and named `first` when the first
-of them is; clips that a slip does no harm to, and about which nothing is said, count in neither.
-`as is` is the error of a fit without examination. `--good` fits recordings without a slip
-(`benchmarks.slips.good`); what is said about them and is not so is a false alarm. The whole table
-is a matter of hours: with --json, a run that was interrupted goes on where it stopped, as long as
-the code is the same and committed.
+45 slips (`benchmarks.slips.kinds`) at sizes that were fixed on validation people, each on 20 test
+windows of two seconds: joints with 2 cm of noise, 43 markers with 1 cm, keypoints with 3 pixels. A
+slip is caught when a warning is given or the fit is as good as the clean clip's: within 1.2 times
+its error, over the joints that the slip spoils, or over the others where the fit declares those to
+be inferred rather than seen. It is named when one of the codes that were reported is right; clips
+that a slip does no harm to, and about which nothing is said, do not count. `--good` fits
+recordings without a slip (`benchmarks.slips.good`); what is said about them and is not so is a
+false alarm. The whole table is a matter of hours.
 """
 
-import argparse
-import json
-from pathlib import Path
-from typing import Any
+from collections import Counter
+from collections.abc import Mapping, Sequence
 
-from benchmarks.results import (
-    ROOT,
-    Sources,
-    commit,
+import recon
+from benchmarks.protocol import (
+    Cell,
+    Table,
     corpus_source,
+    evenly,
+    number,
+    parser,
     recordings_source,
-    write,
+    tell,
 )
-from benchmarks.slips.good import GoodWindows, listed, some_of
-from benchmarks.slips.kinds import SLIPS
-from benchmarks.slips.recordings import SENSORS, evenly, windows_of
-from benchmarks.slips.sizes import chosen_sizes
-from benchmarks.slips.table import (
-    HEADING,
-    Judged,
-    false_alarms,
-    judged,
-    line,
-    quiet,
-    summary,
-    totals,
-)
-from recon.body.model import BodyModel
-from recon.fitting.methods import FitOptions
-
-CLIPS = 20
+from benchmarks.slips.good import GoodWindow, GoodWindows, alarms, listed, some_of
+from benchmarks.slips.judging import Verdict, slipped
+from benchmarks.slips.kinds import SLIPS, Slip
+from benchmarks.slips.recordings import SENSORS, recording_of
+from recon.benchmark.dataset import Splits
+from recon.benchmark.table import interval
+from recon.benchmark.windows import load_windows
 
 
 def main() -> None:
-    arguments = parsed()
-    body, settings = BodyModel.load(), FitOptions(prior=arguments.prior)
-    every = windows_of(arguments.corpus, arguments.part, body)
-    clips = evenly(every, arguments.clips)
-    sources: Sources = corpus_source(arguments.corpus, every.files)
-    head = {
-        "part": arguments.part,
-        "prior": arguments.prior,
-        "windows": [every.names[k] for k in clips],
-    }
-    tables = head | begun(arguments.json, head)
-    if arguments.clips > 0:
-        slips = [s for s in SLIPS if s.sensor in arguments.sensor and arguments.slip in s.name]
-        done = [Judged.of(s, tables["slips"][s.key]) for s in slips if s.key in tables["slips"]]
-        left = [s for s in slips if s.key not in tables["slips"]]
-        print("\n".join([HEADING, *(line(found) for found in done)]), flush=True)
-        for found in judged(
-            every, clips, left, chosen_sizes(), settings, body, unrepaired=arguments.unrepaired
-        ):
-            done.append(found)
-            tables["slips"][found.slip.key] = found.report()
-            tables["totals"] = totals(done)
-            print(line(found), flush=True)
-            if arguments.json is not None:
-                write(arguments.json, 0, sources, **tables)
-        print(summary(done))
-    if arguments.good > 0:
-        chosen = some_of(listed(arguments.part), arguments.good)
-        real = [window.source for window in chosen if not window.variant]
-        sources = {**sources, **recordings_source(arguments.observations, real)}
-        known = {row["window"] for row in tables["good"]}
-        rest = [window for window in chosen if window.name not in known]
-        good = GoodWindows(every, arguments.observations, body)
-        for row in quiet(good, rest, settings, body):
-            tables["good"].append(row)
-            if arguments.json is not None:
-                write(arguments.json, 0, sources, **tables)
-        print(false_alarms(tables["good"]))
+    """Spoil, fit, judge, print and write."""
+    arguments = parser(__doc__, "corpus", "observations")
+    arguments.add_argument("--part", choices=("test", "validation"), default="test")
+    arguments.add_argument("--clips", type=int, default=20, help="windows of each slip")
+    arguments.add_argument("--good", type=int, default=0, help="fit so many good windows, too")
+    arguments.add_argument("--sensor", choices=SENSORS, nargs="+", default=list(SENSORS))
+    arguments.add_argument("--slip", default="", help="slips whose name contains this")
+    arguments.add_argument("--prior", choices=("pose", "humor"), default="pose")
+    given = arguments.parse_args()
+    body = recon.BodyModel.load()
+    windows = load_windows(given.corpus, Splits.load(), given.part, body)
+    found: dict[Slip, list[Verdict]] = {}
+    for sensor in given.sensor if given.clips > 0 else ():
+        recordings = [recording_of(windows, k, sensor, body) for k in evenly(windows, given.clips)]
+        own = [slip for slip in SLIPS if slip.sensor == sensor and given.slip in slip.name]
+        clean = [recon.fit(r.clean, given.prior, body=body, repair=False)
+                 for r in recordings if own]  # fmt: skip
+        for slip in own:
+            pairs = zip(recordings, clean, strict=True)
+            found[slip] = [slipped(slip, r, fit, given.prior) for r, fit in pairs]
+            print(_row(slip, found[slip]), flush=True)
+    tables = {"slips": of_slips(found)} if found else {}
+    chosen = some_of(listed(given.part), given.good)
+    good = GoodWindows(windows, given.observations, body)
+    said: dict[GoodWindow, set[str]] = {}
+    for window in chosen:
+        result = recon.fit(good.load(window), given.prior, body=body)
+        wrong = alarms(window, (*result.repairs, *result.warnings))
+        said[window] = {str(finding.code) for finding in wrong}
+        for finding in wrong:
+            print(f"{window.name}: {finding.code}: {finding.message}", flush=True)
+    tables |= {"false-alarms": of_good(said)} if said else {}
+    real = [window.source for window in chosen if not window.variant]
+    sources = dict(corpus_source(given.corpus, windows.files))
+    sources |= recordings_source(given.observations, real) if real else {}
+    tell(given.out, 0, sources, tables)
 
 
-def begun(path: Path | None, head: dict[str, Any]) -> dict[str, Any]:
-    """What an interrupted run of the same commit and clips has found; nothing otherwise."""
-    nothing: dict[str, Any] = {"slips": {}, "good": []}
-    if path is None or not path.is_file():
-        return nothing
-    earlier = json.loads(path.read_text())
-    same = {key: earlier.get(key) for key in head} == head
-    here = commit(ROOT)
-    clean = here is not None and not here.endswith("+") and earlier["about"]["commit"] == here
-    return {key: earlier[key] for key in nothing} if same and clean else nothing
+def of_slips(found: Mapping[Slip, Sequence[Verdict]]) -> Table:
+    """Every slip: what became of it."""
+    every = [clip for clips in found.values() for clip in clips]
+    rows: list[list[Cell]] = [_row(slip, clips) for slip, clips in found.items()]
+    rows.append(["all", None, None, None, *_counts(every)])
+    named = [clip for clip in every if clip.judged]
+    note = (f"As good or warned: {_share([c.caught for c in every], every)}. "
+            f"Cause named: {_share([c.named for c in named], named)}.")  # fmt: skip
+    heads = (("size", None), ("clean", 1), ("examined", 1), ("as good", None),
+             ("as good or warned", None), ("named", None))  # fmt: skip
+    return Table([("sensor: slip", None), *heads], rows, note=note)
 
 
-def parsed() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
-    )
-    parser.add_argument("corpus", type=Path)
-    parser.add_argument("--part", choices=("test", "validation"), default="test")
-    parser.add_argument("--clips", type=int, default=CLIPS, help="windows of each slip")
-    parser.add_argument("--good", type=int, default=0, help="fit so many good windows, too")
-    parser.add_argument("--sensor", choices=SENSORS, nargs="+", default=list(SENSORS))
-    parser.add_argument("--slip", default="", help="slips whose name contains this")
-    parser.add_argument("--prior", choices=("pose", "humor"), default="humor")
-    parser.add_argument("--unrepaired", action="store_true", help="fit as they are, too")
-    parser.add_argument("--observations", type=Path, help="folder of real recordings, for --good")
-    parser.add_argument("--json", type=Path, default=None)
-    arguments = parser.parse_args()
-    if arguments.good > 0 and arguments.observations is None:
-        parser.error("--good needs --observations, the folder of real recordings")
-    return arguments
+def _row(slip: Slip, clips: Sequence[Verdict]) -> list[Cell]:
+    """Mean errors of the clean and of the slipped clips, centimetres or factors, and counts."""
+    factor = 1 if slip.measure == "speed" else 100
+    means = [sum(own) / len(clips) for own in
+             ([c.clean for c in clips], [c.error for c in clips])]  # fmt: skip
+    size = f"{slip.size:g} {slip.unit}".strip()
+    return [slip.key, size, *(number(mean, factor) for mean in means), *_counts(clips)]
+
+
+def _counts(clips: Sequence[Verdict]) -> list[Cell]:
+    judged = [clip for clip in clips if clip.judged]
+    return [
+        f"{sum(clip.as_good for clip in clips)}/{len(clips)}",
+        f"{sum(clip.caught for clip in clips)}/{len(clips)}",
+        f"{sum(clip.named for clip in judged)}/{len(judged)}",
+    ]
+
+
+def _share(flags: Sequence[bool], clips: Sequence[Verdict]) -> str:
+    """A share in percent with its 95 % interval over clips."""
+    names = [clip.clip for clip in clips]
+    found = interval([float(flag) for flag in flags], names, ["all"] * len(names))
+    return f"{100 * found.mean:.1f} % [{100 * found.low:.1f}, {100 * found.high:.1f}]"
+
+
+def of_good(said: Mapping[GoodWindow, set[str]]) -> Table:
+    """What was said about good windows and is not so, by sensor or collection."""
+    by_kind: dict[str, list[set[str]]] = {}
+    for window, codes in said.items():
+        by_kind.setdefault(_kind(window), []).append(codes)
+    rows: list[list[Cell]] = []
+    for kind, own in sorted(by_kind.items()):
+        codes = Counter(code for each in own for code in each)
+        told = ", ".join(f"{n} {code}" for code, n in codes.most_common())
+        rows.append([kind, len(own), str(sum(map(bool, own))), told or None])
+    total = sum(map(bool, said.values()))
+    share = f"{total} ({100 * total / len(said):.1f} %)"
+    heads = (("fitted", 0), ("false alarms", None), ("codes", None))
+    return Table([("windows", None), *heads], [*rows, ["all", len(said), share, None]])
+
+
+def _kind(window: GoodWindow) -> str:
+    """Simulated windows by sensor, real ones by their collection."""
+    if window.variant:
+        return f"simulated {window.variant.split(':')[0]}"
+    return f"real {window.source.split('/')[0]}"
 
 
 if __name__ == "__main__":

@@ -1,11 +1,9 @@
 """300 good windows: whatever is said about them is a false alarm.
 
-    python -m benchmarks.slips.good CORPUS OBSERVATIONS
-
-writes the committed list (`benchmarks/slips/good_windows.json`). Half are test windows as sensors
-see them in ordinary use: other noise than the slips', points hidden by a table, points missing,
-frames missing. Half are real recordings whose markers are landmarks of the body, as anybody who
-maps marker names would give them: ballroom dance (choreonet), runs on a treadmill and over ground
+`good_windows.json` lists them. Half are test windows as sensors see them in ordinary use: other
+noise than the slips', points hidden by a table, points missing, frames missing. Half are real
+recordings whose markers are landmarks of the body, as anybody who maps marker names would give
+them: ballroom dance (choreonet), runs on a treadmill and over ground
 (hamner, sprinter), walks, squats and stands. Markers whose place is only roughly known (clusters
 on thigh and shank) are left out, as are windows of which a quarter or more was not seen. For
 thresholds there are windows of validation people in the same manner, and real recordings of
@@ -17,17 +15,20 @@ recordings have their ground several centimetres above or below z = 0, as their 
 (-3 cm and 8 cm; 2 to 6 elsewhere).
 """
 
-import argparse
 import json
+import tempfile
+import zipfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from benchmarks.slips.recorded import VIEWS, cut, views
-from benchmarks.slips.recordings import Sensor, recording_of, windows_of
+import torch
+
+import recon
+from benchmarks.slips.recordings import Sensor, recording_of
+from recon import BodyModel, Markers3D
 from recon.benchmark.dataset import Part
-from recon.benchmark.windows import TrueWindows
-from recon.body.model import BodyModel
+from recon.benchmark.windows import FPS, FRAMES, TrueWindows
 from recon.diagnosis.findings import Code, Finding
 from recon.formats.mocap.reader import read_recording
 from recon.formats.mocap.recording import MarkerRecording
@@ -36,12 +37,9 @@ from recon.method.protocols import Sensor as Seen
 from recon.simulation.points import Corruption
 
 LIST = Path(__file__).with_name("good_windows.json")
-SECONDS = 2.0
-_SHORTEST = 1.2
-"""Seconds: shorter recordings are left out."""
-_SEEN = 0.75
-"""Share of the points that must be seen in a window."""
-SIMULATED = {"test": 150, "validation": 75}
+VIEWS = ".zip"
+"""Detections of several cameras are packed in these."""
+_DETECTIONS, _CALIBRATION, _RATE = "pose-associated", "Calib_qualisys.toml", 60.0
 _HIDDEN = {"hide_below": 0.9, "during": (0.67, 1.33)}
 
 VARIANTS: tuple[tuple[str, Sensor, Corruption], ...] = (
@@ -64,17 +62,6 @@ VARIANTS: tuple[tuple[str, Sensor, Corruption], ...] = (
     ("3 px, a tenth missing", "cameras", Corruption(noise=3.0, missing_points=0.1)),
 )  # fmt: skip
 
-FOLDERS: dict[str, tuple[str, ...]] = {
-    "test": ("choreonet", "opensim", "nimblephysics", "biomechzoo"),
-    "validation": (
-        "cmu_c3d/06_01.c3d",
-        "mocaprecovery",
-        "rehazenter",
-        "pycgm",
-        "pose2sim/single_balancing.zip",
-    ),
-}
-REAL: dict[str, int] = {"test": 150, "validation": 45}
 _SO: dict[str, tuple[Code, ...]] = {
     "hamner_subject02_running": ("treadmill",), "hamner04_run": ("treadmill",),
     "gait2354_subject01_walk": ("treadmill",),
@@ -130,8 +117,8 @@ class GoodWindows:
     """Folder of real recordings."""
     body: BodyModel
 
-    def load(self, window: GoodWindow) -> tuple[tuple[Seen, ...], tuple[str, ...]]:
-        """What was seen, and the names of the observations.
+    def load(self, window: GoodWindow) -> Sequence[Seen]:
+        """What was seen.
 
         Raises:
             ValueError: when the listed windows are not those that the list was made of.
@@ -139,83 +126,19 @@ class GoodWindows:
         if window.variant:
             if window.source not in self.windows.names:
                 raise ValueError(
-                    f"{LIST}: {window.source} is not a listed window of this corpus; make the "
-                    "list again with python -m benchmarks.slips.good CORPUS OBSERVATIONS"
+                    f"{LIST}: expected windows of this corpus and its splits, got {window.source}"
                 )
             corruption, sensor = _variant(window.variant)
             number = self.windows.names.index(window.source)
-            recording = recording_of(self.windows, number, sensor, self.body, corruption)
-            return recording.clean, recording.names
+            return recording_of(self.windows, number, sensor, self.body, corruption).clean
         path = self.observations / window.source
         if path.suffix == VIEWS:
-            return views(path, self.body)
-        return (cut(path, window.start, self.body),), ("markers",)
+            return views(path)
+        return (cut(path, window.start, self.body),)
 
 
 def _variant(name: str) -> tuple[Corruption, Sensor]:
     return next((c, sensor) for own, sensor, c in VARIANTS if f"{sensor}: {own}" == name)
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
-    )
-    parser.add_argument("corpus", type=Path)
-    parser.add_argument("observations", type=Path)
-    arguments = parser.parse_args()
-    body = BodyModel.load()
-    rows: dict[str, list[dict[str, object]]] = {}
-    parts: tuple[Part, ...] = ("test", "validation")
-    for part in parts:
-        windows = windows_of(arguments.corpus, part, body)
-        real = some_of(recorded_windows(arguments.observations, part, body), REAL[part])
-        chosen = (*simulated_windows(windows.names, SIMULATED[part]), *real)
-        rows[part] = [
-            {key: value for key, value in vars(window).items() if value not in ("", 0.0)}
-            for window in chosen
-        ]
-        print(f"{part}: {len(chosen)} windows, {len(real)} of them of real recordings")
-    lines = [
-        f'"{part}": [\n' + ",\n".join(json.dumps(row) for row in rows[part]) + "\n]"
-        for part in rows
-    ]
-    LIST.write_text("{\n" + ",\n".join(lines) + "\n}\n")
-
-
-def simulated_windows(names: Sequence[str], count: int) -> list[GoodWindow]:
-    """Listed windows in turn, each time under another variant."""
-    found: list[GoodWindow] = []
-    for k in range(count):
-        own, sensor, _ = VARIANTS[(k + k // len(names)) % len(VARIANTS)]
-        found.append(GoodWindow(names[k % len(names)], f"{sensor}: {own}"))
-    return found
-
-
-def recorded_windows(observations: Path, part: Part, body: BodyModel) -> list[GoodWindow]:
-    """Stretches that follow each other of all whole-body recordings of a part."""
-    found: list[GoodWindow] = []
-    for place in FOLDERS[part]:
-        path = observations / place
-        files = [path] if path.is_file() else sorted(path.iterdir())
-        found += [GoodWindow(str(f.relative_to(observations))) for f in files if f.suffix == VIEWS]
-        for file in (f for f in files if f.suffix.lower() in (".c3d", ".trc")):
-            try:
-                recording = read_recording(file)
-                assert isinstance(recording, MarkerRecording)
-                chosen = recording.select(full_body_markers(recording, body).labels)
-            except ValueError as error:
-                print(f"left out: {error}")
-                continue
-            length = chosen.frames / chosen.fps
-            starts = [SECONDS * k for k in range(int(length / SECONDS))]
-            if len(starts) == 0 and length >= _SHORTEST:
-                starts = [0.0]
-            name = str(file.relative_to(observations))
-            for start in starts:
-                window = GoodWindow(name, start=start)
-                if float(cut(file, start, body).visible.float().mean()) > _SEEN:
-                    found.append(window)
-    return found
 
 
 def some_of(windows: Sequence[GoodWindow], count: int) -> list[GoodWindow]:
@@ -224,5 +147,32 @@ def some_of(windows: Sequence[GoodWindow], count: int) -> list[GoodWindow]:
     return [windows[int(k * step)] for k in range(min(count, len(windows)))]
 
 
-if __name__ == "__main__":
-    main()
+def cut(path: Path, start: float, body: BodyModel) -> Markers3D:
+    """Two seconds of a recording's precisely placed markers, thinned to about 30 Hz."""
+    recording = read_recording(path)
+    if not isinstance(recording, MarkerRecording):
+        raise ValueError(f"{path}: expected a recording of markers, got a skeleton")
+    markers = full_body_markers(recording, body)
+    rows = zip(markers.labels, markers.vertices, markers.loose, strict=True)
+    firm = [(label, vertex) for label, vertex, loose in rows if not loose]
+    chosen = recording.select([label for label, _ in firm])
+    step = max(1, round(chosen.fps / FPS))
+    first = round(start * chosen.fps)
+    frames = slice(first, first + FRAMES * step, step)
+    return Markers3D(
+        positions=torch.from_numpy(chosen.positions[frames]).float()[None],
+        visible=torch.from_numpy(chosen.visible[frames])[None],
+        vertices=tuple(vertex for _, vertex in firm),
+        fps=chosen.fps / step,
+    )
+
+
+def views(path: Path) -> list[Seen]:
+    """All detections of a Pose2Sim recording with their calibration."""
+    with tempfile.TemporaryDirectory() as scratch:
+        with zipfile.ZipFile(path) as archive:
+            archive.extractall(scratch)
+        found = recon.load_observation(
+            Path(scratch) / _DETECTIONS, camera=path.with_name(_CALIBRATION), frame_rate=_RATE
+        )
+    return found if isinstance(found, list) else [found]

@@ -1,24 +1,16 @@
 """Clean recordings of true motions: what each kind of sensor sees while nobody makes a mistake."""
 
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
-import torch
-from jaxtyping import Float
-from torch import Tensor
-
-from observations.files.images import keypoints_of
-from observations.keypoints2d import Keypoints2D
-from recon.benchmark.dataset import Part, Splits, clip_files
-from recon.benchmark.windows import FRAMES, TrueWindows, load_windows
+from benchmarks.cameras import filmed
+from recon.benchmark.windows import TrueWindows
 from recon.body.model import BodyModel
 from recon.core.camera import Camera, full_hd_camera
 from recon.core.motion import Motion
 from recon.core.struct import stack
 from recon.method.protocols import Sensor as Seen
-from recon.simulation.images import dome, keypoints2d
+from recon.simulation.images import dome
 from recon.simulation.points import Corruption, joints3d, markers3d
 
 Sensor = Literal["joints3d", "markers3d", "camera", "cameras"]
@@ -52,25 +44,9 @@ class Recording:
     clean: tuple[Seen, ...]
     """What was seen without the mistake, with a leading axis of one clip."""
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """How findings call the observations."""
-        if len(self.clean) == 1:
-            return (self.sensor,)
-        return tuple(f"view{k + 1}" for k in range(len(self.clean)))
-
     def of(self, motion: Motion, seed: int) -> tuple[Seen, ...]:
         """What the sensors see of another motion."""
         return observed(self.sensor, motion, self.body, self.cameras, self.corruption, seed)
-
-    @property
-    def T_world_recording(self) -> Float[Tensor, "4 4"]:
-        """Maps the frame of the observations to the true world."""
-        if self.sensor != "camera":
-            return torch.eye(4)
-        view = self.clean[0]
-        assert isinstance(view, Keypoints2D)
-        return self.cameras[0].T_world_camera @ view.camera.T_camera_world[0, 0]
 
 
 def observed(
@@ -86,13 +62,8 @@ def observed(
         return (stack([joints3d(motion, body, corruption, seed)]),)
     if sensor == "markers3d":
         return (stack([markers3d(motion, body, corruption, seed)]),)
-    files = [
-        keypoints2d(motion, body, camera, corruption, 100 * seed + k)
-        for k, camera in enumerate(cameras)
-    ]
-    if sensor == "camera":
-        files = [replace(f, camera=replace(f.camera, T_camera_world=None)) for f in files]
-    return tuple(keypoints_of(file, body) for file in files)
+    posed = sensor == "cameras"
+    return filmed(list(cameras), motion, body, corruption, seed, posed=posed)[0]
 
 
 def cameras_of(sensor: Sensor, truth: Motion, body: BodyModel, seed: int) -> tuple[Camera, ...]:
@@ -129,16 +100,3 @@ def _somebody_else(windows: TrueWindows, number: int) -> int:
     count = len(windows.names)
     others = [(number + k) % count for k in range(1, count)]
     return next(o for o in others if windows.subjects[o] != windows.subjects[number])
-
-
-def windows_of(corpus: Path, part: Part, body: BodyModel) -> TrueWindows:
-    """The listed windows of a part; of a corpus that is not complete, those of its clips."""
-    splits, files = Splits.load(), clip_files(corpus)
-    listed = tuple(row for row in splits.windows[part][FRAMES] if row[0] in files)
-    return load_windows(corpus, replace(splits, windows={part: {FRAMES: listed}}), part, body)
-
-
-def evenly(windows: TrueWindows, clips: int) -> list[int]:
-    """Numbers of so many windows, evenly from the list; all when there are no more."""
-    count = len(windows.names)
-    return np.linspace(0, count - 1, min(clips, count)).round().astype(int).tolist()

@@ -15,7 +15,7 @@ from benchmarks.strangers.fits import HUMOR, POSE
 from recon.benchmark.table import DRAWS, LEVEL, Interval
 
 Rows = Sequence[Mapping[str, Any]]
-"""Fields of `benchmarks.strangers.fits.Row`, as a result file keeps them."""
+"""Fields of `benchmarks.strangers.fits.Row`, as the folder of the folds keeps them."""
 Sums = Float[np.ndarray, "units sums"]
 """Sums over the windows of every unit that is drawn."""
 Statistic = Callable[[Float[np.ndarray, "*draws sums"]], Float[np.ndarray, "*draws"]]

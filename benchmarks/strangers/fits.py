@@ -3,26 +3,29 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from jaxtyping import Bool
+import torch
+from jaxtyping import Bool, Float
 from torch import Tensor
 
-from benchmarks.humor_recipes import GAP, NOISE, UPPER_BODY
-from benchmarks.scores import Fitted, fit_windows
 from benchmarks.strangers.choice import Chosen
 from benchmarks.strangers.training import FoldPriors
 from observations.joints3d import Joints3D
 from observations.markers3d import Markers3D
 from priors.humor.collocation import Collocation
 from priors.pose.prior import PosePrior, PoseWeights
-from recon.benchmark.protocols import noisy_joints, occluded_points, with_gap
+from recon.benchmark.protocols import UPPER_BODY, noisy_joints, occluded_points, with_gap
 from recon.benchmark.windows import FPS, TrueWindows
 from recon.body.contacts import contact_labels, rest_heights
 from recon.body.model import BodyModel
+from recon.core.motion import Motion
 from recon.core.skeleton import FEET
-from recon.method.reconstruction import Method
+from recon.core.struct import concatenate
+from recon.method.reconstruction import Method, solve
 from recon.metrics.evaluation import ObservedPoints, evaluate
 
-SEED = 0
+SEED, AT_ONCE = 0, 16
+NOISE, GAP = 0.01, round(FPS)
+"""Metres of noise where a gap or the legs are hidden; frames of the gap."""
 POSE, HUMOR = "pose", "humor"
 WHOLE = ("noisy joints", "hidden points", "gap")
 """Protocols of windows of `FRAMES`."""
@@ -69,7 +72,7 @@ class Row:
 
 
 def seen(protocol: str, windows: TrueWindows, body: BodyModel) -> Seen:
-    """The observations of a protocol of `benchmarks.humor`."""
+    """The observations of a protocol."""
     truth, every = windows.truth, slice(0, windows.truth.frames)
     if protocol == "noisy joints":
         return Seen(noisy_joints(truth, body, SEED), 0.04, every, "joints_all")
@@ -93,19 +96,47 @@ def methods(priors: FoldPriors, noise: float) -> dict[str, Method]:
 
 
 def fits(
-    chosen: Chosen,
-    protocols: tuple[str, ...],
-    priors: FoldPriors,
-    body: BodyModel,
-    names: tuple[str, ...] = (POSE, HUMOR),
+    chosen: Chosen, protocols: tuple[str, ...], priors: FoldPriors, body: BodyModel
 ) -> Iterator[Row]:
-    """All windows in some protocols by both methods, or by those of some names."""
+    """All windows in some protocols by both methods."""
     for protocol in protocols:
         shown = seen(protocol, chosen.windows, body)
-        by_name = methods(priors, shown.noise)
-        for name in names:
-            fitted = fit_windows(shown.observed, by_name[name], body)
+        for name, method in methods(priors, shown.noise).items():
+            fitted = fit_windows(shown.observed, method, body)
             yield from _rows(chosen, protocol, name, shown, fitted, body)
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """What a method gave back for a batch of windows."""
+
+    motion: Motion
+    points: Float[Tensor, "clips time points 3"]
+    """Places that it gives the observation's points."""
+    network: Float[Tensor, "clips time 22"] | None
+    """Probability of contact by the prior's network; None where it says nothing of it."""
+
+    def frames(self, part: slice) -> "Fitted":
+        """Some frames of every clip."""
+        network = None if self.network is None else self.network[:, part]
+        return Fitted(self.motion.window(part.start, part.stop), self.points[:, part], network)
+
+
+def fit_windows(observed: Joints3D | Markers3D, method: Method, body: BodyModel) -> Fitted:
+    """Fit all clips of an observation, a few at once to bound memory."""
+    motions: list[Motion] = []
+    network: list[Tensor] = []
+    points: list[Tensor] = []
+    for first in range(0, len(observed.positions), AT_ONCE):
+        some = observed[first : first + AT_ONCE]
+        result = solve([some], method, body)
+        motions.append(result.motion.detach())
+        points.append(some.predict(result.estimate).detach())
+        said = result.estimate.decoded.contacts
+        if said is not None:
+            network.append(said.detach())
+    told = torch.cat(network) if len(network) > 0 else None
+    return Fitted(concatenate(motions), torch.cat(points), told)
 
 
 def _rows(
@@ -113,7 +144,7 @@ def _rows(
 ) -> Iterator[Row]:
     part = shown.judged
     windows = chosen.windows.frames(part.start, part.stop)
-    own = fitted.frames(part.start, part.stop)
+    own = fitted.frames(part)
     heights = rest_heights(body, own.motion.shape)
     labels = contact_labels(body.pose(own.motion).joints, heights, FPS)
     points = None
@@ -121,7 +152,7 @@ def _rows(
         points = occluded_points(windows.truth, body)[1]
     for k, touching in enumerate(windows.contacts):
         observed = None
-        if points is not None and own.points is not None:
+        if points is not None:
             visible = shown.observed.visible[k, part]
             observed = ObservedPoints(own.points[k], points[k], visible)
         values = evaluate(

@@ -5,12 +5,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
-from benchmarks.likeness import NEAR, Directions, directions, distance
 from recon.benchmark.dataset import Splits, clip_files
 from recon.body.model import BodyModel
+from recon.core import rotations as so3
 from recon.core.motion import Motion
+from recon.core.skeleton import PARENTS
 from recon.formats.motions import load_motion
 
 SHORT = 20.0
@@ -19,6 +23,14 @@ GROUP = "short"
 """Name of the fold of these people."""
 UNKNOWN = "unknown"
 """The subject of clips of which nobody knows who moves in them."""
+NEAR = 6.0
+"""Degrees: a clip of unknown people that lies nearer to somebody may show that person. Takes of
+one walker lie within 3.8 degrees of each other; no other person comes nearer to test subject 07
+than this."""
+_RATE = 10.0
+"""Frames per second at which motions are compared."""
+
+Directions = Float[Tensor, "frames 21 3"]
 
 
 @dataclass(frozen=True)
@@ -59,7 +71,7 @@ def _without(splits: Splits, people: tuple[str, ...]) -> Splits:
 def without_doubles(fold: Fold, motions: Mapping[str, Directions]) -> Fold:
     """The fold without the clips of unknown people that may show its own people.
 
-    Excluded is whatever lies nearer to one of them than `benchmarks.likeness.NEAR` degrees.
+    Excluded is whatever lies nearer to one of them than `NEAR` degrees.
 
     Args:
         fold: whose people are held out.
@@ -71,6 +83,26 @@ def without_doubles(fold: Fold, motions: Mapping[str, Directions]) -> Fold:
     near = [clip for clip in unknown if distance(motions[clip], torch.cat(own)) < NEAR]
     excluded = (*fold.splits.excluded, *near)
     return replace(fold, splits=replace(fold.splits, excluded=excluded))
+
+
+def directions(motion: Motion, body: BodyModel) -> Directions:
+    """Unit directions of all bones at 10 Hz, turned about the vertical until the body faces x."""
+    some = motion.resample(_RATE)
+    joints = body.pose(some).joints
+    bones = joints[:, 1:] - joints[:, list(PARENTS[1:])]
+    bones = bones / bones.norm(dim=-1, keepdim=True).clamp(min=1e-9)
+    ahead = some.rotations[:, 0, :, 2]
+    turn = so3.about_z(-torch.atan2(ahead[:, 1], ahead[:, 0]))
+    return (turn[:, None] @ bones[..., None])[..., 0].double()
+
+
+def distance(clip: Directions, others: Directions) -> float:
+    """Median over a clip's frames of the mean bone angle to the nearest other frame, degrees."""
+    nearest = [
+        torch.einsum("bi,fbi->fb", frame, others).clamp(-1, 1).acos().mean(1).min()
+        for frame in clip
+    ]
+    return float(np.degrees(torch.stack(nearest).median().item()))
 
 
 def corpus_folds(

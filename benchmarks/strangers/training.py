@@ -1,6 +1,6 @@
 """Priors that never saw a fold's people: trained by a short schedule, kept, and gone on with."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from benchmarks.strangers.folds import Fold, write_splits
@@ -11,7 +11,7 @@ from recon.benchmark.dataset import files_on_flat_ground
 from recon.formats.replacing import file_checksum
 from training.humor.run import HumorTraining, export_weights
 from training.humor.train import train
-from training.humor.variation import VARIED, Variation
+from training.humor.variation import VARIED
 from training.pose import PoseTraining
 from training.pose import train as train_pose
 from training.run import CHECKPOINT, identity, read_state, same_run, trained_state
@@ -30,9 +30,6 @@ class Schedule:
     """Windows per step."""
     width: int = 512
     """Units of the hidden layers."""
-    start: Path | None = None
-    """Weights of the same fold to go on from, at half the learning rate and without the phases in
-    which a training begins."""
 
 
 @dataclass(frozen=True)
@@ -48,40 +45,25 @@ class FoldPriors:
     """Checksums of their weights, by the name of the prior."""
 
 
-def humor_settings(
-    corpus: Path, folder: Path, schedule: Schedule, variation: Variation = VARIED
-) -> HumorTraining:
+def humor_settings(corpus: Path, folder: Path, schedule: Schedule) -> HumorTraining:
     """The training of a fold's HuMoR.
 
     It validates once, after its last step, so that nothing is chosen on the held-out people.
     """
-    first = HumorTraining(
+    return HumorTraining(
         corpus=corpus,
         out=folder / "humor",
         splits=folder / "splits.toml",
         steps=schedule.steps,
         windows=schedule.windows,
         width=schedule.width,
-        variation=variation,
+        variation=VARIED,
         validate_every=schedule.steps,
         save_every=SAVED_EVERY,
     )
-    if schedule.start is None:
-        return first
-    return replace(
-        first,
-        start=schedule.start,
-        rate=0.5 * first.rate,
-        average=0.99,
-        kl_until=0.0,
-        own_from=0.0,
-        own_until=0.0,
-    )
 
 
-def trained(
-    fold: Fold, corpus: Path, folder: Path, schedule: Schedule, variation: Variation = VARIED
-) -> FoldPriors:
+def trained(fold: Fold, corpus: Path, folder: Path, schedule: Schedule) -> FoldPriors:
     """A fold's priors: read where they are trained already, else trained, or gone on with.
 
     Args:
@@ -89,7 +71,6 @@ def trained(
         corpus: folder of all converted motions.
         folder: of all folds; this one's files lie in a folder of its name.
         schedule: of HuMoR.
-        variation: of the windows that HuMoR learns from.
 
     Raises:
         ValueError: when the folder holds a run that learned from other clips or otherwise.
@@ -97,7 +78,7 @@ def trained(
     own = folder / fold.name
     own.mkdir(parents=True, exist_ok=True)
     write_splits(fold.splits, own / "splits.toml")
-    settings = humor_settings(corpus, own, schedule, variation)
+    settings = humor_settings(corpus, own, schedule)
     weights = own / "humor.safetensors"
     if not finished(settings):
         weights.unlink(missing_ok=True)

@@ -271,11 +271,12 @@ class CollocationWeights:
     def for_noise(cls, noise: float) -> "CollocationWeights":
         """Weights for observations of a standard deviation of `noise` metres per coordinate.
 
-        Chosen on validation subjects (`benchmarks.tune_humor`). A calibrated bound would have
-        multipliers of noise² for both of its parts; errors of neighbouring steps repeat each
-        other, so less is better. Where points are exact, 14 mm remain, and 18.5 mm for steps:
-        nobody moves just like the people of the corpus. The steps tell how smooth a motion is; a
-        twenty-fifth of the pose prior's smoothness is left, which would make accelerations small.
+        Chosen on validation subjects (abaa3a0: benchmarks/tune_humor.py). A calibrated bound
+        would have multipliers of noise² for both of its parts; errors of neighbouring steps
+        repeat each other, so less is better. Where points are exact, 14 mm remain, and 18.5 mm
+        for steps: nobody moves just like the people of the corpus. The steps tell how smooth a
+        motion is; a twenty-fifth of the pose prior's smoothness is left, which would make
+        accelerations small.
         """
         pose = PoseWeights.for_noise(noise)
         variance = max(noise, 0.014) ** 2

@@ -7,8 +7,18 @@ import torch
 
 from benchmarks.free_recordings import PARTS
 from benchmarks.free_recordings import load_list as free_list
-from benchmarks.real import EVERYTHING, HIDDEN_BELOW, HUMOR, POSE, load_list, lower, observation
-from benchmarks.tables import real as tables
+from benchmarks.real import (
+    EVERYTHING,
+    HIDDEN_BELOW,
+    HUMOR,
+    KINDS,
+    POSE,
+    HiddenMarkers,
+    load_list,
+    lower,
+    means,
+    observation,
+)
 from recon.body.model import BodyModel
 
 LISTED = load_list()
@@ -55,20 +65,18 @@ def test_a_clip_begins_where_the_list_says_and_hides_what_is_low(data: Path) -> 
     assert torch.isfinite(seen.positions).all()
 
 
-def test_means_are_over_people_and_not_over_recordings(monkeypatch: pytest.MonkeyPatch) -> None:
-    errors = {"a/1": ("A", 10.0), "a/2": ("A", 20.0), "b/1": ("B", 35.0)}
-    rows = {
-        f"{kind}/{path}": {
-            "row": kind, "person": person,
-            "error_cm": {POSE: 2 * error, HUMOR: error, EVERYTHING: 1.0},
-        }
-        for kind in tables.ROWS
-        for path, (person, error) in errors.items()
-    }  # fmt: skip
-    monkeypatch.setattr(tables, "result", lambda _: {"recordings": rows})
-    monkeypatch.setattr(tables, "source", lambda _: "")
-    for line in tables.means().splitlines()[2:]:
-        assert "| 2 | 3 of " in line
-        assert "| 50.0 [" in line
-        assert "| 25.0 [" in line  # the mean of 15 and 35
-        assert line.endswith("| 0.50 [0.50, 0.50] |")
+def test_means_are_over_people_and_not_over_recordings() -> None:
+    told = {"a/1": ("A", 10.0), "a/2": ("A", 20.0), "b/1": ("B", 35.0)}
+    errors = {
+        HiddenMarkers(kind, path, person): {POSE: 2 * error, HUMOR: error, EVERYTHING: 1.0}
+        for kind in KINDS
+        for path, (person, error) in told.items()
+    }
+    for row in means(errors).rows:
+        assert row[1] == 2
+        assert str(row[2]).startswith("3 of ")
+        pose, humor = row[3], row[4]
+        assert isinstance(pose, list)
+        assert isinstance(humor, list)
+        assert (pose[0], humor[0]) == (50.0, 25.0)  # the mean of 15 and 35
+        assert row[-1] == 0.5

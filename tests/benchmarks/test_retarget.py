@@ -7,37 +7,27 @@ from pathlib import Path
 import pytest
 import torch
 
-from benchmarks.retarget import itself, measured, summary, with_sums
-from benchmarks.retarget_baselines import (
-    copied,
-    copied_to_ground,
-    foot_ik,
-    physics_only,
-    scaled,
-    sole_heights,
-    soles_down,
-)
-from benchmarks.retarget_clips import (
+from benchmarks.retarget import (
+    COPY,
     FPS,
     IDENTITIES,
-    LONGEST,
-    SHORTEST,
+    METHODS,
+    PHYSICS,
+    SCALED,
+    TRUTH,
     Job,
-    draw_targets,
-    evenly,
     grounded,
-    is_high,
     load_jobs,
     lowest,
-    middle,
+    measured,
+    soles_down,
+    tables,
 )
 from recon.benchmark.dataset import Splits
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion
-from recon.core.struct import concatenate
 from recon.formats.motions import MotionFile, save_motion
-from recon.physics.metrics import PhysicsSamples
 from tests.benchmarks.test_windows import splits_of
 
 BODY = BodyModel.load()
@@ -65,7 +55,7 @@ def test_the_committed_table_keeps_its_promises() -> None:
     for part, subjects in held.items():
         targets = [row[3] for row in listed[part]]
         assert {splits.subject(row[0]) for row in listed[part]} >= set(subjects)
-        assert all(SHORTEST <= row[2] <= LONGEST for row in listed[part])
+        assert all(2 * FPS <= row[2] <= 10 * FPS for row in listed[part])
         assert sum(isinstance(to, str) for to in targets) == len(targets) // 2
         assert all(to in listed["people"] for to in targets if isinstance(to, str))
         drawn = torch.tensor([to for to in targets if not isinstance(to, str)])
@@ -75,26 +65,6 @@ def test_the_committed_table_keeps_its_promises() -> None:
         assert len(torch.unique(drawn, dim=0)) == len(drawn)
     held_out = {*splits.test, *splits.validation}
     assert not any(splits.subject(clip) in held_out for clip in listed["people"])
-
-
-def test_targets_are_drawn_once_and_never_a_clips_own() -> None:
-    people = {"a": [0.0] * 4, "b": [1.0] * 4}
-    own = [[0.0] * 4] * 8
-    targets = draw_targets(own, people, 3)
-    assert targets == draw_targets(own, people, 3)
-    assert targets != draw_targets(own, people, 4)
-    assert targets[::2] == ["b"] * 4
-
-
-def test_clips_are_spread_cut_and_filtered() -> None:
-    assert evenly(list("abcdefg"), 3) == ["a", "d", "g"]
-    assert evenly(["a"], 3) == ["a"]
-    motion = squatting()
-    assert middle(motion) is None
-    assert middle(motion.resample(200.0)) == (0, 200)
-    assert not is_high(motion, BODY)
-    lift = torch.tensor([0.0, 0.0, 0.3])
-    assert is_high(motion.replace(translation=motion.translation + lift), BODY)
 
 
 def test_jobs_are_on_the_ground_at_20_hz_for_their_body(tmp_path: Path) -> None:
@@ -121,86 +91,50 @@ def test_jobs_are_on_the_ground_at_20_hz_for_their_body(tmp_path: Path) -> None:
         load_jobs(tmp_path, splits, "test", "open", BODY, table)
 
 
-def test_copies_keep_the_pelvis_and_touch_the_ground() -> None:
+def test_a_copy_keeps_the_pelvis_and_the_scaled_motion_is_grounded() -> None:
     motion = squatting()
-    copy = copied(BODY, motion, TALL)
+    copy = METHODS[COPY](BODY, motion, TALL)
     torch.testing.assert_close(
         BODY.pose(copy).joints[:, 0], BODY.pose(motion).joints[:, 0], atol=1e-5, rtol=0
     )
     assert lowest(copy, BODY).min() < -0.02
-    assert lowest(copied_to_ground(BODY, motion, TALL), BODY).min().abs() < 1e-5
+    own = METHODS[SCALED](BODY, motion, motion.shape)
+    torch.testing.assert_close(BODY.pose(own).joints, BODY.pose(motion).joints, atol=5e-3, rtol=0)
 
 
-@pytest.mark.parametrize("method", [scaled, foot_ik])
-def test_the_own_body_does_what_it_did(method) -> None:
-    motion = squatting()
-    made = method(BODY, motion, motion.shape)
-    torch.testing.assert_close(BODY.pose(made).joints, BODY.pose(motion).joints, atol=5e-3, rtol=0)
-
-
-def test_feet_reach_the_ground_and_stay_where_they_are() -> None:
-    """Thighs and shins of other proportions move flat feet up and down; reaching undoes it."""
-    random = torch.Generator().manual_seed(0)
-    shape, motion = 2 * torch.randn(16, generator=random), squatting()
-    soles = [sole_heights(BODY.pose(f(BODY, motion, shape))) for f in (scaled, foot_ik)]
-    feet = [BODY.pose(f(BODY, motion, shape)).joints[:, 10] for f in (scaled, foot_ik)]
-    assert soles[1].abs().max() < 2e-3 < soles[0].abs().max()
-    assert feet[1].diff(dim=0).norm(dim=-1).max() < 1e-3 < feet[0].diff(dim=0).norm(dim=-1).max()
-    before, after = (
-        BODY.pose(m) for m in (scaled(BODY, motion, shape), foot_ik(BODY, motion, shape))
-    )
-    torch.testing.assert_close(
-        before.orientations[:, 10], after.orientations[:, 10], atol=1e-5, rtol=0
-    )
-
-
-def slip_of(samples: PhysicsSamples) -> float:
-    return float(samples.slip[samples.soles_touch].mean())
-
-
-def test_physics_alone_lowers_slip_and_stays_near(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_physics_lowers_slip(monkeypatch: pytest.MonkeyPatch) -> None:
     random = torch.Generator().manual_seed(0)
     shape, motion = 2 * torch.randn(16, generator=random), squatting()
     monkeypatch.setattr("recon.fitting.retargeting.SETTLING_ITERATIONS", 8)
     job = Job("clip", "one", motion, shape, False, False)
-    (before, _), (after, more) = (measured(f, [job], BODY) for f in (scaled, physics_only))
-    a, b = (concatenate(samples) for samples in (before, after))
-    assert slip_of(b) < 0.3 * slip_of(a)
-    assert b.lowest.abs().mean() < a.lowest.abs().mean()
-    turned = more["turned"]
-    assert turned is not None
-    assert 0 < turned < 5
+    before, after = (measured(METHODS[name], job, BODY) for name in (SCALED, PHYSICS))
+    slip = [float(s.slip[s.soles_touch].mean()) for s in (before, after)]
+    assert slip[1] < 0.3 * slip[0]
+    assert after.lowest.abs().max() < 0.01  # metres
 
 
-def test_rows_are_pooled_by_subject_and_sums_count_copies() -> None:
-    motion = squatting(9)
-    jobs = [Job(name, name, motion, TALL, False, name == "b") for name in ("a", "b")]
-    table = {}
-    for name, method in {"truth": itself, "copy": copied, "scaled": scaled}.items():
-        samples, _ = measured(method, jobs, BODY)
-        table[name] = summary(samples, jobs)
-    with_sums(table)
-    groups = ["pooled", "without flight", "bodies drawn", "mean", "a", "b"]
-    assert list(table["copy"]) == groups  # nobody's target is a recorded person's
-    assert table["copy"]["a"] == table["copy"]["without flight"]
-    for group in table["copy"].values():
-        assert group["penetrate"] > 0.02
-        assert group["sum"] is None  # nothing floats
-    assert soles_down(motion, BODY).all()
-
-
-def test_subjects_apart_count_in_their_own_row_alone() -> None:
+def test_sums_count_copies_and_people_apart_stand_alone() -> None:
     """Subject 16, who walks like a training subject, was among the pooled frames."""
     motion = squatting(9)
-    jobs = [Job(name, name, motion, TALL, False, False) for name in ("a", "b")]
-    samples, _ = measured(copied, jobs, BODY)
-    table = summary(samples, jobs, apart=("b",))
-    assert table["pooled"] == table["without flight"] == table["a"]
-    assert table["mean"]["penetrate"] == pytest.approx(table["a"]["penetrate"])
-    assert "b" in table
+    jobs = [Job(name, name, motion, TALL, False, name == "b") for name in ("a", "b", "c")]
+    samples = {
+        name: [measured(METHODS[name], job, BODY) for job in jobs]
+        for name in (TRUTH, COPY, SCALED)
+    }
+    made = tables(samples, jobs, apart=("c",))
+    assert list(made) == ["retargeting", "retargeting-flight", "retargeting-bodies"]
+    copy = made["retargeting"].rows[1]
+    assert copy[0] == COPY
+    assert isinstance(copy[1], float)
+    assert copy[1] > 2  # centimetres below the ground
+    assert copy[-1] is None  # nothing floats
+    labels = [row[0] for row in made["retargeting-bodies"].rows]
+    assert labels == [f"{method}: {group}" for group in ("bodies drawn", "c")
+                      for method in (TRUTH, SCALED)]  # fmt: skip
+    assert soles_down(motion, BODY).all()
 
 
 def test_a_clip_of_another_length_is_refused() -> None:
     job = Job("clip", "one", squatting(), TALL, False, False)
     with pytest.raises(ValueError, match="keeps its times"):
-        measured(lambda _, motion, _shape: motion.window(0, 9), [job], BODY)
+        measured(lambda _, motion, _shape: motion.window(0, 9), job, BODY)

@@ -1,29 +1,25 @@
 """Every slip changes what it says and nothing else, and verdicts count what they should."""
 
-import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
-from benchmarks.results import demo_clip
-from benchmarks.slips import __main__ as run
+from benchmarks.protocol import demo_clip
 from benchmarks.slips import mistakes, points, views
-from benchmarks.slips.errors import (
+from benchmarks.slips.__main__ import of_good, of_slips
+from benchmarks.slips.good import GoodWindow, alarms, listed
+from benchmarks.slips.judging import (
     claimed_samples,
     mirror_image,
     motion_error,
     rigidly_aligned,
     spoiled_samples,
+    verdict_of,
 )
-from benchmarks.slips.good import GoodWindow, alarms, listed
 from benchmarks.slips.kinds import SLIPS, Slip
 from benchmarks.slips.recordings import CLEAN, Recording, Sensor, cameras_of, observed
-from benchmarks.slips.sizes import spoils
-from benchmarks.slips.table import Judged
-from benchmarks.slips.verdict import verdict_of
 from observations.keypoints2d import Keypoints2D
 from recon.body.model import BodyModel
 from recon.core.skeleton import JOINTS
@@ -66,7 +62,7 @@ def test_there_are_45_slips_with_names_of_their_own() -> None:
 def test_a_slip_spoils_what_is_seen_and_leaves_its_source_alone(slip: Slip) -> None:
     recording = RECORDED[slip.sensor]
     before = tuple(seen.map(torch.clone) for seen in recording.clean)
-    spoiled = slip.spoil(recording, slip.sizes[-1])
+    spoiled = slip.spoil(recording, slip.size)
     assert not all(same(a, b) for a, b in zip(spoiled, recording.clean, strict=True))
     assert all(same(a, b) for a, b in zip(before, recording.clean, strict=True))
     for seen, clean in zip(spoiled, recording.clean, strict=True):
@@ -79,7 +75,7 @@ def test_a_slip_spoils_what_is_seen_and_leaves_its_source_alone(slip: Slip) -> N
 @pytest.mark.parametrize("slip", SLIPS, ids=lambda slip: slip.key)
 def test_a_slip_is_the_same_every_time(slip: Slip) -> None:
     recording = RECORDED[slip.sensor]
-    first, second = (slip.spoil(recording, slip.sizes[0]) for _ in range(2))
+    first, second = (slip.spoil(recording, slip.size) for _ in range(2))
     assert all(same(a, b) for a, b in zip(first, second, strict=True))
 
 
@@ -89,7 +85,7 @@ def test_a_slip_is_the_same_every_time(slip: Slip) -> None:
 )  # fmt: skip
 def test_a_slip_of_one_view_leaves_the_others_alone(slip: Slip) -> None:
     recording = RECORDED["cameras"]
-    spoiled = slip.spoil(recording, slip.sizes[-1])
+    spoiled = slip.spoil(recording, slip.size)
     changed = [not same(a, b) for a, b in zip(spoiled, recording.clean, strict=True)]
     assert changed == [False, True, False]
 
@@ -203,59 +199,35 @@ def test_a_mirror_image_is_no_rotation_but_a_rotation_is_aligned() -> None:
     torch.testing.assert_close(mirror_image(mirror_image(joints)), joints)
 
 
-def test_a_size_spoils_when_it_doubles_the_error_or_adds_five_centimetres() -> None:
-    slip = SLIPS[1]
-    assert spoils(slip, 0.01, 0.021)
-    assert not spoils(slip, 0.01, 0.019)
-    assert spoils(slip, 0.2, 0.26)
-
-
 def test_verdicts() -> None:
     slip = SLIPS[0]
     right, wrong, unseen = (Finding(c, "") for c in ("sides exchanged", "rate", "unseen"))
-    silent = verdict_of(
-        slip, "a", clean=0.01, unrepaired=None, error=0.05, repairs=(), warnings=()
-    )  # fmt: skip
+    silent = verdict_of(slip, "a", 0.01, 0.05, (), ())
     assert (silent.caught, silent.named, silent.judged) == (False, False, True)
-    warned = verdict_of(
-        slip, "a", clean=0.01, unrepaired=None, error=0.05, repairs=(), warnings=(wrong, right)
-    )  # fmt: skip
-    assert (warned.caught, warned.named, warned.first) == (True, True, False)
-    repaired = verdict_of(
-        slip, "a", clean=0.01, unrepaired=None, error=0.0115, repairs=(unseen, right), warnings=()
-    )  # fmt: skip
-    assert (repaired.caught, repaired.named, repaired.first) == (True, True, True)
-    in_vain = verdict_of(
-        slip, "a", clean=0.01, unrepaired=None, error=0.05, repairs=(right,), warnings=()
-    )  # fmt: skip
+    warned = verdict_of(slip, "b", 0.01, 0.05, (), (wrong, right))
+    assert (warned.caught, warned.named) == (True, True)
+    repaired = verdict_of(slip, "c", 0.01, 0.0115, (unseen, right), ())
+    assert (repaired.caught, repaired.named) == (True, True)
+    in_vain = verdict_of(slip, "d", 0.01, 0.05, (right,), ())
     assert (in_vain.caught, in_vain.named) == (False, True)
-    harmless = verdict_of(
-        slip, "a", clean=0.01, unrepaired=None, error=0.01, repairs=(), warnings=()
-    )  # fmt: skip
+    harmless = verdict_of(slip, "e", 0.01, 0.01, (), ())
     assert (harmless.caught, harmless.judged) == (True, False)
+    table = of_slips({slip: [silent, warned, repaired, in_vain, harmless]})
+    assert table.rows[0][-3:] == table.rows[1][-3:] == ["2/5", "3/5", "3/4"]
+    assert table.note.startswith("As good or warned: 60.0 %")
 
 
-def test_an_interrupted_table_goes_on_with_the_same_code_and_clips_only(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path, head = tmp_path / "slips.json", {"part": "test", "windows": ["a@0.00"]}
-    slip, seen = SLIPS[0], Finding("zeros", "")
-    verdict = verdict_of(
-        slip, "a", clean=1, unrepaired=None, error=2, repairs=(), warnings=(seen,)
-    )
-    found = Judged(slip, 1.0, (verdict,), 3.0)
-    rows = {"slips": {slip.key: found.report()}, "good": [{"window": "b", "alarms": []}]}
-    path.write_text(json.dumps({"about": {"commit": "abc"}, **head, **rows}))
-    nothing = {"slips": {}, "good": []}
-    monkeypatch.setattr(run, "commit", lambda _: "abc")
-    kept = run.begun(path, head)
-    assert Judged.of(slip, kept["slips"][slip.key]) == found
-    assert kept["good"] == rows["good"]
-    assert run.begun(path, head | {"windows": ["c@0.00"]}) == nothing
-    assert run.begun(tmp_path / "none.json", head) == nothing
-    for other in ("abcd", "abc+", None):
-        monkeypatch.setattr(run, "commit", lambda _, own=other: own)
-        assert run.begun(path, head) == nothing
+def test_good_windows_are_counted_by_sensor_and_by_collection() -> None:
+    table = of_good({
+        GoodWindow("07_01@0.03", "joints3d: 4 cm"): set(),
+        GoodWindow("07_02@0.03", "joints3d: 1 cm"): {"floor"},
+        GoodWindow("opensim/rajagopal_walk.trc"): set(),
+    })  # fmt: skip
+    assert table.rows == [
+        ["real opensim", 1, "0", None],
+        ["simulated joints3d", 2, "1", "1 floor"],
+        ["all", 3, "1 (33.3 %)", None],
+    ]
 
 
 def test_the_list_of_good_windows() -> None:

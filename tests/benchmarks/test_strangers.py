@@ -2,23 +2,29 @@
 
 import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
 from benchmarks.strangers import compare
-from benchmarks.strangers import variety as strangers_variety
 from benchmarks.strangers.choice import kind_of, spread, starts
 from benchmarks.strangers.fits import feet_right
-from benchmarks.strangers.folds import GROUP, folds, without_doubles, write_splits
+from benchmarks.strangers.folds import (
+    GROUP,
+    directions,
+    distance,
+    folds,
+    without_doubles,
+    write_splits,
+)
+from benchmarks.strangers.tables import tables
 from benchmarks.strangers.training import Schedule, humor_settings
-from benchmarks.tables import strangers as tables
-from benchmarks.tables import variety
 from recon.benchmark.dataset import Splits
 from recon.body.model import BodyModel
-from training.humor.variation import VARIED, Variation
+from recon.core import rotations as so3
+from tests.benchmarks.test_windows import turning
+from training.humor.variation import VARIED
 
 SECONDS = {
     "01_01": 22.9, "02_01": 15.0, "02_02": 15.0, "06_01": 29.0, "07_01": 36.0, "11_01": 5.0,
@@ -80,15 +86,7 @@ def test_nothing_of_a_training_is_chosen_on_the_held_out_people(tmp_path: Path) 
     assert settings.validate_every == settings.steps == 700  # one row, so the last is the best
     assert settings.start is None
     assert settings.data == "open"
-
-
-def test_variations_are_trained_as_they_are_asked_for(tmp_path: Path) -> None:
-    asked = Variation(raises=0.5)
-    assert humor_settings(tmp_path, tmp_path, Schedule(), asked).variation == asked
-    assert humor_settings(tmp_path, tmp_path, Schedule()).variation == VARIED
-    later = humor_settings(tmp_path, tmp_path, Schedule(start=tmp_path / "w"), asked)
-    assert (later.start, later.variation) == (tmp_path / "w", asked)
-    assert later.kl_until == later.own_until == 0
+    assert settings.variation == VARIED
 
 
 def test_windows_share_no_frame_and_begin_with_the_middle() -> None:
@@ -186,45 +184,29 @@ def test_the_table_has_a_line_for_every_fold_and_one_for_all() -> None:
         name: {"people": people, "rows": fold_of(factor), "drift": 0.05}
         for name, people, factor in (("35", ["35"], 0.8), (GROUP, ["11", "27"], 0.9))
     }
-    first, second, mean = tables.lines(found)
-    assert first[:2] == ["35", "0.80 [0.80, 0.80]"]
+    made = tables(found, "a note")
+    first, second, mean = made["strangers"].rows
+    assert first[:2] == ["35", 0.8]  # paired: every window says so
     assert second[0] == f"{GROUP} (11, 27)"
-    assert mean[:2] == ["**all 2**", "0.85 [0.80, 0.90]"]
-    assert mean[3] == "–"  # no gap was measured
-    assert len(first) == len(tables.HEADINGS)
+    assert mean[:2] == ["**all 2**", pytest.approx([0.85, 0.80, 0.90])]
+    assert mean[3] is None  # no gap was measured
+    assert made["strangers-people"].rows[0][:3] == ["35", 6, "3.50, 2.80"]
+    assert made["strangers-kinds"].rows[0][0] == "walk, 6 windows of 35"
 
 
-def test_variations_are_compared_on_the_same_windows_with_the_pose_prior_and_without_edits() -> (
-    None
-):
-    base = {"35": {"drift": 0.05, "rows": fold_of(0.8)}, "60": {"drift": None, "rows": fold_of(1)}}
-    edited = [r for r in fold_of(0.6) if r["method"] == "humor"]
-    found = {"base": base, "edits": {"35": {"drift": 0.04, "rows": edited}}}
-    plain, against_pose, against_base, other = variety.lines(found)
-    assert plain[:3] == ["35", "base / pose prior", "0.80 [0.80, 0.80]"]
-    assert against_pose[:3] == ["35", "edits / pose prior", "0.60 [0.60, 0.60]"]
-    assert against_base[:3] == ["35", "edits / base", "0.75 [0.75, 0.75]"]
-    assert (plain[-1], against_pose[-1], against_base[-1]) == ("5.0", "4.0", "")
-    assert against_base[7] == "0.0 [0.0, 0.0]"  # both motions tell the same contacts
-    assert other[0] == "60"
-    assert {len(line) for line in (plain, against_base)} == {len(variety.HEADINGS)}
+def test_a_motion_is_no_distance_from_itself_seen_from_elsewhere() -> None:
+    motion, body = turning(90, 30.0), BodyModel.load()
+    rotations = motion.rotations.clone()
+    rotations[:, 0] = so3.about_z(torch.tensor(1.3)) @ rotations[:, 0]
+    moved = motion.replace(rotations=rotations, translation=motion.translation + 3.0)
+    one, other = directions(motion, body), directions(moved, body)
+    assert one.shape == (30, 21, 3)
+    assert distance(one, other) < 0.1  # degrees
 
 
-def test_a_variation_that_goes_on_begins_with_weights_without_edits(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """When edits became the default of a training, the common start was trained with them, too."""
-    asked: list[Variation] = []
-
-    class Trained(Exception):
-        pass
-
-    def trained(*arguments: Any) -> None:
-        asked.append(arguments[-1])
-        raise Trained
-
-    monkeypatch.setattr(strangers_variety, "trained", trained)
-    fold = folds({"35_01": 30.0}, Splits.load())[0]
-    with pytest.raises(Trained):
-        strangers_variety.measured(fold, "all", tmp_path, tmp_path, 8, BodyModel.load(), 400)
-    assert asked == [Variation()]
+def test_a_bent_knee_is_told_in_degrees() -> None:
+    motion, body = turning(30, 30.0), BodyModel.load()
+    bent = motion.rotations.clone()
+    bent[:, 4] = so3.exp(torch.tensor([0.6, 0.0, 0.0]))  # left knee: turns the shank and the foot
+    found = distance(directions(motion, body), directions(motion.replace(rotations=bent), body))
+    assert found == pytest.approx(2 * 34.4 / 21, rel=0.1)  # two of 21 bones turn by up to 34.4

@@ -1,11 +1,12 @@
-"""What the benchmark of stages 1 and 2 compares, and on what."""
+"""The windows that benchmarks are measured on, and what means over them are."""
 
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import torch
 
-from benchmarks.scores import WINDOWS, by_subject
+from benchmarks.protocol import cells, evenly, mean_of
 from recon.benchmark.dataset import Splits
 from recon.benchmark.methods import butterworth, whittaker
 from recon.benchmark.protocols import noisy_joints, occluded_points, with_gap
@@ -106,18 +107,59 @@ def test_windows_of_a_length_that_is_not_listed_lie_about_the_listed_ones_and_sh
     assert torch.equal(windows.truth.shape[0], short.truth.shape[0])
 
 
-def test_means_are_over_the_subjects_who_are_not_apart() -> None:
-    """Test subject 16 walks like a training subject, and was averaged with the others."""
+def three_windows() -> TrueWindows:
     still = stack([turning(4, 30.0)] * 3)
-    windows = TrueWindows(
+    return TrueWindows(
         still, torch.zeros(3, 4, 22).bool(), ("07", "16", "49"), ("a@0", "b@0", "c@0"), 3, ("16",)
     )
-    rows = by_subject(windows, [{"joints_all": value} for value in (1.0, 10.0, 3.0)])
-    assert rows["mean"]["joints_all"] == 2.0
-    assert rows["16"]["joints_all"] == 10.0
-    assert rows[WINDOWS] == {"joints_all": [1.0, 10.0, 3.0]}
-    alone = by_subject(windows.take([1]), [{"joints_all": 10.0}])
-    assert alone["mean"]["joints_all"] == 10.0
+
+
+def test_means_are_over_the_subjects_who_are_not_apart() -> None:
+    """Test subject 16 walks like a training subject, and was averaged with the others."""
+    windows = three_windows()
+    metrics = {"joints_all": ("joints cm", 100, 1), "gone": ("?", 1, 1)}
+    assert cells({"joints_all": [1.0, 10.0, 3.0]}, windows, metrics) == [200.0, None]
+    alone = mean_of([10.0], windows.take([1]))
+    assert alone is not None
+    assert alone.mean == 10.0
+    less = mean_of([1.0, 10.0, 3.0], windows, [0.5, 0.0, 2.5])
+    assert less is not None
+    assert less.mean == 0.5
+    assert mean_of([None, 1.0, None], windows) is None
+
+
+def test_few_windows_are_spread_over_the_list() -> None:
+    windows = three_windows()
+    assert evenly(windows, None) == evenly(windows, 7) == [0, 1, 2]
+    assert evenly(windows, 2) == [0, 2]
+
+
+def test_no_clip_of_validation_or_test_people_is_trained_on() -> None:
+    """Clips of validation subject 10, and clips that may be of test people, were trained on."""
+    splits = Splits.load()
+    takes = [f"u_train_soccer_soccer_{take}" for take in (2, 4, 5)]
+    assert set(splits.parts(takes).values()) == {"validation"}
+    assert len(splits.excluded) >= 5
+    assert splits.parts(list(splits.excluded)) == {}
+    assert splits.parts(["16_15", "35_01", "07_01", "10_04", "salsa_01"]) == {
+        "16_15": "apart", "35_01": "train", "07_01": "test", "10_04": "validation",
+        "salsa_01": "train",
+    }  # fmt: skip
+
+
+def test_listed_test_windows_share_no_frame_and_are_enough() -> None:
+    """Ten pairs of the 64 windows of version 0.1.0 overlapped, one by 97 %."""
+    splits = Splits.load()
+    for frames, wanted in {60: 60, 90: 40}.items():
+        rows = splits.windows["test"][frames]
+        for clip in {clip for clip, _ in rows}:
+            starts = sorted(round(start * 30) for other, start in rows if other == clip)
+            assert all(b - a >= frames for a, b in pairwise(starts)), clip
+        counted = [clip for clip, _ in rows if splits.subject(clip) in splits.test]
+        assert len(counted) >= wanted
+        assert {splits.subject(clip) for clip in counted} == set(splits.test)
+        assert {splits.subject(clip) for clip, _ in rows} - set(splits.test) == set(splits.apart)
+    assert splits.windows["validation"][60][0] == ("06_01", 1.3)
 
 
 def test_contacts_are_those_that_the_recording_was_labelled_with(tmp_path: Path) -> None:

@@ -8,15 +8,6 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks.track_files import (
-    UNIT,
-    in_units,
-    seven,
-    write_arkit,
-    write_colmap,
-    write_droid,
-    write_tum,
-)
 from observations.camera_paths import path_unit
 from observations.files.images import keypoints_of
 from observations.keypoints2d import Keypoints2D
@@ -28,6 +19,15 @@ from recon.formats.tracks import read_track
 from recon.simulation.images import keypoints2d, orbiting
 from recon.simulation.points import Corruption
 from tests.filmed import bundled, cameras, walk
+from tests.formats.track_files import (
+    UNIT,
+    in_units,
+    seven,
+    write_arkit,
+    write_colmap,
+    write_droid,
+    write_tum,
+)
 from tests.keypoint_scene import write_openpose
 
 FRAMES = 30

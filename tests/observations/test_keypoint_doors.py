@@ -6,9 +6,9 @@ import json
 import cv2
 import numpy as np
 import pytest
+from benchmarks.projects import write_trc as write_pose2sim_trc
 
 import recon
-from benchmarks.projects import write_trc as write_pose2sim_trc
 from observations.correspondences import BodyPoints
 from observations.keypoints3d import Keypoints3D
 from observations.start.standing import planted_path

@@ -1,9 +1,6 @@
 """Laws of the batched L-BFGS: known minima, independent elements, honest endings."""
 
-import importlib.util
-import sys
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,28 +10,17 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from recon.solver.lbfgs import LBFGS, Progress, Solution, Termination
+from tests.solver import problems
 
 pytestmark = pytest.mark.numerics
 
 
-def _benchmark():
-    path = Path(__file__).parents[2] / "benchmarks" / "solver.py"
-    spec = importlib.util.spec_from_file_location("benchmark_of_the_solver", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses look their module up
-    spec.loader.exec_module(module)
-    return module
-
-
-BENCHMARK = _benchmark()
-PROBLEMS = {problem.name: problem for problem in BENCHMARK.PROBLEMS}
+PROBLEMS = {problem.name: problem for problem in problems.PROBLEMS}
 NINE = LBFGS(max_iterations=500, tolerance_decrease=0.0, tolerance_gradient=1e-9)
 
 
 def rosenbrock(x: Tensor, _: Tensor | None = None) -> Tensor:
-    return BENCHMARK.rosenbrock(x)
+    return problems.rosenbrock(x)
 
 
 def starts(batch: int, n: int = 6, seed: int = 0) -> Tensor:
@@ -62,7 +48,7 @@ class Mixed:
 
 @cache
 def compared(name: str):
-    return BENCHMARK.compare(PROBLEMS[name])
+    return problems.compare(PROBLEMS[name])
 
 
 @pytest.mark.parametrize("name", PROBLEMS)

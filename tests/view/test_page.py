@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks.results import ROOT
+from benchmarks.protocol import ROOT
 from recon.body.model import BodyModel
 from recon.formats.motions import load_motion
 from recon.view import Figure, Show

@@ -1,0 +1,304 @@
+"""What benchmarks share: the listed windows, means with intervals, and tables with their source.
+
+A table is a file of aggregates in `benchmarks/results`: who measured it (`about`: command, commit,
+date, seed, data, versions, machine), its columns with their digits, and its rows. A cell is a
+number, a mean with the ends of its 95 % interval, a text, or null. `python -m benchmarks.tables`
+writes it into the documents.
+"""
+
+import argparse
+import json
+import os
+import platform
+import re
+import shlex
+import subprocess
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+import recon
+from recon import Motion
+from recon.benchmark.dataset import SPLITS
+from recon.benchmark.table import Interval, interval, paired
+from recon.benchmark.windows import TrueWindows
+from recon.formats.opening import replacing
+from recon.formats.replacing import files_checksum
+
+ROOT = Path(__file__).parents[1]
+"""The source checkout."""
+RESULTS = Path(__file__).parent / "results"
+"""The committed tables."""
+DASH = "–"
+"""Cell of what was not measured."""
+
+Cell = float | int | str | None | list[float]
+Sources = Mapping[str, tuple[Path, Iterable[Path]]]
+"""Data that a table was measured on: its name in commands, its folder, and the files read."""
+Metrics = Mapping[str, tuple[str, float, int]]
+"""Columns by metric: heading, factor from SI units to the heading's, and digits."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """Aggregates of one or several runs, as documents show them."""
+
+    columns: Sequence[tuple[str, int | None]]
+    """Headings and digits; the first column holds the names of the rows, None is text."""
+    rows: Sequence[Sequence[Cell]]
+    about: Sequence[Mapping[str, Any]] = ()
+    """A record for every run; see `about`."""
+    note: str = ""
+    """A line below the table."""
+
+    def __post_init__(self) -> None:
+        if any(len(row) != len(self.columns) for row in self.rows):
+            raise ValueError(f"a row has not {len(self.columns)} cells: {self.rows}")
+
+    @classmethod
+    def read(cls, path: Path) -> "Table":
+        """Read a table file."""
+        return cls(**json.loads(path.read_text(encoding="utf-8")))
+
+    def write(self, path: Path) -> None:
+        """Write a table file, one row a line."""
+        parts: dict[str, Any] = {"about": self.about, "columns": self.columns}
+        parts |= {"note": self.note} if self.note else {}
+        said = [
+            f' "{key}": {_lines(value)}' for key, value in {**parts, "rows": self.rows}.items()
+        ]
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with replacing(path) as beside:
+            beside.write_text("{\n" + ",\n".join(said) + "\n}\n", encoding="utf-8")
+
+    def markdown(self) -> str:
+        """The table, its note, and where its numbers are from."""
+        digits = [own for _, own in self.columns]
+        lines: list[list[str]] = [[heading for heading, _ in self.columns]]
+        lines.append(["---", *["--:"] * (len(self.columns) - 1)])
+        lines += [[shown(c, d) for c, d in zip(row, digits, strict=True)] for row in self.rows]
+        parts = ["\n".join(f"| {' | '.join(line)} |" for line in lines), self.note]
+        parts.append("\n".join(_source(own) for own in self.about))
+        return "\n\n".join(part for part in parts if part)
+
+
+def shown(cell: Cell, digits: int | None) -> str:
+    """A cell as people read it."""
+    if cell is None:
+        return DASH
+    if isinstance(cell, str) or digits is None:
+        return str(cell)
+    if isinstance(cell, list):
+        mean, low, high = (f"{value:.{digits}f}" for value in cell)
+        return f"{mean} [{low}, {high}]"
+    return f"{cell:.{digits}f}"
+
+
+def _lines(value: Any) -> str:
+    if not isinstance(value, list | tuple):
+        return json.dumps(value, ensure_ascii=False)
+    return "[\n" + ",\n".join(f"  {json.dumps(v, ensure_ascii=False)}" for v in value) + "\n ]"
+
+
+def _source(about: Mapping[str, Any]) -> str:
+    command = about["command"]
+    if about.get("commit") is None:
+        return f"*Measured with version {about['recon']} (`{command}`).*"
+    return f"*`{command}`, commit {about['commit'][:9]}, {about['date']}.*"
+
+
+def number(value: float | None, factor: float = 1.0) -> float | None:
+    """A number of nine digits, in the unit of its column."""
+    return None if value is None else float(f"{value * factor:.9g}")
+
+
+def spread(found: Interval | None, factor: float = 1.0) -> Cell:
+    """A mean and its interval; the mean alone where all draws are alike."""
+    if found is None:
+        return None
+    mean, low, high = (float(f"{v * factor:.9g}") for v in (found.mean, found.low, found.high))
+    return mean if found.high - found.low < 1e-9 else [mean, low, high]
+
+
+def cells(
+    values: Mapping[str, Sequence[float | None]], windows: TrueWindows, metrics: Metrics
+) -> list[Cell]:
+    """Means over subjects with their intervals, a cell for every metric.
+
+    Args:
+        values: of every window, by metric, SI units.
+        windows: where they were measured; subjects apart count in no mean.
+        metrics: columns.
+    """
+    return [
+        spread(mean_of(values[key], windows), factor) if key in values else None
+        for key, (_, factor, _) in metrics.items()
+    ]
+
+
+def mean_of(
+    values: Sequence[float | None],
+    windows: TrueWindows,
+    less: Sequence[float | None] | None = None,
+) -> Interval | None:
+    """The mean over subjects, or that of paired differences; None where no window has a value."""
+    kept = [k for k, own in enumerate(windows.subjects) if own in windows.counted]
+    clips, people = ([every[k] for k in kept] for every in (windows.clips, windows.subjects))
+    own = [values[k] for k in kept]
+    if all(value is None for value in own):
+        return None
+    if less is None:
+        return interval(own, clips, people)
+    return paired(own, [less[k] for k in kept], clips, people)
+
+
+def columns_of(first: str, metrics: Metrics) -> list[tuple[str, int | None]]:
+    """Headings and digits, those of the rows' names in front."""
+    return [(first, None), *((heading, digits) for heading, _, digits in metrics.values())]
+
+
+def evenly(windows: TrueWindows, most: int | None) -> list[int]:
+    """Numbers of so many windows, evenly from the list; all when there are no more."""
+    count = len(windows.names)
+    if most is None or most >= count:
+        return list(range(count))
+    return np.linspace(0, count - 1, most).round().astype(int).tolist()
+
+
+def parser(about: str | None, *folders: str) -> argparse.ArgumentParser:
+    """The command line of a benchmark: its folders of data, and `--out` for its tables."""
+    made = argparse.ArgumentParser(
+        description=about, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    for folder in folders:
+        made.add_argument(folder, type=Path, help=_FOLDERS[folder])
+    made.add_argument("--out", type=Path, default=None, help="folder to write the tables to")
+    return made
+
+
+_FOLDERS = {
+    "corpus": "folder of all converted motions",
+    "observations": "folder of real recordings (RECON_DATA/observations)",
+    "data": "folder of all real data (RECON_DATA)",
+    "folds": "folder where weights and fits of the folds are kept",
+}
+
+
+def over_windows(about: str | None) -> argparse.ArgumentParser:
+    """The command line of benchmarks over the listed windows: corpus, splits, part, number."""
+    made = parser(about, "corpus")
+    made.add_argument("--splits", type=Path, default=SPLITS)
+    made.add_argument("--part", choices=("test", "validation"), default="test")
+    made.add_argument("--only", type=int, default=None, help="use so many windows in all")
+    return made
+
+
+def tell(
+    out: Path | None, seed: int | None, sources: Sources, tables: Mapping[str, Table]
+) -> None:
+    """Print tables, and write them to a folder with what is known of this run."""
+    run = [] if out is None else [about(seed, sources)]
+    for name, table in tables.items():
+        done = Table(table.columns, table.rows, run, table.note)
+        print(f"\n{name}\n\n{done.markdown()}", flush=True)
+        if out is not None:
+            done.write(out / f"{name}.json")
+
+
+def demo_clip(frames: int) -> Motion:
+    """The first frames of the bundled demo, at 30 Hz."""
+    demo = Path(recon.__file__).parent / "assets" / "demo.npz"
+    return recon.load_motion(demo).motion.resample(30.0).window(0, frames)
+
+
+def corpus_source(folder: Path, files: Iterable[Path] | None = None) -> Sources:
+    """A converted corpus, of which some files were read; None is all of its motions."""
+    return {"CORPUS": (folder, folder.rglob("*.npz") if files is None else files)}
+
+
+def recordings_source(folder: Path, names: Iterable[str] = ()) -> Sources:
+    """The folder of real recordings, of which some were read; default: all files in it.
+
+    A name may go on with `::` and what is read inside the file, and may be that of a folder.
+    """
+    chosen = [folder / name.split("::")[0] for name in names] or [folder]
+    files = [f for path in chosen for f in ([path] if path.is_file() else path.rglob("*"))]
+    return {"OBSERVATIONS": (folder, tuple(file for file in files if file.is_file()))}
+
+
+def about(seed: int | None, sources: Sources) -> dict[str, Any]:
+    """What a result keeps of the command that runs: code, data, versions and machine."""
+    return {
+        "command": command_line(sys.argv, _module(), sources),
+        "commit": commit(ROOT),
+        "date": datetime.now(UTC).date().isoformat(),
+        "seed": seed,
+        "data": {name: _said(folder, files) for name, (folder, files) in sources.items()},
+        "recon": recon.__version__,
+        "python": platform.python_version(),
+        "torch": torch.__version__,
+        "numpy": np.__version__,
+        "machine": machine(),
+    }
+
+
+def command_line(argv: list[str], module: str, sources: Sources) -> str:
+    """The command that runs, with names in place of the paths of this machine.
+
+    Folders of data are called by the names of their sources; a path inside the checkout is
+    relative to it, and of any other absolute path only the last part is kept.
+    """
+    folders = {folder.resolve(): name for name, (folder, _) in sources.items()}
+
+    def said(argument: str) -> str:
+        path = Path(argument)
+        if path.resolve() in folders:
+            return folders[path.resolve()]
+        if not path.is_absolute():
+            return argument
+        return str(path.relative_to(ROOT)) if path.is_relative_to(ROOT) else path.name
+
+    return shlex.join(["python", "-m", module, *(said(argument) for argument in argv[1:])])
+
+
+def commit(folder: Path) -> str | None:
+    """The commit that is checked out, with `+` where tracked files differ; None without git."""
+    try:
+        head, changed = (
+            subprocess.run(
+                ["git", *words], cwd=folder, capture_output=True, text=True, check=True
+            ).stdout.strip()
+            for words in (("rev-parse", "HEAD"), ("status", "--porcelain", "-uno"))
+        )
+    except (OSError, subprocess.CalledProcessError):
+        return None
+    return head + ("+" if changed else "")
+
+
+def machine() -> str:
+    """Architecture, model of the processor where the system tells it, and number of cores."""
+    info = Path("/proc/cpuinfo")
+    found = (
+        re.search(r"^model name\s*:\s*(.+)$", info.read_text(), re.M) if info.exists() else None
+    )
+    names = [platform.machine(), *([found.group(1)] if found else []), f"{os.cpu_count()} cores"]
+    return ", ".join(names)
+
+
+def _module() -> str:
+    """The module that runs as a command."""
+    spec = getattr(sys.modules.get("__main__"), "__spec__", None)
+    name = Path(sys.argv[0]).stem if spec is None else spec.name
+    return name.removesuffix(".__main__")
+
+
+def _said(folder: Path, files: Iterable[Path]) -> dict[str, object]:
+    """How many files were read, and the checksum of their names and contents."""
+    unique = sorted(set(files))
+    return {"files": len(unique), "checksum": files_checksum(unique, folder)}
