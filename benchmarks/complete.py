@@ -34,7 +34,6 @@ from observations.curvature import Surfels
 from observations.depth import PointCloud
 from observations.files.points import positions_of
 from observations.kinds import InSpace
-from priors.anchor.fit import AnchorFit, PublishedAnchorFit
 from priors.pose.prior import PosePrior, PoseWeights
 from recon.benchmark.dataset import Part, Splits
 from recon.body.model import BodyModel
@@ -94,13 +93,11 @@ def together(cycles: Sequence[list[InSpace]]) -> list[InSpace]:
     return [concatenate([_longer(o, kind) for o in kind]) for kind in zip(*cycles, strict=True)]
 
 
-def completed(weights: str, body: BodyModel, kind: type[AnchorFit] = AnchorFit) -> Fitter:
+def completed(weights: str, body: BodyModel) -> Fitter:
     """The anchor-frame prior."""
 
     def run(observations: list[InSpace]) -> list[Motion]:
-        result = complete(
-            observations, FitOptions(prior="anchor", weights=weights), body, kind=kind
-        ).result
+        result = complete(observations, FitOptions(prior="anchor", weights=weights), body).result
         return [result.clip(k).detach() for k in range(len(result.motion.shape))]
 
     return run
@@ -229,7 +226,6 @@ def _main() -> None:
     scanned = [scanned_cycle(called(c), c.subject, c.motion, body) for c in cycles]
     fitter = {
         "complete": lambda: completed(given.weights, body),
-        "published": lambda: completed(given.weights, body, PublishedAnchorFit),
         "frames": lambda: frame_by_frame(body, smooth=False),
         "smooth": lambda: frame_by_frame(body, smooth=True),
         "pose": lambda: fitted(FitOptions(prior="pose"), body),

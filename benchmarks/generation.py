@@ -26,10 +26,6 @@ from benchmarks.scores import Columns, Row, Rows, by_subject, cell
 from priors.humor.generation import (
     TEMPERATURE,
     Footing,
-    Landing,
-    as_predicted,
-    body_at_joints,
-    joints_of_body,
     roll_from,
     sample,
 )
@@ -59,14 +55,12 @@ _CLIPS_AT_ONCE = 4
 
 OURS = "held by the ground (default)"
 NETWORKS = "body at the joints"
-WAYS: dict[str, tuple[Landing, float, Footing | None]] = {
-    "HuMoR": (as_predicted, 1.0, None),
-    "HuMoR (Qual)": (joints_of_body, 1.0, None),
-    NETWORKS: (body_at_joints, 1.0, None),
-    OURS: (body_at_joints, TEMPERATURE, Footing()),
-    f"default, temperature {WARM}": (body_at_joints, WARM, Footing()),
+WAYS: dict[str, tuple[float, Footing | None]] = {
+    NETWORKS: (1.0, None),
+    OURS: (TEMPERATURE, Footing()),
+    f"default, temperature {WARM}": (WARM, Footing()),
 }
-"""What every step starts from, the temperature of the latents, and who holds the body."""
+"""The temperature of the latents, and who holds the body."""
 
 COLUMNS: Columns = {
     "ade": ("ADE", 100), "fde": ("FDE", 100), "ade_mean": ("ADE, a sample", 100),
@@ -158,9 +152,7 @@ def first_states(corpus: Path, windows: TrueWindows, body: BodyModel) -> State:
 
 
 @torch.no_grad()
-def generate(
-    humor: Humor, scene: Scene, landing: Landing, temperature: float, footing: Footing | None
-) -> Generated:
+def generate(humor: Humor, scene: Scene, temperature: float, footing: Footing | None) -> Generated:
     """All samples of all windows, a few windows at a time to bound memory."""
     random = torch.Generator().manual_seed(SEED)
     shape, count = scene.windows.truth.shape, len(scene.truth)
@@ -180,7 +172,6 @@ def generate(
             round(SECONDS * FPS) + 1,
             random,
             temperature=temperature,
-            landing=landing,
             footing=footing,
         )
         assert made.contacts is not None

@@ -119,7 +119,7 @@ def noisy_rows(
         rows[name] = score_points(windows, smooth(observed.positions), truth)
     for name, weights in (
         ("stages 1-2, published", PoseWeights.published_joints()),
-        ("stages 1-2, tuned", PoseWeights.tuned_joints()),
+        ("stages 1-2, tuned", PoseWeights.for_noise(0.04)),
     ):
         fitted = fit_windows(observed, prior.replace(weights=weights), body, len(truth))
         rows[name] = score(windows, fitted, body)
@@ -131,7 +131,7 @@ def occluded_rows(windows: TrueWindows, body: BodyModel, prior: PosePrior) -> di
     rows: dict[str, Rows] = {}
     for name, weights in (
         ("stages 1-2, published", PoseWeights.published_points()),
-        ("stages 1-2, tuned", PoseWeights.tuned_points()),
+        ("stages 1-2, tuned", PoseWeights.for_noise(0.0)),
     ):
         fitted = fit_windows(observed, prior.replace(weights=weights), body, len(truth))
         rows[name] = score(windows, fitted, body, truth, observed.visible)
@@ -140,7 +140,7 @@ def occluded_rows(windows: TrueWindows, body: BodyModel, prior: PosePrior) -> di
 
 def measure_speed(windows: TrueWindows, body: BodyModel, prior: PosePrior) -> dict[str, float]:
     """Seconds of stages 1 and 2 (tuned weights, noisy joints): one clip, and sixteen at once."""
-    method = prior.replace(weights=PoseWeights.tuned_joints())
+    method = prior.replace(weights=PoseWeights.for_noise(0.04))
     found = {"threads": float(torch.get_num_threads())}
     for count in (1, 16):
         observed: Observation = noisy_joints(windows.truth[:count], body, SEED)

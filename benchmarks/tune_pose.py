@@ -49,8 +49,8 @@ def main() -> None:
         print(f"    visible {100 * seen.item():.3f} cm")
         return subject_mean(windows, errors.mean((1, 2)))
 
-    print("noisy joints:", descend(noisy_error, PoseWeights.tuned_joints()))
-    print("occluded points:", descend(occluded_error, PoseWeights.tuned_points()))
+    print("noisy joints:", descend(noisy_error, PoseWeights.for_noise(0.04)))
+    print("occluded points:", descend(occluded_error, PoseWeights.for_noise(0.0)))
 
 
 def descend(error: Error, start: PoseWeights, rounds: int = 2) -> PoseWeights:

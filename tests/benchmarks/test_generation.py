@@ -6,7 +6,6 @@ import pytest
 import torch
 
 from benchmarks import generation
-from priors.humor.generation import as_predicted
 from priors.humor.state import states_of
 from recon.benchmark.dataset import Splits
 from recon.benchmark.windows import load_windows
@@ -84,7 +83,7 @@ def test_a_prior_that_never_moves(scene: tuple[generation.Scene, Path], monkeypa
     monkeypatch.setattr(generation, "SAMPLES", 2)
     monkeypatch.setattr(generation, "UNCONDITIONED", 2)
     prior = humor(found.body, still=True)
-    made = generation.generate(prior, found, as_predicted, 1.0, None)
+    made = generation.generate(prior, found, 1.0, None)
     assert made.joints.shape == (2, 2, 151, 22, 3)
     rows = generation.predicted(made, found)["mean"]
     simple = generation.simple_predictions(found.first)["stand still"]
