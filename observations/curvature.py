@@ -15,10 +15,8 @@ from recon.core.raster import vertex_normals
 from recon.core.robust import (
     NORMAL_MAD,
     TUNING,
-    bisquare_weights,
     geman_mcclure,
     lower_median,
-    mad_scale,
     squared,
 )
 from recon.method.quadratic import PointModel
@@ -89,16 +87,6 @@ LEAST_SCALE = 0.005
 """Metres; surfaces are not taken for nearer to each other than this."""
 
 
-def to_vertices(
-    offset: Float[Tensor, "*shape 3"],
-    normal: Float[Tensor, "*shape 3"],
-    radius: Float[Tensor, "*shape"],
-) -> Float[Tensor, "*shape"]:
-    """Squared distance from the vertex itself, as published (HuMoR section 6.5)."""
-    del normal, radius
-    return offset.square().sum(-1)
-
-
 def to_discs(
     offset: Float[Tensor, "*shape 3"],
     normal: Float[Tensor, "*shape 3"],
@@ -117,27 +105,15 @@ def to_discs(
     return height.square() + torch.where(outside, beyond, 0.0).square()
 
 
-def reweighted(
-    squared: Float[Tensor, "*batch samples"], present: Bool[Tensor, "*batch samples"]
-) -> Float[Tensor, "*batch samples"]:
-    """Squares e² with bisquare weights, constant for gradients: the published energy of a point.
-
-    Its value falls again where points move away beyond half the cut-off, so it suits a line
-    search badly; `tukey` has the same gradient and a value that belongs to it.
-    """
-    residual = squared.detach().sqrt()
-    return bisquare_weights(residual, mad_scale(residual, present)) * squared
-
-
 def tukey(
     squared: Float[Tensor, "*batch samples"], present: Bool[Tensor, "*batch samples"]
 ) -> Float[Tensor, "*batch samples"]:
     """c²/3 (1 - (1 - e²/c²)³) up to the cut-off c = 4.6851 s, constant beyond; s has no gradient.
 
-    The gradient is that of `reweighted` at equal scale. The scale is median(e) / 0.67449: of
-    distances, which are zero at best, it is the deviation from zero that matters. At least half
-    of the points always pull, also those of a body that is off as a whole, which deviations
-    from the median cut off altogether.
+    The gradient is that of HuMoR's bisquare weights at equal scale. The scale is
+    median(e) / 0.67449: of distances, which are zero at best, it is the deviation from zero that
+    matters. At least half of the points always pull, also those of a body that is off as a whole,
+    which deviations from the median cut off altogether.
     """
     return within(squared, tukey_scale(squared, present))
 

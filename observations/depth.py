@@ -67,11 +67,8 @@ class PointCloud(SensorRecord):
     """Camera of the sensor, with leading axes (batch, 1) for a fixed sensor and (batch, moments)
     for a moving one; its pose maps the frame of the recording to the sensor. None for scans from
     all sides."""
-    distance: Callable[[Tensor, Tensor, Tensor], Tensor] = to_discs
-    """Distance to the nearest vertex: `to_discs` or, as HuMoR published it, `to_vertices`."""
     kernel: Callable[[Tensor, Tensor], Tensor] = tukey
-    """Robust kernel over the squared distances of a clip: `tukey`, `bounded` or, as HuMoR
-    published it, `reweighted`."""
+    """Robust kernel over the squared distances of a clip: `tukey` or `bounded`."""
     ground_known: bool = True
     """Whether the plane z = 0 of the recording is the ground."""
     ground_seen: bool = False
@@ -95,7 +92,6 @@ class PointCloud(SensorRecord):
         fps: float,
         start_time: float = 0.0,
         camera: Camera | None = None,
-        distance: Callable[[Tensor, Tensor, Tensor], Tensor] = to_discs,
         kernel: Callable[[Tensor, Tensor], Tensor] = tukey,
         ground_known: bool = True,
         ground_seen: bool = False,
@@ -127,7 +123,7 @@ class PointCloud(SensorRecord):
             )
         self._settle(
             points=points, present=present, surfels=surfels, fps=fps, start_time=start_time,
-            camera=view, distance=distance, kernel=kernel, ground_known=ground_known,
+            camera=view, kernel=kernel, ground_known=ground_known,
             ground_seen=ground_seen, pairs=pairs, scale=scale, labels=labels, std=deviation,
         )  # fmt: skip
 
@@ -190,8 +186,7 @@ class PointCloud(SensorRecord):
         """½ Σ kernel(distance²) over the points present, taken at 30 Hz.
 
         One-way Chamfer: every point belongs to the nearest vertex of the body at its moment that
-        faces the sensor. HuMoR section 6.5, points3d, is `to_vertices` with `reweighted` on all
-        vertices. Where no vertex faces the sensor, all of them are searched.
+        faces the sensor. Where no vertex faces the sensor, all of them are searched.
         """
         squared, present, seen = self._squared_distances(estimate)
         variance, worth = self._relative(seen)
@@ -271,7 +266,7 @@ class PointCloud(SensorRecord):
         """Squared distances of the points from these discs, one each, at these moments."""
         points, present = self.points[..., seen, :, :], self.present[..., seen, :]
         radii = torch.from_numpy(self.surfels.radii).to(points)[index]
-        squared = self.distance(points - middles, normals, radii)
+        squared = to_discs(points - middles, normals, radii)
         return squared.where(present, 0.0), present
 
     def _nearest(

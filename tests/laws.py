@@ -1,5 +1,7 @@
 """Contracts that every energy and every prior keeps."""
 
+from typing import Any
+
 import torch
 from torch import Tensor
 
@@ -11,6 +13,19 @@ from recon.core.struct import TensorStruct
 from recon.method.free import FreeMotion
 from recon.method.protocols import Decoded as Decoded
 from recon.method.protocols import Energy, Estimate, Prior
+from recon.method.running import Hypotheses, run_hypotheses
+from recon.method.stages import Stage, Watch
+from recon.method.unknowns import Unknowns
+from recon.solver.lbfgs import Solution
+
+
+def minimised(
+    stage: Stage[Any], body: BodyModel, variables: Any, scene: Scene, watch: Watch | None = None
+) -> tuple[Any, Scene, Solution]:
+    """Variables and scene that one stage finds, and how it ends."""
+    began = Hypotheses(stage.prior, Unknowns(variables, scene))
+    found, (report,) = run_hypotheses((stage,), body, began, watch)
+    return found.unknowns.variables, found.unknowns.scene, report.solution
 
 
 def a_motion(body: BodyModel, clips=2, frames=6, fps=30.0, seed=0) -> Motion:

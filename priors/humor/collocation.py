@@ -152,7 +152,7 @@ class Collocation:
 
     humor: Humor
     weights: CollocationWeights = field(default_factory=lambda: CollocationWeights.for_noise(0.04))
-    start: PoseWeights = field(default_factory=PoseWeights.tuned_joints)
+    start: PoseWeights = field(default_factory=lambda: PoseWeights.for_noise(0.04))
     """Weights of stages 1 and 2."""
     density: PoseDensity = field(default_factory=lambda: PosePrior.load().density)
     """Density of poses in all stages; the bundled one unless another is given."""

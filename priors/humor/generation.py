@@ -1,6 +1,5 @@
 """New motions from HuMoR: latents drawn from the conditional prior, step after step."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
@@ -125,23 +124,6 @@ TEMPERATURE = 0.9
 spread, errors of steps add up to motions that leave their feet more often."""
 _FOOTING = Footing()
 
-Landing = Callable[[State, Float[Tensor, "clips 22 3"]], State]
-"""A function that changes every predicted state, given the unposed joints of its body."""
-
-
-def as_predicted(state: State, _: Float[Tensor, "clips 22 3"]) -> State:
-    """HuMoR: the next step starts from all that the network says.
-
-    It says twice where the body is, by joints and by translation and rotations, and with time the
-    two part: the joints stay on the ground, the body does not.
-    """
-    return state
-
-
-def joints_of_body(state: State, rest: Float[Tensor, "clips 22 3"]) -> State:
-    """HuMoR-Qual: the next step starts from the joints that the body has."""
-    return state.replace(joints=posed_joints(state, rest))
-
 
 def body_at_joints(state: State, rest: Float[Tensor, "clips 22 3"]) -> State:
     """The body is moved to where the predicted joints are on average; its joints are the state's.
@@ -164,7 +146,6 @@ def roll_from(
     random: torch.Generator | None,
     *,
     temperature: float = 1.0,
-    landing: Landing = body_at_joints,
     footing: Footing | None = _FOOTING,
     start_time: float = 0.0,
 ) -> Decoded:
@@ -177,7 +158,6 @@ def roll_from(
         frames: the first included.
         random: of the latents; None takes the prior's mean at every step.
         temperature: factor on the prior's standard deviations; above 1 draws more varied motions.
-        landing: what becomes of every step's state before the next one starts from it.
         footing: how the ground holds the bodies; None leaves it to the networks.
         start_time: of the first frame, seconds.
 
@@ -196,7 +176,7 @@ def roll_from(
         frame, reached, touched = drawn_step(
             humor.networks, before, pelvis, random, temperature=temperature
         )
-        after = frame.leave(landing(reached, rest), pelvis)
+        after = frame.leave(body_at_joints(reached, rest), pelvis)
         if footing is not None:
             if draws > 1:
                 assert random is not None

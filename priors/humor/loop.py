@@ -7,7 +7,6 @@ what the changes of origin would do is part of the weights. In order: x of all v
 height of the translation; 22 rotations.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from math import pi
 from typing import Any
@@ -180,34 +179,22 @@ class Unrolled:
     """Half of the rotation vectors, the translation's horizontal move, contact logits."""
 
 
-def unroll(
+def _unrolled(
     decoder: FrozenDecoder,
     start: Float[Tensor, "batch 337"],
-    steps: int,
-    add: Callable[[int, Tensor], tuple[Tensor, ...]],
-    adjust: Callable[[Tensor, Tensor], Tensor] | None = None,
+    added: Float[Tensor, "steps batch all_outputs"],
 ) -> tuple[Unrolled, list[Float[Tensor, "steps batch _"]]]:
-    """States of a number of steps, and the outputs of the hidden layers at each.
-
-    Args:
-        decoder: frozen weights.
-        start: canonical state.
-        steps: one or more.
-        add: what is added to each layer, given the step's number and the state it starts from.
-        adjust: the vectors that the next step starts from, given those reached and the turns.
-    """
+    """States of all steps from a canonical state, and the outputs of the hidden layers at each."""
     turn = Turn.like(start)
     x = start
     records: list[tuple[Tensor, ...]] = []
-    for step in range(steps):
-        *units, raw = decoder(x, add(step, x))
+    for each in zip(*(part.unbind(0) for part in decoder.split(added)), strict=True):
+        *units, raw = decoder(x, each)
         change, rest = raw[:, :MOVED], raw[:, MOVED:]
         before, matrices = x[:, :MOVED], x[:, MOVED:].view(-1, len(JOINTS), 3, 3)
         vectors = before + change
         turns = _turned(rest[:, :SPIN].view(-1, len(JOINTS), 3), matrices)
         records.append((x, vectors, turns, rest, *units))
-        if adjust is not None:
-            vectors = adjust(vectors, turns)
         to_own = turn(turns)
         level = torch.bmm(to_own, vectors[:, :LEVEL].view(-1, 2, VECTORS))
         root = torch.bmm(to_own, turns[:, 0, :2])
@@ -245,8 +232,7 @@ class _Unroll(torch.autograd.Function):
     def forward(
         ctx: Any, start: Tensor, added: Tensor, decoder: FrozenDecoder
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        ready = list(zip(*(part.unbind(0) for part in decoder.split(added)), strict=True))
-        made, units = unroll(decoder, start, len(ready), lambda step, _: ready[step])
+        made, units = _unrolled(decoder, start, added)
         ctx.decoder = decoder
         ctx.save_for_backward(made.inputs, made.turns, made.rest, *units)
         return made.inputs, made.vectors, made.turns, made.rest

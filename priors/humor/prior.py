@@ -110,8 +110,6 @@ class Humor:
     error_whitening: Float[Tensor, "207 207"]
     """U with C⁻¹ = U Uᵀ, C the covariance of the decoder's errors over the training corpus
     (`priors.humor.state.step_between`)."""
-    from_body: bool = False
-    """Every step starts from the body's joints, not the network's (HuMoR-Qual)."""
 
     @classmethod
     def load(
@@ -225,8 +223,7 @@ class Humor:
         first, pelvis = own._first(variables), own.pelvis(variables.shape)
         frame = Frame.of(first)
         start = frame.enter(first, pelvis)
-        rest = own.body.rest_joints(variables.shape) if own.from_body else None
-        rollout = roll_out(own._decoder, start.pack(), pelvis, variables.latents, rest)
+        rollout = roll_out(own._decoder, start.pack(), pelvis, variables.latents)
         states = rollout.in_world(frame, pelvis)
         mean, log_variance = own.networks.prior(rollout.inputs)
         away = (variables.latents - mean).square() * (-log_variance).exp()

@@ -5,7 +5,6 @@ is one product for all steps beforehand; what the conditional prior says of ever
 each step lies in the world, is computed for all steps afterwards.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -21,12 +20,10 @@ from priors.humor.loop import (
     FrozenDecoder,
     Turn,
     Unrolled,
-    unroll,
     unroll_given,
 )
 from priors.humor.networks import STATE
 from priors.humor.state import Frame, State
-from recon.body.kinematics import forward_kinematics
 from recon.core.skeleton import JOINTS
 from recon.core.struct import TensorStruct
 
@@ -71,7 +68,6 @@ def roll_out(
     start: Float[Tensor, "batch 339"],
     pelvis: Float[Tensor, "batch 3"],
     latents: Float[Tensor, "batch steps 48"],
-    rest: Float[Tensor, "batch 22 3"] | None = None,
 ) -> Rollout:
     """The steps that given latents make.
 
@@ -80,29 +76,9 @@ def roll_out(
         start: packed canonical state; its horizontal place is zero and not read.
         pelvis: horizontal offset of the pelvis from the translation, constant for a body.
         latents: of every step.
-        rest: joints of the unposed body; if given, every step starts from the joints that its
-            body has, not from those that the network predicted (HuMoR-Qual).
     """
     added = decoder.add(latents.transpose(0, 1), pelvis)
-    if rest is None:
-        return _rollout(unroll_given(decoder, _enter(start, pelvis), added), pelvis)
-    ready = list(zip(*(part.unbind(0) for part in decoder.split(added)), strict=True))
-    return _recorded(decoder, start, pelvis, len(ready), lambda step, _: ready[step], rest)
-
-
-def _recorded(
-    decoder: FrozenDecoder,
-    start: Float[Tensor, "batch 339"],
-    pelvis: Float[Tensor, "batch 3"],
-    steps: int,
-    add: Callable[[int, Tensor], tuple[Tensor, ...]],
-    rest: Float[Tensor, "batch 22 3"] | None,
-) -> Rollout:
-    def adjust(vectors: Tensor, turns: Tensor) -> Tensor:
-        return vectors if rest is None else _with_joints(vectors, turns, rest, pelvis)
-
-    made, _ = unroll(decoder, _enter(start, pelvis), steps, add, adjust)
-    return _rollout(made, pelvis)
+    return _rollout(unroll_given(decoder, _enter(start, pelvis), added), pelvis)
 
 
 def _rollout(steps: Unrolled, pelvis: Float[Tensor, "batch 3"]) -> Rollout:
@@ -122,21 +98,6 @@ def _rollout(steps: Unrolled, pelvis: Float[Tensor, "batch 3"]) -> Rollout:
     )
     inputs = _leave(steps.inputs.transpose(0, 1), pelvis[:, None])
     return Rollout(inputs, states, contacts, Turn.like(turns).right(turns))
-
-
-def _with_joints(
-    vectors: Float[Tensor, "batch 139"],
-    turns: Float[Tensor, "batch 22 3 3"],
-    rest: Float[Tensor, "batch 22 3"],
-    pelvis: Float[Tensor, "batch 3"],
-) -> Float[Tensor, "batch 139"]:
-    """The vectors with the body's joints in place of the predicted ones."""
-    origin = functional.pad(vectors[:, -1:], (2, 0)) - pelvis
-    joints = forward_kinematics(turns[:, None], rest)[1][:, 0] + origin[:, None]
-    parts = vectors[:, :-1].unflatten(1, (3, VECTORS))
-    before, after = parts[..., : JOINTS_OF_VECTORS.start], parts[..., JOINTS_OF_VECTORS.stop :]
-    changed = torch.cat((before, joints.mT, after), -1).flatten(1)
-    return torch.cat((changed, vectors[:, -1:]), 1)
 
 
 def _enter(

@@ -203,7 +203,7 @@ class CodesFit:
 
     humos: Humos
     weights: CodesWeights
-    start: PoseWeights = field(default_factory=PoseWeights.tuned_joints)
+    start: PoseWeights = field(default_factory=lambda: PoseWeights.for_noise(0.04))
     """Weights of stages 1 and 2."""
 
     @classmethod

@@ -105,16 +105,6 @@ class PoseWeights:
         variance = max(noise, 0.008) ** 2
         return cls(pose=0.125 * variance, shape=5e-6, acceleration=9400.0 * variance)
 
-    @classmethod
-    def tuned_joints(cls) -> "PoseWeights":
-        """Weights chosen on validation subjects for joints with 4 cm of noise."""
-        return cls.for_noise(0.04)
-
-    @classmethod
-    def tuned_points(cls) -> "PoseWeights":
-        """Weights chosen on validation subjects for accurate points, many of them hidden."""
-        return cls.for_noise(0.0)
-
 
 @dataclass(frozen=True)
 class PoseVariables(TensorStruct):
@@ -202,7 +192,7 @@ class PosePrior(TensorStruct):
             ValueError: when it holds no pose density; the message names the layer.
         """
         del body
-        weights = PoseWeights.tuned_joints() if weights is None else weights
+        weights = PoseWeights.for_noise(0.04) if weights is None else weights
         tensors = named_checkpoint("open" if path is None else path, "pose").require(_SHAPES)
         return cls(PoseDensity(**tensors), weights)
 

@@ -1,7 +1,7 @@
 """Cycles from sparse scans, landmarks or few frames: many beginnings, the best fit of all."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -200,7 +200,6 @@ def complete(
     options: FitOptions,
     body: BodyModel,
     watch: Watch | None = None,
-    kind: Callable[..., CycleMethod] | None = None,
 ) -> ClipFit:
     """Fit one cycle to every clip of the batch.
 
@@ -212,7 +211,6 @@ def complete(
         options: of the fit; its prior is of cycles, by name or loaded.
         body: whose motion it is.
         watch: told about every iteration.
-        kind: of method, called as kind(prior, noise, detailed=...), instead of the prior's own.
 
     Raises:
         ValueError: when nothing tells where the body is, a clip does not last 0.3 to 3 s, or
@@ -241,11 +239,7 @@ def complete(
     noises = tuple(cycle_noise(o, options.noise_of(row)) for row, o in enumerate(seen))
     dense = any(_fullest(o) >= DENSE for o in kinds.clouds(seen))
     noise = min(one.metres for one in noises)
-    method = (
-        prior.cycle_method(noise, detailed=dense)
-        if kind is None
-        else kind(prior, noise, detailed=dense)
-    )
+    method = prior.cycle_method(noise, detailed=dense)
     return _Completion(seen, noises, method, CycleClock.of(seen), rows).fitted(body, watch)
 
 

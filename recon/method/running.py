@@ -146,7 +146,8 @@ def run_hypotheses(
         if stage.proposals is not None:
             held, origin = held.extended(stage.proposals, body)
             reports = [report.rows(origin) for report in reports]
-        stage, unknowns, solution = _solved(held.of(stage), body, held.unknowns, watch)
+        stage = held.of(stage)
+        unknowns, solution = _solved(stage, body, held.unknowns, watch)
         held = replace(held, unknowns=unknowns)
         reports.append(StageReport(stage, solution, perf_counter() - started))
         if stage.kept is not None:
@@ -156,22 +157,6 @@ def run_hypotheses(
                 reports[-1] = replace(reports[-1], compared=held.compared(value, index, body))
             held, reports = held.rows(index), [report.rows(index) for report in reports]
     return held, reports
-
-
-def run_stage(
-    stage: Stage[S],
-    body: BodyModel,
-    variables: S,
-    scene: Scene,
-    watch: Watch | None = None,
-) -> tuple[S, Scene, Solution]:
-    """Minimise one stage's objective from the given variables.
-
-    Raises:
-        ValueError: when the stage frees a tensor that its prior and the scene do not have.
-    """
-    _, found, solution = _solved(stage, body, Unknowns(variables, scene), watch)
-    return found.variables, found.scene, solution
 
 
 def rank(
@@ -193,18 +178,10 @@ def _encoded_anew(held: Hypotheses[Any], prior: Prior[Any], body: BodyModel) -> 
 
 def _solved(
     stage: Stage[S], body: BodyModel, unknowns: Unknowns[S], watch: Watch | None
-) -> tuple[Stage[S], Unknowns[S], Solution]:
-    """The stage as it was minimised, with its weights; what it found; and how it ended."""
-    if stage.reweighting is not None:
-        scene = unknowns.scene
-
-        def decoded(variables: S) -> Estimate:
-            return Unknowns(variables, scene).estimate(stage.prior, body, stage.portion)
-
-        terms = stage.reweighting(stage, decoded, unknowns.variables)
-        stage = replace(stage, terms=terms)
+) -> tuple[Unknowns[S], Solution]:
+    """What a stage found, and how it ended."""
     if not stage.matches:
-        return stage, *_minimised(stage, body, unknowns, watch)
+        return _minimised(stage, body, unknowns, watch)
     most = math.ceil(stage.minimiser.max_iterations / _SHARE)
     last = replace(stage.minimiser, max_iterations=most)
     rough = replace(last, tolerance_decrease=max(last.tolerance_decrease, _ROUGH))
@@ -215,7 +192,7 @@ def _solved(
         held = replace(stage, minimiser=minimiser).matched(estimate)
         unknowns, solution = _minimised(held, body, unknowns, watch)
         solutions.append(solution)
-    return stage, unknowns, in_turn(solutions)
+    return unknowns, in_turn(solutions)
 
 
 def _minimised(

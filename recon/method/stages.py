@@ -29,11 +29,6 @@ class Matched(Protocol):
         ...
 
 
-Reweighting = Callable[["Stage[Any]", Callable[[Any], Estimate], Any], tuple[Term, ...]]
-"""Gives the terms of a stage the weights that they are minimised with, from its start: called with
-the stage, a function that decodes variables, and the variables."""
-
-
 Proposals = Callable[[Estimate, int], Motion | None]
 """Finds further hypotheses to begin a stage from: called with what energies see of one row and
 with the number of its clip; gives motions of that clip in the world, or None for none."""
@@ -63,8 +58,6 @@ class Stage(Generic[S]):
     rounds: int = 5
     """Number of minimisations with correspondences found anew before each, a third of the
     iterations each; only where an energy is `Matched`, others are minimised once."""
-    reweighting: Reweighting | None = None
-    """Finds the weights of the terms at the start of the stage; None leaves them as they are."""
     proposals: Proposals | None = None
     """Finds further hypotheses, which are minimised beside what the stage is handed; None finds
     none."""

@@ -74,17 +74,6 @@ def joint_acceleration(estimate: Estimate) -> Float[Tensor, "*batch"]:
     return 0.5 * bend.where(motion.inner(), 0.0).sum(-1) * (motion.fps / REFERENCE_FPS) ** 3
 
 
-def rotation_velocity(estimate: Estimate) -> Float[Tensor, "*batch"]:
-    """Σ (1 - cos angle) of every joint's turn between frames, per 1/30 s: ½ angle² for small ones.
-
-    Computed as ¼ |R_t - R_(t-1)|². Smooths twists that joint positions cannot see.
-    """
-    motion = estimate.motion
-    turned = motion.rotations.diff(dim=-4).square().sum((-1, -2, -3)) / 4
-    exists = motion.valid[..., 1:] & motion.valid[..., :-1]
-    return turned.where(exists, 0.0).sum(-1) * (motion.fps / REFERENCE_FPS)
-
-
 def rest_pose(estimate: Estimate) -> Float[Tensor, "*batch"]:
     """Σ (1 - cos angle) of the 21 body joints away from the rest pose, at 30 Hz.
 

@@ -58,43 +58,6 @@ def test_median_takes_the_lower_middle_of_those_present() -> None:
     assert robust.lower_median(values, ~everything).item() == 0.0
 
 
-def test_bisquare_equals_the_reference(golden: dict[str, Tensor]) -> None:
-    residual = golden["points3d_residual"].flatten(1)
-    scale = robust.mad_scale(residual)
-    weights = robust.bisquare_weights(residual, scale)
-    torch.testing.assert_close(scale, golden["points3d_scale"], rtol=1e-10, atol=0)
-    expected = golden["points3d_weight"].flatten(1)
-    torch.testing.assert_close(weights, expected, rtol=0, atol=1e-10)
-    value = 0.5 * (weights * residual.square()).sum()
-    torch.testing.assert_close(value, golden["value_points3d"], rtol=1e-10, atol=0)
-
-
-def test_scale_of_gaussian_residuals_is_their_standard_deviation() -> None:
-    residual = 0.03 * torch.randn(2, 20000, dtype=torch.float64)
-    scale = robust.mad_scale(residual)
-    torch.testing.assert_close(scale, torch.full_like(scale, 0.03), rtol=0.03, atol=0)
-
-
-def test_absent_samples_change_nothing() -> None:
-    residual = torch.rand(2, 31, dtype=torch.float64)
-    padded = torch.cat((residual, torch.full((2, 9), 100.0, dtype=torch.float64)), -1)
-    present = torch.arange(40).expand(2, 40) < 31
-    torch.testing.assert_close(robust.mad_scale(padded, present), robust.mad_scale(residual))
-
-
-def test_no_spread_means_no_outliers_and_no_nan() -> None:
-    residual = torch.full((1, 8), 0.2, dtype=torch.float64, requires_grad=True)
-    weights = robust.bisquare_weights(residual, robust.mad_scale(residual))
-    assert weights.eq(1).all()
-    nothing = torch.zeros(1, 8, dtype=torch.bool)
-    assert robust.mad_scale(residual, nothing).item() == 0
-
-
-def test_weights_carry_no_gradient() -> None:
-    residual = torch.rand(1, 20, dtype=torch.float64, requires_grad=True)
-    assert not robust.bisquare_weights(residual, robust.mad_scale(residual)).requires_grad
-
-
 def test_the_median_of_one_sample_is_that_sample_and_of_none_zero() -> None:
     values = numbers(3.0, 5.0, 7.0).expand(3, 3)
     present = torch.tensor([[False, True, False], [False, False, False], [True, True, False]])

@@ -16,7 +16,6 @@ from recon.core.scene import GROUND, TILT, Scene, UnknownGround
 from recon.core.struct import TensorStruct
 from recon.method.free import FreeMotion
 from recon.method.protocols import Decoded, Estimate
-from recon.method.running import run_stage
 from recon.method.stages import Stage
 from recon.method.terms import Term
 from recon.method.unknowns import Carried
@@ -161,7 +160,7 @@ def test_a_stage_finds_the_ground_and_leaves_the_recording_as_it_is(toy_body):
     start = scene_with(UnknownGround.create(torch.zeros(2, 3).double()))
     terms = (Term("images", seen, 1.0), Term("height", height, 10.0))
     stage = Stage("ground", FreeMotion(), terms, GROUND)
-    variables, scene, _ = run_stage(stage, toy_body, FreeMotion().encode(motion), start)
+    variables, scene, _ = laws.minimised(stage, toy_body, FreeMotion().encode(motion), start)
     assert torch.equal(variables.translation, motion.translation)
     assert scene.ground is not None
     assert (scene.ground.lift.abs() > 0.01).all()
@@ -187,6 +186,6 @@ def test_variables_that_cannot_be_carried_are_refused_with_a_way_out(toy_body):
     motion = laws.a_motion(toy_body)
     stage = Stage("x", Fixed(), (Term("height", height, 1.0),), frozenset({"motion.translation"}))
     known = Scene.create(2, like=motion.translation)
-    run_stage(stage, toy_body, Plain(motion), known)
+    laws.minimised(stage, toy_body, Plain(motion), known)
     with pytest.raises(ValueError, match="Fixed needs to know the ground"):
-        run_stage(stage, toy_body, Plain(motion), scene_with(a_ground()))
+        laws.minimised(stage, toy_body, Plain(motion), scene_with(a_ground()))

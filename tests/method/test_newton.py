@@ -18,12 +18,12 @@ from recon.method.marquardt import Marquardt, Preconditioned, factorised
 from recon.method.newton import Local
 from recon.method.protocols import Estimate
 from recon.method.reconstruction import solve
-from recon.method.running import run_stage
 from recon.method.stages import Stage
 from recon.method.terms import Term
 from recon.method.unknowns import Unknowns
 from recon.solver.banded import Banded
 from recon.solver.solution import Progress, Termination
+from tests import laws
 from tests.priors.test_pose import swinging
 from tests.solver.test_banded import dense
 
@@ -135,10 +135,10 @@ def test_clips_of_a_batch_do_not_touch_each_other(body: BodyModel, way: Any) -> 
     start = seen.start(body)
     start = start.replace(translation=start.translation + torch.tensor([0.0, 0.1, 0.0]))
     whole = start_of(stage, start, body)
-    variables, _, solution = run_stage(stage, body, whole.variables, whole.scene)
+    variables, _, solution = laws.minimised(stage, body, whole.variables, whole.scene)
     alone = replace(pose_stage([seen[[1]]], body), second_order=way)
     one = start_of(alone, start[[1]], body)
-    single, _, found = run_stage(alone, body, one.variables, one.scene)
+    single, _, found = laws.minimised(alone, body, one.variables, one.scene)
     assert set(solution.termination) == {Termination.CONVERGED}
     both = stage.prior.decode(variables).motion.translation[1]
     torch.testing.assert_close(
@@ -156,7 +156,7 @@ def test_a_clip_that_is_not_finite_is_told_and_leaves_the_others(
     positions[1, 2, 3] = torch.nan
     stage = replace(pose_stage([seen.derived(positions=positions)], body), second_order=way)
     whole = start_of(stage, seen.start(body), body)
-    variables, _, solution = run_stage(stage, body, whole.variables, whole.scene)
+    variables, _, solution = laws.minimised(stage, body, whole.variables, whole.scene)
     assert solution.termination[0] is Termination.CONVERGED
     assert solution.termination[1] is Termination.NONFINITE
     assert all(bool(t.isfinite().all()) for t in variables.tensors().values() if t.ndim > 0)
@@ -173,7 +173,7 @@ def test_watching_can_stop_it(body: BodyModel, way: Any) -> None:
     seen = seen_by(body, 6)
     stage = replace(pose_stage([seen], body), second_order=way)
     whole = start_of(stage, seen.start(body), body)
-    _, _, solution = run_stage(stage, body, whole.variables, whole.scene, watch)
+    _, _, solution = laws.minimised(stage, body, whole.variables, whole.scene, watch)
     assert solution.termination == (Termination.STOPPED,)
     assert len(told) == 2
 
@@ -186,7 +186,7 @@ def test_without_a_known_hessian_first_order_goes_on(body: BodyModel) -> None:
     stage = replace(stage, terms=(Term("own", energy, 1.0), *stage.terms[1:]))
     start = start_of(stage, swinging(6, 0)[None], body)
     assert Local.about(stage, body, start) is None
-    variables, _, _ = run_stage(stage, body, start.variables, start.scene)
+    variables, _, _ = laws.minimised(stage, body, start.variables, start.scene)
     assert stage.prior.decode(variables).motion.translation.abs().max() < 1e-2
 
 

@@ -193,22 +193,6 @@ def test_a_stage_keeps_as_many_hypotheses_as_it_says_by_the_objective_it_names(b
     assert once.number.tolist() == [0, 2]
 
 
-def test_a_stage_is_minimised_with_the_weights_found_at_its_start(toy_body):
-    motion = laws.a_motion(toy_body)
-
-    def doubled(stage, decoded, variables):
-        assert decoded(variables).motion.frames == motion.frames
-        return tuple(replace(term, weight=2 * term.weight) for term in stage.terms)
-
-    data = Term("data", observed(toy_body, laws.a_motion(toy_body, seed=1)), 1.0)
-    stage = Stage("once", FreeMotion(), (data,), frozenset({"pose"}), LBFGS(1))
-    scene = Scene.create(1, like=motion.translation)
-    _, (plain,) = run_stages((stage,), toy_body, motion, scene)
-    _, (report,) = run_stages((replace(stage, reweighting=doubled),), toy_body, motion, scene)
-    assert report.stage.terms[0].weight == 2.0
-    assert float(report.solution.trace[0, 0]) == 2 * float(plain.solution.trace[0, 0])
-
-
 @dataclass(frozen=True)
 class Rematched:
     """An energy whose correspondences are those of the moment, as of points without names."""

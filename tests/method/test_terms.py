@@ -16,7 +16,6 @@ ENERGIES = (
     terms.shape,
     terms.joint_velocity,
     terms.joint_acceleration,
-    terms.rotation_velocity,
     terms.rest_pose,
 )
 

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from observations.curvature import Surfels, bounded, to_vertices
+from observations.curvature import Surfels, bounded
 from observations.depth import CLOUD_NOISE, CLOUD_WORTH, PointCloud
 from observations.files.clouds import cloud_of
 from recon.core.camera import depth_camera
@@ -22,7 +22,7 @@ def noisy(body, motion, spread, **fields):
     return PointCloud(points, present, Surfels.of(body), motion.fps, **fields)
 
 
-def test_moments_of_a_noisy_sensor_count_less(toy_body):
+def test_moments_of_a_noisy_sensor_count_less(toy_body, monkeypatch):
     """A person 6 m away, seen with 7 cm of noise, was followed as one at 2 m is."""
     motion = laws.a_motion(toy_body)
     cloud = noisy(toy_body, motion, 0.02, kernel=bounded)
@@ -34,7 +34,8 @@ def test_moments_of_a_noisy_sensor_count_less(toy_body):
     count = max(cloud.points.shape[-2], CLOUD_WORTH)
     # the kernel lets through more of what is known to be noisy, so energies are compared where
     # distances are small
-    near = noisy(toy_body, motion, 3e-3, kernel=bounded, distance=to_vertices)
+    monkeypatch.setattr("observations.depth.to_discs", lambda away, *_: away.square().sum(-1))
+    near = noisy(toy_body, motion, 3e-3, kernel=bounded)
     share = near.replace(std=far.std)(estimate) / near(estimate)
     assert share.numpy() == pytest.approx(1 / (1 + 25 * CLOUD_WORTH / count), rel=0.01)
 

@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from priors.humor.loop import STATE_ORDER, FrozenDecoder, Unrolled, unroll, unroll_given
+from priors.humor.loop import STATE_ORDER, FrozenDecoder, Unrolled, _unrolled, unroll_given
 from priors.humor.networks import HumorNetworks
 from recon.core import rotations as so3
 from tests.priors.test_humor_nets import golden
@@ -25,7 +25,7 @@ def problem(clips: int) -> tuple[FrozenDecoder, Tensor, Tensor]:
 
 
 def recorded(decoder: FrozenDecoder, start: Tensor, added: Tensor) -> Unrolled:
-    return unroll(decoder, start, len(added), lambda step, _: decoder.split(added[step]))[0]
+    return _unrolled(decoder, start, added)[0]
 
 
 def tensors(made: Unrolled) -> tuple[Tensor, ...]:

@@ -7,7 +7,6 @@ from torch import Tensor
 from priors.humor.networks import HumorNetworks
 from priors.humor.rollout import FrozenDecoder, Rollout, roll_out
 from priors.humor.state import Frame, State, canonical, compose, rest_pelvis
-from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from tests.priors.test_humor_nets import golden, made_up_networks
 
@@ -124,30 +123,21 @@ def test_canonical_frames_are_undone_by_leaving_them() -> None:
     assert (inside.root[..., 0, 0] <= 0).all()
 
 
-@pytest.mark.parametrize("from_body", [False, True])
-def test_the_loop_is_the_plain_recursion(body: BodyModel, from_body: bool) -> None:
+def test_the_loop_is_the_plain_recursion() -> None:
     """With states as records, composed and canonicalised one by one."""
-    from recon.body.kinematics import forward_kinematics
-
     torch.manual_seed(1)
     networks = HumorNetworks(64).double().requires_grad_(False)
     start = State.unpack(packed(golden("humor_rollout"), "init_canonical"))
     pelvis = rest_pelvis(start)
-    rest = body.rest_joints(0.3 * torch.randn(2, 16, dtype=torch.float64))
     z = torch.randn(2, 5, 48, dtype=torch.float64)
-    given = rest if from_body else None
     decoder = FrozenDecoder.of(networks.decoder)
-    rollout = roll_out(decoder, start.pack(), pelvis, z, given)
+    rollout = roll_out(decoder, start.pack(), pelvis, z)
     state = start
     for k in range(5):
         torch.testing.assert_close(rollout.inputs[:, k], state.pack(), rtol=0, atol=1e-9)
         after, contacts = compose(state, networks.decode(state.pack(), z[:, k]))
         torch.testing.assert_close(rollout.states[:, k].pack(), after.pack(), rtol=0, atol=1e-9)
         torch.testing.assert_close(rollout.contacts[:, k], contacts, rtol=0, atol=1e-9)
-        if from_body:
-            turns = torch.cat((after.root[:, None], after.pose), 1)[:, None]
-            joints = forward_kinematics(turns, rest)[1][:, 0] + after.translation[:, None]
-            after = after.replace(joints=joints)
         state = canonical(after, pelvis)
 
 

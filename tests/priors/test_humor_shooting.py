@@ -17,11 +17,12 @@ from recon.core.scene import Scene, UnknownGround
 from recon.method.free import FreeMotion
 from recon.method.protocols import Estimate
 from recon.method.reconstruction import Method, solve
-from recon.method.running import run_stage, run_stages
+from recon.method.running import run_stages
 from recon.method.stages import Stage
 from recon.method.terms import Term
 from recon.method.unknowns import Unknowns
 from recon.solver.lbfgs import LBFGS
+from tests import laws
 from tests.priors.test_humor import humor, motions
 
 pytestmark = pytest.mark.numerics
@@ -103,7 +104,7 @@ def test_a_phase_of_some_frames_sees_only_them(body: BodyModel) -> None:
     )
     start = prior.encode(motions(8))
     scene = Scene.create(2, like=start.translation)
-    found, _, solution = run_stage(stage, body, start, scene)
+    found, _, solution = laws.minimised(stage, body, start, scene)
     assert torch.equal(found.latents[:, 3:], start.latents[:, 3:])
     assert not torch.equal(found.latents[:, :3], start.latents[:, :3])
     short = prior.decode(found.first(4))
@@ -131,7 +132,7 @@ def test_the_last_phase_brings_the_motion_nearer_to_the_data(body: BodyModel) ->
     stage = replace(stage, minimiser=replace(stage.minimiser, max_iterations=40))
     start = prior.encode(truth)
     start = start.replace(translation=start.translation + 0.1, root=start.root + 0.1)
-    found, _, solution = run_stage(stage, body, start, Scene.create(2, like=joints))
+    found, _, solution = laws.minimised(stage, body, start, Scene.create(2, like=joints))
     assert (solution.trace[:, -1].sum(-1) < solution.trace[:, 0].sum(-1)).all()
 
     def error(variables: HumorVariables) -> torch.Tensor:

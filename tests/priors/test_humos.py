@@ -180,7 +180,7 @@ def test_first_guesses_give_codes_and_no_details(prior):
 
 def test_a_motion_is_judged_as_a_whole(prior):
     """What the networks know costs less than the same with frames in disorder."""
-    whole = CollocatedHumos(prior, PosePrior.load(weights=PoseWeights.tuned_joints()))
+    whole = CollocatedHumos(prior, PosePrior.load(weights=PoseWeights.for_noise(0.04)))
     laws.check_prior(whole, walks(), tolerance=1e-3)
     motion = walks()
     order = torch.randperm(motion.frames, generator=torch.Generator().manual_seed(0))

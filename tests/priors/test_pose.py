@@ -46,7 +46,7 @@ def prior() -> PosePrior:
     """A prior that has seen other clips of the same kind."""
     seen = torch.cat([swinging(60, seed).rotations[::10, 1:] for seed in range(100, 200)])
     density = fit_density(seen, 0.05, BodyModel.load())
-    return PosePrior(density, PoseWeights.tuned_joints())
+    return PosePrior(density, PoseWeights.for_noise(0.04))
 
 
 def test_it_is_a_prior_and_a_method(prior: PosePrior) -> None:
@@ -126,7 +126,7 @@ def test_a_planted_motion_is_recovered_and_noise_goes(prior: PosePrior, body: Bo
     joints = body.pose(truth).joints
     for noise, weights, limit in (
         (0.0, PoseWeights(pose=1e-7, shape=1e-7, acceleration=1e-4), 0.005),
-        (0.04, PoseWeights.tuned_joints(), 0.03),  # 6.4 cm as observed
+        (0.04, PoseWeights.for_noise(0.04), 0.03),  # 6.4 cm as observed
     ):
         seen = joints + noise * torch.randn(joints.shape, dtype=torch.float64)
         everything = torch.ones(joints.shape[:-1], dtype=torch.bool)
