@@ -29,8 +29,6 @@ from benchmarks.arguments import over_windows
 from benchmarks.humor import evenly
 from benchmarks.results import corpus_source, write
 from benchmarks.scores import Columns, Row, Rows, by_subject, tables
-from observations.files.clouds import cloud_of
-from observations.files.images import keypoints_of
 from recon.benchmark.dataset import Splits
 from recon.benchmark.windows import TrueWindows, load_windows
 from recon.body.model import BodyModel
@@ -41,6 +39,8 @@ from recon.fitting.clip import fit_clip
 from recon.fitting.methods import FitOptions
 from recon.method.protocols import Sensor as Seen
 from recon.metrics.evaluation import evaluate, ground_errors
+from recon.reading.clouds import cloud_of
+from recon.reading.images import keypoints_of
 from recon.simulation.depth import Surface, depth_points, without_pose
 from recon.simulation.images import dome, keypoints2d, orbiting
 from recon.simulation.points import Corruption

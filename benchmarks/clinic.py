@@ -251,7 +251,7 @@ def _hidden_arm(recording: MarkerRecording, markers: MarkerSet, body: BodyModel)
 
 def _fitted_gaps(recording: MarkerRecording, hidden: np.ndarray, body: BodyModel) -> float:
     """Error of positions that gaps hide, by a fit under the prior."""
-    seen = seen_markers(_shown_but(recording, hidden), body).markers
+    seen, _ = seen_markers(_shown_but(recording, hidden), body)
     assert isinstance(seen, Markers3D)
     result = recon.fit(seen, body=body)
     places = seen.on(body.pose(result.motion[None]))[0]

@@ -60,10 +60,10 @@ from recon.core import rotations as so3
 from recon.core.errors import ObservationError
 from recon.core.motion import Motion
 from recon.core.skeleton import LEGS, MIRROR
-from recon.fitting.clip_files import Clip, load_clip
 from recon.fitting.settings import FitSettings
 from recon.formats.motions import load_motion
 from recon.metrics.evaluation import evaluate, ground_errors
+from recon.reading.clip import Clip, load_clip
 
 SEED, FRAMES = 0, 90
 _TURNED = math.radians(60)

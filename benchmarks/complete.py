@@ -32,7 +32,6 @@ from benchmarks.scans import (
 )
 from observations.curvature import Surfels
 from observations.depth import PointCloud
-from observations.files.points import positions_of
 from observations.kinds import InSpace
 from priors.anchor.fit import AnchorFit, PublishedAnchorFit
 from priors.pose.prior import PosePrior, PoseWeights
@@ -45,6 +44,7 @@ from recon.fitting.cycles import NAMED_NOISE, complete
 from recon.fitting.methods import FitOptions
 from recon.method.reconstruction import solve
 from recon.metrics.errors import chamfer_of_clip
+from recon.reading.points import positions_of
 
 READ = 512
 """Most points of a frame that the command keeps when it reads scans."""

@@ -32,7 +32,6 @@ from rich.table import Table
 from benchmarks.arguments import over_windows
 from benchmarks.results import corpus_source, write
 from observations.correspondences import BodyPoints
-from observations.people.tracks import Track, follow
 from recon.benchmark.dataset import Part, Splits
 from recon.benchmark.windows import TrueWindows, load_windows
 from recon.body.model import BodyModel
@@ -41,6 +40,7 @@ from recon.core.camera import Camera, full_hd_camera
 from recon.core.motion import Motion
 from recon.core.skeleton import PARENTS
 from recon.formats.detections.records import Detections, Row, gather
+from recon.reading.tracks import Track, follow
 
 SEED = 0
 FRAMES = 90

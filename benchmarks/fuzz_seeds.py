@@ -21,7 +21,6 @@ from benchmarks.fuzz_mutations import (
     inside_image,
     inside_xz,
 )
-from observations.people.places import Silhouettes, load_silhouettes
 from recon.core.skeleton import PARENTS
 from recon.formats.calibration import load_cameras
 from recon.formats.depth_images import read_depth_images
@@ -32,6 +31,7 @@ from recon.formats.observations import CameraArrays, PointsFile, load_observatio
 from recon.formats.scans import read_scans, write_scans
 from recon.formats.smpl import load_smpl
 from recon.jobs.simulate import simulate_file
+from recon.reading.places import Silhouettes, load_silhouettes
 from recon.simulation.points import Corruption
 
 Reader = Callable[[Path], object]

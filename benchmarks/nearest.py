@@ -17,7 +17,6 @@ import torch
 from benchmarks.results import demo_clip, show, write
 from observations.curvature import SURFELS, Surfels, to_discs, to_vertices
 from observations.depth import PointCloud
-from observations.files.clouds import cloud_of
 from priors.humor.collocation import CollocatedHumor
 from priors.humor.prior import Humor
 from priors.pose.prior import PosePrior
@@ -26,6 +25,7 @@ from recon.core.camera import depth_camera
 from recon.core.motion import Motion
 from recon.core.scene import Scene
 from recon.method.protocols import Estimate
+from recon.reading.clouds import cloud_of
 from recon.simulation.depth import PERFECT, depth_points
 from recon.simulation.images import dome
 from recon.simulation.points import Corruption

@@ -34,7 +34,6 @@ from benchmarks.humor import evenly
 from benchmarks.results import corpus_source, write
 from benchmarks.scores import Columns, Row, Rows, by_subject, tables
 from benchmarks.track_files import write_arkit, write_colmap, write_droid, write_tum
-from observations.files.images import keypoints_of
 from observations.keypoints2d import Keypoints2D
 from recon.benchmark.dataset import Splits
 from recon.benchmark.windows import FPS, TrueWindows, load_windows
@@ -48,6 +47,7 @@ from recon.formats.calibration import guessed_camera
 from recon.formats.camera_path import CameraPath
 from recon.formats.observations import KeypointsFile
 from recon.formats.tracks import read_track
+from recon.reading.images import keypoints_of
 from recon.simulation.images import dome, keypoints2d, orbiting
 from recon.simulation.points import Corruption
 

@@ -28,10 +28,10 @@ from observations.keypoints2d import Keypoints2D
 from recon.body.model import BodyModel
 from recon.diagnosis.plausibility import views_error
 from recon.fitting.clip import ClipFit, fit_clip
-from recon.fitting.clip_files import load_clip
 from recon.fitting.methods import FitOptions
 from recon.fitting.settings import FitSettings
 from recon.metrics import errors as metrics
+from recon.reading.clip import load_clip
 
 SEED = 0
 FPS = 60.0

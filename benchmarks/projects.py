@@ -22,9 +22,9 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from observations.people.views import load_views
 from recon.core.skeleton import keypoint_names
 from recon.formats.observations import KeypointsFile
+from recon.reading.views import read_views
 
 FPS = 60
 SETS = ("single_balancing", "single_static", "multi_static_p2")
@@ -66,9 +66,9 @@ def build(observations: Path, name: str, out: Path) -> tuple[Path, Path]:
         inside = [one for one in archive.namelist() if one.startswith("pose-associated/")]
         archive.extractall(trial, inside)
     (trial / "Config.toml").write_text("[project]\n# as in the session's Config.toml\n")
-    views = load_views(
+    views = read_views(
         [trial / "pose-associated"], session / "calibration" / "Calib_qualisys.toml", fps=FPS
-    )
+    ).person(None)
     points = triangulated(views.files)
     last = views.first_frame + len(points) - 1
     table = trial / "pose-3d" / f"{name}_{views.first_frame}-{last}.trc"

@@ -28,7 +28,6 @@ from benchmarks.arguments import over_windows
 from benchmarks.complete import cloud_from
 from benchmarks.results import corpus_source, earlier, write
 from benchmarks.scans import FPS, ScannedCycle, scanned, thinned_points
-from observations.files.points import positions_of
 from observations.kinds import InSpace
 from recon.benchmark.dataset import Splits, clip_files
 from recon.benchmark.table import interval, paired
@@ -36,6 +35,7 @@ from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.fitting.recording import WholeRecording
 from recon.formats.motions import load_motion
+from recon.reading.points import positions_of
 
 LONGEST, POINTS = 10.0, 500
 CLIPS = {

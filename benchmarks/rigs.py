@@ -28,7 +28,6 @@ from torch import Generator, Tensor
 from benchmarks.arguments import over_windows
 from benchmarks.humor import evenly
 from benchmarks.results import corpus_source, write
-from observations.files.images import keypoints_of
 from observations.keypoints2d import Keypoints2D
 from recon.benchmark.dataset import Splits
 from recon.benchmark.windows import FPS, load_windows
@@ -41,6 +40,7 @@ from recon.diagnosis.views.images import Images
 from recon.diagnosis.views.rigs import corrections
 from recon.fitting.clip import fit_clip
 from recon.fitting.methods import FitOptions
+from recon.reading.images import keypoints_of
 from recon.simulation.images import dome, keypoints2d
 from recon.simulation.points import Corruption
 

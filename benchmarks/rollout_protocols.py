@@ -10,7 +10,6 @@ from torch import Tensor
 from benchmarks.cameras import CASES, batch_of, to_true_world
 from benchmarks.converged import Protocol as Seen
 from benchmarks.converged import protocols as in_space
-from observations.files.clouds import cloud_of
 from observations.markers3d import Markers3D
 from recon.benchmark.protocols import noisy_joints
 from recon.benchmark.windows import TrueWindows
@@ -20,6 +19,7 @@ from recon.core.struct import concatenate
 from recon.fitting.clip import fit_clip
 from recon.fitting.methods import FitOptions, method_of
 from recon.method.reconstruction import Reconstruction, solve
+from recon.reading.clouds import cloud_of
 from recon.simulation.depth import depth_points
 from recon.simulation.images import dome
 from recon.simulation.points import Corruption

@@ -25,16 +25,17 @@ from benchmarks.arguments import over_windows
 from benchmarks.crossings import LAYOUT, SEED, Scene, scenes, walkers
 from benchmarks.results import corpus_source, write
 from benchmarks.scores import cell
-from observations.people.views import SeenViews
 from recon.api.result import Result
 from recon.batch.clips import fit_clips
 from recon.benchmark.dataset import Splits
 from recon.body.model import BodyModel
 from recon.core.camera import transform
-from recon.fitting.clip_files import PersonClip, clip_from
+from recon.fitting.settings import DEFAULTS
 from recon.formats.calibration import guessed_camera
-from recon.people.everyone import everyone
+from recon.people.everyone import PersonClip, everyone
 from recon.people.together import fit_people
+from recon.reading.clip import together
+from recon.reading.views import SeenViews
 
 SCENES = 6
 COLUMNS = {"about": ("about the pelvis cm", 100.0), "between": ("between people cm", 100.0),
@@ -87,7 +88,7 @@ def detected(scene: Scene, body: BodyModel) -> list[PersonClip]:
     )  # fmt: skip
     assert scene.detections.layout == LAYOUT
     return [
-        PersonClip(one.number, clip_from([("phone", one.views.files[0])], body))
+        PersonClip(one.number, together([("phone", one.views.files[0])], (), DEFAULTS, body))
         for one in everyone(seen).people
     ]
 

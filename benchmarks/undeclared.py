@@ -32,7 +32,6 @@ from rich.table import Table
 
 from benchmarks.arguments import over_windows
 from benchmarks.results import corpus_source, write
-from observations.files.images import keypoints_of
 from observations.keypoints2d import Keypoints2D
 from recon.benchmark.dataset import Splits
 from recon.benchmark.windows import TrueWindows, load_windows
@@ -47,6 +46,7 @@ from recon.diagnosis.views.rest import Rest, rest_of
 from recon.fitting.clip import fit_clip
 from recon.fitting.methods import FitOptions
 from recon.formats.calibration import guessed_camera
+from recon.reading.images import keypoints_of
 from recon.simulation.images import dome, keypoints2d, orbiting
 from recon.simulation.points import Corruption
 

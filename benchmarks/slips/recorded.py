@@ -9,12 +9,12 @@ import torch
 from observations.markers3d import Markers3D
 from recon.benchmark.windows import FPS, FRAMES
 from recon.body.model import BodyModel
-from recon.fitting.clip_files import load_clip
 from recon.fitting.settings import FitSettings
 from recon.formats.mocap.reader import read_recording
 from recon.formats.mocap.recording import MarkerRecording
 from recon.ingest.markers.coverage import full_body_markers
 from recon.method.protocols import Sensor as Seen
+from recon.reading.clip import load_clip
 
 VIEWS = ".zip"
 """Detections of several cameras are packed in these."""

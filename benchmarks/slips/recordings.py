@@ -9,7 +9,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from observations.files.images import keypoints_of
 from observations.keypoints2d import Keypoints2D
 from recon.benchmark.dataset import Part, Splits, clip_files
 from recon.benchmark.windows import FRAMES, TrueWindows, load_windows
@@ -18,6 +17,7 @@ from recon.core.camera import Camera, full_hd_camera
 from recon.core.motion import Motion
 from recon.core.struct import stack
 from recon.method.protocols import Sensor as Seen
+from recon.reading.images import keypoints_of
 from recon.simulation.images import dome, keypoints2d
 from recon.simulation.points import Corruption, joints3d, markers3d
 

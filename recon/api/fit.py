@@ -33,8 +33,8 @@ from recon.core.limits import FRAME_RATE
 from recon.core.motion import Motion
 from recon.diagnosis.examination import fit_examined
 from recon.diagnosis.findings import Finding
-from recon.fitting.clip_files import Clip, window
 from recon.fitting.methods import FitOptions, PriorObject
+from recon.fitting.observed import Clip, window
 from recon.method.stages import Watch
 from recon.method.terms import Term
 

@@ -23,8 +23,8 @@ from recon.diagnosis.doubts import Alternative
 from recon.diagnosis.examination import Examined
 from recon.diagnosis.findings import Finding
 from recon.diagnosis.motions.belt import in_room, path_of_belt
-from recon.fitting.clip_files import Clip
 from recon.fitting.long import LongReconstruction
+from recon.fitting.observed import Clip
 from recon.fitting.recording import RecordingFit, Stretch
 from recon.formats.motions import MotionFile
 from recon.formats.reports import versions
@@ -41,7 +41,7 @@ def describe(
 
     Args:
         result: of the fit.
-        inputs: SHA-256 of everything that was read, by path (`recon.fitting.clip_inputs`).
+        inputs: SHA-256 of everything that was read, by path (`recon.reading.inputs`).
         settings: of the fit, by name.
     """
     windows = result.windows if isinstance(result, LongReconstruction) else ()

@@ -9,7 +9,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from observations.files.points import load
 from recon.body.model import BodyModel
 from recon.core.camera import Camera, Projection, transform
 from recon.core.motion import Motion
@@ -22,6 +21,7 @@ from recon.formats.observations import (
     load_observation,
 )
 from recon.method.protocols import Estimate
+from recon.reading.points import load
 from recon.view.scene import Points
 from recon.view.views import View, nearest_samples
 

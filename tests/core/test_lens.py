@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 import torch
 
-from observations.files.images import keypoints_of
 from observations.keypoints2d import Keypoints2D
 from recon.core.camera import full_hd_camera
 from recon.core.scene import ZOOM, Scene, UnknownLens
 from recon.diagnosis.examination import fit_examined
-from recon.fitting.clip_files import load_clip
 from recon.fitting.methods import FitOptions
 from recon.fitting.settings import FitSettings
 from recon.formats.calibration import guessed_camera, guessed_size
+from recon.reading.clip import load_clip
+from recon.reading.images import keypoints_of
 from recon.simulation.images import keypoints2d
 from recon.simulation.points import Corruption
 from tests.filmed import NOISE, bundled, cameras, view, walk

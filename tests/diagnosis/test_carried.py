@@ -6,7 +6,6 @@ from dataclasses import replace
 import pytest
 import torch
 
-from observations.files.images import keypoints_of
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS
@@ -14,6 +13,7 @@ from recon.diagnosis.examination import fit_examined
 from recon.diagnosis.motions.belt import belt_velocity
 from recon.diagnosis.motions.carried import carried_finding
 from recon.fitting.methods import FitOptions
+from recon.reading.images import keypoints_of
 from recon.simulation.images import keypoints2d, orbiting
 from recon.simulation.points import Corruption
 from tests.filmed import bundled, cameras, walk

@@ -6,7 +6,6 @@ from dataclasses import replace
 import pytest
 import torch
 
-from observations.files.images import keypoints_of
 from observations.keypoints2d import Keypoints2D
 from recon.core import rotations as so3
 from recon.core.camera import Camera
@@ -14,6 +13,7 @@ from recon.diagnosis.examination import fit_examined
 from recon.diagnosis.views.images import Images
 from recon.diagnosis.views.rest import moving_finding, rest_of
 from recon.fitting.methods import FitOptions
+from recon.reading.images import keypoints_of
 from recon.simulation.images import keypoints2d
 from recon.simulation.points import Corruption
 from tests.filmed import bundled, cameras, walk

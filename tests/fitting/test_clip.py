@@ -8,7 +8,6 @@ import torch
 from observations import Joints3D
 from observations.curvature import Surfels
 from observations.depth import PointCloud
-from observations.files.images import keypoints_of
 from observations.keypoints2d import Keypoints2D
 from recon.core.motion import Motion
 from recon.core.struct import concatenate
@@ -18,6 +17,7 @@ from recon.fitting.ground import sole_heights
 from recon.fitting.methods import FitOptions
 from recon.formats.observations import CameraArrays, KeypointsFile
 from recon.method.stages import StageReport
+from recon.reading.images import keypoints_of
 from recon.simulation.points import Corruption, joints3d
 from tests.filmed import bundled, cameras, joint_error, turned, view, walk
 

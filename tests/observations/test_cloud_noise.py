@@ -5,9 +5,9 @@ import torch
 
 from observations.curvature import Surfels, bounded, to_vertices
 from observations.depth import CLOUD_NOISE, CLOUD_WORTH, PointCloud
-from observations.files.clouds import cloud_of
 from recon.core.camera import depth_camera
 from recon.core.errors import ObservationError
+from recon.reading.clouds import cloud_of
 from recon.simulation.depth import DepthSensor, depth_points
 from recon.simulation.points import Corruption
 from tests import laws

@@ -8,7 +8,6 @@ import torch
 
 from observations.curvature import Surfels, bounded, reweighted, to_discs, to_vertices, tukey
 from observations.depth import PointCloud
-from observations.files.clouds import cloud_of
 from recon.core import rotations as so3
 from recon.core.camera import depth_camera
 from recon.core.errors import ReconError
@@ -16,6 +15,7 @@ from recon.core.nearest import nearest
 from recon.core.scene import Scene, UnknownGround
 from recon.core.skeleton import joint_index
 from recon.formats.observations import PointsFile
+from recon.reading.clouds import cloud_of
 from recon.simulation.depth import PERFECT, DepthSensor, Surface, depth_points, without_pose
 from recon.simulation.points import Corruption, scan_points
 from tests import laws

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from observations.files.clouds import alone, cloud_of
 from recon.core.errors import ObservationError
 from recon.formats.observations import CameraArrays, PointsFile
+from recon.reading.clouds import alone, cloud_of
 
 
 def people(frames: int = 12, apart: float = 1.5):

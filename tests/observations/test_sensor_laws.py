@@ -10,13 +10,13 @@ from observations import Joints3D, Markers3D
 from observations.correspondences import BodyPoints
 from observations.curvature import Surfels
 from observations.depth import PointCloud
-from observations.files.images import keypoints_of
 from observations.keypoints3d import Keypoints3D
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.scene import Scene
 from recon.method.protocols import Sensor
 from recon.method.start import Recorded
+from recon.reading.images import keypoints_of
 from recon.simulation.images import keypoints2d
 from recon.simulation.points import Corruption
 from tests import laws

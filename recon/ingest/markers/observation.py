@@ -18,7 +18,6 @@ from recon.body.model import BodyModel
 from recon.core.robust import geman_mcclure, squared
 from recon.core.skeleton import FEET
 from recon.diagnosis.findings import listed
-from recon.fitting.readers import SeenMarkers
 from recon.formats.mocap.recording import MarkerRecording
 from recon.ingest.markers.conversion import FittedMarkers, fitted_markers
 from recon.ingest.markers.coverage import full_body_markers
@@ -35,7 +34,7 @@ def seen_markers(
     body: BodyModel,
     mapping: Path | None = None,
     robust: float | None = None,
-) -> SeenMarkers:
+) -> tuple[Markers3D, tuple[str, ...]]:
     """The known markers of a recording on our body's surface, and what was decided.
 
     Their offsets from the skin are those of the body that meets them best, and their standard
@@ -86,7 +85,7 @@ def seen_markers(
         said = "are more than 15 cm from their places on the body mostly: left out"
         bare = (*bare, f"{listed(names)} {said}")
     repaired = tuple(finding.message for finding in found.repairs)
-    return SeenMarkers(seen, (*found.decisions, ground, *bare, *repaired))
+    return seen, (*found.decisions, ground, *bare, *repaired)
 
 
 def _lost(found: FittedMarkers) -> Bool[np.ndarray, " markers"]:

@@ -9,7 +9,6 @@ from jaxtyping import Bool, Float, Int
 
 from observations.curvature import Surfels
 from observations.depth import PointCloud
-from observations.files.moving_sensor import movement
 from recon.body.model import BodyModel
 from recon.core.camera import Camera, Ground
 from recon.core.errors import ObservationError
@@ -25,6 +24,7 @@ from recon.core.planes import (
     spacing,
 )
 from recon.formats.observations import CameraArrays, PointsFile
+from recon.reading.moving_sensor import movement
 
 _LARGE = 0.4
 """Share of the largest thing's points that another one has which may be the person."""
