@@ -30,9 +30,9 @@ from benchmarks.scans import (
     thinned_landmarks,
     thinned_points,
 )
-from observations.curvature import Surfels
 from observations.depth import PointCloud
 from observations.kinds import InSpace
+from observations.surfels import Surfels
 from priors.anchor.fit import AnchorFit, PublishedAnchorFit
 from priors.pose.prior import PosePrior, PoseWeights
 from recon.benchmark.dataset import Part, Splits

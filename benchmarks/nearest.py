@@ -15,8 +15,8 @@ import numpy as np
 import torch
 
 from benchmarks.results import demo_clip, show, write
-from observations.curvature import SURFELS, Surfels, to_discs, to_vertices
 from observations.depth import PointCloud
+from observations.surfels import SURFELS, Surfels, to_discs, to_vertices
 from priors.humor.collocation import CollocatedHumor
 from priors.humor.prior import Humor
 from priors.pose.prior import PosePrior

@@ -41,7 +41,8 @@ from recon.body.model import BodyModel
 from recon.core.camera import Camera, transform
 from recon.core.motion import Motion
 from recon.core.struct import concatenate
-from recon.fitting.clip import ClipFit, fit_clip
+from recon.fitting.clip import fit_clip
+from recon.fitting.fitted import ClipFit
 from recon.fitting.methods import FitOptions
 from recon.formats.calibration import guessed_camera
 from recon.formats.camera_path import CameraPath

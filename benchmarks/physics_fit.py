@@ -34,10 +34,11 @@ from recon.benchmark.windows import TrueWindows, load_windows
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.struct import concatenate
-from recon.fitting.methods import WithPhysics, physics_terms
+from recon.fitting.methods import WithPhysics
 from recon.method.reconstruction import Method
 from recon.method.stages import Stage
 from recon.method.terms import Term
+from recon.physics.energies import physics_terms
 from recon.physics.metrics import physics_metrics, physics_samples
 
 PHYSICS_FPS = 20.0

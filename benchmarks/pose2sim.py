@@ -26,8 +26,9 @@ from benchmarks.results import recordings_source, write
 from benchmarks.scores import Columns, Row, cell
 from observations.keypoints2d import Keypoints2D
 from recon.body.model import BodyModel
-from recon.diagnosis.plausibility import views_error
-from recon.fitting.clip import ClipFit, fit_clip
+from recon.diagnosis.views.fitted import views_error
+from recon.fitting.clip import fit_clip
+from recon.fitting.fitted import ClipFit
 from recon.fitting.methods import FitOptions
 from recon.fitting.settings import FitSettings
 from recon.metrics import errors as metrics

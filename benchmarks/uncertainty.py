@@ -33,7 +33,8 @@ from recon.body.model import BodyModel
 from recon.core.skeleton import FEET
 from recon.diagnosis.certainty import certainty, fitted_contacts
 from recon.diagnosis.doubts import observed_joints
-from recon.fitting.clip import ClipFit, fit_clip
+from recon.fitting.clip import fit_clip
+from recon.fitting.fitted import ClipFit
 from recon.fitting.methods import FitOptions
 from recon.method.laplace import Deviations
 from recon.method.protocols import Sensor as Observed

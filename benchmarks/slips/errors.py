@@ -9,7 +9,7 @@ from benchmarks.slips.kinds import Measure, Slip
 from benchmarks.slips.recordings import Recording
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS, MIRROR, joint_index
-from recon.fitting.clip import ClipFit
+from recon.fitting.fitted import ClipFit
 from recon.metrics import errors as metrics
 
 Joints = Float[Tensor, "time 22 3"]

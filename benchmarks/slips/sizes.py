@@ -24,7 +24,8 @@ from benchmarks.slips.kinds import SLIPS, Slip
 from benchmarks.slips.recordings import SENSORS, Recording, evenly, recording_of, windows_of
 from recon.body.model import BodyModel
 from recon.core.struct import concatenate
-from recon.fitting.clip import ClipFit, fit_clip
+from recon.fitting.clip import fit_clip
+from recon.fitting.fitted import ClipFit
 from recon.fitting.methods import FitOptions
 from recon.method.protocols import Sensor as Seen
 

@@ -11,10 +11,11 @@ from benchmarks.slips.good import GoodWindow, GoodWindows, alarms
 from benchmarks.slips.kinds import Slip
 from benchmarks.slips.recordings import SENSORS, Recording, recording_of
 from benchmarks.slips.verdict import Verdict, verdict_of
+from recon.api.pipeline import fitted
 from recon.benchmark.windows import TrueWindows
 from recon.body.model import BodyModel
-from recon.diagnosis.examination import fit_examined
-from recon.fitting.clip import ClipFit, fit_clip
+from recon.fitting.clip import fit_clip
+from recon.fitting.fitted import ClipFit
 from recon.fitting.methods import FitOptions
 
 
@@ -78,7 +79,7 @@ def slipped(
 ) -> Verdict:
     """One slip on one clip."""
     seen, frames = slip.spoil(recording, size), recording.truth.frames
-    found = fit_examined(seen, recording.names, settings, recording.body)
+    found = fitted(seen, recording.names, settings, recording.body)
     claimed = claimed_samples(slip, found.observed, frames)
 
     def wrong(fit: ClipFit) -> float:
@@ -156,7 +157,7 @@ def quiet(
     """Fit good windows; print what is said about them and is not so."""
     for window in windows:
         seen, names = good.load(window)
-        found = fit_examined(seen, names, settings, body)
+        found = fitted(seen, names, settings, body)
         said = alarms(window, (*found.repairs, *found.warnings))
         for finding in said:
             print(f"{window.name}: {finding.code}: {finding.message}", flush=True)

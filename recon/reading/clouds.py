@@ -7,8 +7,8 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 
-from observations.curvature import Surfels
 from observations.depth import PointCloud
+from observations.surfels import Surfels
 from recon.body.model import BodyModel
 from recon.core.camera import Camera, Ground
 from recon.core.errors import ObservationError

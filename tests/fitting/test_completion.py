@@ -6,9 +6,9 @@ import pytest
 import torch
 
 from observations import Joints3D, Markers3D
-from observations.curvature import Surfels
 from observations.depth import PointCloud
 from observations.keypoints2d import Keypoints2D
+from observations.surfels import Surfels
 from priors.anchor.fit import AnchorFit, PublishedAnchorFit
 from priors.anchor.networks import save_weights
 from recon.body.landmarks import LANDMARKS_16, landmark

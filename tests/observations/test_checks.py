@@ -6,9 +6,9 @@ import torch
 
 from observations import Joints3D, Markers3D
 from observations.correspondences import BodyPoints
-from observations.curvature import Surfels
 from observations.depth import PointCloud
 from observations.keypoints2d import Keypoints2D
+from observations.surfels import Surfels
 from recon.body.model import BodyModel
 from recon.core.camera import Camera, looking
 from recon.core.motion import Motion

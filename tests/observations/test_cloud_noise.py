@@ -3,8 +3,8 @@
 import pytest
 import torch
 
-from observations.curvature import Surfels, bounded, to_vertices
 from observations.depth import CLOUD_NOISE, CLOUD_WORTH, PointCloud
+from observations.surfels import Surfels, bounded, to_vertices
 from recon.core.camera import depth_camera
 from recon.core.errors import ObservationError
 from recon.reading.clouds import cloud_of

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from observations.curvature import Surfels, bounded, reweighted, to_discs, to_vertices, tukey
 from observations.depth import PointCloud
+from observations.surfels import Surfels, bounded, reweighted, to_discs, to_vertices, tukey
 from recon.core import rotations as so3
 from recon.core.camera import depth_camera
 from recon.core.errors import ReconError
@@ -69,10 +69,8 @@ def test_golden_gradient(golden, kernel, monkeypatch):
     # at equal scale the consistent energy has the gradient of the published one
     if kernel is tukey:
         scale = partial(torch.Tensor.to, golden["points3d_scale"])
-        monkeypatch.setattr(
-            "observations.curvature.lower_median", lambda *_: 0.67449 * scale("cpu")
-        )
-        monkeypatch.setattr("observations.curvature.LEAST_SCALE", 0.0)
+        monkeypatch.setattr("observations.surfels.lower_median", lambda *_: 0.67449 * scale("cpu"))
+        monkeypatch.setattr("observations.surfels.LEAST_SCALE", 0.0)
     vertices = golden["camera_verts"].clone().requires_grad_()
     points = golden["obs_points3d"]
     index = nearest(points, all_present(points), vertices, all_present(vertices))
@@ -115,7 +113,7 @@ def test_what_is_not_there_counts_nothing(toy_body):
 @pytest.mark.parametrize("kernel", [bounded, tukey])
 def test_the_gradient_is_that_of_the_value(body, kernel, monkeypatch):
     monkeypatch.setattr(
-        "observations.curvature.lower_median", lambda e, _: e.new_full((len(e),), 0.02)
+        "observations.surfels.lower_median", lambda e, _: e.new_full((len(e),), 0.02)
     )
     motion = laws.a_motion(body, clips=1, frames=2)
     points = body.pose(motion).vertices[:, :, ::40]

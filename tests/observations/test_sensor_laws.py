@@ -8,9 +8,9 @@ import torch
 
 from observations import Joints3D, Markers3D
 from observations.correspondences import BodyPoints
-from observations.curvature import Surfels
 from observations.depth import PointCloud
 from observations.keypoints3d import Keypoints3D
+from observations.surfels import Surfels
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.scene import Scene
