@@ -36,13 +36,13 @@ from benchmarks.protocol import (
     over_windows,
     tell,
 )
-from observations.files.images import keypoints_of
 from recon import BodyModel, Camera, Keypoints2D, Motion
 from recon.benchmark.answers import Row
 from recon.benchmark.dataset import Splits
 from recon.benchmark.windows import TrueWindows, load_windows
 from recon.core.camera import full_hd_camera
 from recon.metrics.evaluation import evaluate, ground_errors
+from recon.reading.images import keypoints_of
 from recon.simulation.images import dome, keypoints2d, orbiting
 from recon.simulation.points import Corruption
 

@@ -11,9 +11,9 @@ from importlib import resources
 import numpy as np
 
 import recon
-from observations.files.images import keypoints_of
 from recon.core.camera import full_hd_camera
 from recon.formats.observations import CameraArrays, KeypointsFile
+from recon.reading.images import keypoints_of
 from recon.simulation.images import dome, keypoints2d
 from recon.simulation.points import Corruption
 

@@ -9,8 +9,8 @@ here, so the world is that of the calibration.
 from importlib import resources
 
 import recon
-from observations.files.images import keypoints_of
 from recon.core.camera import full_hd_camera
+from recon.reading.images import keypoints_of
 from recon.simulation.images import dome, keypoints2d
 from recon.simulation.points import Corruption
 

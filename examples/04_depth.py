@@ -10,9 +10,9 @@ alone.
 from importlib import resources
 
 import recon
-from observations.files.clouds import cloud_of
-from observations.files.images import keypoints_of
 from recon.core.camera import depth_camera
+from recon.reading.clouds import cloud_of
+from recon.reading.images import keypoints_of
 from recon.simulation.depth import depth_points
 from recon.simulation.images import dome, keypoints2d
 from recon.simulation.points import Corruption

@@ -22,7 +22,6 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 import recon
-from observations.files.images import keypoints_of
 from observations.records.sensor import SensorRecord
 from observations.timing import at_observation_times, padded
 from recon.core import rotations as so3
@@ -30,6 +29,7 @@ from recon.core.camera import full_hd_camera
 from recon.core.residuals import Residuals, Unit
 from recon.core.skeleton import JOINTS, joint_index
 from recon.method.protocols import Estimate
+from recon.reading.images import keypoints_of
 from recon.simulation.images import dome, keypoints2d
 from recon.simulation.points import Corruption
 

@@ -1,5 +1,8 @@
 """Observations: one adapter per sensor, each an energy with data inside."""
 
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
 import recon
 
 if getattr(recon, "__distribution__", None) != "motion-recon":
@@ -9,5 +12,19 @@ if getattr(recon, "__distribution__", None) != "motion-recon":
         "`pip install --force-reinstall motion-recon`"
     )
 
-from observations.joints3d import Joints3D as Joints3D
-from observations.markers3d import Markers3D as Markers3D
+if TYPE_CHECKING:
+    from observations.joints3d import Joints3D as Joints3D
+    from observations.markers3d import Markers3D as Markers3D
+
+_HOMES = {"Joints3D": "observations.joints3d", "Markers3D": "observations.markers3d"}
+
+
+def __getattr__(name: str) -> Any:
+    """A sensor, loaded on first use."""
+    if name in _HOMES:
+        return getattr(import_module(_HOMES[name]), name)
+    raise AttributeError(f"module 'observations' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *_HOMES])

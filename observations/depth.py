@@ -10,11 +10,11 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from observations.checks import checked_clock, checked_positions, checked_view
-from observations.curvature import Surfels, to_discs, tukey, tukey_scale, within
 from observations.records.sensor import SensorRecord
 from observations.start.depth import depth_start
 from observations.start.labelled import labelled_start
 from observations.start.surface_steps import costs_of_points, kinds_of_surfels
+from observations.surfels import Surfels, to_discs, tukey, tukey_scale, within
 from observations.timing import (
     at_observation_times,
     between_moments,
@@ -52,6 +52,7 @@ class PointCloud(SensorRecord):
     Points have no names: those of one moment do not correspond to those of the next.
     """
 
+    sees = "surface"
     unit: ClassVar[Unit] = "metres"
     points: Float[Tensor, "*batch moments points 3"]
     """Positions in metres, in the frame of the recording; zero where not present."""

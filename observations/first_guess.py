@@ -1,20 +1,19 @@
 """The first guess of a fit, from all observations of a clip together."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from observations import kinds
-from observations.camera_paths import tell_distance, views_start
 from observations.depth import PointCloud
 from observations.keypoints2d import Keypoints2D
 from observations.timing import at_observation_times
-from priors.labels.looking import CloudLabeller
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion
@@ -51,8 +50,12 @@ def first_guess(observations: Sequence[Sensor], body: BodyModel) -> FirstGuess:
         return FirstGuess(observations[0].start(body), True)
     if named:
         return FirstGuess(named[0].start(body), True)
-    if len(alike := one_clock(views)) > 1 and tell_distance(alike):
-        return FirstGuess(views_start(body, alike), True)
+    if len(alike := one_clock(views)) > 1:
+        # rays meet where several cameras saw the person
+        from observations.camera_paths import tell_distance, views_start
+
+        if tell_distance(alike):
+            return FirstGuess(views_start(body, alike), True)
     if views and clouds:
         placed, posed = views[0].start(body), clouds[0].start(body)
         if clouds[0].labels is not None:  # headings were compared already
@@ -132,13 +135,14 @@ def labelled(observations: Sequence[Sensor]) -> tuple[Sensor, ...]:
     if kinds.tracked(observations):
         return tuple(observations)
     return tuple(
-        with_labels(one) if isinstance(one, PointCloud) and one.labels is None else one
-        for one in observations
+        with_labels(*cloud) if (cloud := kinds.clouds([one])) else one for one in observations
     )
 
 
 def with_labels(cloud: PointCloud) -> PointCloud:
-    """The cloud with what the bundled network believes of its points."""
+    """The cloud with what the bundled network believes of its points, unless it has labels."""
+    if cloud.labels is not None:
+        return cloud
     eyes = None
     if cloud.camera is not None:
         eyes = cloud.camera.at(range(cloud.moments)).T_world_camera[..., :3, 3]
@@ -148,6 +152,8 @@ def with_labels(cloud: PointCloud) -> PointCloud:
 
 
 @cache
-def _labeller() -> CloudLabeller:
-    """The bundled network, loaded once."""
+def _labeller() -> Callable[..., Any]:
+    """The bundled network, loaded once, and with the first cloud."""
+    from priors.labels.looking import CloudLabeller
+
     return CloudLabeller.load()

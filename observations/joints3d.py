@@ -30,6 +30,7 @@ class Joints3D(TrackedPoints):
     metres².
     """
 
+    sees = "points"
     on_skin: ClassVar[bool] = False
     positions: Float[Tensor, "*batch moments points 3"]
     """Positions in metres, in the frame of the recording (z up); zero where not visible."""

@@ -13,7 +13,7 @@ from observations.correspondences import BodyPoints, joints_shown, told_joints
 from observations.curvature import of_pixels
 from observations.noise import LIMITS, estimate_noise
 from observations.records.sensor import SensorRecord
-from observations.records.tracked import displaced
+from observations.records.tracked import OFFSET_UNIT, displaced
 from observations.start.images import image_start
 from observations.timing import at_observation_times, moment_numbers, moments_between, padded
 from recon.body.derivatives import CarriedPoints
@@ -31,8 +31,6 @@ SIGMA = 100.0
 """Pixels; HuMoR's (section 6.9)."""
 FAINT = 0.2
 """Share of the greatest confidence of a clip up to which a keypoint tells nothing of a joint."""
-OFFSET_UNIT = 0.05
-"""Metres; an offset is seen in all frames and views at once, so that its variable is stiff."""
 
 
 @dataclass(frozen=True, init=False)
@@ -43,6 +41,7 @@ class Keypoints2D(SensorRecord):
     same point of the body, times the square of the confidence, in pixels².
     """
 
+    sees = "image"
     unit: ClassVar[Unit] = "pixels"
     pixels: Float[Tensor, "*batch moments points 2"]
     """Pixels without lens distortion; zero where the confidence is zero."""

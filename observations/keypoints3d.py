@@ -30,6 +30,7 @@ class Keypoints3D(TrackedPoints):
     the translation of every moment that brings them nearest.
     """
 
+    sees = "points"
     on_skin: ClassVar[bool] = False
     positions: Float[Tensor, "*batch moments points 3"]
     """Positions in metres, in the frame of the recording; zero where not visible."""
@@ -124,6 +125,10 @@ class Keypoints3D(TrackedPoints):
         del body
         named = zip(self.points.names, self.points.bones, strict=True)
         return tuple(TRUNK.get(name, bone) for name, bone in named)
+
+    def rigid_pairs(self, body: BodyModel) -> tuple[tuple[int, int], ...] | None:
+        """Pairs of keypoints of one bone."""
+        return self.points.rigid_pairs(body)
 
     def point_names(self, body: BodyModel) -> tuple[str, ...]:
         """Names of the keypoints."""

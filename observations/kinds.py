@@ -1,43 +1,56 @@
 """What kinds of sensors a clip has: points with names, images, clouds."""
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING, TypeGuard
 
 import numpy as np
 import torch
 from jaxtyping import Float
 
-from observations import kinds
-from observations.depth import PointCloud
-from observations.joints3d import Joints3D
-from observations.keypoints2d import Keypoints2D
-from observations.keypoints3d import Keypoints3D
-from observations.markers3d import Markers3D
 from recon.method.protocols import Sensor
 
-Tracked = Joints3D | Markers3D | Keypoints3D
-"""Sensors that give places in space of points with names, metres."""
-InSpace = Tracked | PointCloud
-"""Sensors that give places in space, metres."""
+if TYPE_CHECKING:
+    from observations.depth import PointCloud
+    from observations.joints3d import Joints3D
+    from observations.keypoints2d import Keypoints2D
+    from observations.keypoints3d import Keypoints3D
+    from observations.markers3d import Markers3D
+
+    Tracked = Joints3D | Markers3D | Keypoints3D
+    InSpace = Tracked | PointCloud
+else:
+    # a clip loads the code of those sensors alone that it has
+    Tracked = InSpace = Keypoints2D = Markers3D = PointCloud = Sensor
+
+
+def _seeing(observations: Sequence[Sensor], *what: str) -> list:
+    """Those that see one of these; a sensor of somebody's own need not say what it sees."""
+    return [one for one in observations if getattr(one, "sees", None) in what]
 
 
 def tracked(observations: Sequence[Sensor]) -> list[Tracked]:
     """Joints, markers and keypoints: points in space with names."""
-    return [one for one in observations if isinstance(one, Tracked)]
+    return _seeing(observations, "points")
 
 
 def markers(observations: Sequence[Sensor]) -> list[Markers3D]:
     """Markers on the skin."""
-    return [one for one in observations if isinstance(one, Markers3D)]
+    return [one for one in _seeing(observations, "points") if one.on_skin]
 
 
 def in_space(observations: Sequence[Sensor]) -> list[InSpace]:
     """Joints, markers, keypoints and clouds, in the order given."""
-    return [one for one in observations if isinstance(one, InSpace)]
+    return [one for one in observations if is_in_space(one)]
+
+
+def is_in_space(one: Sensor) -> TypeGuard[InSpace]:
+    """Whether a sensor gives places in space, metres."""
+    return len(_seeing([one], "points", "surface")) > 0
 
 
 def views(observations: Sequence[Sensor]) -> list[Keypoints2D]:
     """Keypoints in images."""
-    return [one for one in observations if isinstance(one, Keypoints2D)]
+    return _seeing(observations, "image")
 
 
 def with_camera(observations: Sequence[Sensor]) -> list[Keypoints2D | PointCloud]:
@@ -47,7 +60,7 @@ def with_camera(observations: Sequence[Sensor]) -> list[Keypoints2D | PointCloud
 
 def clouds(observations: Sequence[Sensor]) -> list[PointCloud]:
     """Points without names."""
-    return [one for one in observations if isinstance(one, PointCloud)]
+    return _seeing(observations, "surface")
 
 
 def camera_frame_is_recording(seen: Sensor) -> bool:
@@ -55,7 +68,7 @@ def camera_frame_is_recording(seen: Sensor) -> bool:
 
     A camera cannot stand so in the world: it would lie on the ground and look straight up.
     """
-    for one in kinds.with_camera([seen]):
+    for one in with_camera([seen]):
         if one.camera is not None:
             poses = one.camera.T_camera_world
             return bool((poses == torch.eye(4).to(poses)).all())
@@ -64,7 +77,7 @@ def camera_frame_is_recording(seen: Sensor) -> bool:
 
 def unposed_camera(seen: Sequence[Sensor]) -> Float[np.ndarray, "4 4"] | None:
     """First pose of the first camera that does not know the ground, T_recording_camera."""
-    for one in kinds.with_camera(seen):
+    for one in with_camera(seen):
         if one.camera is not None and not one.ground_known:
             return one.camera.T_world_camera[0, 0].double().cpu().numpy()
     return None

@@ -26,6 +26,7 @@ class Markers3D(VertexPoints):
     in metres².
     """
 
+    sees = "points"
     positions: Float[Tensor, "*batch moments points 3"]
     """Positions in metres, in the frame of the recording (z up); zero where not visible."""
     visible: Bool[Tensor, "*batch moments points"]

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from recon.api.generate import sample as sample
     from recon.api.given import Shape as Shape
     from recon.api.interpolate import interpolate as interpolate
-    from recon.api.observations import load_observation as load_observation
     from recon.api.refine import refine as refine
     from recon.api.result import Result as Result
     from recon.api.results import MotionResult as MotionResult
@@ -57,10 +56,13 @@ if TYPE_CHECKING:
     from recon.people.results import People as People
     from recon.people.together import fit_people as fit_people
     from recon.people.together import load_people as load_people
+    from recon.reading.door import load_observation as load_observation
+    from recon.reading.door import read as read
 
 _HOMES = {
     "fit": "recon.api.fit",
-    "load_observation": "recon.api.observations",
+    "read": "recon.reading.door",
+    "load_observation": "recon.reading.door",
     "fit_clips": "recon.batch.clips",
     "fit_people": "recon.people.together",
     "load_people": "recon.people.together",

@@ -5,13 +5,13 @@ from importlib import resources
 
 import torch
 
-from observations.files.images import keypoints_of
 from observations.keypoints2d import Keypoints2D
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.camera import Camera, full_hd_camera
 from recon.core.motion import Motion
 from recon.formats.motions import load_motion
+from recon.reading.images import keypoints_of
 from recon.simulation.images import dome, keypoints2d
 from recon.simulation.points import Corruption
 

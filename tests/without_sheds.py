@@ -38,7 +38,7 @@ class Locked:
 def fit() -> None:
     """Fit four frames of joints."""
     import recon
-    from priors import PosePrior
+    from priors.pose.prior import PosePrior
     from recon.solver.lbfgs import LBFGS
 
     class Quick:

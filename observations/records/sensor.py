@@ -1,7 +1,7 @@
 """What sensors have in common: a clock, an energy from residuals, stretches of time."""
 
 from abc import abstractmethod
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, Literal, TypeVar
 
 import numpy as np
 import torch
@@ -28,6 +28,10 @@ class SensorRecord(TensorStruct):
     """
 
     unit: ClassVar[Unit] = "metres"
+    sees: ClassVar[Literal["points", "image", "surface"] | None] = None
+    """By which first guesses and checks the data are taken: as those of named points in space, of
+    their images, or of points anywhere on the surface; None for others, as those of a sensor of
+    your own."""
     level: bool = False
     """Whether the z axis of the recording's frame points up even where its ground is not known."""
     timed: ClassVar[tuple[str, ...]] = ()

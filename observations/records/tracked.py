@@ -32,6 +32,10 @@ from recon.core.skeleton import JOINTS
 from recon.method.protocols import REFERENCE_FPS, Estimate
 from recon.method.quadratic import PointModel
 
+OFFSET_UNIT = 0.05
+"""Metres; offsets of keypoints in images are in this unit: they are seen in all frames and views
+at once, so that a variable in metres would be stiff."""
+
 
 def displaced(
     points: Float[Tensor, "*batch time points 3"],
@@ -85,6 +89,10 @@ class TrackedPoints(SensorRecord):
     @abstractmethod
     def bones(self, body: BodyModel) -> tuple[int, ...]:
         """The body joint whose bone carries each point."""
+
+    def rigid_pairs(self, body: BodyModel) -> tuple[tuple[int, int], ...] | None:
+        """Pairs of points whose distance no pose changes; None where the bones alone tell them."""
+        del body
 
     @abstractmethod
     def point_names(self, body: BodyModel) -> tuple[str, ...]:

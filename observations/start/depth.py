@@ -8,9 +8,10 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from observations.curvature import Surfels
-from observations.start.images import UPRIGHT, smooth_path
+from observations.start.images import smooth_path
 from observations.start.rigid import nearest_placed
+from observations.start.standing import UPRIGHT
+from observations.surfels import Surfels
 from priors.labels.networks import squared_distances
 from recon.body.model import BodyModel
 from recon.core import rotations as so3

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from observations.correspondences import BodyPoints
 from observations.start.rigid import TORSO, nearest_placed
+from observations.start.standing import UPRIGHT
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.camera import Camera
@@ -33,8 +34,6 @@ _BONES = (
     ("shoulder", "hip"),
 )  # fmt: skip
 _LEAST_POINTS = 4
-UPRIGHT = (math.pi / 2, 0.0, 0.0)
-"""Rotation vector from the rest pose (y up, facing z) to the recording (z up, facing -y)."""
 _LEGS = frozenset(
     joint_index(f"{side}_{name}")
     for side in ("left", "right")

@@ -12,7 +12,6 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from observations.curvature import Surfels
 from observations.start.bone_poses import (
     BonePoses,
     BoneTargets,
@@ -22,6 +21,7 @@ from observations.start.bone_poses import (
 )
 from observations.start.depth import evidence
 from observations.start.surface_steps import SeenSurface
+from observations.surfels import Surfels
 from priors.labels.looking import PointLabels
 from priors.labels.regions import MIRRORED_REGIONS, REGION_OF_JOINT, REGIONS
 from priors.pose.prior import PosePrior

@@ -1,16 +1,19 @@
 """A first guess for data that do not tell where the body is."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
 
-from observations.start.images import UPRIGHT
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINT
+
+UPRIGHT = (math.pi / 2, 0.0, 0.0)
+"""Rotation vector from the rest pose (y up, facing z) to the recording (z up, facing -y)."""
 
 
 def standing(

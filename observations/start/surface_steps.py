@@ -11,8 +11,8 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from observations.curvature import Surfels
 from observations.start.bone_poses import BonePoses, BoneTargets, PoseSolver, Springs
+from observations.surfels import Surfels
 from priors.labels.looking import PointLabels
 from priors.labels.regions import REGIONS, Regions
 from recon.body.model import BodyModel

@@ -9,7 +9,6 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from observations.files.points import positions_of
 from recon.api.given import BodyLike, MotionLike, body_given, motion_given
 from recon.api.results import Evaluation
 from recon.body.model import BodyModel
@@ -21,6 +20,7 @@ from recon.formats.observations import ObservationFile, PositionsFile, load_obse
 from recon.method.protocols import Estimate
 from recon.metrics import evaluation
 from recon.metrics.evaluation import ObservedPoints, ground_errors, nearest_labels
+from recon.reading.points import positions_of
 
 _ON_ITS_GROUND = ("penetration", "sole_penetration", "contact", "slip_speed")
 """How metrics that judge a result by the ground it stands on begin."""

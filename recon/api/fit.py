@@ -17,24 +17,17 @@ from recon.api.given import (
     prior_of,
     shape_known,
 )
-from recon.api.observations import (
-    GroundChoice,
-    ObservationsLike,
-    Sighting,
-    clip_of,
-    counted_less_beyond,
-    on_ground,
-)
+from recon.api.observations import GroundChoice, ObservationsLike, Sighting
+from recon.api.pipeline import fitted, observed
 from recon.api.result import Result, Stopper, result_of
 from recon.body.model import BodyModel
 from recon.core.arrays import finite, positive
 from recon.core.errors import ObservationError
 from recon.core.limits import FRAME_RATE
 from recon.core.motion import Motion
-from recon.diagnosis.examination import fit_examined
 from recon.diagnosis.findings import Finding
-from recon.fitting.clip_files import Clip, window
 from recon.fitting.methods import FitOptions, PriorObject
+from recon.fitting.observed import Clip
 from recon.method.stages import Watch
 from recon.method.terms import Term
 
@@ -111,12 +104,7 @@ def fit(
         FileNotFoundError: when there is no such body, weights or start.
     """
     model = body_given(body).to(device=device, dtype=torch.float32)
-    clip = clip_of(observations, model)
-    if between is not None:
-        clip = window(clip, *between)
-    if robust != "auto":
-        clip = counted_less_beyond(clip, finite(robust, "robust"))
-    sighting = on_ground(clip, ground)
+    sighting = observed(observations, model, ground=ground, between=between, robust=robust)
     clip = sighting.clip
     if fps is not None:
         FRAME_RATE.check(positive(fps, "fps"), "fit", "fps")
@@ -138,7 +126,7 @@ def fit(
     if callback is not None or max_seconds is not None:
         limit = None if max_seconds is None else positive(max_seconds, "max_seconds")
         stopper = Stopper(callback, limit)
-    examined = fit_examined(
+    examined = fitted(
         clip.observations, clip.names, options, model, stopper, _start(start, sighting, model)
     )
     arguments = _plain(options) | {

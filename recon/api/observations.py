@@ -1,6 +1,5 @@
 """What the caller observed as one clip: one leading axis, one precision, one frame, names."""
 
-import logging
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -10,102 +9,13 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 
-from observations.files.images import LEVEL_CAMERA, camera_above, world_above
 from observations.kinds import camera_frame_is_recording, unposed_camera
 from recon.body.model import BodyModel
-from recon.core.errors import FormatError, ObservationError, ReconError
-from recon.fitting.clip_files import Clip, load_clip
-from recon.fitting.settings import DEFAULTS, FitSettings
-from recon.ingest.markers.observation import seen_markers
+from recon.core.errors import ObservationError, ReconError
+from recon.fitting.ground import LEVEL_CAMERA, camera_above, world_above
+from recon.fitting.observed import Clip
+from recon.fitting.settings import DEFAULTS
 from recon.method.protocols import Sensor
-
-_LOG = logging.getLogger("recon")
-
-
-def load_observation(
-    path: Path | str | Sequence[Path | str],
-    *,
-    body: BodyModel | None = None,
-    unit: Literal["m", "cm", "mm", "inch", "cmu"] | None = None,
-    up: Literal["x", "y", "z", "x-down", "y-down", "z-down"] | None = None,
-    frame_rate: float | None = None,
-    layout: str | None = None,
-    person: int | None = None,
-    masks: Path | str | None = None,
-    camera: Path | str | None = None,
-    camera_unit: Literal["m", "mm"] | None = None,
-    camera_up: Literal["x", "y", "z"] | None = None,
-    image_size: tuple[int, int] | None = None,
-    camera_track: Path | str | None = None,
-    ground: tuple[float, float, float, float] | None = None,
-    depth_scale: float = 0.001,
-    reader: str | None = None,
-    seed: int = 0,
-    mapping: Path | str | None = None,
-) -> Sensor | list[Sensor]:
-    """What `recon fit` takes: one observation, or a list where there are several views or paths.
-
-    Observation files (.npz); folders or files of 2D detections, one per view, with `camera`;
-    folders of scans (.ply, .pcd); folders of 16-bit depth images (.png) with `camera`; markers of
-    laboratories (.c3d, .trc); files of sensors that other packages registered. All have a leading
-    axis of length one. What was assumed in reading is logged (logger `recon`).
-
-    Args:
-        path: file or folder, or several of one clip.
-        body: whose points markers and keypoints are; None is the bundled body.
-        unit: of positions and scans, where the file is wrong about it.
-        up: axis that points up, where the file is wrong about it.
-        frame_rate: frames per second of detections and images, where files do not tell.
-        layout: which keypoints detections are, where files do not tell: openpose25, coco17, ...
-        person: number of the person to follow where detections show several.
-        masks: silhouettes of the person; keypoints outside are taken as occluded.
-        camera: calibration of the cameras that detections and depth images come from.
-        camera_unit: unit of the calibration, where it does not tell.
-        camera_up: axis of the calibration's world that points up.
-        image_size: width and height, pixels, where no calibration tells.
-        camera_track: how the one camera was carried, as COLMAP, TUM, DROID-SLAM or ARKit write it.
-        ground: plane n·x = d below a camera without pose, (nx, ny, nz, d) in its frame, metres.
-        depth_scale: metres per unit of depth images.
-        reader: class that reads files of a sensor of your own, "package.module:Class"; not needed
-            where it is registered as the entry point `recon.observations`.
-        seed: of the draw of points from clouds.
-        mapping: JSON or TOML file that says where markers (.c3d, .trc) sit, label = landmark, for
-            labels that are not known or mean another place.
-
-    Raises:
-        FileNotFoundError: when there is no such file.
-        FormatError: when something cannot be read, or arguments are missing; says what to do.
-    """
-    paths = [path] if isinstance(path, Path | str) else path
-    settings = FitSettings(
-        unit=unit, up=up, frame_rate=frame_rate, layout=layout, person=person,
-        masks=None if masks is None else Path(masks),
-        camera=None if camera is None else Path(camera), camera_unit=camera_unit,
-        camera_up=camera_up, image_size=image_size,
-        camera_track=None if camera_track is None else Path(camera_track), ground=ground,
-        depth_scale=depth_scale, reader=reader, seed=seed,
-        mapping=None if mapping is None else Path(mapping),
-    )  # fmt: skip
-    clip = read_clip(paths, settings, BodyModel.load() if body is None else body)
-    for note in clip.notes:
-        _LOG.info("%s", note)
-    return clip.observations[0] if len(clip.observations) == 1 else list(clip.observations)
-
-
-def read_clip(paths: Sequence[Path | str], settings: FitSettings, body: BodyModel) -> Clip:
-    """Everything that was recorded of one clip, from files and folders of any kind.
-
-    Raises:
-        FileNotFoundError: when there is no such file.
-        FormatError: when something cannot be read, or settings are missing; says what to do.
-    """
-    try:
-        return load_clip([Path(one) for one in paths], settings, body, seen_markers)
-    except ReconError:
-        raise
-    except ValueError as error:
-        raise FormatError(str(error)) from error
-
 
 Plane = tuple[float, float, float, float]
 """(nx, ny, nz, d): the points x of the ground have n·x = d in the observations' frame, metres."""
@@ -143,7 +53,10 @@ def clip_of(given: Any, body: BodyModel) -> Clip:
             raise _no_observation(given)
         given = tuple(given)
         if len(given) > 0 and all(isinstance(one, Path | str) for one in given):
-            given = read_clip(given, DEFAULTS, body)
+            # observations that are in memory need no reader
+            from recon.reading.clip import load_clip
+
+            given = load_clip([Path(one) for one in given], DEFAULTS, body)
     if isinstance(given, Clip):
         seen, names = given.observations, given.names
     else:

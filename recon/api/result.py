@@ -18,14 +18,12 @@ from recon.core.motion import Motion
 from recon.core.residuals import Noise
 from recon.diagnosis.agreement import ResidualSummary
 from recon.diagnosis.certainty import certainty_report
-from recon.diagnosis.domain import cycle_report
 from recon.diagnosis.doubts import Alternative
 from recon.diagnosis.examination import Examined
 from recon.diagnosis.findings import Finding
 from recon.diagnosis.motions.belt import in_room, path_of_belt
-from recon.fitting.clip_files import Clip
-from recon.fitting.long import LongReconstruction
-from recon.fitting.recording import RecordingFit, Stretch
+from recon.fitting.fitted import Stretch
+from recon.fitting.observed import Clip
 from recon.formats.motions import MotionFile
 from recon.formats.reports import versions
 from recon.method.derivatives import GroundDeviation
@@ -41,17 +39,15 @@ def describe(
 
     Args:
         result: of the fit.
-        inputs: SHA-256 of everything that was read, by path (`recon.fitting.clip_inputs`).
+        inputs: SHA-256 of everything that was read, by path (`recon.reading.inputs`).
         settings: of the fit, by name.
     """
-    windows = result.windows if isinstance(result, LongReconstruction) else ()
-    failed = result.failed_windows if isinstance(result, LongReconstruction) else ()
     return {
         "failed": result.failed[0],
         "stages": [_stage(report) for report in result.reports],
         "windows": [
-            {"start": start, "stop": stop, "failed": row in failed}
-            for row, (start, stop) in enumerate(windows)
+            {"start": start, "stop": stop, "failed": row in result.failed_windows}
+            for row, (start, stop) in enumerate(result.windows)
         ],
         "settings": dict(settings),
         "inputs": dict(inputs),
@@ -159,8 +155,7 @@ class Result(MotionResult):
     @property
     def stretches(self) -> tuple[Stretch, ...]:
         """Parts of a recording and the prior that completed each; empty for other fits."""
-        found = self.examined.fit
-        return found.stretches if isinstance(found, RecordingFit) else ()
+        return self.examined.fit.stretches
 
     @property
     def T_world_camera(self) -> Float[Tensor, "4 4"] | None:
@@ -319,8 +314,12 @@ def result_of(
         T_recording_camera = unposed_camera(found.observations)
     if T_recording_camera is not None:
         T_world_camera = (T @ torch.from_numpy(T_recording_camera)).float()
-    one_cycle = completes and not isinstance(found, RecordingFit)
-    cycle = cycle_report(found, examined.residuals) if one_cycle else None
+    cycle = None
+    if completes and not found.stretches:
+        # only a cycle of gait is judged as one
+        from recon.diagnosis.domain import cycle_report
+
+        cycle = cycle_report(found, examined.residuals)
     belt = None
     if examined.belt is not None:
         belt = path_of_belt(motion, examined.belt)

@@ -12,13 +12,15 @@ from recon.body.model import BodyModel
 from recon.core.arrays import positive
 from recon.core.errors import ReconError
 from recon.core.motion import Motion
-from recon.fitting.clip_files import Clip, clip_from
+from recon.fitting.observed import Clip
+from recon.fitting.settings import DEFAULTS
 from recon.formats.observations import ObservationFile, PointsFile, save_observation
 from recon.formats.outputs import Kind, Output
 from recon.formats.reports import versions
 from recon.formats.scans import write_scans
 from recon.formats.writing import writing
 from recon.method.protocols import Sensor
+from recon.reading.clip import together
 from recon.simulation.points import Corner, Corruption
 from recon.simulation.sensors import seen_by
 from recon.simulation.settings import (
@@ -47,7 +49,7 @@ class Simulated:
     def clip(self) -> Clip:
         """The observations as a fit takes them, read as from files."""
         named = [(name or self.kind, file) for name, file in self.files.items()]
-        return clip_from(named, self.body)
+        return together(named, (), DEFAULTS, self.body)
 
     @property
     def observations(self) -> tuple[Sensor, ...]:

@@ -22,7 +22,7 @@ class Job:
     settings: FitSettings
     settings_checksum: str
     """Checksum of the settings and the files they name
-    (`recon.fitting.clip_inputs.settings_checksum`)."""
+    (`recon.reading.inputs.settings_checksum`)."""
     known: Record
     """The last record of the clip, or nothing."""
     overwrite: bool = False
@@ -37,7 +37,7 @@ def fit_one(job: Job) -> Record:
     Raises:
         ValueError, OSError: for bad input.
     """
-    from recon.fitting.clip_inputs import clip_checksum
+    from recon.reading.inputs import clip_checksum
 
     # before anything is read: what changes from now on is found out by the next run
     key = clip_checksum(job.clip.observations, job.settings_checksum)
@@ -154,7 +154,7 @@ def estimate_shape(job: ShapeJob) -> Record:
     Raises:
         ValueError, OSError: for bad input.
     """
-    from recon.fitting.clip_inputs import clip_checksum
+    from recon.reading.inputs import clip_checksum
 
     key = clip_checksum(job.clip.observations, job.settings_checksum)
     if job.known.get("key") == key:
@@ -212,7 +212,7 @@ def fit_all(
         ValueError: when a result would be written over an observation or a file of the settings,
             another run is writing to the log, or there is to be no process.
     """
-    from recon.fitting.clip_inputs import settings_checksum
+    from recon.reading.inputs import settings_checksum
 
     if processes < 1:
         raise ValueError(f"expected at least one process, got {processes}")

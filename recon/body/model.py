@@ -16,7 +16,6 @@ from recon.body.kinematics import forward_kinematics
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS
 from recon.core.struct import TensorStruct
-from recon.formats.smpl import SmplArrays, load_smpl
 
 
 @dataclass(frozen=True)
@@ -53,7 +52,7 @@ class BodyModel(TensorStruct):
         """
         if path is None:
             return _bundled()
-        return _from_smpl(load_smpl(Path(path)), Path(path))
+        return _from_smpl(Path(path))
 
     @property
     def shape_size(self) -> int:
@@ -176,8 +175,12 @@ def _bundled() -> BodyModel:
     )
 
 
-def _from_smpl(arrays: SmplArrays, path: Path) -> BodyModel:
+def _from_smpl(path: Path) -> BodyModel:
     """Reduce a licensed body to 22 joints; its joints regressed from the shaped surface."""
+    # the bundled body is no such file
+    from recon.formats.smpl import load_smpl
+
+    arrays = load_smpl(path)
     count = len(JOINTS)
     ancestor = list(range(len(arrays.parents)))
     for joint in range(count, len(ancestor)):

@@ -8,14 +8,15 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from observations import kinds
 from recon.body.angles import isb_angles
 from recon.body.contacts import contact_probabilities, rest_heights
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.residuals import Noise, Unit
 from recon.core.skeleton import JOINTS
-from recon.diagnosis.plausibility import size_is_unknown, with_unknown_size
-from recon.fitting.clip import GROUND_DEVIATION, ClipFit
+from recon.fitting.clip import GROUND_DEVIATION
+from recon.fitting.fitted import ClipFit
 from recon.formats.reports import JointCertainty
 from recon.method.derivatives import GroundBelief, GroundDeviation
 from recon.method.laplace import Believing, Deviations, Measure, deviations
@@ -92,6 +93,12 @@ def certainty(found: ClipFit) -> Deviations | None:
             )
         except RuntimeError:  # a Hessian that is singular to rounding has no inverse
             return None
+    if not kinds.views(found.observations):
+        return known
+    # images alone leave the size of a person open
+    from recon.diagnosis.views.fitted import size_is_unknown, with_unknown_size
+
+    with torch.no_grad():
         return with_unknown_size(known, found) if size_is_unknown(found) else known
 
 

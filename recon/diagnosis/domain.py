@@ -15,8 +15,8 @@ from recon.body.cycles import find_cycles
 from recon.core.motion import Motion
 from recon.diagnosis.agreement import ResidualSummary
 from recon.diagnosis.findings import Finding
-from recon.fitting.clip import ClipFit
-from recon.fitting.clip_files import seen_times
+from recon.fitting.fitted import ClipFit
+from recon.fitting.observed import seen_times
 from recon.fitting.recording import SWING
 from recon.method.priors import CyclePrior
 

@@ -15,7 +15,7 @@ from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS, LEGS, MIRROR
 from recon.diagnosis.findings import Finding, listed, spans, stretches
-from recon.fitting.clip import ClipFit
+from recon.fitting.fitted import ClipFit
 from recon.method.protocols import Estimate, Sensor
 from recon.method.stages import Compared
 

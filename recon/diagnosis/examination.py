@@ -1,4 +1,4 @@
-"""A fit of one clip whose data are checked before it, and whose result is checked after it."""
+"""What is checked of one clip: its data before a fit, and the result after it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -23,28 +23,18 @@ from recon.diagnosis.doubts import (
     unseen_findings,
 )
 from recon.diagnosis.findings import Finding
-from recon.diagnosis.motions.belt import on_belt, treadmill_finding, with_belt
-from recon.diagnosis.motions.carried import carried_finding
+from recon.diagnosis.motions.belt import treadmill_finding, with_belt
 from recon.diagnosis.motions.gravity import rate_finding
 from recon.diagnosis.motions.support import support_findings
 from recon.diagnosis.plausibility import (
     body_warnings,
     child_findings,
-    lens_doubtful,
-    lens_finding,
-    mirror_warnings,
 )
 from recon.diagnosis.points.screening import screen_points
-from recon.diagnosis.views.images import Images
-from recon.diagnosis.views.rest import moving_finding, rest_of
-from recon.diagnosis.views.screening import screen_views
-from recon.fitting.clip import ClipFit, fit_clip
-from recon.fitting.cycles import complete
-from recon.fitting.methods import FitOptions, loaded
-from recon.fitting.recording import WholeRecording, complete_recording
+from recon.fitting.fitted import ClipFit
+from recon.fitting.methods import FitOptions
 from recon.method.laplace import Deviations
 from recon.method.protocols import Estimate, Sensor
-from recon.method.stages import Watch
 
 _NO_SPEED = frozenset({"identity change", "frame order"})
 """Findings after which the speed of the motion says nothing about its rate."""
@@ -113,50 +103,6 @@ class Examined:
         return np.clip(frames, 0, count - 1)
 
 
-def fit_examined(
-    observations: Sequence[Sensor],
-    names: Sequence[str],
-    options: FitOptions,
-    body: BodyModel,
-    watch: Watch | None = None,
-    start: Motion | None = None,
-) -> Examined:
-    """Fit one clip's observations, checked before and after.
-
-    Args:
-        observations: sensors of one clip that share a frame; a batch axis of length one.
-        names: of the sensors, for messages.
-        options: how to fit; `repair` says whether faults are put right.
-        body: whose motion it is.
-        watch: told about every iteration.
-        start: a first guess in the frame of the observations, axes (1, time).
-
-    Raises:
-        ValueError: as `recon.fitting.clip.fit_clip` and
-            `recon.fitting.cycles.complete` do.
-    """
-    if options.completes and start is not None:
-        raise ValueError("gait cycles are searched from many starts: leave `start` out")
-    screened = screen(observations, names, options, body)
-    if options.completes:
-        found = _completed(screened.observations, options, body, watch)
-    else:
-        if screened.belt is not None and start is not None:
-            start = on_belt(start, screened.belt)
-        found = fit_clip(screened.observations, options, body, watch, start)
-    return examine(found, names, screened)
-
-
-def _completed(
-    observations: Sequence[Sensor], options: FitOptions, body: BodyModel, watch: Watch | None
-) -> ClipFit:
-    """One cycle by a prior of cycles, or a whole recording."""
-    prior = loaded(options.prior, options.weights, body)
-    if isinstance(prior, WholeRecording):
-        return complete_recording(observations, prior, options, body, watch)
-    return complete(observations, replace(options, prior=prior), body, watch)
-
-
 @dataclass(frozen=True)
 class ScreenedClip:
     """A clip's observations as they should be fitted, and what was found."""
@@ -175,11 +121,16 @@ def screen(
     if not options.repair:
         return ScreenedClip(tuple(observations))
     kept = list(observations)
-    rows = [k for k, one in enumerate(observations) if kinds.views([one])]
-    views = kinds.views(observations)
-    checked, repairs, warnings = screen_views(views, [names[k] for k in rows], body)
-    for row, view in zip(rows, checked, strict=True):
-        kept[row] = view
+    repairs: list[Finding] = []
+    warnings: list[Finding] = []
+    if views := kinds.views(observations):
+        # images load their own checks
+        from recon.diagnosis.views.screening import screen_views
+
+        rows = [k for k, one in enumerate(observations) if kinds.views([one])]
+        checked, repairs, warnings = screen_views(views, [names[k] for k in rows], body)
+        for row, view in zip(rows, checked, strict=True):
+            kept[row] = view
     belts: list[Float[Tensor, " 2"]] = []
     for row, one in enumerate(observations):
         for points in kinds.tracked([one]):
@@ -225,16 +176,14 @@ def examine(found: ClipFit, names: Sequence[str], screened: ScreenedClip) -> Exa
         carried = _carried(names, found.observations, motion, body, None if broken else seen)
     support = support_findings(motion, body, seen) if found.grounded else []
     others, sure = alternatives(found), certainty(found)
-    lens = lens_finding(names[0], found)
-    told = [] if lens is None else [lens]
-    doubtful = lens_doubtful(found)
+    lens, doubtful, mirrored = _of_images(names[0], found)
     after = [
-        *(told if doubtful else []),
+        *(lens if doubtful else []),
         *([] if carried is None else [carried]),
         # a fit from the caller's own start was not told what the points show
         *agreement_warnings(summaries, labelled(found.observations), here),
         *sizes,
-        *mirror_warnings(views),
+        *mirrored,
         *([] if rate is None else [rate]),
         *undecided_findings(others),
     ]
@@ -245,7 +194,7 @@ def examine(found: ClipFit, names: Sequence[str], screened: ScreenedClip) -> Exa
         fit=found,
         residuals=summaries,
         diagnosis=(
-            *([] if doubtful else told),
+            *([] if doubtful else lens),
             *unseen_findings(observed),
             *guessed,
             *support,
@@ -258,6 +207,16 @@ def examine(found: ClipFit, names: Sequence[str], screened: ScreenedClip) -> Exa
         alternatives=others,
         belt=screened.belt,
     )
+
+
+def _of_images(name: str, found: ClipFit) -> tuple[list[Finding], bool, list[Finding]]:
+    """The focal length that was found, whether it is doubtful, and images that are mirrored."""
+    if not (views := kinds.views(found.observations)):
+        return [], False, []
+    from recon.diagnosis.views.fitted import lens_doubtful, lens_finding, mirror_warnings
+
+    lens = lens_finding(name, found)
+    return [] if lens is None else [lens], lens_doubtful(found), mirror_warnings(views)
 
 
 def _carried(
@@ -274,6 +233,10 @@ def _carried(
     views = kinds.views(observations)
     if len(observations) > 1 or not views or views[0].camera.T_camera_world.shape[-3] > 1:
         return None
+    from recon.diagnosis.motions.carried import carried_finding
+    from recon.diagnosis.views.images import Images
+    from recon.diagnosis.views.rest import moving_finding, rest_of
+
     images = Images.of(views, names, body)
     rest = rest_of(images)
     if rest is not None and rest.moves:

@@ -2,34 +2,31 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from observations import kinds
-from observations.camera_paths import with_unit
-from observations.first_guess import FirstGuess, first_guess, labelled
-from observations.keypoints2d import OFFSET_UNIT
+from observations.first_guess import FirstGuess
 from observations.noise import weights_of
+from observations.records.tracked import OFFSET_UNIT
 from observations.timing import at_observation_times
 from priors.checkpoints import FIRST
 from recon.body.model import BodyModel
-from recon.core.errors import ObservationError
 from recon.core.motion import Motion
 from recon.core.residuals import Noise
 from recon.core.scene import GROUND, HEIGHT, LENS, OFFSETS, Scene, UnknownGround, UnknownLens
 from recon.core.skeleton import joint_index
 from recon.core.struct import concatenate
+from recon.fitting.fitted import ClipFit
 from recon.fitting.ground import ground_below, pelvis_path, sole_heights, upright_ground
-from recon.fitting.long import WINDOW, OneShape, fit_long
+from recon.fitting.guess import guessed
 from recon.fitting.methods import FitOptions, WithoutRoot, WithScene, WithSizeHeld, method_of
 from recon.method.protocols import Sensor
 from recon.method.reconstruction import Method, Reconstruction, solve
 from recon.method.shape_prior import WithShape
 from recon.method.stages import Compared, Watch
-from recon.method.start import checked_start
 from recon.method.terms import Term, ground_moved, lens_changed, offsets
 
 _BALLS = tuple(joint_index(f"{side}_foot") for side in ("left", "right"))
@@ -46,38 +43,6 @@ points see it, and no step of a person should outweigh them."""
 LENS_DEVIATION = 0.3
 """Standard deviation of the logarithm of a focal length that is guessed from the image size."""
 ROUGH = FitOptions(prior=FIRST)
-
-
-@dataclass(frozen=True)
-class ClipFit:
-    """What came out, and what was assumed."""
-
-    result: Reconstruction
-    """The fit in the world, where z = 0 is the ground."""
-    noises: tuple[Noise, ...]
-    ground_known: bool
-    T_world_recording: Float[Tensor, "clips 4 4"]
-    """Maps the frame of the observations to the world; metres."""
-    observations: tuple[Sensor, ...]
-    """The observations as they were compared, with the rows of their offsets."""
-    grounded: bool = True
-    """Whether there is a ground at all; without one, the world is the frame of the observations
-    and its z = 0 means nothing."""
-    ground_seen: bool = False
-    """Whether an unknown ground was laid on a plane that is given or seen."""
-    guesses: Compared | None = None
-    """The first guesses among which a quick fit chose; None where there was one only."""
-
-    @property
-    def compared(self) -> tuple[Compared, ...]:
-        """All hypotheses that were compared on the way, the last ones last."""
-        stages = [report.compared for report in self.result.reports]
-        return tuple(one for one in (self.guesses, *stages) if one is not None)
-
-    @property
-    def lens_found(self) -> bool:
-        """Whether the focal length of the camera was found with the motion."""
-        return self.result.estimate.scene.lens is not None
 
 
 def fit_clip(
@@ -108,39 +73,24 @@ def fit_clip(
         ValueError: when some observations know the ground and others do not, or the start does
             not fit the observations.
     """
-    known = {observation.ground_known for observation in observations}
-    if len(known) > 1 and kinds.views(observations):
-        raise ObservationError(
-            "some observations know where the ground is and some do not: give every camera its "
-            "pose (T_camera_world), or none"
-        )
-    if start is None:
-        observations = labelled(observations)
-    guess = _first_guess(observations, body, start, options)
+    seen, guess = guessed(observations, options, body, start)
+    return posed(seen, guess, options, body, watch).solved()
+
+
+def posed(
+    observations: tuple[Sensor, ...],
+    guess: FirstGuess,
+    options: FitOptions,
+    body: BodyModel,
+    watch: Watch | None = None,
+) -> "ClipProblem":
+    """What is to be minimised: the data with their noise, from the likeliest first motion."""
     noises = tuple(
         one.noise(guess.motion, body, options.noise_of(row))
         for row, one in enumerate(observations)
     )
-    seen, offsets = _with_offsets(tuple(observations))
-    job = _Job(seen, guess, noises, offsets, body, options, watch).decided()
-    if not options.grounded:
-        job = job.paced()
-        start = job.guess.motion
-        T = torch.eye(4).expand(len(start.translation), 4, 4)
-        result = job.fit(options, job.scene(start), start, job.moved)
-        seen = job.settled(result)
-        return ClipFit(result, noises, False, T, seen, grounded=False, guesses=job.guesses)
-    if known == {True}:
-        start = guess.motion if guess.distance_known else job.on_known_ground()
-        T = torch.eye(4).expand(len(start.translation), 4, 4)
-        result = job.fit(options, job.scene(start), start, job.moved)
-        return ClipFit(result, noises, True, T, seen, guesses=job.guesses)
-    job = job.paced()
-    result = job.with_ground()
-    assert result.estimate.scene.ground is not None
-    T = result.estimate.scene.ground.T_world_recording.detach().cpu()
-    shown, seen = job.ground_seen, job.settled(result)
-    return ClipFit(result, noises, False, T, seen, ground_seen=shown, guesses=job.guesses)
+    seen, offsets = _with_offsets(observations)
+    return ClipProblem(seen, guess, noises, offsets, body, options, watch).decided()
 
 
 def _with_offsets(observations: tuple[Sensor, ...]) -> tuple[tuple[Sensor, ...], int]:
@@ -155,29 +105,8 @@ def _with_offsets(observations: tuple[Sensor, ...]) -> tuple[tuple[Sensor, ...],
     ), count
 
 
-def _first_guess(
-    observations: Sequence[Sensor], body: BodyModel, start: Motion | None, options: FitOptions
-) -> FirstGuess:
-    """The caller's start, or what the data tell; of the shape that is known, if one is."""
-    if start is None:
-        guess = first_guess(observations, body)
-    else:
-        guess = FirstGuess(checked_start(start, tuple(observations), body), True)
-    known = options.shape
-    if known is None and options.shape_prior is not None:
-        known = options.shape_prior.mean
-    if known is None:
-        return guess
-    shape = known.to(guess.motion.shape).expand_as(guess.motion.shape)
-    return FirstGuess(
-        guess.motion.replace(shape=shape),
-        guess.distance_known,
-        tuple(other.replace(shape=shape) for other in guess.others),
-    )
-
-
 @dataclass(frozen=True)
-class _Job:
+class ClipProblem:
     """What stays the same while a clip is fitted more than once."""
 
     observations: tuple[Sensor, ...]
@@ -191,8 +120,45 @@ class _Job:
     guesses: Compared | None = None
     """The first guesses that the one was chosen from."""
 
+    def solved(self) -> ClipFit:
+        """The motion, and the ground where it is not known."""
+        if not self.options.grounded:
+            return self.paced()._in_recording(ground_known=False)
+        if all(one.ground_known for one in self.observations):
+            return self._in_recording(ground_known=True)
+        job = self.paced()
+        result = job.with_ground()
+        assert result.estimate.scene.ground is not None
+        T = result.estimate.scene.ground.T_world_recording.detach().cpu()
+        return job._fitted(result, T, ground_known=False)
+
+    def _in_recording(self, *, ground_known: bool) -> ClipFit:
+        """The motion in the frame of the recording, which is the world or has no ground."""
+        start = self.guess.motion
+        if ground_known and not self.guess.distance_known:
+            start = self.on_known_ground()
+        result = self.fit(self.options, self.scene(start), start, self.moved)
+        T = torch.eye(4).expand(len(start.translation), 4, 4)
+        return self._fitted(result, T, ground_known=ground_known)
+
+    def _fitted(
+        self, result: Reconstruction, T: Float[Tensor, "clips 4 4"], *, ground_known: bool
+    ) -> ClipFit:
+        grounded = self.options.grounded
+        return ClipFit(
+            result,
+            self.noises,
+            ground_known,
+            T,
+            self.settled(result),
+            grounded=grounded,
+            ground_seen=grounded and not ground_known and self.ground_seen,
+            guesses=self.guesses,
+        )
+
     @property
     def long(self) -> bool:
+        """Whether the recording is fitted by windows."""
         motion = self.guess.motion
         return (motion.frames - 1) / motion.fps > LONG
 
@@ -238,9 +204,13 @@ class _Job:
         return replace(ROUGH, shape=known.shape, shape_prior=known.shape_prior)
 
     def method(self, options: FitOptions, moved: frozenset[str]) -> Method:
+        """The prior's stages with what is known of the shape, the scene and further terms."""
         noise = min(noise.metres for noise in self.noises)
         method = method_of(options, noise, self.body)
         if options.shape is not None:
+            # the windows of long recordings hold a shape, too
+            from recon.fitting.long import OneShape
+
             method = OneShape(method)
         elif options.shape_prior is not None:
             method = WithShape(method, options.shape_prior.terms(self.body, noise))
@@ -264,7 +234,12 @@ class _Job:
 
         Long clips find the scene in their first seconds and keep it.
         """
-        run = partial(fit_long if self.long else solve, body=self.body)
+        run = solve
+        if self.long:
+            # most recordings last a few seconds
+            from recon.fitting.long import fit_long
+
+            run = fit_long
         if self.long and moved:
             first = self.first_seconds()
             shorter = start.window(0, first.guess.motion.frames)
@@ -272,13 +247,14 @@ class _Job:
         return run(
             self.observations,
             self.method(options, moved),
+            self.body,
             scene=scene,
             start=start,
             weights=weights_of(self.noises),
             watch=self.watch,
         )
 
-    def decided(self) -> "_Job":
+    def decided(self) -> "ClipProblem":
         """The clips with the likeliest of their first guesses.
 
         Which it is, a quick fit under the pose prior tells: half the moments, few of the points,
@@ -339,7 +315,7 @@ class _Job:
         start = self.guess.motion
         return self.fit(self.rough, self.scene(start), start, frozenset()).motion
 
-    def paced(self) -> "_Job":
+    def paced(self) -> "ClipProblem":
         """The clips with the unit of the camera's path told by the feet of a first motion."""
         views = kinds.views(self.observations)
         if len(self.observations) > 1 or not views or views[0].unit_known:
@@ -352,6 +328,9 @@ class _Job:
         )
         if there.shape[-3] < view.moments:
             return self
+        # a carried camera alone has a path
+        from observations.camera_paths import with_unit
+
         seen = view.camera.to_camera(there).detach().double().cpu().numpy()
         found = with_unit(view, seen)
         moved = found.camera.T_world_camera[..., :3, 3] - view.camera.T_world_camera[..., :3, 3]
@@ -375,8 +354,10 @@ class _Job:
             unknown = frozenset()
         return self.fit(self.options, self.scene(start, ground), start, self.moved | unknown)
 
-    def first_seconds(self) -> "_Job":
+    def first_seconds(self) -> "ClipProblem":
         """The clip cut off after a window's length."""
+        from recon.fitting.long import WINDOW  # of long recordings alone
+
         begin = self.guess.motion.start_time
         frames = round(WINDOW * self.guess.motion.fps) + 1  # the window has both its ends
         seen = tuple(o.window(begin, begin + WINDOW) for o in self.observations)

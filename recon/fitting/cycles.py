@@ -11,10 +11,10 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from observations import kinds
-from observations.curvature import bounded
 from observations.depth import CLOUD_NOISE, PointCloud
 from observations.kinds import InSpace
 from observations.noise import weights_of
+from observations.surfels import bounded
 from recon.body.cycles import LONGEST_CYCLE, SHORTEST_CYCLE
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
@@ -22,7 +22,7 @@ from recon.core.errors import ObservationError, ReconError
 from recon.core.residuals import Noise
 from recon.core.scene import OFFSETS, Scene
 from recon.core.struct import concatenate
-from recon.fitting.clip import ClipFit
+from recon.fitting.fitted import ClipFit
 from recon.fitting.methods import FitOptions, loaded
 from recon.method.priors import CycleMethod, CyclePrior
 from recon.method.protocols import REFERENCE_FPS, Sensor

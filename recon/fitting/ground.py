@@ -1,21 +1,29 @@
-"""A first guess of an unknown ground from how people stand: upright, with their soles on it.
+"""An unknown ground: its first guess from how people stand, or from where a camera is above it.
 
 `recon.fitting.clip` decides whether the ground is unknown at all, and optimises the guess beside
 the motion (`recon.core.scene.UnknownGround`).
 """
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from recon.body.model import BodyModel
 from recon.body.soles import Soles, Stance
+from recon.core.camera import Ground, world_from_camera
+from recon.core.errors import ObservationError
 from recon.core.motion import Motion
 from recon.core.scene import TILT, UnknownGround
 from recon.core.skeleton import joint_index
 
 _HEAD = joint_index("head")
 _ANKLES = [joint_index("left_ankle"), joint_index("right_ankle")]
+
+LEVEL_CAMERA = (0.0, -1.0, 0.0, -1.2)
+"""The ground that a camera of unknown pose is first taken to see: level, 1.2 m below it."""
+_FACING = ((-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0))
+"""A body that would look where the camera looks; its right is the image's."""
 
 
 def upright_ground(motion: Motion, body: BodyModel) -> UnknownGround:
@@ -65,3 +73,30 @@ def sole_heights(motion: Motion, body: BodyModel) -> Float[Tensor, " clips"]:
         for clip in (clips[row] for row in range(len(clips.translation)))
     ]
     return motion.translation.new_tensor(heights)
+
+
+def camera_above(ground: tuple[float, float, float, float]) -> Float[np.ndarray, "4 4"]:
+    """T_recording_camera of a camera that sees the ground n·x = d; it stands above the origin.
+
+    Raises:
+        ValueError: when the normal is zero, or the camera is below the ground.
+    """
+    plane = Ground.create(torch.tensor(ground[:3]), torch.tensor(ground[3]))
+    if not float(plane.offset) < 0:
+        raise ObservationError(
+            f"the ground {ground} is not below the camera: expected (nx, ny, nz, d) with the "
+            "normal up and d < 0, such as (0, -1, 0, -1.2) for a level camera 1.2 m above it"
+        )
+    return world_above(ground)
+
+
+def world_above(ground: tuple[float, float, float, float]) -> Float[np.ndarray, "4 4"]:
+    """T_world_frame of a frame in which the ground is n·x = d; z = 0 of the world is the ground.
+
+    The frame's origin comes to lie over the world's, and the plane z = 0 changes nothing.
+
+    Raises:
+        ValueError: when the normal is zero.
+    """
+    plane = Ground.create(torch.tensor(ground[:3]), torch.tensor(ground[3]))
+    return world_from_camera(plane, torch.tensor(_FACING), torch.zeros(3)).double().numpy()

@@ -29,12 +29,7 @@ TIE = 1.0
 
 @dataclass(frozen=True)
 class LongReconstruction(Reconstruction):
-    """One clip given back from its windows, and what happened on the way."""
-
-    windows: tuple[tuple[float, float], ...]
-    """First and last moment of each window, seconds."""
-    failed_windows: tuple[int, ...]
-    """Windows that met nan or inf; they hold their last finite estimate.
+    """One clip given back from its windows, and what happened on the way.
 
     A report has a row for every window that was fitted alike: some for their `shape`, then every
     other window `apart`, then those between, `tied` to their neighbours.

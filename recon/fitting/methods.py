@@ -14,7 +14,6 @@ from recon.method.reconstruction import Method
 from recon.method.shape_prior import ShapePrior
 from recon.method.stages import Stage
 from recon.method.terms import Term
-from recon.physics import energies as physics
 
 PriorObject = Method | NoisyPrior | CyclePrior
 """A prior that is loaded already, or a method of the caller's own."""
@@ -160,6 +159,9 @@ def method_of(options: FitOptions, noise: float, body: BodyModel) -> Method:
     method = _of_prior(options, noise, body)
     if options.physics == 0:
         return method
+    # most fits have none
+    from recon.physics.energies import physics_terms
+
     return WithPhysics(method, physics_terms(noise, options.physics))
 
 
@@ -248,37 +250,6 @@ class WithScene:
             else stage
             for k, stage in enumerate(stages)
         )
-
-
-_PHYSICS = (
-    ("penetration", physics.penetration, 0.002),
-    ("slide", physics.slide, 0.003),
-    ("floating", physics.floating, 0.006),
-    ("dynamic stability", physics.dynamic_stability, 0.2),
-)
-"""Standard deviations, metres: of depth, of the step of a sole per 1/30 s, of height, and of the
-distance from the centre of pressure to the zero moment point. Chosen on validation windows."""
-
-
-def physics_terms(noise: float, strength: float = 1.0) -> tuple[Term, ...]:
-    """What holds a body to the ground z = 0, beside an observation of weight one.
-
-    Each weighs noise² / deviation², as a negative log-probability does beside ½ |error|².
-
-    Args:
-        noise: of the observation's coordinates, metres; at least 8 mm is taken.
-        strength: multiplier of all of them.
-
-    Raises:
-        ValueError: when the strength is not a number above 0.
-    """
-    if not 0 < strength < float("inf"):
-        raise ReconError(
-            "physics multiplies the weights of contact with the ground: expected a number of at "
-            f"least 0 (0 leaves them out, 1 is as chosen on validation), got {strength:g}"
-        )
-    variance = strength * max(noise, 0.008) ** 2
-    return tuple(Term(name, energy, variance / s**2) for name, energy, s in _PHYSICS)
 
 
 @dataclass(frozen=True)

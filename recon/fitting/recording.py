@@ -9,8 +9,8 @@ recording that is one cycle, seen at few moments, is completed as one code from 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
-from typing import Any, ClassVar
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import torch
 
@@ -21,7 +21,7 @@ from recon.body.cycles import LONGEST_CYCLE, SHORTEST_CYCLE, find_cycles
 from recon.body.model import BodyModel
 from recon.core.errors import ObservationError, WeightsError
 from recon.core.motion import Motion
-from recon.fitting.clip import ClipFit, fit_clip
+from recon.fitting.clip import fit_clip
 from recon.fitting.cycles import (
     FITTED,
     NAMED_NOISE,
@@ -32,6 +32,7 @@ from recon.fitting.cycles import (
     on_fast_clock,
     seen_times,
 )
+from recon.fitting.fitted import ClipFit, Stretch
 from recon.fitting.gait import CompletedCycle, CycleData, stretches, told_by_cycles
 from recon.fitting.methods import FitOptions, loaded
 from recon.method.priors import CyclePrior, NoisyPrior, Traits
@@ -87,49 +88,13 @@ class WholeRecording:
         return prior.method(noise, body)
 
 
-@dataclass(frozen=True)
-class Stretch:
-    """A part of a recording, and by what it was completed."""
-
-    start: float
-    """Seconds of the recording's clock."""
-    stop: float
-    prior: str
-    """`humor`, or `anchor` where cycles of gait joined."""
-    moments: int
-    """Moments in it that show anything."""
-    cycles: int = 0
-    """Cycles of gait that the hips tell."""
-    joined: int = 0
-    """Cycles that explain their data as well as the first fit, which joined the second."""
-    energy: float | None = None
-    """Energy of the data under the completed cycles, ½ Σ residual² / noise²; None without any."""
-    first: float | None = None
-    """Energy of the data under the first fit, by which it was decided."""
-
-    def report(self) -> dict[str, Any]:
-        """The stretch in plain values."""
-        told = {"start": self.start, "stop": self.stop, "prior": self.prior}
-        told |= {"moments_seen": self.moments, "cycles": self.cycles, "joined": self.joined}
-        if self.energy is not None:
-            told |= {"energy_of_cycles": self.energy, "energy_of_first_fit": self.first}
-        return told
-
-
-@dataclass(frozen=True)
-class RecordingFit(ClipFit):
-    """A recording that was completed, and by what in which stretch."""
-
-    stretches: tuple[Stretch, ...] = field(default=(), kw_only=True)
-
-
 def complete_recording(
     observations: Sequence[Sensor],
     prior: WholeRecording,
     options: FitOptions,
     body: BodyModel,
     watch: Watch | None = None,
-) -> RecordingFit:
+) -> ClipFit:
     """One motion of a whole recording: any length, any motion, scans at any times.
 
     Args:
@@ -148,7 +113,7 @@ def complete_recording(
             "at most one moment shows anything, which tells no motion; give two or more"
         )
     seen = [
-        on_fast_clock(one.thinned(FITTED)) if isinstance(one, InSpace) else one
+        on_fast_clock(one.thinned(FITTED)) if kinds.is_in_space(one) else one
         for one in observations
     ]
     few = bool(placed) and moments_per_second(placed) < FEW
@@ -162,20 +127,20 @@ def complete_recording(
     told = _stretches(gait, kinds.in_space(first.observations), motion, prior)
     kept = [one for cycles in gait for one in cycles if one.explains]
     if not kept:
-        return _as_recording(first, told)
+        return replace(first, stretches=told)
     joints = told_by_cycles(kept, motion, body).to(device=body.template.device)
     begun = motion.map(lambda tensor: tensor[None])
     again = replace(any_motion, noise=(*noise, None))
     second = fit_clip([*seen, joints], again, body, watch, start=begun)
     reports = (*first.result.reports, *second.result.reports)
-    whole = replace(
+    return replace(
         second,
         result=replace(second.result, reports=reports),
         noises=second.noises[:-1],
         observations=second.observations[:-1],
         guesses=first.guesses,
+        stretches=told,
     )
-    return _as_recording(whole, told)
 
 
 def _one_cycle(
@@ -184,7 +149,7 @@ def _one_cycle(
     options: FitOptions,
     body: BodyModel,
     watch: Watch | None,
-) -> RecordingFit | None:
+) -> ClipFit | None:
     """The recording as one cycle of gait; None where it lasts longer, or its hips tell none."""
     seen = kinds.in_space(observations)
     plain = options.physics == 0 and options.shape is None and not options.terms
@@ -204,7 +169,7 @@ def _one_cycle(
         return None
     start, stop = motion.start_time, float(motion.times[-1])
     assert prior.cycles is not None
-    return _as_recording(fit, (Stretch(start, stop, prior.cycles, len(times), 1, 1),))
+    return replace(fit, stretches=(Stretch(start, stop, prior.cycles, len(times), 1, 1),))
 
 
 def noise_told(one: Sensor, given: float | None, few: bool) -> float | None:
@@ -214,7 +179,7 @@ def noise_told(one: Sensor, given: float | None, few: bool) -> float | None:
     30 Hz whatever the clock: where few moments lie on a fast one, each would count for less than
     a moment, which a smaller noise makes up for.
     """
-    if not few or not isinstance(one, InSpace):
+    if not few or not kinds.is_in_space(one):
         return given
     usual = NAMED_NOISE if kinds.tracked([one]) else CLOUD_NOISE
     often = max(moments_per_second([one]), RATES[0])
@@ -277,8 +242,3 @@ def _stretches(
     if end - at > _LEAST or not told:
         told.append(Stretch(at, end, prior.steps, moments(at, end)))
     return tuple(told)
-
-
-def _as_recording(fit: ClipFit, told: tuple[Stretch, ...]) -> RecordingFit:
-    known = {one.name: getattr(fit, one.name) for one in fields(ClipFit)}
-    return RecordingFit(**known, stretches=told)

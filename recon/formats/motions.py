@@ -109,6 +109,20 @@ def load_motion(path: str | Path, dtype: torch.dtype = torch.float32) -> MotionF
     return motion_from(load_arrays(path), path, dtype)
 
 
+def holds_motion(path: str | Path) -> bool:
+    """Whether a file holds a motion rather than an observation or something else.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+        ValueError: when it is an .npz file that is damaged.
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".npz":
+        return False
+    names = load_arrays(path).keys()
+    return "trans" in names and "kind" not in names
+
+
 def motion_from(
     arrays: dict[str, np.ndarray], path: Path, dtype: torch.dtype = torch.float32
 ) -> MotionFile:

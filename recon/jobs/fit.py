@@ -12,15 +12,16 @@ from recon.api.fit import fit
 from recon.api.result import Result, described
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
-from recon.fitting.clip_files import Clip, load_clip, load_people
-from recon.fitting.clip_inputs import input_checksums
+from recon.fitting.observed import Clip
 from recon.fitting.settings import FitSettings
 from recon.formats.motions import save_motion
 from recon.formats.outputs import Kind, Output, check_outputs, paths_in
 from recon.formats.writing import writing_file
-from recon.ingest.markers.observation import seen_markers
 from recon.method.stages import Watch
+from recon.people.everyone import people_in
 from recon.people.together import fit_people
+from recon.reading.clip import load_clip
+from recon.reading.inputs import input_checksums
 
 
 def fit_files(
@@ -75,7 +76,7 @@ def fit_people_files(
     check_outputs([output], paths_in((*paths, settings)), overwrite=overwrite)
     inputs = input_checksums(paths, settings)
     body = BodyModel.load(settings.body)
-    people, notes = load_people(paths, settings, body)
+    people, notes = people_in(paths, settings, body)
     arguments = _arguments(settings, body, watch)
     if settings.noise_pixels is not None:
         arguments["noise"] = settings.noise_pixels
@@ -103,7 +104,7 @@ def fitted(
         FileNotFoundError, ValueError: for bad input.
     """
     body = BodyModel.load(settings.body)
-    clip = load_clip(paths, settings, body, seen_markers)
+    clip = load_clip(paths, settings, body)
     return fit(
         clip,
         settings.prior,

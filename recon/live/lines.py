@@ -7,12 +7,12 @@ from typing import Any, cast
 
 import numpy as np
 
-from recon.api.observations import load_observation
 from recon.core import rotations as so3
 from recon.core.errors import ReconError
 from recon.live.estimate import LiveEstimate
 from recon.live.moments import MomentLike
 from recon.live.stream import Stream
+from recon.reading.door import load_observation
 
 DIGITS = 6
 """Decimals of numbers in lines: micrometres and microradians."""

@@ -41,6 +41,10 @@ class Reconstruction:
     chosen: tuple[int, ...] | None = field(default=None, kw_only=True)
     """Number of the hypothesis that every clip's motion was found from, the start being 0; None
     where there was one only."""
+    windows: tuple[tuple[float, float], ...] = field(default=(), kw_only=True)
+    """First and last moment, seconds, of each window by which a long recording was fitted."""
+    failed_windows: tuple[int, ...] = field(default=(), kw_only=True)
+    """Windows that met nan or inf; they hold their last finite estimate."""
 
     @property
     def motion(self) -> Motion:

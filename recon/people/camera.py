@@ -9,9 +9,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from observations import kinds
-from observations.files.images import camera_above
 from recon.api.result import Result
 from recon.core.motion import Motion
+from recon.fitting.ground import camera_above
 
 _SIZE = 0.05
 """Standard deviation of the logarithm of a person's size, and so of the distance from the camera,

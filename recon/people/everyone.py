@@ -2,11 +2,18 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
-from observations.people.same_person import everybody_across_views
-from observations.people.tracks import Track
-from observations.people.views import SeenViews, Views
-from recon.core.errors import ObservationError
+import numpy as np
+
+from recon.body.model import BodyModel
+from recon.core.errors import FormatError, ObservationError
+from recon.fitting.observed import Clip, seen_times, window
+from recon.fitting.settings import FitSettings
+from recon.reading.clip import DETECTIONS, format_errors, of_projects, seen_in, together
+from recon.reading.same_person import everybody_across_views
+from recon.reading.tracks import Track
+from recon.reading.views import SeenViews, Views
 
 _LEAST_SECONDS = 0.5
 _LEAST_SHARE = 0.1
@@ -32,6 +39,48 @@ class Everyone:
     people: tuple[SeenPerson, ...]
     decisions: tuple[str, ...]
     """People who were left out, and the reasons."""
+
+
+@dataclass(frozen=True)
+class PersonClip:
+    """One of several people in detections."""
+
+    number: int
+    """Their number as `person` takes it."""
+    clip: Clip
+    """What was seen of them, from when they were first seen to when they were last seen."""
+
+
+def people_in(
+    paths: Sequence[Path], settings: FitSettings, body: BodyModel
+) -> tuple[tuple[PersonClip, ...], tuple[str, ...]]:
+    """Everybody in 2D detections; and who are left out and what else was decided.
+
+    Raises:
+        FileNotFoundError: when something is not there.
+        FormatError: when it is something else than detections, cannot be read, or options are
+            missing; says what to do.
+    """
+    with format_errors():
+        paths, settings, projects = of_projects(paths, settings)
+        for path in paths:
+            if path.is_file() and path.suffix.lower() not in DETECTIONS:
+                raise FormatError(
+                    f"{path}: several people are told apart in files of 2D detections (.json, "
+                    ".csv, or folders of them); give nothing else with --person all"
+                )
+        if settings.masks is not None:
+            raise ObservationError("--masks are of one person; leave them out with --person all")
+        seen = seen_in(paths, settings)
+        found = everyone(seen)
+        people: list[PersonClip] = []
+        for one in found.people:
+            files = list(zip(one.views.names, one.views.files, strict=True))
+            clip = together(files, [one.note], settings, body)
+            times = np.concatenate([seen_times(view) for view in clip.observations])
+            people.append(PersonClip(one.number, window(clip, times.min(), times.max())))
+    notes = [decision for one in projects for decision in one.decisions]
+    return tuple(people), (*notes, *seen.decisions, *found.decisions)
 
 
 def everyone(seen: SeenViews) -> Everyone:

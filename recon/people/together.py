@@ -12,13 +12,13 @@ from recon.api.fit import fit
 from recon.api.given import BodyLike, body_given
 from recon.api.result import Result
 from recon.body.model import BodyModel
-from recon.core.errors import FormatError, ReconError
+from recon.core.errors import ReconError
 from recon.core.motion import Motion
-from recon.fitting.clip_files import Clip, PersonClip
-from recon.fitting.clip_files import load_people as read_people
 from recon.fitting.methods import PriorObject
+from recon.fitting.observed import Clip
 from recon.fitting.settings import FitSettings
 from recon.people.camera import SharedCamera, shared_camera
+from recon.people.everyone import PersonClip, people_in
 from recon.people.results import People
 
 _LOG = logging.getLogger("recon")
@@ -67,14 +67,8 @@ def load_people(
         camera_unit=camera_unit, camera_up=camera_up, image_size=image_size,
         camera_track=None if camera_track is None else Path(camera_track), ground=ground,
     )  # fmt: skip
-    try:
-        people, notes = read_people(
-            [Path(one) for one in paths], settings, BodyModel.load() if body is None else body
-        )
-    except ReconError:
-        raise
-    except ValueError as error:
-        raise FormatError(str(error)) from error
+    model = BodyModel.load() if body is None else body
+    people, notes = people_in([Path(one) for one in paths], settings, model)
     for note in notes:
         _LOG.info("%s", note)
     return list(people)

@@ -14,8 +14,10 @@ from torch.utils.weak import WeakIdKeyDictionary
 from recon.body.model import PosedBody
 from recon.body.parts import PARTS
 from recon.body.sampled import SampledSurface
+from recon.core.errors import ReconError
 from recon.core.struct import TensorStruct
 from recon.method.protocols import REFERENCE_FPS, Estimate
+from recon.method.terms import Term
 from recon.physics.mass import Dynamics, body_dynamics, difference_step, inner, vertex_masses
 from recon.physics.zmp import centre_of_pressure, smoothstep, supported, zmp
 
@@ -168,3 +170,34 @@ def _edges_repeated(
     nearest = frame.clamp(min=0).expand(motion.valid.shape).minimum(last)
     known = motion.inner(step).any(-1, keepdim=True)
     return values.gather(-1, nearest).where(known, 1.0)
+
+
+_PHYSICS = (
+    ("penetration", penetration, 0.002),
+    ("slide", slide, 0.003),
+    ("floating", floating, 0.006),
+    ("dynamic stability", dynamic_stability, 0.2),
+)
+"""Standard deviations, metres: of depth, of the step of a sole per 1/30 s, of height, and of the
+distance from the centre of pressure to the zero moment point. Chosen on validation windows."""
+
+
+def physics_terms(noise: float, strength: float = 1.0) -> tuple[Term, ...]:
+    """What holds a body to the ground z = 0, beside an observation of weight one.
+
+    Each weighs noise² / deviation², as a negative log-probability does beside ½ |error|².
+
+    Args:
+        noise: of the observation's coordinates, metres; at least 8 mm is taken.
+        strength: multiplier of all of them.
+
+    Raises:
+        ValueError: when the strength is not a number above 0.
+    """
+    if not 0 < strength < float("inf"):
+        raise ReconError(
+            "physics multiplies the weights of contact with the ground: expected a number of at "
+            f"least 0 (0 leaves them out, 1 is as chosen on validation), got {strength:g}"
+        )
+    variance = strength * max(noise, 0.008) ** 2
+    return tuple(Term(name, energy, variance / s**2) for name, energy, s in _PHYSICS)

@@ -9,7 +9,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from observations.files.points import load
 from recon.body.model import BodyModel
 from recon.core.camera import Camera, Projection, transform
 from recon.core.motion import Motion
@@ -22,6 +21,7 @@ from recon.formats.observations import (
     load_observation,
 )
 from recon.method.protocols import Estimate
+from recon.reading.points import positions_of
 from recon.view.scene import Points
 from recon.view.views import View, nearest_samples
 
@@ -51,7 +51,7 @@ def observed(paths: Sequence[Path], file: MotionFile, body: BodyModel) -> Observ
     for path, name in zip(paths, _names(paths), strict=True):
         seen = load_observation(path)
         if isinstance(seen, PositionsFile):
-            points.append(_points(path, file.motion, body))
+            points.append(_points(seen, path, file.motion, body))
         elif isinstance(seen, KeypointsFile):
             cameras.append(_keypoints(seen, path, name, file, body))
         else:
@@ -71,8 +71,8 @@ def _names(paths: Sequence[Path]) -> list[str]:
     ]
 
 
-def _points(path: Path, motion: Motion, body: BodyModel) -> Points:
-    observation = load(path, body)
+def _points(seen: PositionsFile, path: Path, motion: Motion, body: BodyModel) -> Points:
+    observation = positions_of(seen, path, body)
     at = _moments(observation.positions.shape[1], observation.start_time, observation.fps)
     points = Points(observation.positions[0], observation.visible[0]).on(motion.times, at)
     predicted = observation.predict(Estimate.of_clip(motion, body))[0]

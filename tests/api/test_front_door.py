@@ -10,7 +10,7 @@ import pytest
 import torch
 
 import recon
-from priors import PosePrior
+from priors.pose.prior import PosePrior
 from recon.api.given import prior_of
 from recon.api.observations import clip_of, on_ground
 from recon.body.identities import height
@@ -232,7 +232,7 @@ def test_files_are_read(tmp_path):
 def test_long_recordings_hold_a_shape_and_may_be_ended(monkeypatch):
     """Windows share the shape that is held; a fit that was ended still has all of them."""
     monkeypatch.setattr(clip_module, "LONG", 1.0)
-    monkeypatch.setattr(clip_module, "WINDOW", 1.0)
+    monkeypatch.setattr("recon.fitting.long.WINDOW", 1.0)
     shape = [1.5, -1.0]
     result = recon.fit(seen(noisy(36)), Quick(), shape=shape, callback=lambda *_: True)
     assert result.motion.frames == 36

@@ -6,9 +6,9 @@ from itertools import combinations
 import pytest
 
 import recon
-from observations.files.clouds import cloud_of
 from recon.core.camera import depth_camera
 from recon.method.protocols import Sensor
+from recon.reading.clouds import cloud_of
 from recon.simulation.depth import depth_points
 from recon.simulation.images import dome
 from recon.simulation.points import Corruption, joints3d, markers3d

@@ -8,10 +8,10 @@ import torch
 import tyro
 
 import recon
-from observations.files.images import LEVEL_CAMERA, camera_above
-from priors import PosePrior
+from priors.pose.prior import PosePrior
 from recon.core.errors import ReconError
 from recon.core.skeleton import JOINTS
+from recon.fitting.ground import LEVEL_CAMERA, camera_above
 from recon.fitting.methods import FitOptions
 from recon.fitting.settings import FitSettings
 from recon.formats.observations import PositionsFile, save_observation

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 import torch
 
-from observations.files.images import keypoints_of
 from observations.keypoints2d import Keypoints2D
+from recon.api.pipeline import fitted
 from recon.core.camera import full_hd_camera
 from recon.core.scene import ZOOM, Scene, UnknownLens
-from recon.diagnosis.examination import fit_examined
-from recon.fitting.clip_files import load_clip
 from recon.fitting.methods import FitOptions
 from recon.fitting.settings import FitSettings
 from recon.formats.calibration import guessed_camera, guessed_size
+from recon.reading.clip import load_clip
+from recon.reading.images import keypoints_of
 from recon.simulation.images import keypoints2d
 from recon.simulation.points import Corruption
 from tests.filmed import NOISE, bundled, cameras, view, walk
@@ -98,7 +98,7 @@ def test_a_fit_corrects_a_guessed_focal_length() -> None:
     matrix = np.array([[900.0, 0, 960.0], [0, 900.0, 540.0], [0, 0, 1.0]])
     guess = replace(file.camera, camera_matrix=matrix, T_camera_world=None, focal_known=False)
     seen = keypoints_of(replace(file, camera=guess), bundled())
-    found = fit_examined([seen], ["phone"], FitOptions(prior="pose"), bundled())
+    found = fitted([seen], ["phone"], FitOptions(prior="pose"), bundled())
     (said,) = [one for one in found.diagnosis if one.code == "focal"]
     assert said.value is not None
     assert 1100 < said.value < 2100

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 import scipy.sparse
 
-from observations.people.places import load_silhouettes
 from recon.core import limits
 from recon.core.limits import LIMITS, Limit, check_camera, check_pose
 from recon.core.units import to_z_up
@@ -25,6 +24,7 @@ from recon.formats.opening import check_sizes
 from recon.formats.scan_times import timed
 from recon.formats.scans import read_ply
 from recon.formats.smpl import load_smpl
+from recon.reading.places import load_silhouettes
 from tests.formats.test_npz import KEYPOINTS, POINTS, POSITIONS, amass, make_file
 
 CAMERA = np.array([[1000.0, 0.0, 320.0], [0.0, 1000.0, 240.0], [0.0, 0.0, 1.0]])

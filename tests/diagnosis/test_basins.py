@@ -2,13 +2,14 @@
 
 import torch
 
-from observations.curvature import Surfels
 from observations.depth import PointCloud
+from observations.surfels import Surfels
 from priors.labels.looking import PointLabels
 from recon.core.camera import depth_camera
 from recon.core.residuals import Noise
-from recon.diagnosis import agreement as silhouette
-from recon.diagnosis.agreement import basin_findings, label_distance, summarise
+from recon.diagnosis import basins
+from recon.diagnosis.agreement import summarise
+from recon.diagnosis.basins import basin_findings, label_distance
 from tests import laws
 from tests.filmed import bundled, turned, walk
 
@@ -44,7 +45,7 @@ def scene(noise: float = 0.005, std: float = 0.01):
 def said(cloud, motion, body):
     estimate = laws.estimate_of(body, motion)
     summary = summarise("cloud", cloud, Noise(0.01, 0.01), estimate)
-    return basin_findings("cloud", cloud, summary, estimate)
+    return basin_findings("cloud", cloud, summary.quantiles, estimate)
 
 
 def test_a_turned_body_is_said():
@@ -83,7 +84,7 @@ def test_clouds_without_labels_are_labelled_to_be_judged(monkeypatch):
     """Fits that began at a given motion were 27 cm off without a word: nothing had labels."""
     cloud, motion, body = scene()
     bare = cloud.replace(labels=None)
-    monkeypatch.setattr(silhouette, "with_labels", lambda one: one.replace(labels=cloud.labels))
+    monkeypatch.setattr(basins, "with_labels", lambda one: one.replace(labels=cloud.labels))
     wrong = turned(motion[0], torch.pi)[None]
     pelvis, place = (body.pose(m).joints[:, :, 0] for m in (wrong, motion))
     (finding,) = said(bare, wrong.replace(translation=wrong.translation + place - pelvis), body)

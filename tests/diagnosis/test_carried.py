@@ -6,14 +6,14 @@ from dataclasses import replace
 import pytest
 import torch
 
-from observations.files.images import keypoints_of
+from recon.api.pipeline import fitted
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS
-from recon.diagnosis.examination import fit_examined
 from recon.diagnosis.motions.belt import belt_velocity
 from recon.diagnosis.motions.carried import carried_finding
 from recon.fitting.methods import FitOptions
+from recon.reading.images import keypoints_of
 from recon.simulation.images import keypoints2d, orbiting
 from recon.simulation.points import Corruption
 from tests.filmed import bundled, cameras, walk
@@ -83,5 +83,5 @@ def test_a_phone_that_is_carried_around_a_person() -> None:
     file = keypoints2d(motion, bundled(), camera, Corruption(noise=3.0), 0)
     unknown = replace(file.camera, T_camera_world=None)
     seen = keypoints_of(replace(file, camera=unknown), bundled())
-    examined = fit_examined([seen], ["phone"], FitOptions(prior="pose"), bundled())
+    examined = fitted([seen], ["phone"], FitOptions(prior="pose"), bundled())
     assert [found.code for found in examined.warnings] == ["camera moves"]

@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from observations.files.images import keypoints_of
 from observations.keypoints2d import Keypoints2D
 from recon.core.skeleton import JOINTS, LEGS
 from recon.diagnosis.certainty import certainty
 from recon.diagnosis.doubts import Alternative, guessed_findings, undecided_findings
-from recon.diagnosis.plausibility import size_is_unknown, with_unknown_size
+from recon.diagnosis.views.fitted import size_is_unknown, with_unknown_size
 from recon.fitting.clip import fit_clip
 from recon.fitting.methods import FitOptions
 from recon.method.laplace import Deviations
+from recon.reading.images import keypoints_of
 from recon.simulation.images import keypoints2d
 from recon.simulation.points import Corruption
 from tests.filmed import bundled, cameras, walk

@@ -6,14 +6,14 @@ from dataclasses import replace
 import pytest
 import torch
 
-from observations.files.images import keypoints_of
 from observations.keypoints2d import Keypoints2D
+from recon.api.pipeline import fitted
 from recon.core import rotations as so3
 from recon.core.camera import Camera
-from recon.diagnosis.examination import fit_examined
 from recon.diagnosis.views.images import Images
 from recon.diagnosis.views.rest import moving_finding, rest_of
 from recon.fitting.methods import FitOptions
+from recon.reading.images import keypoints_of
 from recon.simulation.images import keypoints2d
 from recon.simulation.points import Corruption
 from tests.filmed import bundled, cameras, walk
@@ -79,5 +79,5 @@ def test_feet_that_are_not_seen_tell_nothing() -> None:
 def test_a_fit_to_a_panned_phone_is_warned_of() -> None:
     """The fit agrees with the image to the noise: a walker who walks on the spot."""
     panned = seen(turning(15.0))
-    examined = fit_examined([panned], ["phone"], FitOptions(prior="pose"), bundled())
+    examined = fitted([panned], ["phone"], FitOptions(prior="pose"), bundled())
     assert "camera moves" in [found.code for found in examined.warnings]

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import torch
 
-from observations.files.images import keypoints_of
 from observations.keypoints2d import Keypoints2D
 from recon.core import rotations as so3
 from recon.core.motion import Motion
@@ -19,6 +18,7 @@ from recon.diagnosis.examination import screen
 from recon.diagnosis.findings import Finding
 from recon.diagnosis.views.screening import screen_views
 from recon.fitting.methods import FitOptions
+from recon.reading.images import keypoints_of
 from recon.simulation.images import keypoints2d
 from recon.simulation.points import Corruption
 from tests.filmed import bundled, cameras, turned, view, walk

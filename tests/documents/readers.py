@@ -13,10 +13,10 @@ import torch
 
 import recon
 from observations.correspondences import BodyPoints
-from observations.files.images import keypoints_of
 from recon.core import rotations as so3
 from recon.core.skeleton import JOINTS
 from recon.formats.observations import KeypointsFile, PositionsFile, save_observation
+from recon.reading.images import keypoints_of
 from recon.simulation.images import keypoints2d
 from recon.simulation.points import Corruption, joints3d, scan_points
 from tests.documents.blocks import ROOT

@@ -61,9 +61,9 @@ def test_the_reference_has_every_public_name(site):
     pages = "".join(path.read_text(encoding="utf-8") for path in site.glob("api/*.html"))
     ids = set(re.findall(r'id="([\w.]+)"', pages))
     public = {f"recon.{name}" for name in recon._HOMES}
-    others = {n for n in vars(observations) if n[0].isupper()} - recon._HOMES.keys()
+    others = set(observations._HOMES) - recon._HOMES.keys()
     public |= {f"observations.{n}" for n in others}
-    public |= {f"priors.{n}" for n in vars(priors) if n[0].isupper()}
+    public |= {f"priors.{n}" for n in priors._HOMES}
     assert public - ids == set()
 
 

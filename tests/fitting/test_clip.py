@@ -5,19 +5,20 @@ import math
 import pytest
 import torch
 
-from observations import Joints3D
-from observations.curvature import Surfels
 from observations.depth import PointCloud
-from observations.files.images import keypoints_of
+from observations.joints3d import Joints3D
 from observations.keypoints2d import Keypoints2D
+from observations.surfels import Surfels
 from recon.core.motion import Motion
 from recon.core.struct import concatenate
 from recon.fitting import clip as clip_module
-from recon.fitting.clip import ClipFit, fit_clip
+from recon.fitting.clip import fit_clip
+from recon.fitting.fitted import ClipFit
 from recon.fitting.ground import sole_heights
 from recon.fitting.methods import FitOptions
 from recon.formats.observations import CameraArrays, KeypointsFile
 from recon.method.stages import StageReport
+from recon.reading.images import keypoints_of
 from recon.simulation.points import Corruption, joints3d
 from tests.filmed import bundled, cameras, joint_error, turned, view, walk
 
@@ -143,7 +144,7 @@ def test_clips_of_a_batch_are_fitted_as_alone():
 @pytest.mark.slow
 def test_long_recordings_keep_one_ground(monkeypatch):
     monkeypatch.setattr(clip_module, "LONG", 1.0)
-    monkeypatch.setattr(clip_module, "WINDOW", 1.0)
+    monkeypatch.setattr("recon.fitting.long.WINDOW", 1.0)
     truth = walk(36)
     true = one_view(truth)
     seen = lost(true)

@@ -10,11 +10,12 @@ import torch
 from observations.joints3d import Joints3D
 from observations.keypoints2d import Keypoints2D
 from recon.core.camera import transform
-from recon.fitting.clip_files import Clip, load_clip, window
+from recon.fitting.observed import Clip, window
 from recon.fitting.settings import FitSettings
 from recon.formats.motions import load_motion
 from recon.formats.observations import save_observation
 from recon.jobs.fit import fit_files
+from recon.reading.clip import load_clip
 from recon.simulation.images import camera_arrays, keypoints2d
 from recon.simulation.points import Corruption
 from tests.filmed import NOISE, bundled, cameras, walk

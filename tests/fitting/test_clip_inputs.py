@@ -6,14 +6,14 @@ from pathlib import Path
 
 import pytest
 
-from recon.fitting.clip_inputs import (
+from recon.fitting.settings import FitSettings
+from recon.formats.replacing import MISSING, file_checksum
+from recon.reading.inputs import (
     clip_checksum,
     input_checksums,
     observation_input,
     settings_checksum,
 )
-from recon.fitting.settings import FitSettings
-from recon.formats.replacing import MISSING, file_checksum
 
 
 def written(folder: Path, *names: str) -> Path:

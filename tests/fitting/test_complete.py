@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from observations.files.clouds import cloud_of
 from priors.anchor.fit import AnchorFit
 from recon import cli
 from recon.body.cycles import find_cycles
@@ -29,6 +28,7 @@ from recon.formats.scans import write_ply, write_scans
 from recon.jobs.fit import fit_files
 from recon.method.stages import Stage
 from recon.method.terms import Term
+from recon.reading.clouds import cloud_of
 from recon.simulation.points import Corruption, landmarks3d, scan_points
 from recon.solver.lbfgs import LBFGS
 from tests.walk_prior import one_cycle, tiny_weights

@@ -5,10 +5,11 @@ import math
 import pytest
 import torch
 
-from observations import Joints3D, Markers3D
-from observations.curvature import Surfels
 from observations.depth import PointCloud
+from observations.joints3d import Joints3D
 from observations.keypoints2d import Keypoints2D
+from observations.markers3d import Markers3D
+from observations.surfels import Surfels
 from priors.anchor.fit import AnchorFit
 from priors.anchor.networks import save_weights
 from recon.body.landmarks import LANDMARKS_16, landmark

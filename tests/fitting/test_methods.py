@@ -7,10 +7,11 @@ from observations.joints3d import Joints3D
 from priors.humor.collocation import Collocation
 from priors.pose.prior import PosePrior
 from recon.body.model import BodyModel
-from recon.fitting.methods import FitOptions, WithoutRoot, WithPhysics, method_of, physics_terms
+from recon.fitting.methods import FitOptions, WithoutRoot, WithPhysics, method_of
 from recon.method.reconstruction import solve
 from recon.method.terms import Term
 from recon.physics import energies as physics
+from recon.physics.energies import physics_terms
 from tests.filmed import bundled
 from tests.standing_body import path, standing, times
 

@@ -8,9 +8,10 @@ import pytest
 import torch
 
 import recon
-from observations import Joints3D, Markers3D
-from observations.curvature import Surfels
 from observations.depth import PointCloud
+from observations.joints3d import Joints3D
+from observations.markers3d import Markers3D
+from observations.surfels import Surfels
 from recon.body.cycles import Cycle
 from recon.body.landmarks import LANDMARKS_16, landmark
 from recon.body.model import BodyModel

@@ -9,13 +9,13 @@ import pytest
 import torch
 
 from observations.camera_paths import path_unit
-from observations.files.images import keypoints_of
 from observations.keypoints2d import Keypoints2D
 from recon.core.camera import Camera
-from recon.fitting.clip_files import load_clip
 from recon.fitting.settings import FitSettings
 from recon.formats.camera_path import CameraPath
 from recon.formats.tracks import read_track
+from recon.reading.clip import load_clip
+from recon.reading.images import keypoints_of
 from recon.simulation.images import keypoints2d, orbiting
 from recon.simulation.points import Corruption
 from tests.filmed import bundled, cameras, walk

@@ -136,8 +136,7 @@ def test_markers_are_seen_where_they_sit_on_the_body(
     elbow = markers.marker_names.index("LELB")
     towards = wide[:, elbow] - wide[:, markers.marker_names.index("LWRA")]
     wide[:, elbow] += 0.04 * towards / np.linalg.norm(towards, axis=-1)[:, None]
-    found = seen_markers(dataclasses.replace(markers, positions=wide), single)
-    seen = found.markers
+    seen, _ = seen_markers(dataclasses.replace(markers, positions=wide), single)
     assert isinstance(seen, Markers3D)
     assert seen.start_time == 2.0
     assert seen.ground_known
@@ -148,9 +147,9 @@ def test_markers_are_seen_where_they_sit_on_the_body(
     assert 0.015 < np.linalg.norm(offset) < 0.07
     assert seen.std is not None
     assert float(seen.std[seen.visible].min()) >= 0.0099
-    upper = seen_markers(markers.select(UPPER_MARKERS), single)
-    assert not upper.markers.ground_known
-    assert any(said.startswith("no marker on left thigh or knee") for said in upper.decisions)
+    upper, decisions = seen_markers(markers.select(UPPER_MARKERS), single)
+    assert not upper.ground_known
+    assert any(said.startswith("no marker on left thigh or knee") for said in decisions)
 
 
 def test_offsets_turn_with_their_bones(walk: Motion, single: BodyModel) -> None:

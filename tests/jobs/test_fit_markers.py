@@ -9,13 +9,13 @@ import pytest
 
 from recon.cli.looks import refuse_unknown_markers
 from recon.core.skeleton import joint_index
-from recon.fitting.clip_inputs import input_checksums, settings_checksum
 from recon.fitting.settings import FitSettings
 from recon.formats.mocap.reader import read_recording
 from recon.formats.mocap.recording import MarkerRecording
 from recon.formats.mocap.trc import write_trc
 from recon.formats.motions import load_motion
 from recon.jobs.fit import fit_files
+from recon.reading.inputs import input_checksums, settings_checksum
 from tests.documents.blocks import ROOT
 
 ARM = ("LUPA", "LELB", "LWRA", "LWRB", "LFIN")

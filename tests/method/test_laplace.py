@@ -7,7 +7,6 @@ import pytest
 import torch
 
 import recon
-from observations.files.clouds import cloud_of
 from observations.joints3d import Joints3D
 from priors.pose.prior import PosePrior, PoseWeights
 from recon import cli
@@ -21,6 +20,7 @@ from recon.method import laplace as laplace
 from recon.method.derivatives import GroundBelief
 from recon.method.laplace import deviations
 from recon.method.protocols import Estimate
+from recon.reading.clouds import cloud_of
 from recon.simulation.depth import depth_points
 from recon.simulation.images import dome
 from recon.simulation.points import Corruption, joints3d

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import pytest
 import torch
 
-from observations import Joints3D
+from observations.joints3d import Joints3D
 from recon.core import rotations as so3
 from recon.core.scene import Scene, UnknownGround
 from recon.core.struct import concatenate

@@ -7,8 +7,8 @@ import pytest
 import torch
 
 import recon
-from observations import Joints3D
-from priors import PosePrior
+from observations.joints3d import Joints3D
+from priors.pose.prior import PosePrior
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.method.terms import Term

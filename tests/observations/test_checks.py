@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 import torch
 
-from observations import Joints3D, Markers3D
 from observations.correspondences import BodyPoints
-from observations.curvature import Surfels
 from observations.depth import PointCloud
+from observations.joints3d import Joints3D
 from observations.keypoints2d import Keypoints2D
+from observations.markers3d import Markers3D
+from observations.surfels import Surfels
 from recon.body.model import BodyModel
 from recon.core.camera import Camera, looking
 from recon.core.motion import Motion

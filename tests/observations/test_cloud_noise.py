@@ -3,11 +3,11 @@
 import pytest
 import torch
 
-from observations.curvature import Surfels, bounded
 from observations.depth import CLOUD_NOISE, CLOUD_WORTH, PointCloud
-from observations.files.clouds import cloud_of
+from observations.surfels import Surfels, bounded
 from recon.core.camera import depth_camera
 from recon.core.errors import ObservationError
+from recon.reading.clouds import cloud_of
 from recon.simulation.depth import DepthSensor, depth_points
 from recon.simulation.points import Corruption
 from tests import laws

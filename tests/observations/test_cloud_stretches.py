@@ -5,9 +5,9 @@ import pytest
 import torch
 
 import recon
-from observations.files.clouds import cloud_of
 from recon.core.errors import UnitsError
 from recon.formats.observations import PointsFile
+from recon.reading.clouds import cloud_of
 from tests.filmed import bundled, walk
 from tests.observations.test_labelled_start import errors
 

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from observations.curvature import Surfels, bounded, tukey
 from observations.depth import PointCloud
-from observations.files.clouds import cloud_of
+from observations.surfels import Surfels, bounded, tukey
 from recon.core import rotations as so3
 from recon.core.camera import depth_camera
 from recon.core.errors import ReconError
@@ -14,6 +13,7 @@ from recon.core.nearest import nearest
 from recon.core.scene import Scene, UnknownGround
 from recon.core.skeleton import joint_index
 from recon.formats.observations import PointsFile
+from recon.reading.clouds import cloud_of
 from recon.simulation.depth import PERFECT, DepthSensor, Surface, depth_points, without_pose
 from recon.simulation.points import Corruption, scan_points
 from tests import laws
@@ -52,8 +52,8 @@ def still(body, motion):
 def test_golden_gradient(golden, monkeypatch):
     """At equal scale it is that of the published energy, whose bisquare weights are constant."""
     scale = golden["points3d_scale"]
-    monkeypatch.setattr("observations.curvature.lower_median", lambda *_: 0.67449 * scale)
-    monkeypatch.setattr("observations.curvature.LEAST_SCALE", 0.0)
+    monkeypatch.setattr("observations.surfels.lower_median", lambda *_: 0.67449 * scale)
+    monkeypatch.setattr("observations.surfels.LEAST_SCALE", 0.0)
     vertices = golden["camera_verts"].clone().requires_grad_()
     points = golden["obs_points3d"]
     index = nearest(points, all_present(points), vertices, all_present(vertices))
@@ -95,7 +95,7 @@ def test_what_is_not_there_counts_nothing(toy_body):
 @pytest.mark.parametrize("kernel", [bounded, tukey])
 def test_the_gradient_is_that_of_the_value(body, kernel, monkeypatch):
     monkeypatch.setattr(
-        "observations.curvature.lower_median", lambda e, _: e.new_full((len(e),), 0.02)
+        "observations.surfels.lower_median", lambda e, _: e.new_full((len(e),), 0.02)
     )
     motion = laws.a_motion(body, clips=1, frames=2)
     points = body.pose(motion).vertices[:, :, ::40]

@@ -3,11 +3,11 @@
 import pytest
 import torch
 
-from observations import Joints3D
-from observations.curvature import Surfels
 from observations.depth import PointCloud
 from observations.first_guess import first_guess
+from observations.joints3d import Joints3D
 from observations.noise import weights_of
+from observations.surfels import Surfels
 from priors.labels.looking import PointLabels
 from recon.core.skeleton import joint_index
 from recon.simulation.points import Corruption, joints3d

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from observations.files.images import LEVEL_CAMERA, keypoints_of, pinhole, undistorted
 from recon.core.camera import Ground
+from recon.fitting.ground import LEVEL_CAMERA
+from recon.reading.images import keypoints_of, pinhole, undistorted
 from recon.simulation.images import camera_arrays, keypoints2d
 from recon.simulation.points import Corruption
 from tests.filmed import bundled, cameras, walk

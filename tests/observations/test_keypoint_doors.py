@@ -6,7 +6,6 @@ import json
 import cv2
 import numpy as np
 import pytest
-from benchmarks.projects import write_trc as write_pose2sim_trc
 
 import recon
 from observations.correspondences import BodyPoints
@@ -14,11 +13,12 @@ from observations.keypoints3d import Keypoints3D
 from observations.start.standing import planted_path
 from recon.core.skeleton import LAYOUTS, keypoint_names
 from recon.core.units import to_z_up
-from recon.fitting.clip_files import load_clip
 from recon.fitting.settings import FitSettings
 from recon.formats.keypoints3d.labels import are_keypoints, meant_keypoints
 from recon.formats.mocap.recording import MarkerRecording
 from recon.formats.mocap.trc import write_trc
+from recon.formats.mocap.trc import write_trc as write_pose2sim_trc
+from recon.reading.clip import load_clip
 from tests.filmed import bundled, joint_error, walk
 
 FRAMES = 12

@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 import pytest
 
-from observations.people.places import load_silhouettes, masked, match_cameras
-from observations.people.views import load_views
 from recon.formats.observations import CameraArrays, KeypointsFile
+from recon.reading.places import load_silhouettes, masked, match_cameras
+from recon.reading.views import Views, read_views
 from tests.keypoint_scene import SIZE, camera, figure, image, write_openpose, write_toml
 
 CAMERAS = {
@@ -31,6 +31,10 @@ def walker(t: int) -> np.ndarray:
 
 def bystander(t: int) -> np.ndarray:
     return figure(LAYOUT, (0.6, -1.0 + 0.001 * t))
+
+
+def load_views(paths, calibration, person=None, **how) -> Views:
+    return read_views(paths, calibration, **how).person(person)
 
 
 def write_scene(

@@ -2,8 +2,8 @@
 
 import torch
 
-from observations.curvature import Surfels
 from observations.depth import PointCloud
+from observations.surfels import Surfels
 from priors.labels.looking import PointLabels
 from priors.labels.regions import REGIONS, Regions
 from recon.body.model import BodyModel

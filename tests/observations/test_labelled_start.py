@@ -3,10 +3,10 @@
 import pytest
 import torch
 
-from observations.curvature import Surfels
 from observations.depth import PointCloud
 from observations.first_guess import first_guess
 from observations.start.labelled import labelled_start
+from observations.surfels import Surfels
 from priors.labels.looking import PointLabels
 from priors.labels.regions import MIRRORED_REGIONS
 from recon.body.model import BodyModel

@@ -4,9 +4,9 @@ import pytest
 import torch
 
 from observations import first_guess as labelling
-from observations.curvature import Surfels
 from observations.depth import PointCloud
 from observations.joints3d import Joints3D
+from observations.surfels import Surfels
 from priors.labels.looking import PointLabels
 from recon.core.camera import depth_camera
 from tests.filmed import bundled, cameras, view, walk

@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from observations.files.moving_sensor import movement
 from recon.core.errors import ObservationError
 from recon.formats.observations import CameraArrays, PointsFile
+from recon.reading.moving_sensor import movement
 
 UP = np.array([0.0, -1.0, 0.0])
 

@@ -6,11 +6,11 @@ import torch
 
 import recon
 from observations.depth import PointCloud
-from observations.files.clouds import alone, cloud_of
 from recon.core.camera import depth_camera
 from recon.core.errors import ObservationError
 from recon.formats.observations import CameraArrays, PointsFile, save_observation
 from recon.jobs.simulate import simulate_file
+from recon.reading.clouds import alone, cloud_of
 from recon.simulation.depth import Surface, depth_points
 from recon.simulation.points import Corruption
 from recon.simulation.scenery import box

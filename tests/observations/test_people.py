@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from observations.people.tracks import Track, choose, follow
 from recon.formats.detections.records import Detections, Row, gather
+from recon.reading.tracks import Track, choose, follow
 from tests.keypoint_scene import camera, figure, image
 
 

@@ -7,14 +7,15 @@ import pytest
 import torch
 
 import recon
-from observations import Joints3D, Markers3D
-from observations.files.points import positions_of
+from observations.joints3d import Joints3D
+from observations.markers3d import Markers3D
 from observations.noise import estimate_noise
 from recon.core.errors import ReconError
 from recon.core.robust import geman_mcclure
 from recon.core.skeleton import JOINTS
 from recon.diagnosis.points.named_points import NamedPoints
 from recon.formats.observations import PositionsFile
+from recon.reading.points import positions_of
 from tests import laws
 from tests.filmed import bundled, walk
 from tests.observations.test_points3d import seen_exactly

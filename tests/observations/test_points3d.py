@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 import torch
 
-from observations import Joints3D, Markers3D
-from observations.files.points import positions_of
+from observations.joints3d import Joints3D
+from observations.markers3d import Markers3D
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.robust import geman_mcclure
 from recon.core.scene import Scene
 from recon.formats.observations import PositionsFile
+from recon.reading.points import positions_of
 from tests import laws
 from tests.conftest import GOLDEN
 from tests.core.test_units import dancer

@@ -9,12 +9,12 @@ import pytest
 from observations.correspondences import BodyPoints
 from recon.core.skeleton import keypoint_names
 from recon.core.units import to_z_up
-from recon.fitting.clip_files import load_clip
-from recon.fitting.clip_inputs import observation_input
 from recon.fitting.settings import DEFAULTS
 from recon.formats.mocap.recording import MarkerRecording
 from recon.formats.mocap.trc import write_trc
 from recon.formats.projects import project_at
+from recon.reading.clip import load_clip
+from recon.reading.inputs import observation_input
 from tests.filmed import bundled, cameras, view, walk
 
 FRAMES = 10

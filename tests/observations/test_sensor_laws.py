@@ -6,17 +6,18 @@ import numpy as np
 import pytest
 import torch
 
-from observations import Joints3D, Markers3D
 from observations.correspondences import BodyPoints
-from observations.curvature import Surfels
 from observations.depth import PointCloud
-from observations.files.images import keypoints_of
+from observations.joints3d import Joints3D
 from observations.keypoints3d import Keypoints3D
+from observations.markers3d import Markers3D
+from observations.surfels import Surfels
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.scene import Scene
 from recon.method.protocols import Sensor
 from recon.method.start import Recorded
+from recon.reading.images import keypoints_of
 from recon.simulation.images import keypoints2d
 from recon.simulation.points import Corruption
 from tests import laws

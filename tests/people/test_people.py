@@ -9,9 +9,9 @@ import torch
 
 import recon
 from recon.core.camera import transform
-from recon.fitting.clip_files import load_clip
 from recon.fitting.settings import FitSettings
 from recon.jobs.fit import fit_people_files
+from recon.reading.clip import load_clip
 from recon.simulation.images import keypoints2d
 from recon.simulation.points import Corruption
 from tests.filmed import BESIDE, before_two, bundled, two_people

@@ -6,7 +6,6 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float
 
-from observations.keypoints3d import Keypoints3D
 from observations.kinds import Tracked
 from observations.timing import at_observation_times
 from recon.body.model import BodyModel
@@ -52,11 +51,7 @@ class NamedPoints:
             rest=observation.at_rest(body).double().cpu().numpy(),
             fps=observation.fps,
             are_joints=not observation.on_skin,
-            rigid=(
-                observation.points.rigid_pairs(body)
-                if isinstance(observation, Keypoints3D)
-                else None
-            ),
+            rigid=observation.rigid_pairs(body),
             std=None if observation.std is None else observation.std[0].double().cpu().numpy(),
         )
 

@@ -14,7 +14,6 @@ from recon.body.model import BodyModel
 from recon.core.robust import geman_mcclure, squared
 from recon.core.struct import concatenate
 from recon.diagnosis.points.named_points import NamedPoints, Points
-from recon.fitting.long import fit_long
 from recon.method.protocols import Estimate
 from recon.method.reconstruction import Method, solve
 from recon.method.stages import Stage
@@ -111,6 +110,9 @@ def quick_fits(versions: Sequence[Points], body: BodyModel) -> list[QuickFit]:
     best = min(range(len(fits)), key=lambda row: fits[row].cost)
     whole = versions[best].replace(kernel=partial(geman_mcclure, sigma=ROBUST_SCALE))
     start = smoothed(NamedPoints.of(whole, body)).into(whole).start(body)
+    # an excerpt of a long recording is not the whole of it
+    from recon.fitting.long import fit_long
+
     motion = fit_long([whole], method, body, start=start).motion
     estimate = Estimate.of_clip(motion[0].detach(), body)
     return [QuickFit(versions[best], estimate, fits[best].cost)]

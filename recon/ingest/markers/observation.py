@@ -17,7 +17,6 @@ from recon.body.model import BodyModel
 from recon.core.robust import geman_mcclure, squared
 from recon.core.skeleton import FEET
 from recon.diagnosis.findings import listed
-from recon.fitting.readers import SeenMarkers
 from recon.formats.mocap.recording import MarkerRecording
 from recon.ingest.markers.conversion import FittedMarkers, fitted_markers
 from recon.ingest.markers.coverage import full_body_markers
@@ -31,7 +30,7 @@ def seen_markers(
     body: BodyModel,
     mapping: Path | None = None,
     robust: float | None = None,
-) -> SeenMarkers:
+) -> tuple[Markers3D, tuple[str, ...]]:
     """The known markers of a recording on our body's surface, and what was decided.
 
     Their offsets from the skin are those of the body that meets them best, and their standard
@@ -76,7 +75,7 @@ def seen_markers(
         else ()
     )
     changed = tuple(finding.message for finding in (*found.warnings, *found.repairs))
-    return SeenMarkers(seen, (*found.decisions, ground, *bare, *changed))
+    return seen, (*found.decisions, ground, *bare, *changed)
 
 
 def _deviations(found: FittedMarkers) -> Float[np.ndarray, " markers"]:

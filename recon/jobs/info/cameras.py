@@ -5,8 +5,6 @@ from typing import Any
 
 import numpy as np
 
-from observations.people.places import expand, view_name
-from observations.people.tracks import follow
 from recon.formats.calibration import load_cameras
 from recon.formats.depth_images import read_png
 from recon.formats.detections.reader import read_keypoints
@@ -15,6 +13,8 @@ from recon.formats.observations import CameraArrays
 from recon.formats.pcd import read_pcd
 from recon.formats.scan_times import timed
 from recon.formats.scans import naturally, read_ply, scan_paths, unit_of_clouds
+from recon.reading.places import expand, view_name
+from recon.reading.tracks import follow
 
 _CALIBRATIONS = {".toml", ".yml", ".yaml"}
 _LOOKED_AT = 5

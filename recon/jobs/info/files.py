@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from observations.people.places import load_silhouettes
 from recon.formats.keypoints3d.labels import are_keypoints
 from recon.formats.keypoints3d.reader import from_recording, holds_points_3d, read_points_3d
 from recon.formats.mocap.reader import read_recording
@@ -31,6 +30,7 @@ from recon.jobs.info.cameras import (
 )
 from recon.jobs.info.estimates import describe_estimate
 from recon.jobs.info.points import describe_points
+from recon.reading.places import load_silhouettes
 
 _RATES = frozenset({"mocap_framerate", "mocap_frame_rate", "fps"})
 """Names of the frame rate in motion files; estimates of networks have none."""

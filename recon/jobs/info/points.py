@@ -2,9 +2,9 @@
 
 from typing import Any
 
-from observations.files.keypoints3d import settled
 from recon.body.model import BodyModel
 from recon.formats.keypoints3d.records import Points3D
+from recon.reading.keypoints3d import settled
 
 _ANY_RATE = 30.0
 """Frames per second with which nothing is told but times."""

@@ -1,30 +1,13 @@
-"""Files of sensors that other packages bring, and markers: who reads which."""
+"""Files of sensors that other packages bring: who reads which."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 from recon.body.model import BodyModel
 from recon.core.errors import ObservationError
-from recon.formats.mocap.recording import MarkerRecording
 from recon.method.plugins import SENSORS, imported, registered
 from recon.method.protocols import Sensor
-
-
-@dataclass(frozen=True)
-class SeenMarkers:
-    """Markers of a recording as an observation."""
-
-    markers: Sensor
-    """Observation with a leading axis of length one."""
-    decisions: tuple[str, ...]
-    """What was read, told or put right, one sentence each."""
-
-
-PlaceMarkers = Callable[[MarkerRecording, BodyModel, Path | None, float | None], SeenMarkers]
-"""Says where a recording's markers sit on a body: recording, body, file of the caller's mapping,
-distance in metres beyond which a marker counts ever less."""
 
 
 @runtime_checkable

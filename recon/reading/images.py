@@ -10,15 +10,11 @@ from observations.camera_paths import keypoint_feet, with_unit
 from observations.correspondences import BodyPoints
 from observations.keypoints2d import SIGMA, Keypoints2D
 from recon.body.model import BodyModel
-from recon.core.camera import Camera, Ground, world_from_camera
+from recon.core.camera import Camera
 from recon.core.errors import ObservationError
+from recon.fitting.ground import LEVEL_CAMERA, camera_above
 from recon.formats.camera_path import CameraPath
 from recon.formats.observations import CameraArrays, KeypointsFile
-
-LEVEL_CAMERA = (0.0, -1.0, 0.0, -1.2)
-"""The ground that a camera of unknown pose is first taken to see: level, 1.2 m below it."""
-_FACING = ((-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0))
-"""A body that would look where the camera looks; its right is the image's."""
 
 
 def keypoints_of(
@@ -57,33 +53,6 @@ def keypoints_of(
         unit_known=path is None or path.metric,
     )
     return view if view.unit_known else with_unit(view, keypoint_feet(view, body))
-
-
-def camera_above(ground: tuple[float, float, float, float]) -> Float[np.ndarray, "4 4"]:
-    """T_recording_camera of a camera that sees the ground n·x = d; it stands above the origin.
-
-    Raises:
-        ValueError: when the normal is zero, or the camera is below the ground.
-    """
-    plane = Ground.create(torch.tensor(ground[:3]), torch.tensor(ground[3]))
-    if not float(plane.offset) < 0:
-        raise ObservationError(
-            f"the ground {ground} is not below the camera: expected (nx, ny, nz, d) with the "
-            "normal up and d < 0, such as (0, -1, 0, -1.2) for a level camera 1.2 m above it"
-        )
-    return world_above(ground)
-
-
-def world_above(ground: tuple[float, float, float, float]) -> Float[np.ndarray, "4 4"]:
-    """T_world_frame of a frame in which the ground is n·x = d; z = 0 of the world is the ground.
-
-    The frame's origin comes to lie over the world's, and the plane z = 0 changes nothing.
-
-    Raises:
-        ValueError: when the normal is zero.
-    """
-    plane = Ground.create(torch.tensor(ground[:3]), torch.tensor(ground[3]))
-    return world_from_camera(plane, torch.tensor(_FACING), torch.zeros(3)).double().numpy()
 
 
 def undistorted(file: KeypointsFile) -> Float[np.ndarray, "time points 2"]:

@@ -19,41 +19,10 @@ from recon.core.errors import FormatError, ObservationError, UnitsError
 from recon.core.robust import geman_mcclure, squared
 from recon.core.skeleton import JOINTS, LAYOUTS, keypoint_names
 from recon.core.units import METRES, Up, check_override, surely_up, to_z_up
-from recon.formats.observations import PositionsFile, load_observation
+from recon.formats.observations import PositionsFile
 
 SIZE = (0.25, 2.5)
 """Spread of the points against that of the rest body; outside it the unit must be wrong."""
-
-
-def load(
-    path: str | Path,
-    body: BodyModel,
-    *,
-    unit: str | None = None,
-    up: Up | None = None,
-    robust: float | None = None,
-) -> Joints3D | Markers3D | Keypoints3D:
-    """An observation file as an energy of one clip.
-
-    Args:
-        path: of an observation .npz.
-        body: to compare the size with.
-        unit: of the file's positions (m, cm, mm, inch, cmu); None takes the contract's metres
-            and refuses what no body can measure.
-        up: axis that points up; None believes the file unless the body surely contradicts it.
-        robust: distance in metres beyond which a point counts ever less; None is least squares.
-
-    Raises:
-        FileNotFoundError: when there is no such file.
-        ValueError: when the file is damaged, nothing is visible in it, a name is unknown, or
-            unit or axis are wrong; the message says what to do.
-    """
-    file = load_observation(path, unit=unit)
-    if not isinstance(file, PositionsFile):
-        raise ObservationError(
-            f"{path}: expected 3D joints, markers or keypoints (joints3d, markers3d, keypoints3d)"
-        )
-    return positions_of(file, path, body, unit=unit, up=up, robust=robust)
 
 
 def positions_of(
@@ -65,10 +34,20 @@ def positions_of(
     up: Up | None = None,
     robust: float | None = None,
 ) -> Joints3D | Markers3D | Keypoints3D:
-    """What `load` makes of a file; `path` is for messages.
+    """The points of an observation file as an energy of one clip.
+
+    Args:
+        file: as read.
+        path: of the file, for messages.
+        body: to compare the size with.
+        unit: of the file's positions (m, cm, mm, inch, cmu); None takes the contract's metres
+            and refuses what no body can measure.
+        up: axis that points up; None believes the file unless the body contradicts it.
+        robust: distance in metres beyond which a point counts ever less; None is least squares.
 
     Raises:
-        ValueError: as `load` does.
+        ValueError: when nothing is visible in it, a name is unknown, or unit or axis are wrong;
+            the message says what to do.
     """
     if not file.visible.any():
         raise ObservationError(

@@ -7,12 +7,12 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from observations.people.linking import LOST_AFTER, farthest, linked
-from observations.people.places import FEWEST_KEYPOINTS, body_size, distance
 from recon.core.errors import ObservationError
 from recon.core.skeleton import keypoint_names
 from recon.formats.detections.records import Detections
 from recon.formats.observations import CameraArrays
+from recon.reading.linking import LOST_AFTER, farthest, linked
+from recon.reading.places import FEWEST_KEYPOINTS, body_size, distance
 
 _EQUAL = 0.8
 """Ratio of completeness from which on neither of two tracks is the more complete."""

@@ -6,9 +6,6 @@ from pathlib import Path
 
 import numpy as np
 
-from observations.people.places import expand, match_cameras, view_name
-from observations.people.same_person import across_views
-from observations.people.tracks import Track, TrackedView, choose, follow
 from recon.core.errors import ObservationError
 from recon.core.limits import FRAME_RATE
 from recon.core.units import Axis
@@ -26,6 +23,9 @@ from recon.formats.observations import CameraArrays, KeypointsFile
 from recon.formats.opencv_yaml import CameraFields, settle_camera
 from recon.formats.scan_times import crowded
 from recon.formats.tracks import CameraTrack, read_track
+from recon.reading.places import expand, match_cameras, view_name
+from recon.reading.same_person import across_views
+from recon.reading.tracks import Track, TrackedView, choose, follow
 
 _OUTSIDE = 0.5
 """Share of the keypoints outside the image from which something is wrong."""
@@ -47,49 +47,6 @@ class Views:
     """What was decided about files, cameras and persons, and why."""
 
 
-def load_views(
-    paths: Sequence[str | Path],
-    calibration: str | Path | Calibration | None,
-    *,
-    fps: float | None,
-    layout: str | None = None,
-    person: int | None = None,
-    names: Sequence[str] | None = None,
-    camera_unit: CameraUnit | None = None,
-    camera_up: Axis | None = None,
-    image_size: tuple[int, int] | None = None,
-    track: Path | None = None,
-) -> Views:
-    """Read the 2D keypoints of one person from one or more calibrated views.
-
-    Args:
-        paths: files or folders of `recon.formats.detections.reader`, one per view; a folder that
-            holds such folders, or a project of Pose2Sim or EasyMocap, stands for all its views.
-        calibration: file or folder of `recon.formats.calibration`, or what was read from
-            it. None guesses the camera of one view, a phone's, from the size of its images.
-        fps: frames per second; no format of keypoints states it.
-        layout: which keypoints; None to tell it from the files.
-        person: number of a person in the first view, from 0 by first appearance; None for the
-            one that is seen most completely.
-        names: camera of every view; None to match them by name.
-        camera_unit: unit of the calibration, None to tell it.
-        camera_up: axis of the calibration's world that points up; None for z, checked.
-        image_size: width and height, pixels, for calibrations that do not state it.
-        track: how the one camera was carried, as a tracker wrote it; see
-            `recon.formats.tracks`.
-
-    Raises:
-        FileNotFoundError: when a file or folder is not there.
-        ValueError: when something is missing, damaged, ambiguous or does not fit together; the
-            message says what was expected and which option decides.
-    """
-    seen = read_views(
-        paths, calibration, fps=fps, layout=layout, names=names, camera_unit=camera_unit,
-        camera_up=camera_up, image_size=image_size, track=track,
-    )  # fmt: skip
-    return seen.of(*_one_person(seen, person))
-
-
 def read_views(
     paths: Sequence[str | Path],
     calibration: str | Path | Calibration | None,
@@ -102,7 +59,27 @@ def read_views(
     image_size: tuple[int, int] | None = None,
     track: Path | None = None,
 ) -> "SeenViews":
-    """Everybody's 2D keypoints in one or more views; arguments and errors as of `load_views`."""
+    """Everybody's 2D keypoints in one or more calibrated views.
+
+    Args:
+        paths: files or folders of `recon.formats.detections.reader`, one per view; a folder that
+            holds such folders, or a project of Pose2Sim or EasyMocap, stands for all its views.
+        calibration: file or folder of `recon.formats.calibration`, or what was read from
+            it. None guesses the camera of one view, a phone's, from the size of its images.
+        fps: frames per second; no format of keypoints states it.
+        layout: which keypoints; None to tell it from the files.
+        names: camera of every view; None to match them by name.
+        camera_unit: unit of the calibration, None to tell it.
+        camera_up: axis of the calibration's world that points up; None for z, checked.
+        image_size: width and height, pixels, for calibrations that do not state it.
+        track: how the one camera was carried, as a tracker wrote it; see
+            `recon.formats.tracks`.
+
+    Raises:
+        FileNotFoundError: when a file or folder is not there.
+        ValueError: when something is missing, damaged, ambiguous or does not fit together; the
+            message says what was expected and which option decides.
+    """
     folders, notes = expand([Path(path) for path in paths])
     if calibration is None and len(folders) > 1:
         raise ObservationError(
@@ -260,6 +237,26 @@ class SeenViews:
             decisions=(*self.decisions, *who),
         )
 
+    def person(self, number: int | None) -> Views:
+        """One person's observation; several views decide together who it is.
+
+        Args:
+            number: in the first view, from 0 by first appearance; None for the one that is seen
+                most completely.
+
+        Raises:
+            ValueError: when there is no such person, or it is not clear who is meant.
+        """
+        views = self.followed()
+        if len(views) > 1:
+            return self.of(*across_views(views, number, up_given=self.up_given))
+        tracks = next(iter(views)).tracks
+        track = choose(tracks, number, self.found[0].name)
+        who = "the only one" if len(tracks) == 1 else "given" if number is not None else "most"
+        if who == "most" and track.completeness < max(one.completeness for one in tracks):
+            who = "moves; a bystander is as complete"
+        return self.of([track], (f"{self.names[0]}: {track} ({who} of {len(tracks)} tracks)",))
+
     def _observation(self, view: int, track: Track) -> KeypointsFile:
         shape = (self.frames, track.confidence.shape[1])
         pixels, confidence = np.zeros((*shape, 2)), np.zeros(shape)
@@ -267,19 +264,6 @@ class SeenViews:
         confidence[track.frame - self.first_frame] = track.confidence
         layout, camera = self.found[view].layout, self.cameras[view]
         return KeypointsFile(pixels, confidence, layout, self.fps, camera)
-
-
-def _one_person(seen: SeenViews, person: int | None) -> tuple[list[Track | None], tuple[str, ...]]:
-    """The tracks of one person; several views decide together who it is."""
-    views = seen.followed()
-    if len(views) > 1:
-        return across_views(views, person, up_given=seen.up_given)
-    tracks = next(iter(views)).tracks
-    track = choose(tracks, person, seen.found[0].name)
-    who = "the only one" if len(tracks) == 1 else "given" if person is not None else "most"
-    if who == "most" and track.completeness < max(one.completeness for one in tracks):
-        who = "moves; a bystander is as complete"
-    return [track], (f"{seen.names[0]}: {track} ({who} of {len(tracks)} tracks)",)
 
 
 def _timed(camera: CameraArrays, first: int, frames: int, name: str) -> CameraArrays:

@@ -6,9 +6,8 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 
-from observations.curvature import Surfels
 from observations.depth import PointCloud
-from observations.files.moving_sensor import eye_of, movement
+from observations.surfels import Surfels
 from recon.body.model import BodyModel
 from recon.core.camera import Camera, Ground
 from recon.core.errors import ObservationError
@@ -24,6 +23,7 @@ from recon.core.planes import (
     spacing,
 )
 from recon.formats.observations import CameraArrays, PointsFile
+from recon.reading.moving_sensor import eye_of, movement
 
 _LARGE = 0.4
 """Share of the largest thing's points that another one has which may be the person."""

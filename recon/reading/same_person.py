@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from observations.people.tracks import Track, TrackedView, TrackPair, joint_errors, triangulated
 from recon.core.errors import ObservationError
 from recon.core.units import AXES, Axis, head_above_feet
+from recon.reading.tracks import Track, TrackedView, TrackPair, joint_errors, triangulated
 
 _CONSISTENT = 0.03
 """Median reprojection error of one person's triangulated keypoints, in body sizes."""

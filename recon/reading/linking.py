@@ -14,8 +14,9 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from observations.people.assignments import BEGINS, choices
-from observations.people.places import (
+from recon.formats.detections.records import Detections
+from recon.reading.assignments import BEGINS, choices
+from recon.reading.places import (
     FEWEST_KEYPOINTS,
     gap,
     middle_of,
@@ -24,7 +25,6 @@ from observations.people.places import (
     trunk_of,
     whole,
 )
-from recon.formats.detections.records import Detections
 
 LOST_AFTER = 60
 """Frames without a detection after which somebody who comes back is somebody new."""

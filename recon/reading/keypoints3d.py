@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from observations.correspondences import BodyPoints
-from observations.files.points import GOOD, bone_lengths, settle_body_layout
 from recon.body.model import BodyModel
 from recon.core.errors import FormatError, UnitsError
 from recon.core.skeleton import JOINT, keypoint_names
@@ -18,6 +17,7 @@ from recon.formats.keypoints3d.labels import meant_keypoints
 from recon.formats.keypoints3d.reader import with_rate
 from recon.formats.keypoints3d.records import Points3D
 from recon.formats.observations import PositionsFile
+from recon.reading.points import GOOD, bone_lengths, settle_body_layout
 
 _SMALLEST, _LARGEST = 0.5, 1.4
 """Sizes against the average body between which a unit is right."""

@@ -7,13 +7,13 @@ from importlib.util import find_spec
 from os.path import commonpath
 from pathlib import Path
 
-from observations.people.places import expand
 from priors.checkpoints import FIRST
 from recon.fitting.settings import FitSettings
 from recon.formats.keypoints3d.reader import body_file, time_stamps
 from recon.formats.projects import project_at
 from recon.formats.replacing import MISSING, file_checksum, files_checksum, value_checksum
 from recon.formats.weight_files import weights_path
+from recon.reading.places import expand
 
 _CLOUDS, _IMAGES, _KEYPOINTS = (".ply", ".pcd"), (".png",), (".json",)
 _CALIBRATIONS = (".toml", ".yml", ".yaml", ".npz")
@@ -47,7 +47,7 @@ class Input:
 
 
 def observation_input(path: Path) -> Input:
-    """What `recon.fitting.clip_files.load_clip` reads of an observation.
+    """What `recon.reading.clip.load_clip` reads of an observation.
 
     Of a folder these are its clouds with their table of times, else its depth images, else the
     files of keypoints; a video beside them is not read, however large it is.

@@ -1,1 +1,0 @@
-"""Observations from the content of files."""

@@ -1,0 +1,151 @@
+"""The surface of a body as discs, and how far points are from them, robustly."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from recon.body.model import BodyModel, PosedBody
+from recon.body.sampled import spread_vertices
+from recon.core.raster import vertex_normals
+from recon.core.robust import (
+    NORMAL_MAD,
+    TUNING,
+    geman_mcclure,
+    lower_median,
+)
+
+LEAST_SCALE = 0.005
+"""Metres; surfaces are not taken for nearer to each other than this."""
+
+
+def to_discs(
+    offset: Float[Tensor, "*shape 3"],
+    normal: Float[Tensor, "*shape 3"],
+    radius: Float[Tensor, "*shape"],
+) -> Float[Tensor, "*shape"]:
+    """Squared distance from a disc: (n·e)² + max(|e - (n·e) n| - radius, 0)².
+
+    Points between vertices are then as near as the surface is; beyond the ends of the body,
+    where a plane would go on, distances grow.
+    """
+    height = (offset * normal).sum(-1)
+    across = (offset - height[..., None] * normal).square().sum(-1)
+    outside = across > radius.square()
+    # the root is taken of what lies outside only: its gradient at zero is infinite
+    beyond = torch.where(outside, across, radius.square().clamp(min=1e-12)).sqrt() - radius
+    return height.square() + torch.where(outside, beyond, 0.0).square()
+
+
+def tukey(
+    squared: Float[Tensor, "*batch samples"], present: Bool[Tensor, "*batch samples"]
+) -> Float[Tensor, "*batch samples"]:
+    """c²/3 (1 - (1 - e²/c²)³) up to the cut-off c = 4.6851 s, constant beyond; s has no gradient.
+
+    The gradient is that of HuMoR's bisquare weights at equal scale. The scale is
+    median(e) / 0.67449: of distances, which are zero at best, it is the deviation from zero that
+    matters. At least half of the points always pull, also those of a body that is off as a whole,
+    which deviations from the median cut off altogether.
+    """
+    return within(squared, tukey_scale(squared, present))
+
+
+def tukey_scale(
+    squared: Float[Tensor, "*batch samples"], present: Bool[Tensor, "*batch samples"]
+) -> Float[Tensor, "*batch"]:
+    """Robust standard deviation of distances about zero, metres; no gradient."""
+    residual = squared.detach().sqrt()
+    return (lower_median(residual, present) / NORMAL_MAD).clamp(min=LEAST_SCALE)
+
+
+def within(
+    squared: Float[Tensor, "*batch samples"], scale: Float[Tensor, "*batch"]
+) -> Float[Tensor, "*batch samples"]:
+    """Tukey's c²/3 (1 - (1 - e²/c²)³), constant beyond c = 4.6851 scale."""
+    cutoff = (TUNING * scale).square()[..., None]
+    return cutoff / 3 * (1 - (1 - (squared / cutoff).clamp(max=1)) ** 3)
+
+
+def bounded(
+    squared: Float[Tensor, "*batch samples"],
+    present: Bool[Tensor, "*batch samples"],
+    sigma: float = 0.1,
+) -> Float[Tensor, "*batch samples"]:
+    """Geman-McClure with a fixed scale in metres: a misfit that no scale moves."""
+    del present
+    return geman_mcclure(squared, sigma)
+
+
+SURFELS = 1500
+"""Discs a body is covered with; some three centimetres apart on an adult."""
+_NEIGHBOURS = 6
+
+
+@dataclass(frozen=True)
+class Surfels:
+    """A disc at each of some vertices, evenly spread; plain arrays, shared by all clips.
+
+    The normals are those of the unposed average body. They turn with the bones that move the
+    vertex; what the shape changes of them (a few degrees) is left out.
+    """
+
+    vertices: Int[np.ndarray, " surfels"]
+    """Vertex of the body in the middle of every disc."""
+    normals: Float[np.ndarray, "surfels 3"]
+    """Outward unit normals of the unposed body; zero where the mesh has no face."""
+    radii: Float[np.ndarray, " surfels"]
+    """Mean distance of a disc's six nearest neighbours, metres: discs overlap, without gaps."""
+
+    @classmethod
+    def of(cls, body: BodyModel, count: int = SURFELS) -> "Surfels":
+        """Vertices that are farthest from each other, one after the other."""
+        from scipy.spatial import KDTree
+
+        template = body.template.detach().cpu().double().numpy()
+        normals = vertex_normals(template, body.faces.cpu().numpy())
+        chosen = spread_vertices(body, count).cpu().numpy()
+        near = min(_NEIGHBOURS, len(chosen) - 1) + 1
+        distance = KDTree(template[chosen]).query(template[chosen], near)[0]
+        radii = distance.reshape(len(chosen), near)[:, 1:].sum(-1) / max(near - 1, 1)
+        return cls(chosen, normals[chosen], radii)
+
+    def at(
+        self,
+        body: PosedBody,
+        bones: Float[Tensor, "*batch moments 22 4 3"],
+        pairs: Int[Tensor, "*batch moments points"],
+    ) -> tuple[Float[Tensor, "*batch moments points 3"], Float[Tensor, "*batch moments points 3"]]:
+        """Middles (metres) and unit normals of some discs, others at every moment.
+
+        Only these are skinned: far fewer than all where few points are seen. The offsets that
+        follow the pose (SMPL) are left out.
+
+        Args:
+            body: whose surface it is.
+            bones: its bones at these moments, as `PosedBody.bones`.
+            pairs: the discs.
+        """
+        index = torch.from_numpy(self.vertices).to(pairs.device)
+        rest = body.model.rest_vertices(body.shape, index)
+        pick = pairs.flatten(-2)
+        middles = rest.take_along_dim(pick[..., None], -2).unflatten(-2, pairs.shape[-2:])
+        normals = torch.from_numpy(self.normals).to(rest)[pairs]
+        blended = body.model.weights[index][pairs] @ bones.flatten(-2)
+        rows = blended.unflatten(-1, (4, 3))
+        turned = (normals[..., None] * rows[..., :3, :]).sum(-2)
+        placed = (middles[..., None] * rows[..., :3, :]).sum(-2) + rows[..., 3, :]
+        return placed, torch.nn.functional.normalize(turned, dim=-1, eps=1e-6)
+
+    def posed(self, body: PosedBody) -> tuple[Tensor, Tensor]:
+        """Middles (metres) and unit normals of the discs in a posed body, world frame."""
+        index = torch.from_numpy(self.vertices).to(body.joints.device)
+        weights = body.model.weights[index]
+        rest = torch.from_numpy(self.normals).to(body.joints)
+        # one product for all frames, as in `PosedBody.points`
+        left = (weights[:, :, None] * rest[:, None]).flatten(-2)
+        right = body.orientations.mT.movedim(-4, -2).flatten(-4, -3).flatten(-2)
+        frames = body.joints.shape[-3]
+        normals = (left @ right).unflatten(-1, (frames, 3)).movedim(-2, -3)
+        return body.points(index), torch.nn.functional.normalize(normals, dim=-1, eps=1e-6)

@@ -1,0 +1,96 @@
+"""The steps of a fit, from what was observed of one clip to an examined motion.
+
+`recon.fit` says what its arguments mean, calls `observed` and `fitted`, and describes the result.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+from recon.api.observations import Sighting, clip_of, counted_less_beyond, on_ground
+from recon.body.model import BodyModel
+from recon.core.arrays import finite
+from recon.core.motion import Motion
+from recon.diagnosis.examination import Examined, examine, screen
+from recon.diagnosis.motions.belt import on_belt
+from recon.fitting.clip import posed
+from recon.fitting.fitted import ClipFit
+from recon.fitting.guess import guessed
+from recon.fitting.methods import FitOptions, loaded
+from recon.fitting.observed import window
+from recon.method.protocols import Sensor
+from recon.method.stages import Watch
+
+
+def observed(
+    given: Any,
+    body: BodyModel,
+    *,
+    ground: Any = "auto",
+    between: tuple[float, float] | None = None,
+    robust: float | str = "auto",
+) -> Sighting:
+    """Read: the observations of one clip in one frame, and what the caller says about them.
+
+    Arguments and errors as of `recon.fit`.
+    """
+    clip = clip_of(given, body)  # files and folders by `recon.reading`
+    if between is not None:
+        clip = window(clip, *between)
+    if robust != "auto":
+        clip = counted_less_beyond(clip, finite(robust, "robust"))
+    return on_ground(clip, ground)
+
+
+def fitted(
+    observations: Sequence[Sensor],
+    names: Sequence[str],
+    options: FitOptions,
+    body: BodyModel,
+    watch: Watch | None = None,
+    start: Motion | None = None,
+) -> Examined:
+    """Fit one clip's observations, checked before and after.
+
+    Args:
+        observations: sensors of one clip that share a frame; a batch axis of length one.
+        names: of the sensors, for messages.
+        options: how to fit; `repair` says whether faults are put right.
+        body: whose motion it is.
+        watch: told about every iteration.
+        start: a first guess in the frame of the observations, axes (1, time).
+
+    Raises:
+        ValueError: when observations contradict each other, or the start or the prior does not
+            fit them; says what to do.
+    """
+    if options.completes and start is not None:
+        raise ValueError("gait cycles are searched from many starts: leave `start` out")
+    # check: what is surely wrong with the data is repaired, what is doubtful is said
+    clip = screen(observations, names, options, body)
+    if options.completes:
+        return examine(_completed(clip.observations, options, body, watch), names, clip)
+    if clip.belt is not None and start is not None:
+        start = on_belt(start, clip.belt)
+    # first guess: the motion that the data tell without a prior, or the caller's
+    seen, guess = guessed(clip.observations, options, body, start)
+    # the problem: each sensor's residuals with its noise; scene, ground and lens that are found
+    problem = posed(seen, guess, options, body, watch)
+    # stages: the prior's own, minimised one after the other
+    fit = problem.solved()
+    # examine: residuals, standard deviations, other hypotheses, laws of movement
+    return examine(fit, names, clip)
+
+
+def _completed(
+    observations: Sequence[Sensor], options: FitOptions, body: BodyModel, watch: Watch | None
+) -> ClipFit:
+    """One cycle by a prior of cycles, or a whole recording."""
+    # priors of gait cycles alone complete
+    from recon.fitting.cycles import complete
+    from recon.fitting.recording import WholeRecording, complete_recording
+
+    prior = loaded(options.prior, options.weights, body)
+    if isinstance(prior, WholeRecording):
+        return complete_recording(observations, prior, options, body, watch)
+    return complete(observations, replace(options, prior=prior), body, watch)

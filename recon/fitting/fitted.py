@@ -1,0 +1,75 @@
+"""What a fit of a clip gives: the reconstruction, and what was assumed and compared on the way."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from jaxtyping import Float
+from torch import Tensor
+
+from recon.core.residuals import Noise
+from recon.method.protocols import Sensor
+from recon.method.reconstruction import Reconstruction
+from recon.method.stages import Compared
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """A part of a recording, and by what it was completed."""
+
+    start: float
+    """Seconds of the recording's clock."""
+    stop: float
+    prior: str
+    """`humor`, or `anchor` where cycles of gait joined."""
+    moments: int
+    """Moments in it that show anything."""
+    cycles: int = 0
+    """Cycles of gait that the hips tell."""
+    joined: int = 0
+    """Cycles that explain their data as well as the first fit, which joined the second."""
+    energy: float | None = None
+    """Energy of the data under the completed cycles, ½ Σ residual² / noise²; None without any."""
+    first: float | None = None
+    """Energy of the data under the first fit, by which it was decided."""
+
+    def report(self) -> dict[str, Any]:
+        """The stretch in plain values."""
+        told = {"start": self.start, "stop": self.stop, "prior": self.prior}
+        told |= {"moments_seen": self.moments, "cycles": self.cycles, "joined": self.joined}
+        if self.energy is not None:
+            told |= {"energy_of_cycles": self.energy, "energy_of_first_fit": self.first}
+        return told
+
+
+@dataclass(frozen=True)
+class ClipFit:
+    """What came out, and what was assumed."""
+
+    result: Reconstruction
+    """The fit in the world, where z = 0 is the ground."""
+    noises: tuple[Noise, ...]
+    ground_known: bool
+    T_world_recording: Float[Tensor, "clips 4 4"]
+    """Maps the frame of the observations to the world; metres."""
+    observations: tuple[Sensor, ...]
+    """The observations as they were compared, with the rows of their offsets."""
+    grounded: bool = True
+    """Whether there is a ground at all; without one, the world is the frame of the observations
+    and its z = 0 means nothing."""
+    ground_seen: bool = False
+    """Whether an unknown ground was laid on a plane that is given or seen."""
+    guesses: Compared | None = None
+    """The first guesses among which a quick fit chose; None where there was one only."""
+    stretches: tuple[Stretch, ...] = ()
+    """Parts of a recording that was completed, in the order of time; none of other fits."""
+
+    @property
+    def compared(self) -> tuple[Compared, ...]:
+        """All hypotheses that were compared on the way, the last ones last."""
+        stages = [report.compared for report in self.result.reports]
+        return tuple(one for one in (self.guesses, *stages) if one is not None)
+
+    @property
+    def lens_found(self) -> bool:
+        """Whether the focal length of the camera was found with the motion."""
+        return self.result.estimate.scene.lens is not None

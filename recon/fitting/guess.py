@@ -1,0 +1,47 @@
+"""The motion with which a fit begins: what the data tell without a prior, or the caller's."""
+
+from collections.abc import Sequence
+
+from observations import kinds
+from observations.first_guess import FirstGuess, first_guess, labelled
+from recon.body.model import BodyModel
+from recon.core.errors import ObservationError
+from recon.core.motion import Motion
+from recon.fitting.methods import FitOptions
+from recon.method.protocols import Sensor
+from recon.method.start import checked_start
+
+
+def guessed(
+    observations: Sequence[Sensor], options: FitOptions, body: BodyModel, start: Motion | None
+) -> tuple[tuple[Sensor, ...], FirstGuess]:
+    """The observations, clouds with labels, and a first motion of the shape that is known.
+
+    Arguments and errors as of `recon.fitting.clip.fit_clip`.
+    """
+    known = {observation.ground_known for observation in observations}
+    if len(known) > 1 and kinds.views(observations):
+        raise ObservationError(
+            "some observations know where the ground is and some do not: give every camera its "
+            "pose (T_camera_world), or none"
+        )
+    if start is not None:
+        seen = tuple(observations)
+        return seen, _of_shape(FirstGuess(checked_start(start, seen, body), True), options)
+    seen = labelled(observations)
+    return seen, _of_shape(first_guess(seen, body), options)
+
+
+def _of_shape(guess: FirstGuess, options: FitOptions) -> FirstGuess:
+    """The guess with the shape that is held or expected, if one is."""
+    known = options.shape
+    if known is None and options.shape_prior is not None:
+        known = options.shape_prior.mean
+    if known is None:
+        return guess
+    shape = known.to(guess.motion.shape).expand_as(guess.motion.shape)
+    return FirstGuess(
+        guess.motion.replace(shape=shape),
+        guess.distance_known,
+        tuple(other.replace(shape=shape) for other in guess.others),
+    )

@@ -1,0 +1,1 @@
+"""What was recorded, from files of any kind: observations of one clip, or a motion."""

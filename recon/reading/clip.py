@@ -1,0 +1,325 @@
+"""Everything that was recorded of one clip, from files of any kind, in one frame."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+from recon.body.model import BodyModel
+from recon.core.errors import FormatError, ObservationError, ReconError
+from recon.fitting.ground import camera_above
+from recon.fitting.observed import Clip, window
+from recon.fitting.settings import FitSettings
+from recon.formats.calibration import load_cameras
+from recon.formats.depth_images import read_depth_images
+from recon.formats.detections.tables import holds_detections
+from recon.formats.keypoints3d.labels import are_keypoints
+from recon.formats.keypoints3d.reader import (
+    RECORDINGS,
+    from_recording,
+    holds_points_3d,
+    marker_recording,
+    markers_of_study,
+    read_points_3d,
+)
+from recon.formats.mocap.recording import MarkerRecording
+from recon.formats.observations import (
+    KeypointsFile,
+    ObservationFile,
+    PointsFile,
+    PositionsFile,
+    load_observation,
+)
+from recon.formats.projects import Project, project_at
+from recon.formats.scans import read_scans
+from recon.method.protocols import Sensor
+from recon.reading.clouds import cloud_of
+from recon.reading.images import keypoints_of
+from recon.reading.keypoints3d import settled
+from recon.reading.places import load_silhouettes, masked
+from recon.reading.points import positions_of
+from recon.reading.readers import Reader, read_by, readers
+from recon.reading.views import SeenViews, read_views
+
+_CLOUDS, _IMAGES, DETECTIONS = {".ply", ".pcd"}, {".png"}, {".json", ".csv"}
+Content = ObservationFile | Sensor
+"""What a file holds: arrays, or an observation that needs no more."""
+
+
+def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> Clip:
+    """Read files and folders of one clip.
+
+    Whatever the class `settings.reader` or one that is registered as `recon.observations` reads;
+    observation files (.npz) of any kind; folders or files of 2D detections, one per view, with
+    `--camera`; 3D keypoints of other programs, by file or session folder; markers (.c3d, .trc); a
+    folder of scans (.ply, .pcd); a folder of 16-bit depth images (.png) with `--camera`. Sensors
+    without a pose are taken to be one and the same camera.
+
+    Raises:
+        FileNotFoundError: when something is not there.
+        FormatError: when something cannot be read, or options are missing; says what to do.
+    """
+    if len(paths) == 0:
+        raise ObservationError("nothing to fit: expected at least one observation file, got none")
+    with format_errors():
+        own = readers(settings.reader)
+        paths, settings, projects = of_projects(paths, settings)
+        files: list[tuple[str, Content]] = []
+        notes = [decision for one in projects for decision in one.decisions]
+        detections: list[Path] = []
+        for path in paths:
+            found = _read(path, settings, body, own)
+            if found is None:
+                detections.append(path)
+            else:
+                files.append((str(path), found[0]))
+                notes += [f"{path}: {decision}" for decision in found[1]]
+        if not detections:
+            return together(files, notes, settings, body)
+        if settings.person == "all":
+            raise ObservationError(
+                "one clip is of one person; `recon fit --person all`, in Python recon.load_people "
+                "and recon.fit_people, fit everybody"
+            )
+        views = seen_in(detections, settings).person(settings.person)
+        shown = views.files
+        if settings.masks is not None:
+            if len(shown) != 1:
+                raise ObservationError(
+                    f"--masks are of one view, got {len(shown)} views; write the masked keypoints "
+                    "of each view to an observation file first"
+                )
+            mask = load_silhouettes(settings.masks)
+            shown = (masked(shown[0], mask, first_frame=views.first_frame),)
+        files += zip(views.names, shown, strict=True)
+        clip = together(files, [*notes, *views.decisions], settings, body)
+        if len(projects) != 1 or projects[0].frames is None:
+            return clip
+        first, end = (k - views.first_frame for k in projects[0].frames)
+        return window(clip, first / shown[0].fps, (end - 1) / shown[0].fps)
+
+
+def _read(
+    path: Path, settings: FitSettings, body: BodyModel, own: Sequence[Reader]
+) -> tuple[Content, Sequence[str]] | None:
+    """What a file or folder holds, and what was decided; None where it holds 2D detections."""
+    if path.is_dir() and next(path.iterdir(), None) is None:
+        raise ObservationError(
+            f"{path}: the folder is empty; expected scans (.ply, .pcd), depth images (.png) "
+            "or 2D detections (.json, .csv) in it"
+        )
+    if (seen := read_by(own, path, body)) is not None:
+        return seen, ()
+    recording = _recording(path, settings)
+    if recording is not None and _on_skin(recording, settings):
+        # markers alone need the body that meets them
+        from recon.ingest.markers.observation import seen_markers
+
+        return seen_markers(recording, body, settings.mapping, settings.robust)
+    if (file := _points_3d(path, settings, body, recording)) is not None:
+        found = positions_of(file, path, body, up="z", robust=settings.robust)
+        return found, file.decisions
+    if holds_detections(path):
+        return None
+    if path.suffix.lower() == ".npz":
+        return load_observation(path, unit=settings.unit), ()
+    if kinds := _inside(path) & (_CLOUDS | _IMAGES):
+        return _read_folder(path, kinds, settings), ()
+    if path.is_dir() or path.suffix.lower() in DETECTIONS:
+        return None
+    raise FormatError(
+        f"{path}: expected an observation (.npz), 2D keypoints (.json, .csv or folders of "
+        "them), 3D keypoints (.npy, .npz, .csv, .json, .trc, .c3d or a session folder), "
+        "markers (.c3d, .trc) or a folder of scans or depth images; `recon convert` takes "
+        "skeletons of motion capture"
+    )
+
+
+def seen_in(paths: Sequence[Path], settings: FitSettings) -> SeenViews:
+    """Everybody in 2D detections of one or several views."""
+    return read_views(
+        paths, settings.camera, fps=settings.frame_rate, layout=settings.layout,
+        camera_unit=settings.camera_unit, camera_up=settings.camera_up,
+        image_size=settings.image_size, track=settings.camera_track,
+    )  # fmt: skip
+
+
+@contextmanager
+def format_errors() -> Iterator[None]:
+    """Whatever a reader refuses becomes a `FormatError`, if it is no `ReconError` already."""
+    try:
+        yield
+    except ReconError:
+        raise
+    except ValueError as error:
+        raise FormatError(str(error)) from error
+
+
+def of_projects(
+    paths: Sequence[Path], settings: FitSettings
+) -> tuple[list[Path], FitSettings, list[Project]]:
+    """Files of projects instead of their folders, and what their own settings say.
+
+    What the caller says counts more. A camera that he gives makes a project a folder of
+    detections.
+
+    Raises:
+        FileNotFoundError: when something is not there.
+        ValueError: when there are several projects, or one is damaged.
+    """
+    for path in paths:
+        if not path.exists():
+            raise FileNotFoundError(f"no observation at {path}")
+    found: list[Path] = []
+    projects: list[Project] = []
+    for path in paths:
+        project = project_at(path) if settings.camera is None else None
+        if project is None:
+            found.append(path)
+            continue
+        projects.append(project)
+        seen = project.detections if project.calibration is not None else None
+        if seen is None and project.points is None:
+            seen = project.detections
+        found.append(seen or project.points or path)
+    if len(projects) == 1:
+        (one,) = projects
+        settings = replace(
+            settings, camera=one.calibration, frame_rate=settings.frame_rate or one.fps
+        )
+    elif projects:
+        raise ObservationError(
+            f"expected one project at a time, got {', '.join(str(p.folder) for p in projects)}"
+        )
+    return found, settings, projects
+
+
+def _points_3d(
+    path: Path, settings: FitSettings, body: BodyModel, recording: MarkerRecording | None
+) -> PositionsFile | None:
+    """The 3D keypoints of a file or folder, z up; None where it holds something else."""
+    if recording is not None:
+        if (markers := markers_of_study(recording)) is not None:
+            return markers
+        raw, unit, up = from_recording(recording), None, None
+    elif holds_points_3d(path, images=settings.camera is not None):
+        person = None if settings.person == "all" else settings.person
+        raw, unit, up = read_points_3d(path, person=person), settings.unit, settings.up
+    else:
+        return None
+    return settled(raw, body, fps=settings.frame_rate, unit=unit, up=up, layout=settings.layout)
+
+
+def _recording(path: Path, settings: FitSettings) -> MarkerRecording | None:
+    """The labelled points of a .c3d or .trc file; None for other files."""
+    if path.suffix.lower() not in RECORDINGS or not path.is_file():
+        return None
+    return marker_recording(path, settings.unit, settings.up)
+
+
+def _on_skin(recording: MarkerRecording, settings: FitSettings) -> bool:
+    """Whether the points are markers on the skin, as those are that the caller maps."""
+    if settings.mapping is not None:
+        return True
+    return not are_keypoints(recording.marker_names) and markers_of_study(recording) is None
+
+
+def together(
+    files: Sequence[tuple[str, Content]],
+    notes: Sequence[str],
+    settings: FitSettings,
+    body: BodyModel,
+) -> Clip:
+    """All as observations of one clip; depth without a pose first, as it may see the ground.
+
+    Args:
+        files: what was read, each with a name for messages.
+        notes: what was decided before.
+        settings: how to read.
+        body: that is to be fitted.
+
+    Raises:
+        ValueError: when they do not fit together, or are of no body.
+    """
+    notes = list(notes)
+    posed = [_has_pose(file) for _, file in files]
+    views_without = [
+        name for (name, file), pose in zip(files, posed, strict=True)
+        if not pose and isinstance(file, KeypointsFile)
+    ]  # fmt: skip
+    if len(views_without) > 1:
+        raise ObservationError(
+            f"the cameras of {', '.join(views_without)} have no pose (T_camera_world), so nobody "
+            "knows how they stand to each other; give a calibration, or fit one view alone"
+        )
+    plane = None if settings.ground == "none" else settings.ground
+    T = None if plane is None else camera_above(plane)
+    found: dict[int, Sensor] = {}
+    for k, (name, file) in enumerate(files):
+        if isinstance(file, PointsFile):
+            notes += [f"{name}: {decision}" for decision in file.decisions]
+            loaded = cloud_of(file, body, seed=settings.seed, T_recording_camera=T)
+            found[k] = loaded.cloud
+            seen = "" if loaded.ground.ground is None else "ground: "
+            notes.append(f"{name}: {seen}{loaded.ground.reason}")
+            notes += [f"{name}: {decision}" for decision in loaded.decisions]
+            if not posed[k]:
+                T = loaded.T_recording_file if T is None else T
+    for k, (name, file) in enumerate(files):
+        if isinstance(file, KeypointsFile):
+            view = keypoints_of(file, body, None if posed[k] else T)
+            found[k] = view
+            if not posed[k] and T is None:
+                T = view.camera.T_world_camera[0, 0].double().cpu().numpy()
+        elif isinstance(file, PositionsFile):
+            found[k] = positions_of(
+                file, name, body, unit=settings.unit, up=settings.up, robust=settings.robust
+            )
+        elif not isinstance(file, PointsFile):
+            found[k] = file
+    observations = tuple(found[k] for k in range(len(files)))
+    names = tuple(name for name, _ in files)
+    return Clip(observations, names, tuple(notes), T, plane is not None)
+
+
+def _has_pose(file: Content) -> bool:
+    if not isinstance(file, PointsFile | KeypointsFile):
+        return True
+    return file.camera is None or file.camera.T_camera_world is not None
+
+
+def _read_folder(path: Path, kinds: set[str], settings: FitSettings) -> PointsFile:
+    """A folder of scans or of depth images."""
+    if kinds & _CLOUDS:
+        up = "z" if settings.up is None else settings.up
+        return read_scans(
+            path, fps=settings.frame_rate, unit=settings.unit, up=up, seed=settings.seed
+        )
+    if settings.camera is None or settings.frame_rate is None:
+        raise ObservationError(
+            f"{path}: depth images need the sensor's calibration (--camera) and --frame-rate"
+        )
+    cameras = load_cameras(
+        settings.camera,
+        unit=settings.camera_unit,
+        up=settings.camera_up,
+        image_size=settings.image_size,
+    ).cameras
+    if len(cameras) != 1:
+        raise ObservationError(
+            f"{settings.camera}: expected the one sensor of {path}, got {', '.join(cameras)}"
+        )
+    return read_depth_images(
+        path,
+        next(iter(cameras.values())),
+        fps=settings.frame_rate,
+        depth_scale=settings.depth_scale,
+        masks=settings.masks,
+    )
+
+
+def _inside(path: Path) -> set[str]:
+    """Endings of the files in a folder."""
+    if not path.is_dir():
+        return set()
+    return {one.suffix.lower() for one in path.iterdir() if one.is_file()}

@@ -1,0 +1,103 @@
+"""`recon.read`: what a file holds, observations of one clip or a motion."""
+
+import logging
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+from recon.body.model import BodyModel
+from recon.fitting.settings import FitSettings
+from recon.formats.motions import MotionFile, holds_motion, load_motion
+from recon.method.protocols import Sensor
+from recon.reading.clip import load_clip
+
+_LOG = logging.getLogger("recon")
+
+
+def read(
+    path: Path | str | Sequence[Path | str], **how: Any
+) -> Sensor | list[Sensor] | MotionFile:
+    """What files hold: one observation, a list of those of one clip, or a motion.
+
+    Args:
+        path: a motion file (.npz), or a file or folder of observations, or several of one clip.
+        how: to read observations, as `load_observation` takes it; none for a motion.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+        FormatError: when something cannot be read, or arguments are missing; says what to do.
+    """
+    if not how and isinstance(path, Path | str) and holds_motion(path):
+        return load_motion(path)
+    return load_observation(path, **how)
+
+
+def load_observation(
+    path: Path | str | Sequence[Path | str],
+    *,
+    body: BodyModel | None = None,
+    unit: Literal["m", "cm", "mm", "inch", "cmu"] | None = None,
+    up: Literal["x", "y", "z", "x-down", "y-down", "z-down"] | None = None,
+    frame_rate: float | None = None,
+    layout: str | None = None,
+    person: int | None = None,
+    masks: Path | str | None = None,
+    camera: Path | str | None = None,
+    camera_unit: Literal["m", "mm"] | None = None,
+    camera_up: Literal["x", "y", "z"] | None = None,
+    image_size: tuple[int, int] | None = None,
+    camera_track: Path | str | None = None,
+    ground: tuple[float, float, float, float] | None = None,
+    depth_scale: float = 0.001,
+    reader: str | None = None,
+    seed: int = 0,
+    mapping: Path | str | None = None,
+) -> Sensor | list[Sensor]:
+    """What `recon fit` takes: one observation, or a list where there are several views or paths.
+
+    Observation files (.npz); folders or files of 2D detections, one per view, with `camera`;
+    folders of scans (.ply, .pcd); folders of 16-bit depth images (.png) with `camera`; markers of
+    laboratories (.c3d, .trc); files of sensors that other packages registered. All have a leading
+    axis of length one. What was assumed in reading is logged (logger `recon`).
+
+    Args:
+        path: file or folder, or several of one clip.
+        body: whose points markers and keypoints are; None is the bundled body.
+        unit: of positions and scans, where the file is wrong about it.
+        up: axis that points up, where the file is wrong about it.
+        frame_rate: frames per second of detections and images, where files do not tell.
+        layout: which keypoints detections are, where files do not tell: openpose25, coco17, ...
+        person: number of the person to follow where detections show several.
+        masks: silhouettes of the person; keypoints outside are taken as occluded.
+        camera: calibration of the cameras that detections and depth images come from.
+        camera_unit: unit of the calibration, where it does not tell.
+        camera_up: axis of the calibration's world that points up.
+        image_size: width and height, pixels, where no calibration tells.
+        camera_track: how the one camera was carried, as COLMAP, TUM, DROID-SLAM or ARKit write it.
+        ground: plane n·x = d below a camera without pose, (nx, ny, nz, d) in its frame, metres.
+        depth_scale: metres per unit of depth images.
+        reader: class that reads files of a sensor of your own, "package.module:Class"; not needed
+            where it is registered as the entry point `recon.observations`.
+        seed: of the draw of points from clouds.
+        mapping: JSON or TOML file that says where markers (.c3d, .trc) sit, label = landmark, for
+            labels that are not known or mean another place.
+
+    Raises:
+        FileNotFoundError: when there is no such file.
+        FormatError: when something cannot be read, or arguments are missing; says what to do.
+    """
+    paths = [path] if isinstance(path, Path | str) else path
+    settings = FitSettings(
+        unit=unit, up=up, frame_rate=frame_rate, layout=layout, person=person,
+        masks=None if masks is None else Path(masks),
+        camera=None if camera is None else Path(camera), camera_unit=camera_unit,
+        camera_up=camera_up, image_size=image_size,
+        camera_track=None if camera_track is None else Path(camera_track), ground=ground,
+        depth_scale=depth_scale, reader=reader, seed=seed,
+        mapping=None if mapping is None else Path(mapping),
+    )  # fmt: skip
+    model = BodyModel.load() if body is None else body
+    clip = load_clip([Path(one) for one in paths], settings, model)
+    for note in clip.notes:
+        _LOG.info("%s", note)
+    return clip.observations[0] if len(clip.observations) == 1 else list(clip.observations)
