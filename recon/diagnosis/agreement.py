@@ -20,9 +20,9 @@ from recon.diagnosis.findings import Finding
 from recon.diagnosis.plausibility import distance_warnings
 from recon.method.protocols import Estimate, Sensor
 
-_MOMENTS = 12
+_MAX_MOMENTS = 12
 """Moments that are looked at."""
-_SURE = 0.5
+_MIN_CONFIDENCE = 0.5
 """Confidence of the labels that are asked."""
 _MANY = 0.75
 """Share of the moments in which labels ought to agree with the body."""
@@ -47,10 +47,10 @@ def label_distance(cloud: PointCloud, estimate: Estimate) -> float | None:
         )  # fmt: skip
     index = torch.from_numpy(cloud.surfels.vertices)
     rest = estimate.body.model.template[index]
-    sure = (cloud.labels.confidence > _SURE) & cloud.present
+    sure = (cloud.labels.confidence > _MIN_CONFIDENCE) & cloud.present
     told = [m for m in range(seen.start, seen.stop) if int(sure[0, m].sum()) >= _MIN_LABELLED]
     found: list[float] = []
-    for moment in told[:: max(math.ceil(len(told) / _MOMENTS), 1)]:
+    for moment in told[:: max(math.ceil(len(told) / _MAX_MOMENTS), 1)]:
         own = sure[0, moment]
         places = cloud.labels.places[0, moment][own].to(rest)
         here, points = middles[0, moment - seen.start], cloud.points[0, moment][own]
@@ -116,7 +116,7 @@ def _medians(rows: Float[np.ndarray, "rows samples"]) -> list[float | None]:
     return [float(np.median(row)) if len(row) > 0 else None for row in known]
 
 
-_BESIDE = 0.06
+_MAX_DISTANCE_M = 0.06
 """Metres at the body within which a point of the cloud stands for a place of the surface; clouds
 of half a thousand points are about as dense."""
 """Moments that are looked at."""
@@ -196,7 +196,7 @@ def share_outside(cloud: PointCloud, estimate: Estimate) -> float | None:
         )
     full = [m for m in range(seen.start, seen.stop) if bool(cloud.present[0, m].any())]
     shares: list[float] = []
-    for moment in full[:: max(math.ceil(len(full) / _MOMENTS), 1)]:
+    for moment in full[:: max(math.ceil(len(full) / _MAX_MOMENTS), 1)]:
         camera, row = cloud.camera.at(range(moment, moment + 1)), moment - seen.start
         eye = camera.T_world_camera[0, 0, :3, 3]
         shown = facing(middles[0, row], normals[0, row], eye) & _in_image(camera, middles[0, row])
@@ -224,12 +224,12 @@ def _outside(
     tree = KDTree(torch.nn.functional.normalize(points, dim=-1).numpy())
     distance = surface.norm(dim=-1, keepdim=True)
     angle, _ = tree.query((surface / distance).numpy())
-    return float((angle * distance[:, 0].numpy() > _BESIDE).mean())
+    return float((angle * distance[:, 0].numpy() > _MAX_DISTANCE_M).mean())
 
 
 _SUSPECT = 5.0
 """Multiple of the estimated standard deviation from which on a median residual is suspicious."""
-_LEAST = {"pixels": 15.0, "metres": 0.06, "radians": 0.4}
+_MIN_SUSPICIOUS_RESIDUAL = {"pixels": 15.0, "metres": 0.06, "radians": 0.4}
 """Median residuals below these are not suspicious, whatever the noise."""
 
 
@@ -251,7 +251,7 @@ def _doubts_about(summary: ResidualSummary) -> list[Finding]:
     name, median, noise = summary.name, summary.median, summary.noise
     if median is None:
         return [Finding("unseen", f"{name}: nothing was seen at the times of the motion")]
-    if median <= max(_SUSPECT * noise, _LEAST[summary.unit]):
+    if median <= max(_SUSPECT * noise, _MIN_SUSPICIOUS_RESIDUAL[summary.unit]):
         return []
     worst = sorted(
         ((value, point) for point, value in summary.by_point.items() if value is not None),

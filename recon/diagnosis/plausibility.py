@@ -19,7 +19,7 @@ from recon.fitting.ground import sole_heights
 from recon.method.laplace import Deviations
 from recon.method.protocols import Estimate
 
-_NEAR, _FAR = 0.7, 40.0
+_MIN_FILMED_M, _MAX_FILMED_M = 0.7, 40.0
 """Metres at which people are filmed."""
 _ODDEST, _ODDEST_MARKERS = 1.5 * ODDEST, 15.0
 """Standard deviations of shape beyond which a fit is no person's. Noise and acrobatics add to what
@@ -29,7 +29,7 @@ _SHORTEST_CHILD = 0.95
 """Metres; smaller children do not walk on command."""
 _OFF_GROUND = 0.15
 """Metres between the soles that stand and the ground."""
-_CLEARLY = 0.6
+_MAX_MIRRORED_RATIO = 0.6
 """Mirrored images must fit together with less than this share of the error."""
 _LEAST_PIXELS = 1.0
 """Errors below this tell nothing."""
@@ -39,7 +39,7 @@ def distance_warnings(name: str, seen: Keypoints2D, estimate: Estimate) -> list[
     """A wrong focal length moves a body to where nobody films, or off a ground that is known."""
     pelvis = estimate.scene.to_recording(estimate.body.joints[..., :1, :])
     distance = float(seen.camera.to_camera(pelvis.mean(-3, keepdim=True))[..., 2].median())
-    if _NEAR < distance < _FAR:
+    if _MIN_FILMED_M < distance < _MAX_FILMED_M:
         return []
     return [
         Finding(
@@ -134,7 +134,7 @@ def mirror_warnings(views: Sequence[Keypoints2D]) -> list[Finding]:
     if len(alike) < 2:
         return []
     given, mirrored = views_error(alike), views_error([_mirrored(view) for view in alike])
-    if given < _LEAST_PIXELS or mirrored > _CLEARLY * given:
+    if given < _LEAST_PIXELS or mirrored > _MAX_MIRRORED_RATIO * given:
         return []
     return [
         Finding(
@@ -167,7 +167,7 @@ def _mirrored(view: Keypoints2D) -> Keypoints2D:
     return view.replace(pixels=turned + turned.new_tensor([float(view.camera.image_size[0]), 0.0]))
 
 
-_LEAST, _MOST = 0.5, 2.0
+_MIN_FOCAL_RATIO, _MAX_FOCAL_RATIO = 0.5, 2.0
 """Factors by which a found focal length may be off the guessed one; beyond them, one is wrong."""
 
 
@@ -195,7 +195,7 @@ def lens_finding(name: str, found: ClipFit) -> Finding | None:
 def lens_doubtful(found: ClipFit) -> bool:
     """Whether the focal length that was found is none of a phone's main camera."""
     lens = found.result.estimate.scene.lens
-    return lens is not None and not _LEAST < float(lens.factor[0]) < _MOST
+    return lens is not None and not _MIN_FOCAL_RATIO < float(lens.factor[0]) < _MAX_FOCAL_RATIO
 
 
 _STEP = 0.01

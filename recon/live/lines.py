@@ -10,9 +10,9 @@ import numpy as np
 from recon.api.observations import load_observation
 from recon.core import rotations as so3
 from recon.core.errors import ReconError
-from recon.live.estimate import LiveEstimate
 from recon.live.moments import MomentLike
 from recon.live.stream import Stream
+from recon.live.tracking import LiveEstimate
 
 DIGITS = 6
 """Decimals of numbers in lines: micrometres and microradians."""
