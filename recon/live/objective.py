@@ -14,8 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn.functional import pad
 
-from observations.keypoints2d import Keypoints2D
-from observations.moments import Tracker
+from observations.moments import Tracker, energy_of
 from priors.pose.density import PoseDensity
 from priors.pose.prior import PoseWeights
 from recon.body.derivatives import CarriedPoints, turned_by
@@ -23,7 +22,6 @@ from recon.body.kinematics import forward_kinematics
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion
-from recon.core.robust import geman_mcclure
 from recon.core.struct import TensorStruct
 from recon.method.protocols import REFERENCE_FPS
 from recon.solver.banded import Banded, add_differences
@@ -219,7 +217,7 @@ class Objective:
         total = total + 0.5 * self.stiffness * bend.square().sum()
         for scale, points, sensor in zip(self.scales, self.points, seen, strict=True):
             places = points.of(orientations[held:], joints[held:])
-            total = total + scale * _energy_of(sensor, places)
+            total = total + scale * energy_of(sensor, places)
         if self.steps is not None:
             total = (
                 total
@@ -315,15 +313,3 @@ def _by_variables(
 def _second_differences(frames: int, held: int) -> Float[Tensor, "rows frames"]:
     """Rows p_(t+1) - 2 p_t + p_(t-1) that a frame that is not held takes part in."""
     return torch.eye(frames).diff(n=2, dim=0)[max(held - 2, 0) :]
-
-
-def _energy_of(sensor: Tracker, points: Float[Tensor, "moments points 3"]) -> Float[Tensor, ""]:
-    """The value of the sensor's `point_model` alone."""
-    rate = REFERENCE_FPS / sensor.fps
-    if isinstance(sensor, Keypoints2D):
-        projected = sensor.camera.project(points)
-        error = geman_mcclure((projected.pixels - sensor.pixels).square(), sensor.sigma)
-        error = torch.where(projected.in_front[..., None], error, sensor.sigma**2).sum(-1)
-        return 0.5 * rate * (sensor.confidence.square() * error).sum()
-    away = (points - sensor.positions).square().sum(-1)
-    return 0.5 * rate * sensor.kernel(away).where(sensor.visible, 0.0).sum()
