@@ -27,7 +27,7 @@ _FEET = ("left_ankle", "right_ankle")
 _TRIED = np.geomspace(0.01, 30.0, 120)
 """Extents of the camera's path over the distance of the person that are tried."""
 _CLOSER = np.geomspace(0.95, 1.05, 41)
-_STILL = 1e-6
+_MIN_EXTENT = 1e-6
 """Extent of a path, in its own unit, below which the camera only turns, and no unit matters."""
 
 
@@ -69,7 +69,7 @@ def path_unit(
     lag = max(1, round(_LAG * fps))
     seen = np.isfinite(feet).all(-1)
     distance = float(np.median(np.linalg.norm(feet[seen], axis=-1))) if seen.any() else np.nan
-    if extent < _STILL or len(places) <= lag or not np.isfinite(distance):
+    if extent < _MIN_EXTENT or len(places) <= lag or not np.isfinite(distance):
         return 1.0
     turned = np.einsum("tij,tfj->tfi", T_world_camera[:, :3, :3], feet)
     own = (turned[lag:] - turned[:-lag]) * fps / lag

@@ -13,9 +13,9 @@ from recon.body.model import BodyModel, PosedBody
 from recon.core.errors import ObservationError
 from recon.core.skeleton import JOINT, JOINTS, PARENTS, joint_index, keypoint_names
 
-_APART = 0.03
+_MIN_REST_DISTANCE_M = 0.03
 """Metres at rest between two points whose distance tells something."""
-_NEAR = 0.2
+_NEAR_JOINT_M = 0.2
 """Metres at rest within which a point on a neighbouring bone tells where a joint is."""
 
 
@@ -173,7 +173,7 @@ class BodyPoints:
         count = range(len(kept))
         return tuple(
             (a, b) for a in count for b in count
-            if a < b and kept[a] & kept[b] and float(apart[a, b]) > _APART
+            if a < b and kept[a] & kept[b] and float(apart[a, b]) > _MIN_REST_DISTANCE_M
         )  # fmt: skip
 
     def _rigid_with(self, row: int, body: BodyModel) -> frozenset[int]:
@@ -215,7 +215,7 @@ def joints_shown(
         body: whose joints they are.
     """
     joints = body.joint_template.double().cpu().numpy()
-    near = np.linalg.norm(rest[:, None] - joints[None], axis=-1) < _NEAR
+    near = np.linalg.norm(rest[:, None] - joints[None], axis=-1) < _NEAR_JOINT_M
     touches = np.array(
         [[b == j or PARENTS[j] == b or PARENTS[b] == j for j in range(len(JOINTS))] for b in bones]
     )

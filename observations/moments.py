@@ -15,6 +15,8 @@ from recon.body.model import BodyModel
 from recon.core.arrays import Numbers, float_tensor
 from recon.core.camera import NEAREST
 from recon.core.errors import ObservationError
+from recon.core.robust import geman_mcclure
+from recon.method.protocols import REFERENCE_FPS
 
 Tracker = TrackedPoints | Keypoints2D
 """A sensor whose points have names: in space, or in the image of a calibrated camera."""
@@ -147,3 +149,15 @@ def shows(sensor: Tracker, body: BodyModel) -> Bool[np.ndarray, "points 22"]:
     else:
         bones, rest = sensor.bones(body), sensor.at_rest(body)
     return joints_shown(bones, rest.double().numpy(), body)
+
+
+def energy_of(sensor: Tracker, points: Float[Tensor, "moments points 3"]) -> Float[Tensor, ""]:
+    """The value of the sensor's `point_model` alone."""
+    rate = REFERENCE_FPS / sensor.fps
+    if isinstance(sensor, Keypoints2D):
+        projected = sensor.camera.project(points)
+        error = geman_mcclure((projected.pixels - sensor.pixels).square(), sensor.sigma)
+        error = torch.where(projected.in_front[..., None], error, sensor.sigma**2).sum(-1)
+        return 0.5 * rate * (sensor.confidence.square() * error).sum()
+    away = (points - sensor.positions).square().sum(-1)
+    return 0.5 * rate * sensor.kernel(away).where(sensor.visible, 0.0).sum()

@@ -47,8 +47,8 @@ if TYPE_CHECKING:
     from recon.gait.angles import joint_angles as joint_angles
     from recon.gait.laboratory import LaboratoryReport as LaboratoryReport
     from recon.gait.report import report as report
-    from recon.live.estimate import LiveEstimate as LiveEstimate
     from recon.live.stream import Stream as Stream
+    from recon.live.tracking import LiveEstimate as LiveEstimate
     from recon.method.reconstruction import Reconstruction as Reconstruction
     from recon.method.reconstruction import solve as solve
     from recon.method.stages import Stage as Stage
@@ -68,7 +68,7 @@ _HOMES = {
     "load_people": "recon.people.together",
     "People": "recon.people.results",
     "Stream": "recon.live.stream",
-    "LiveEstimate": "recon.live.estimate",
+    "LiveEstimate": "recon.live.tracking",
     "Result": "recon.api.result",
     "Shape": "recon.api.given",
     "joint_angles": "recon.gait.angles",

@@ -69,7 +69,7 @@ def inertia(
     return mass[:, 0], -so3.hat(lever).transpose(1, 2).reshape(rows, 3, -1), between
 
 
-_LONGEST = 0.6
+_MAX_STEP_RAD = 0.6
 """Radians, of any joint, that one step turns at most."""
 _SHIFT = 0.5
 """Metres that one step moves the body at most."""
@@ -180,7 +180,7 @@ class PoseSolver(TensorStruct):
 
     def _moved(self, state: BonePoses, steps: Float[Tensor, "rows 69"]) -> BonePoses:
         turns = torch.cat((steps[:, None, 3:6], self._turns(steps[:, 6:])), 1).norm(dim=-1)
-        long = turns.amax(-1) / _LONGEST
+        long = turns.amax(-1) / _MAX_STEP_RAD
         far = steps[:, :3].norm(dim=-1) / _SHIFT
         steps = steps / torch.maximum(long, far).clamp(min=1)[:, None]
         return BonePoses.of(

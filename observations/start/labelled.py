@@ -51,7 +51,7 @@ _RIGID = (0.5, 0.3, 0.2, 0.15)
 _POSED = (0.6, 0.6, 0.4, 0.3, 0.2, 0.15, 0.12)
 """Scales of the robust kernel from step to step, metres."""
 _NEARED = (0.3, 0.2, 0.2, 0.15)
-_HELD = (0.2, 0.2, 0.2, 0.15, 0.15, 0.15, 0.1, 0.1, 0.1)
+_STEP_SCALES = (0.2, 0.2, 0.2, 0.15, 0.15, 0.15, 0.1, 0.1, 0.1)
 """Scales of the steps towards the surface, of every reading and of the chosen ones."""
 _AGAINST, _LABELS = 0.5, 0.4
 """Weights beside the misfit: of the surface that the sensor looked through, and of labels that a
@@ -59,7 +59,7 @@ pose disagrees with."""
 _SPIN, _SPREAD = 8.0, 4.0
 """Radians per second that the trunk turns, and metres per second that joints move about it, beyond
 which a change is one of the reading rather than of the body."""
-_CHANGE, _MOST = 0.4, 5.0
+_CHANGE_COST, _MAX_CHANGE_COST = 0.4, 5.0
 """What such a change costs, and what any change costs at most."""
 
 
@@ -177,7 +177,7 @@ class _Tracker:
             place=(0.1 * RATE / 10) ** -2, turn=0.5**-2, coordinates=0.7**-2,
         )  # fmt: skip
         held = surface.rows(rows)
-        found = held.approached(posed[rows], self.solver, targets[rows], _HELD, ties)
+        found = held.approached(posed[rows], self.solver, targets[rows], _STEP_SCALES, ties)
         return _between(found, moments.number, count)
 
     def _targets(self, moments: _Moments, signs: tuple[int, int, int]) -> BoneTargets:
@@ -291,8 +291,8 @@ def _changes(
     spin = so3.geodesic(*torch.broadcast_tensors(before, after)) / seconds[:, None, None]
     moved = (joints[:-1, :, None] - joints[1:, None]).norm(dim=-1).mean(-1)
     speed = moved / seconds[:, None, None]
-    cost = _CHANGE * ((spin / _SPIN).square() + (speed / _SPREAD).square())
-    return cost.clamp(max=_MOST)
+    cost = _CHANGE_COST * ((spin / _SPIN).square() + (speed / _SPREAD).square())
+    return cost.clamp(max=_MAX_CHANGE_COST)
 
 
 def _viterbi(

@@ -88,9 +88,9 @@ _LIMBS = tuple(
 """Joints that are turned, every one after those that carry it."""
 _SHORT = 0.05
 """Metres from the joint within which a point tells nothing of its turn."""
-_NEAR = 0.12
+_NEAR_NEXT_JOINT_M = 0.12
 """Metres from the next joint within which a point on the next bone tells of this one's turn."""
-_HELD = 0.01
+_REST_STIFFNESS_M2 = 0.01
 """How strongly a bone keeps its rest rotation about what the points do not tell, metres²."""
 
 
@@ -105,8 +105,9 @@ def limbs_towards(
     """A first guess whose thighs, shanks, upper arms and forearms point where their points lie.
 
     From the trunk outwards, each joint j takes the rotation R that maximises
-    Σ_k (p_k - x_j)ᵀ O_p R b_k + `_HELD` tr R over its points k (Wahba 1965), with O_p the
-    orientation of its parent, x_j its place and b_k the place of the point at rest, from there.
+    Σ_k (p_k - x_j)ᵀ O_p R b_k + c tr R over its points k (Wahba 1965), with c =
+    `_REST_STIFFNESS_M2`, O_p the orientation of its parent, x_j its place and b_k the place of the
+    point at rest, from there.
     Where none is visible, the joint is turned as in the nearest moment with one.
 
     Args:
@@ -127,7 +128,7 @@ def limbs_towards(
         parent, child = PARENTS[joint], PARENTS.index(joint)
         lever = rest - joints[joint]
         own = (on_bone == joint) & (lever.norm(dim=-1) > _SHORT)
-        next_to = (on_bone == child) & ((rest - joints[child]).norm(dim=-1) < _NEAR)
+        next_to = (on_bone == child) & ((rest - joints[child]).norm(dim=-1) < _NEAR_NEXT_JOINT_M)
         place = (
             places[parent] + (turned[parent] @ (joints[joint] - joints[parent])[:, None])[..., 0]
         )
@@ -136,7 +137,7 @@ def limbs_towards(
         weight = used.to(positions)
         spread = torch.einsum("...k,...ki,kj->...ij", weight, away, lever)
         identity = torch.eye(3).to(spread)
-        turn = so3.nearest(spread.double() + _HELD * identity).to(positions)
+        turn = so3.nearest(spread.double() + _REST_STIFFNESS_M2 * identity).to(positions)
         seen = used.any(-1)
         turn = turn.take_along_dim(nearest_placed(seen)[..., None, None], -3)
         turn = torch.where(seen.any(-1)[..., None, None, None], turn, identity)

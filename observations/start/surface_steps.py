@@ -21,7 +21,7 @@ from recon.core.nearest import nearest_alike
 from recon.core.raster import facing
 from recon.core.struct import concatenate
 
-_PLACE = 0.005
+_PLACE_WEIGHT = 0.005
 """Metres² per metre² between two places on the unposed body. Labels are off by some centimetres,
 which must not draw a point along the surface; what is a metre away costs as much as a surface that
 is 7 cm away."""
@@ -34,8 +34,8 @@ labels do not count, and 5.6 and more where they count six times as much."""
 def costs_of_points(labels: PointLabels) -> Float[Tensor, "*batch points 16"]:
     """Rows for `recon.core.nearest.nearest_alike`, less a constant of every point."""
     sure = labels.on_body[..., None]
-    place = -2 * _PLACE * labels.places
-    size = torch.full_like(sure, _PLACE)
+    place = -2 * _PLACE_WEIGHT * labels.places
+    size = torch.full_like(sure, _PLACE_WEIGHT)
     region = _REGION * (1 - labels.regions)
     return sure * torch.cat((place, size, region), -1)
 

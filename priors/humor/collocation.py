@@ -47,7 +47,7 @@ from recon.solver.lbfgs import LBFGS
 _FITTED = 0.5
 """Objective, metres², below which decreases are measured against this: about that of errors of
 2 cm of 22 joints in 60 frames."""
-_MOST = 0.9
+_MIN_SEEN_SHARE = 0.9
 """Share of the moments in which a joint must be seen for its clip to be seen whole."""
 
 
@@ -236,6 +236,6 @@ def seen_whole(data: tuple[Term, ...], body: BodyModel) -> bool:
     return any(
         isinstance(term.energy, TrackedJoints)
         and term.energy.unit == "metres"
-        and bool((term.energy.told_joints(body) >= _MOST).all())
+        and bool((term.energy.told_joints(body) >= _MIN_SEEN_SHARE).all())
         for term in data
     )

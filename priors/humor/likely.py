@@ -26,7 +26,7 @@ from recon.method.terms import Term
 FASTEST = 3.6
 """Speed in m/s up to which people are read as they move: that of the fastest run that the bundled
 weights learned from."""
-_APART = 0.5
+_SPEED_SPAN_S = 0.5
 """Seconds between the two moments that tell a speed, in longer clips: noise of positions hardly
 matters."""
 
@@ -88,9 +88,9 @@ def as_read(motion: Motion) -> Motion:
 
 
 def _speed(sensor: SeenPoints) -> Float[Tensor, " clips"]:
-    """Mean speed of the middle of the points that two moments `_APART` show, m/s."""
+    """Mean speed of the middle of the points that two moments `_SPEED_SPAN_S` show, m/s."""
     places, shown = sensor.places, sensor.shown
-    lag = max(1, min(round(_APART * sensor.fps), places.shape[1] - 1))
+    lag = max(1, min(round(_SPEED_SPAN_S * sensor.fps), places.shape[1] - 1))
     if not sensor.placed:
         return places.new_zeros(len(places))
     both = (shown[:, lag:] & shown[:, :-lag])[..., None].to(places)

@@ -21,7 +21,7 @@ from priors.pose.prior import PoseWeights
 from recon.core.motion import Motion
 from recon.solver.banded import Banded, add_differences
 
-_SHARE = 0.75
+_MEAN_HESSIAN_SHARE = 0.75
 """Share of the mean Hessian. A window moves on before its steps have converged; with all of it
 they are too short for fast motions, with half of it many do not descend (validation people)."""
 
@@ -111,8 +111,8 @@ class LiveSteps:
         bundled_curvature().add(
             motion,
             hessian,
-            _SHARE * weights.step / (1 + judged.error / ERROR),
-            _SHARE * weights.latents / (1 + judged.surprise / SURPRISE),
+            _MEAN_HESSIAN_SHARE * weights.step / (1 + judged.error / ERROR),
+            _MEAN_HESSIAN_SHARE * weights.latents / (1 + judged.surprise / SURPRISE),
         )
         held = weights.contact_velocity * judged.contacts[1:]
         add_differences(of_joints, (-1.0, 1.0), held.repeat_interleave(3, -1))

@@ -342,13 +342,13 @@ def _turned_adjoints(
     vector = 2 * half.flatten(1, 2)
     angle = torch.linalg.vector_norm(vector, dim=-1)[..., None, None]
     b = torch.sinc(angle / (2 * pi)).square()
-    d = 2 * (1 - torch.sinc(angle / pi)) / angle.square().clamp(min=_SMALLEST)
+    d = 2 * (1 - torch.sinc(angle / pi)) / angle.square().clamp(min=_MIN_SQUARED_ANGLE)
     hat = so3.hat(vector)
     identity = torch.eye(3).to(half)
     return so3.exp(vector).mT, torch.addcmul(2 * identity - b * hat, d, hat @ hat)
 
 
-_SMALLEST = 1e-30
+_MIN_SQUARED_ANGLE = 1e-30
 """Least squared angle; a smaller one would be zero in a denominator."""
 
 

@@ -22,9 +22,9 @@ hips have 2."""
 _GAIT = (30.0, 26.0, 17.0, 7.0, -3.0, -10.0, -4.0, 14.0, 28.0, 33.0)
 """Flexion of the hip in degrees at every tenth of a cycle of walking, from the strike of its own
 heel on, as textbooks draw it."""
-_STEPS = ((1, 1), (1, 2), (1, 3), (2, 1), (3, 1))
+_PATH_STEPS = ((1, 1), (1, 2), (1, 3), (2, 1), (3, 1))
 """Frames of template and recording that a path may advance by: slopes of 1/3 to 3."""
-_AROUND = 1.5
+_NORMALISED_OVER_S = 1.5
 """Seconds over which the hips' mean and variance are taken."""
 _LEAST_SWING = math.radians(5)
 """Standard deviation of hips that hardly move: they are compared as if they moved this much."""
@@ -103,7 +103,7 @@ def warp(
     begin = np.zeros((rows, frames), np.int64)
     total[0], begin[0] = local[0], np.arange(frames)
     for row in range(1, rows):
-        for down, along in _STEPS:
+        for down, along in _PATH_STEPS:
             if down > row or along >= frames:
                 continue
             counted = local[row - down + 1 : row + 1, along:].sum(0)
@@ -137,7 +137,7 @@ def _templates() -> dict[str, Float[np.ndarray, "rows 2"]]:
 def _standardised(flexion: Float[np.ndarray, "frames 2"]) -> Float[np.ndarray, "frames 2"]:
     from scipy.ndimage import uniform_filter1d
 
-    width = max(1, round(_AROUND * RATE))
+    width = max(1, round(_NORMALISED_OVER_S * RATE))
     mean = uniform_filter1d(flexion, width, axis=0)
     away = flexion - mean
     variance = uniform_filter1d(np.square(away).mean(1), width)

@@ -51,7 +51,7 @@ _LIMITS = {"height": (1.0, 2.5, "metres"), "weight": (20.0, 250.0, "kilograms")}
 _STEPS = 60
 _CLOSE = 1e-5
 """Metres and kilograms."""
-_FAR = 40.0
+_MAX_STDS = 40.0
 """Standard deviations from which on a search has gone astray."""
 
 Measure = Callable[[Float[Tensor, " shape"]], Float[Tensor, ""]]
@@ -144,7 +144,7 @@ def nearest_shape(
             return shape
         wanted = goal - values + slopes @ (shape - base)
         away = slopes.mT @ torch.linalg.solve(slopes @ slopes.mT, wanted)
-        if not float(away.norm()) < _FAR:
+        if not float(away.norm()) < _MAX_STDS:
             break
         shape = base + away
     raise ReconError("no body of this model has these measures; ask for milder ones")

@@ -19,19 +19,19 @@ _SOLE_POINTS = 16
 """Vertices per foot that stand for the sole."""
 _PATCH = 4
 """Vertices per foot that stand for its heel and for its ball."""
-_STILL = 0.1
+_MAX_FLAT_SPEED_M_S = 0.1
 """Ankle and toe of a foot that stands flat are slower than this, m/s."""
 _FLAT = 0.03
 """Metres by which the height of the ankle above the toe may differ from its height at rest."""
 _GROUND_PERCENTILE = 0.05
 _CHUNK = 2000
 
-_LEAST_POINTS = 30
+_MIN_POINTS = 30
 _LEAST_EXTENT = 0.7
 """Metres that feet must stand apart for a slope to be seen."""
 _STEEPEST = 4.0
 """Degrees; more is terrain."""
-_BETTER = 0.6
+_MAX_DEVIATION_RATIO = 0.6
 """A slope must leave less than this share of the deviations of a level floor."""
 _LEVEL = 0.005
 """Metres of mean deviation up to which a floor is level as it is."""
@@ -92,7 +92,7 @@ def standing_flat(feet: Float[Tensor, "time 4 3"], fps: float) -> Bool[Tensor, "
         feet: left ankle, right ankle, left toe, right toe; metres.
         fps: frames per second.
     """
-    still = (speeds(feet, fps) < _STILL).unflatten(-1, (2, 2)).all(-2)
+    still = (speeds(feet, fps) < _MAX_FLAT_SPEED_M_S).unflatten(-1, (2, 2)).all(-2)
     rise = feet[:, :2, 2] - feet[:, 2:, 2]
     flat = torch.zeros_like(still)
     for side in (0, 1):
@@ -172,7 +172,7 @@ def levelling(stance: Stance) -> Float[Tensor, "3 3"] | None:
     than on a level one.
     """
     points = stance.lowest[stance.firm].double()
-    if len(points) < _LEAST_POINTS:
+    if len(points) < _MIN_POINTS:
         return None
     middle = points.median(0).values
     ends = (points[:, :2].quantile(0.95, dim=0) - points[:, :2].quantile(0.05, dim=0)).norm()
@@ -190,7 +190,7 @@ def levelling(stance: Stance) -> Float[Tensor, "3 3"] | None:
     level = (z - z.median()).abs().mean()
     tilted = (z - x @ plane).abs().mean()
     slope = plane[:2].norm()
-    flat = level < _LEVEL or tilted > _BETTER * level
+    flat = level < _LEVEL or tilted > _MAX_DEVIATION_RATIO * level
     if flat or slope > math.tan(math.radians(_STEEPEST)):
         return None
     angle = torch.atan(slope)

@@ -65,7 +65,7 @@ def _medians(rows: Float[np.ndarray, "rows samples"]) -> list[float | None]:
 
 _SUSPECT = 5.0
 """Multiple of the estimated standard deviation from which on a median residual is suspicious."""
-_LEAST = {"pixels": 15.0, "metres": 0.06, "radians": 0.4}
+_MIN_SUSPICIOUS_RESIDUAL = {"pixels": 15.0, "metres": 0.06, "radians": 0.4}
 """Median residuals below these are not suspicious, whatever the noise."""
 
 
@@ -92,7 +92,7 @@ def _doubts_about(summary: ResidualSummary) -> list[Finding]:
     name, median, noise = summary.name, summary.median, summary.noise
     if median is None:
         return [Finding("unseen", f"{name}: nothing was seen at the times of the motion")]
-    if median <= max(_SUSPECT * noise, _LEAST[summary.unit]):
+    if median <= max(_SUSPECT * noise, _MIN_SUSPICIOUS_RESIDUAL[summary.unit]):
         return []
     worst = sorted(
         ((value, point) for point, value in summary.by_point.items() if value is not None),

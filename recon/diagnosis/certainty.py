@@ -64,7 +64,7 @@ _CLOUD_WORTH = 0.05
 flesh and clothes misses stays the same over many frames."""
 _STANCE = 0.03
 """Metres by which standing feet miss the ground, clip by clip."""
-_UPRIGHT = 0.04
+_LEAN_STD_RAD = 0.04
 """Radians by which people lean on average over a clip, beside what a prior knows of gravity."""
 _UPRIGHT_ALONE = 0.09
 """Radians likewise where the ground is only put below people, by priors that know no gravity."""
@@ -107,11 +107,11 @@ def _ground(found: ClipFit) -> GroundBelief | None:
     if not found.grounded:
         return None
     if found.ground_known:
-        return GroundBelief(_STANCE, _UPRIGHT, 0)
+        return GroundBelief(_STANCE, _LEAN_STD_RAD, 0)
     level = all(one.level for one in found.observations)
     shown = GROUND_DEVIATION**-2 if found.ground_seen else 0.0
     knows = traits_of(found.result.reports[-1].stage.prior).knows_gravity
-    upright = _UPRIGHT if knows else _UPRIGHT_ALONE
+    upright = _LEAN_STD_RAD if knows else _UPRIGHT_ALONE
     return GroundBelief(_STANCE, upright, 1 if level else 3, shown)
 
 
@@ -141,7 +141,7 @@ def _ground_report(ground: GroundDeviation) -> dict[str, float]:
     return {"normal_degrees": ground.normal_degrees, "height": ground.height}
 
 
-_HELD = 0.3
+_HEIGHT_STD_RATIO = 0.3
 """Ratio of the standard deviation of a joint's height to that of its coordinates under a prior
 that knows gravity, which holds standing feet to the ground. Both ratios were chosen by likelihood
 on validation people, over all sensors of `benchmarks.uncertainty`."""
@@ -162,5 +162,5 @@ def fitted_contacts(fit: ClipFit, deviations: Deviations | None) -> Float[Tensor
     if deviations is None:
         return contact_probabilities(joints, heights, motion.fps)
     held = traits_of(fit.result.reports[-1].stage.prior).knows_gravity
-    std = (_HELD if held else _FREE) * deviations.joints[: motion.frames]
+    std = (_HEIGHT_STD_RATIO if held else _FREE) * deviations.joints[: motion.frames]
     return contact_probabilities(joints, heights, motion.fps, std.to(joints))

@@ -19,7 +19,7 @@ from recon.fitting.fitted import ClipFit
 from recon.method.protocols import Estimate, Sensor
 from recon.method.stages import Compared
 
-_SAME = 0.05
+_SAME_MOTION_M = 0.05
 """Mean distance of joints, metres, below which two hypotheses have come to the same motion."""
 _TURNED = math.radians(45)
 """Turn about the vertical from which on a hypothesis is one of another heading."""
@@ -91,7 +91,7 @@ def _runners_up(compared: Compared, body: BodyModel) -> list[Alternative]:
     joints = {k: _joints(compared.motion, k, body) for k in (best, *ordered)}
     distinct, found = [joints[best]], list[Alternative]()
     for row in ordered:
-        if all(_apart(joints[row], other) > _SAME for other in distinct):
+        if all(_apart(joints[row], other) > _SAME_MOTION_M for other in distinct):
             distinct.append(joints[row])
             found.append(_alternative(compared, best, row, joints[best], joints[row]))
     return found
@@ -208,7 +208,7 @@ def undecided_findings(alternatives: Sequence[Alternative]) -> list[Finding]:
     ]
 
 
-_NEAR = 0.2
+_NEAR_JOINT_M = 0.2
 """Metres at rest within which a point on a neighbouring bone shows where a joint is."""
 
 

@@ -9,9 +9,9 @@ import numpy as np
 
 from recon.core import rotations as so3
 from recon.core.errors import ReconError
-from recon.live.estimate import LiveEstimate
 from recon.live.moments import MomentLike
 from recon.live.stream import Stream
+from recon.live.tracking import LiveEstimate
 from recon.reading.door import load_observation
 
 DIGITS = 6

@@ -14,8 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn.functional import pad
 
-from observations.moments import Tracker
-from observations.quadratic import energy_of
+from observations.moments import Tracker, energy_of
 from priors.pose.density import PoseDensity
 from priors.pose.prior import PoseWeights
 from recon.body.derivatives import CarriedPoints, turned_by

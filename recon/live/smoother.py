@@ -66,7 +66,7 @@ class ShapeKnowledge:
         )
 
 
-_DAMPING, _LARGEST = 1e-6, 1e3
+_MIN_DAMPING, _MAX_DAMPING = 1e-6, 1e3
 """Least share that the diagonal is raised by in an accepted step, and the share at which a frame
 is taken to be as good as it gets."""
 _REFUSED = 1e-2
@@ -137,14 +137,14 @@ class Smoothed:
         """After one step that lowers the energy, and by how much; None where none does."""
         objective, shape = self.objective, self.objective.shape
         before = equations.value
-        damping, slope = _DAMPING, equations.gradient_shape.sum(0)
+        damping, slope = _MIN_DAMPING, equations.gradient_shape.sum(0)
         held = slope.new_zeros(len(slope), len(slope))
         if self.learning:
             before += self._value_of_shape(shape)
             weight = 2 * objective.weights.shape * objective.rate * self.active
             held = self.knowledge.information + weight * torch.eye(len(shape)).to(shape)
             slope = slope + self.knowledge.gradient(shape) + weight * shape
-        while damping < _LARGEST:
+        while damping < _MAX_DAMPING:
             system = equations.damped(damping)
             with suppress(NotPositiveDefinite):
                 factor = Factor(replace(system, corner=system.corner + held))

@@ -14,10 +14,9 @@ from recon.core.arrays import positive
 from recon.core.errors import ObservationError, ReconError, WeightsError
 from recon.diagnosis.findings import Finding
 from recon.fitting.methods import loaded
-from recon.live.estimate import LiveEstimate
 from recon.live.moments import Door, Moment, MomentLike
 from recon.live.objective import LivePrior
-from recon.live.tracking import Person, Tracking
+from recon.live.tracking import LiveEstimate, Person, Tracking
 from recon.method.protocols import REFERENCE_FPS
 
 GONE = 0.5

@@ -19,7 +19,6 @@ from recon.core.errors import ReconError
 from recon.diagnosis.findings import Finding
 from recon.fitting.clip import fit_clip
 from recon.fitting.methods import FitOptions
-from recon.live.estimate import LiveEstimate
 from recon.live.moments import Door, Moment
 from recon.live.objective import LivePrior, Window
 from recon.live.smoother import ShapeKnowledge, Smoothed, begun
@@ -29,6 +28,38 @@ from recon.method.terms import Term
 
 _ITERATIONS = 30
 """Iterations over all poses; the Gauss-Newton steps that follow need a start that is near."""
+
+
+@dataclass(frozen=True)
+class LiveEstimate:
+    """The body at one moment, final: later pushes do not change it."""
+
+    time: float
+    """Time of the moment, seconds on the clock of the observations."""
+    translation: Float[Tensor, "3"]
+    """SMPL translation, metres."""
+    rotations: Float[Tensor, "22 3 3"]
+    """Rotation of every joint relative to its parent; the first is the root in the world."""
+    joints: Float[Tensor, "22 3"]
+    """Places of the joints in the world, metres."""
+    shape: Float[Tensor, " shape"]
+    """Shape coefficients as they are known by now."""
+    observed: Bool[Tensor, " 22"]
+    """Joints whose place an observation of this moment tells."""
+    contacts: Float[Tensor, " 22"] | None
+    """Probability that a joint touches the ground, by its height and speed; None under the pose
+    prior, which knows no ground."""
+    earlier: tuple["LiveEstimate", ...] = ()
+    """Estimates of moments before this one that became final at the same time: those of the
+    beginning, and moments that the sensor dropped."""
+    findings: tuple[Finding, ...] = ()
+    """What was noticed in the data since the estimate before: late, dropped and unusable moments,
+    jumps of the clock, points in impossible places, the person leaving and returning."""
+
+    @property
+    def every(self) -> tuple["LiveEstimate", ...]:
+        """The earlier estimates and this one, in the order of time."""
+        return (*self.earlier, self)
 
 
 @dataclass(frozen=True)
@@ -112,9 +143,9 @@ _ASTRAY, _SPEED = 0.5, 10.0
 it is expected. Nobody moves so fast."""
 _PERSISTS = 0.3
 """Seconds after which points in an impossible place are taken for the person."""
-_FEWEST = 5
+_MIN_MOMENTS = 5
 """Moments with points of which a motion is made when no more come."""
-_STEPS = 1
+_MAX_STEPS_PER_PUSH = 1
 """Gauss-Newton steps of a push, at most."""
 _FIRST_STEPS = 4
 """Gauss-Newton steps after the first motion."""
@@ -167,7 +198,7 @@ class Tracking:
         if len(self.gathered) > max(_PERSISTS * self.door.fps, 2):
             return self._elsewhere(findings)
         assert self.smoothed is not None
-        self.smoothed = self.smoothed.refined(_STEPS)
+        self.smoothed = self.smoothed.refined(_MAX_STEPS_PER_PUSH)
         return self._given_out(self.lag)
 
     def insert(self, moment: Moment, back: int) -> bool:
@@ -199,7 +230,7 @@ class Tracking:
     def finish(self, findings: list[Finding]) -> list[LiveEstimate]:
         """All that is left, up to the last moment with points."""
         if self.smoothed is None:
-            several = sum(not moment.empty for moment in self.gathered) >= _FEWEST
+            several = sum(not moment.empty for moment in self.gathered) >= _MIN_MOMENTS
             if not several or not self._begun(findings):
                 return []
         while self.since_seen > 0 and len(self.times) > self.final:

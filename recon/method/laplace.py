@@ -42,7 +42,7 @@ _DISBELIEVED = 4.0
 _PEOPLE = 1.0
 """Inverse variance of a shape coefficient among people, the most that is believed of it: a prior
 that counts for every frame would be ever surer."""
-_CHUNK = 150
+_CHUNK_FRAMES = 150
 """Frames that are looked at together; longer motions are cut, and cuts overlap."""
 _OVERLAP = 15
 
@@ -126,9 +126,9 @@ def deviations(
 
 def _cuts(frames: int) -> list[tuple[int, int]]:
     """First and last frame, exclusive, of overlapping windows."""
-    step = _CHUNK - _OVERLAP
+    step = _CHUNK_FRAMES - _OVERLAP
     firsts = range(0, max(frames - _OVERLAP, 1), step)
-    return [(first, min(first + _CHUNK, frames)) for first in firsts]
+    return [(first, min(first + _CHUNK_FRAMES, frames)) for first in firsts]
 
 
 def _during(sensors: Sequence[Sensor], motion: Motion) -> list[Sensor]:

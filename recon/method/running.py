@@ -21,7 +21,7 @@ from recon.method.terms import Term
 from recon.method.unknowns import Layout, Unknowns
 from recon.solver.solution import Solution, in_turn
 
-_SHARE = 3
+_ITERATION_SHARE = 3
 """Part of its iterations that every round of a stage has, where correspondences are found anew."""
 
 _ROUGH = 1e-4
@@ -182,7 +182,7 @@ def _solved(
     """What a stage found, and how it ended."""
     if not stage.matches:
         return _minimised(stage, body, unknowns, watch)
-    most = math.ceil(stage.minimiser.max_iterations / _SHARE)
+    most = math.ceil(stage.minimiser.max_iterations / _ITERATION_SHARE)
     last = replace(stage.minimiser, max_iterations=most)
     rough = replace(last, tolerance_decrease=max(last.tolerance_decrease, _ROUGH))
     solutions: list[Solution] = []

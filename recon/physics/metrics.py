@@ -38,7 +38,7 @@ NO_GROUND = 0.05
 """Metres above which the body's lowest point has left the ground."""
 
 _SIDES = ((7, 10), (8, 11))
-_CHUNK = 64
+_CHUNK_FRAMES = 64
 """Frames whose surface is computed at once, to bound memory."""
 
 
@@ -105,8 +105,8 @@ def physics_samples(
     motion = motion.to(dtype=torch.float64)
     points, carrying = _zero_moment_points(motion, body)
     pieces = []
-    for start in range(0, motion.frames, _CHUNK):
-        stop = min(start + _CHUNK, motion.frames)
+    for start in range(0, motion.frames, _CHUNK_FRAMES):
+        stop = min(start + _CHUNK_FRAMES, motion.frames)
         held = None if contacts is None else contacts[start : stop + 1]
         # the frame before gives the last frame of a clip its speed, the one after a step
         pieces.append(

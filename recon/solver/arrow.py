@@ -18,7 +18,7 @@ from recon.core.struct import S
 _FIRST_RAISE = 1e-3
 """Damping after the first step that raises the energy."""
 _RAISE, _LOWER = 10.0, 0.1
-_LARGEST = 1e6
+_MAX_DAMPING = 1e6
 """Damping beyond which the state is taken to be as good as it gets."""
 
 
@@ -121,7 +121,7 @@ def minimise_shared(
                 if after <= value:
                     break
             damping = max(_RAISE * damping, _FIRST_RAISE)
-            if damping > _LARGEST:
+            if damping > _MAX_DAMPING:
                 return Settled(state, value, True, iteration)
         steps, common = found
         promise = 0.5 * float((arrow.right * steps).sum() + (arrow.right_border * common).sum())

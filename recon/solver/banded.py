@@ -12,7 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn.functional import pad
 
-_LEAST = 1e-6
+_MIN_DIAGONAL_RAISE = 1e-6
 """Share that every diagonal is raised by at least: what rounding to single precision needs."""
 
 
@@ -112,8 +112,8 @@ class Factor:
         missing = len(own) * self._reach - self._time
         border = pad(border, (0, 0, 0, 0, 0, missing)).reshape(*own.shape[:2], -1)
         corner = matrix.corner * self._edge_scale[:, None] * self._edge_scale
-        own.diagonal(dim1=-2, dim2=-1).fill_(1.0 + damping + _LEAST)
-        corner.diagonal().fill_(1.0 + damping + _LEAST)
+        own.diagonal(dim1=-2, dim2=-1).fill_(1.0 + damping + _MIN_DIAGONAL_RAISE)
+        corner.diagonal().fill_(1.0 + damping + _MIN_DIAGONAL_RAISE)
         identity = torch.eye(own.shape[-1], dtype=own.dtype, device=own.device)
         self._within: list[Tensor] = []
         self._across: list[Tensor] = []

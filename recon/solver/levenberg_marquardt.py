@@ -19,15 +19,15 @@ from recon.solver.blocks import Ties, solve_tied
 _FIRST_RAISE = 1e-3
 """Damping of a frame whose undamped step was refused."""
 _RAISE, _LOWER = 10.0, 0.1
-_LARGEST = 1e6
+_MAX_DAMPING = 1e6
 """Damping beyond which a frame is taken to be as good as it gets."""
 _SHRINKS = 0.1
 """Share of the last predicted decrease that the next one may be while a curvature is kept."""
 _ROUNDING = 8.0
 """Relative rise of an energy, in units of the last place, that is taken for none."""
-_SHARE = 0.9
+_MAX_EXCESS_SHARE = 0.9
 """Share of a step's size in the model by which a frame's energy may exceed what was foreseen."""
-_AT_ONCE = 128
+_CHUNK_FRAMES = 128
 """Frames whose curvatures are computed together: what they need stays in the cache."""
 
 
@@ -162,7 +162,7 @@ def minimise_frames(
         good = change <= rounding * scale  # false for nan
         rising = (change > rounding * scale).nonzero()[:, 0]
         size = curvatures.size(rows[rising], steps[rising])
-        good[rising] = change[rising] + promise[rising] <= _SHARE * size
+        good[rising] = change[rising] + promise[rising] <= _MAX_EXCESS_SHARE * size
         if not bool(good.all()):
             # without the steps of bad frames, the ties of good ones are other than tried
             tried = energies.moved(state, rows[good], steps[good])
@@ -179,10 +179,10 @@ def minimise_frames(
         worn = ~good | (promise > _SHRINKS * promised[rows])
         promised[rows] = promise.where(good, torch.inf)
         bad, eased = rows[~good], rows[good & worn]
-        damping[bad] = (_RAISE * damping[bad]).clamp(min=_FIRST_RAISE, max=_LARGEST)
+        damping[bad] = (_RAISE * damping[bad]).clamp(min=_FIRST_RAISE, max=_MAX_DAMPING)
         damping[eased] = _LOWER * damping[eased]
         worn = rows[worn]
-        rows = moves & _or_beside(~converged & (damping < _LARGEST), energies.linked)
+        rows = moves & _or_beside(~converged & (damping < _MAX_DAMPING), energies.linked)
         rows = rows.nonzero()[:, 0]
         curvatures.renew(energies, state, worn[torch.isin(worn, rows)], damping, 1)
     return Minimised(state, value, between, converged, iterations, curvatures.count)
@@ -225,7 +225,7 @@ class _Curvatures:
         """Compute those of some frames anew; every `stride` of them share one where they may."""
         middle = (rows // stride * stride + stride // 2).clamp(max=len(self.owner) - 1)
         self.owner[rows] = middle.where(energies.alike(rows, middle), rows)
-        for some in self.owner[rows].unique().split(_AT_ONCE):
+        for some in self.owner[rows].unique().split(_CHUNK_FRAMES):
             curvature = energies.curvature(state, some)
             diagonal = curvature.diagonal(dim1=1, dim2=2)
             diagonal += 2 * energies.stiffness

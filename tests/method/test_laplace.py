@@ -82,7 +82,7 @@ def test_more_sensors_make_surer_and_cuts_change_nothing(monkeypatch):
     one = deviations(at_truth(), [seen()], [noise], belief()).joints
     two = deviations(at_truth(), [seen(), seen()], [noise, noise], belief()).joints
     assert (two < one).all()
-    monkeypatch.setattr(laplace, "_CHUNK", 20)
+    monkeypatch.setattr(laplace, "_CHUNK_FRAMES", 20)
     cut = deviations(at_truth(), [seen()], [noise], belief()).joints
     assert torch.allclose(cut, one, rtol=0.1)
 

@@ -92,7 +92,7 @@ def test_chunks_do_not_show(body, monkeypatch):
     motion = motion.replace(translation=motion.translation - low * torch.tensor([0, 0, 1.0]))
     contacts = torch.rand(11, 2) > 0.3
     whole = physics_samples(motion, body, contacts)
-    monkeypatch.setattr(measuring, "_CHUNK", 4)
+    monkeypatch.setattr(measuring, "_CHUNK_FRAMES", 4)
     pieces = physics_samples(motion, body, contacts)
     for name, tensor in whole.tensors().items():
         assert torch.allclose(tensor.double(), pieces.tensors()[name].double()), name

@@ -13,13 +13,13 @@ from recon.diagnosis.motions.movement import Movement
 
 _SLOWEST = 0.4
 """Metres per second of a belt; feet that slip are slower."""
-_LOW = 0.03
+_SOLE_HEIGHT_M = 0.03
 """Metres above the ground up to which a sole is on it."""
-_STEADY = 0.2
+_MAX_RELATIVE_DEVIATION = 0.2
 """Relative deviation from the belt's velocity up to which a foot is carried by it."""
 _STEADY_LEAST = 0.2
 """Deviation from the velocity of slow belts up to which a foot is carried by them, m/s."""
-_SHARE = 0.55
+_MIN_CARRIED_SHARE = 0.55
 """Share of the moments with a sole on the ground in which it must move with the belt."""
 _STANDING = 0.3
 """Metres per second below which a foot stands in the room."""
@@ -27,9 +27,9 @@ _STANDING_SHARE = 0.15
 """Share of the moments with a sole on the ground in which it may stand in the room."""
 _STAYS = 0.35
 """Mean speed of the pelvis over that of the belt, up to which the body stays where it is."""
-_LEAST_SECONDS = 0.15
+_MIN_CONTACT_S = 0.15
 """Seconds for which each foot must touch the ground."""
-_UPRIGHT = 0.7
+_MIN_PELVIS_HEIGHT_LEGS = 0.7
 """Median height of the pelvis above the ground in lengths of leg; nobody walks or runs lower."""
 
 
@@ -50,16 +50,16 @@ def belt_velocity(
     if movement.frames < 3:
         return None
     height = float(np.median(movement.joints[:, 0, 2])) - movement.ground
-    if height < _UPRIGHT * movement.leg:
+    if height < _MIN_PELVIS_HEIGHT_LEGS * movement.leg:
         return None
     feet = np.stack((movement.ankles, movement.toes), -2)
     # the part of each foot that is on the ground: heel strike to flat foot to toe
     lower = (feet[..., 2] - movement.sole_drop).argmin(-1)
     steps = np.diff(feet[..., :2], axis=0) * movement.fps
     velocity = np.take_along_axis(steps, lower[:-1, :, None, None], axis=2)[:, :, 0]
-    low = movement.sole_heights < movement.ground + _LOW
+    low = movement.sole_heights < movement.ground + _SOLE_HEIGHT_M
     standing = low[1:] & low[:-1] & (lower[1:] == lower[:-1])
-    if (standing.sum(0) < max(3, _LEAST_SECONDS * movement.fps)).any():
+    if (standing.sum(0) < max(3, _MIN_CONTACT_S * movement.fps)).any():
         return None
     belt = _commonest(velocity[standing])
     speed = float(np.linalg.norm(belt))
@@ -71,7 +71,7 @@ def belt_velocity(
     drift = (movement.joints[-1, 0, :2] - movement.joints[0, 0, :2]) / movement.seconds
     facing = movement.forward.mean(0) @ belt / speed
     stays = float(np.linalg.norm(drift)) < _STAYS * speed
-    if min(shares) < _SHARE or still > _STANDING_SHARE or not stays or facing > 0:
+    if min(shares) < _MIN_CARRIED_SHARE or still > _STANDING_SHARE or not stays or facing > 0:
         return None
     return torch.from_numpy(belt).to(motion.translation)
 
@@ -90,7 +90,7 @@ def treadmill_finding(belt: Float[Tensor, " 2"]) -> Finding:
 def _near(
     velocity: Float[np.ndarray, "*shape 2"], belt: Float[np.ndarray, " 2"]
 ) -> Bool[np.ndarray, "*shape"]:
-    reach = max(_STEADY_LEAST, _STEADY * float(np.linalg.norm(belt)))
+    reach = max(_STEADY_LEAST, _MAX_RELATIVE_DEVIATION * float(np.linalg.norm(belt)))
     return np.linalg.norm(velocity - belt, axis=-1) < reach
 
 

@@ -23,18 +23,18 @@ _FEET = tuple(
 )
 _LAG = 0.13
 """Seconds over which velocities are taken."""
-_LOW = 0.04
+_MAX_HEIGHT_DIFFERENCE_M = 0.04
 """Metres by which a standing foot may be higher than the other: a ground that is estimated from
 one image is not exact, and a height above it would not tell who stands."""
 _UPWARD = 0.35
 """Metres per second up to which a foot may rise or sink while it stands."""
 _SCALE = 0.1
 """Metres per second by which soles that stand differ from one plate in a fit to one camera."""
-_ROUNDS = 20
+_ITERATIONS = 20
 """Iterations of reweighting."""
-_FEWEST = 20
+_MIN_MOMENTS = 20
 """Moments of a standing foot that are needed to tell a rate."""
-_RATES = (9.0, 50.0)
+_RATES_DEG_S = (9.0, 50.0)
 """Degrees per second at which cameras are carried around a person or panned with one; people who
 turn on the spot or climb reach less and more."""
 _LEAST_GAIN = 0.07
@@ -64,7 +64,7 @@ class Plate:
         Args:
             rests: whether some part of a foot rests in the image most of the time.
         """
-        slowest, fastest = np.radians(_RATES)
+        slowest, fastest = np.radians(_RATES_DEG_S)
         least = _SURE_SHARE if rests else _LEAST_SHARE
         enough = self.gain > _LEAST_GAIN and self.share > least
         return bool(slowest < abs(self.rate) < fastest) and enough
@@ -92,7 +92,9 @@ class Standing:
 
         heights = movement.sole_heights[now]
         rising = np.maximum(*(abs(speed(p)[..., 2]) for p in (movement.ankles, movement.toes)))
-        standing = (heights < heights.min(1, keepdims=True) + _LOW) & (rising < _UPWARD)
+        standing = (heights < heights.min(1, keepdims=True) + _MAX_HEIGHT_DIFFERENCE_M) & (
+            rising < _UPWARD
+        )
         if observed is not None:
             standing &= observed[now]
         places, velocities = movement.soles[now], speed(movement.soles)
@@ -103,7 +105,7 @@ class Standing:
 
     def plate(self) -> Plate | None:
         """The plate that most samples move with; None where feet hardly stand."""
-        if len(self.places) < 2 * _FEWEST:
+        if len(self.places) < 2 * _MIN_MOMENTS:
             return None
         still, _ = self._fit(turning=False)
         turning, rate = self._fit(turning=True)
@@ -117,7 +119,7 @@ class Standing:
         design = np.stack([np.stack(column, -1) for column in columns], -1)
         weight, away = one, one
         motion = np.zeros(len(columns))
-        for _ in range(_ROUNDS):
+        for _ in range(_ITERATIONS):
             root = np.sqrt(weight)[:, None]
             motion = np.linalg.lstsq(
                 (design * root[..., None]).reshape(-1, len(columns)),

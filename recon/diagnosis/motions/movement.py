@@ -130,7 +130,7 @@ _TURN = 0.35
 _LEAST_STEPS = 2
 _IRREGULAR = 0.35
 """Relative standard deviation of durations and of widths above which this is no gait."""
-_WIDE = 0.6
+_MAX_SLOW_STEP_LEGS = 0.6
 """Leg lengths: steps less wide may be as slow as one likes."""
 _WALK, _RUN = -0.35, 0.5
 """Correlation of the pelvis' height with the separation of the feet: who walks vaults over the
@@ -185,7 +185,7 @@ _RUN_RATIO = (0.7, 1.6)
 def rates_by_strides(found: Strides) -> tuple[float, float]:
     """Factors between which the true rate over the declared one lies; (0, inf) if all may be."""
     low, high = 0.0, math.inf
-    if found.width < _WIDE:
+    if found.width < _MAX_SLOW_STEP_LEGS:
         return low, high
     ratio, slowness = found.width * found.duration, found.duration / found.width
     if found.phase < _WALK:

@@ -10,15 +10,15 @@ from recon.diagnosis.findings import Finding, spans, stretches
 from recon.diagnosis.motions.gravity import outside
 from recon.diagnosis.motions.movement import Movement
 
-_STILL = 0.2
+_MAX_STANDING_SPEED_M_S = 0.2
 """Metres per second below which a foot or the centre of mass stands."""
 _LEVELS = 0.08
 """Metres between two levels; soles of one floor differ less."""
-_LEAST_SECONDS = 0.3
+_MIN_LEVEL_S = 0.3
 """Seconds for which a foot must stand on another level."""
-_SHARE = 0.1
+_MIN_LEVEL_SHARE = 0.1
 """Share of the time of all standing feet for which feet must stand on another level."""
-_BESIDE = 0.12
+_MAX_BESIDE_M = 0.12
 """Metres by which the centre of mass may lie beside the feet while a body stands still."""
 _LEAST_REST = 0.8
 """Seconds of rest beside the feet that make it sitting, lying or leaning."""
@@ -53,7 +53,7 @@ def standing_heights(movement: Movement) -> Float[np.ndarray, " time"]:
     speed = np.linalg.norm(np.gradient(movement.toes, axis=0), axis=-1) * movement.fps
     ankle = np.linalg.norm(np.gradient(movement.ankles, axis=0), axis=-1) * movement.fps
     height = movement.sole_heights[rows, lower]
-    still = np.minimum(speed, ankle)[rows, lower] < _STILL
+    still = np.minimum(speed, ankle)[rows, lower] < _MAX_STANDING_SPEED_M_S
     below = movement.joints[:, 0, 2] > height + _BELOW * movement.leg
     return np.where(still & below, height, np.nan)
 
@@ -66,7 +66,7 @@ def _uneven(movement: Movement) -> list[Finding]:
     floor = float(np.quantile(heights[known], 0.1))
     above = known & (np.nan_to_num(heights, nan=-np.inf) > floor + _LEVELS)
     long = max((last - first + 1 for first, last in stretches(above)), default=0)
-    if above.sum() < _SHARE * known.sum() or long < _LEAST_SECONDS * movement.fps:
+    if above.sum() < _MIN_LEVEL_SHARE * known.sum() or long < _MIN_LEVEL_S * movement.fps:
         return []
     most = float(np.quantile(heights[above], 0.9)) - floor
     return [
@@ -83,8 +83,8 @@ def _carried(movement: Movement) -> list[Finding]:
     """Rests in which the centre of mass lies beside the feet: something else carries the body."""
     speed = np.linalg.norm(np.gradient(movement.centre, axis=0), axis=-1) * movement.fps
     corners = movement.soles[..., :2].reshape(movement.frames, 4, 2)
-    beside = outside(movement.centre[:, :2], corners) > _BESIDE
-    resting = beside & (speed < _STILL)
+    beside = outside(movement.centre[:, :2], corners) > _MAX_BESIDE_M
+    resting = beside & (speed < _MAX_STANDING_SPEED_M_S)
     return _rests(
         resting, movement, "rests beside its feet", "sitting, lying or leaning on something"
     )

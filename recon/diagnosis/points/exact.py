@@ -13,8 +13,7 @@ from recon.body.soles import Soles, Stance
 from recon.core.motion import Motion
 from recon.core.skeleton import FEET
 from recon.diagnosis.findings import Finding, listed, spans, stretches
-from recon.diagnosis.points.bone_lengths import size
-from recon.diagnosis.points.named_points import NamedPoints
+from recon.diagnosis.points.named_points import NamedPoints, size
 from recon.diagnosis.points.tracks import temporal_noise
 
 _REPEATS = 3
@@ -28,7 +27,7 @@ less than the last digit of some files, and a value that is held then is no harm
 _NOISELESS = 3e-4
 """Metres of noise below which positions are computed rather than measured; animated feet then
 stand exactly still, and that is no fault."""
-_NEAR = 1.0
+_MAX_ORIGIN_DISTANCE_M = 1.0
 """Metres: in a root-relative recording the body lies about the origin, and a point that is always
 exactly there is the root."""
 
@@ -71,7 +70,9 @@ def _zeros(points: NamedPoints) -> Found:
 def _about_origin(points: NamedPoints, zero: Bool[np.ndarray, "moments points"]) -> bool:
     """Whether the other points surround the origin in every frame, as about a root."""
     others = points.without(zero).centre
-    return bool((np.linalg.norm(others[np.isfinite(others[:, 0])], axis=-1) < _NEAR).all())
+    return bool(
+        (np.linalg.norm(others[np.isfinite(others[:, 0])], axis=-1) < _MAX_ORIGIN_DISTANCE_M).all()
+    )
 
 
 def _repeated_frames(points: NamedPoints) -> Found:
@@ -151,9 +152,9 @@ The body's soles reach a centimetre lower than recorded feet; shoes and carpets 
 lift markers once more."""
 _FLOOR_NOISE = 1.0
 """Multiple of a coordinate's standard deviation by which soles may lie off the ground besides."""
-_SMALLEST, _LARGEST = 0.72, 1.25
+_MIN_SIZE_RATIO, _MAX_SIZE_RATIO = 0.72, 1.25
 """Sizes against the average body, about 1.70 m tall, that grown people and older children have."""
-_LOW, _SOLE_TO_POINT = 0.05, 0.2
+_LOWEST_QUANTILE, _SOLE_TO_POINT = 0.05, 0.2
 """Quantile of the heights of a foot's points that stands for the lowest, and metres within which
 the soles of a fit must be of it: ankles are a tenth of a metre up."""
 _STANDING = 0.2
@@ -179,7 +180,7 @@ def floor_height(points: NamedPoints, motion: Motion, body: BodyModel, noise: fl
     if stance.frames < _STANDING * motion.fps:
         return 0.0
     height = stance.height()
-    if abs(height - np.quantile(_foot_heights(points, feet), _LOW)) > _SOLE_TO_POINT:
+    if abs(height - np.quantile(_foot_heights(points, feet), _LOWEST_QUANTILE)) > _SOLE_TO_POINT:
         return 0.0
     low, high = _FLOOR_JOINTS if points.are_joints else _FLOOR_MARKERS
     noise *= _FLOOR_NOISE
@@ -204,7 +205,7 @@ def floor_finding(height: float) -> Finding:
 def scale_findings(points: NamedPoints) -> list[Finding]:
     """Whether everything is larger or smaller than people are by one factor."""
     ratio = size(points)
-    if ratio is None or _SMALLEST < ratio < _LARGEST:
+    if ratio is None or _MIN_SIZE_RATIO < ratio < _MAX_SIZE_RATIO:
         return []
     return [
         Finding(

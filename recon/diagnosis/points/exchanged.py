@@ -7,10 +7,16 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from recon.diagnosis.findings import stretches
-from recon.diagnosis.points.bone_lengths import distances, joint_pairs, rest_length, size
-from recon.diagnosis.points.named_points import NamedPoints, Predicted
+from recon.diagnosis.points.named_points import (
+    NamedPoints,
+    Predicted,
+    distances,
+    joint_pairs,
+    rest_length,
+    size,
+)
 
-_BETTER = 0.5
+_MAX_REMAINING_SHARE = 0.5
 """Share of the distance that may remain when two points exchange their names."""
 _SAVED = 0.08
 """Metres by which bones must become more like a person's by it."""
@@ -44,7 +50,7 @@ def exchanged_throughout(points: NamedPoints) -> tuple[int, int] | None:
         other = [(swap.get(k, k), swap.get(j, j)) for k, j in touched]
         own = sum(misfit(bone, bone) for bone in touched)
         new = sum(misfit(got, want) for got, want in zip(other, touched, strict=True))
-        if own - new > max(best, _SAVED) and new < _BETTER * own:
+        if own - new > max(best, _SAVED) and new < _MAX_REMAINING_SHARE * own:
             best, pair = own - new, (a, b)
     return pair
 
@@ -60,7 +66,7 @@ def exchanged_moments(
     for a, b in combinations(range(len(points.names)), 2):
         own, other = away[:, a, a] + away[:, b, b], away[:, a, b] + away[:, b, a]
         both = points.visible[:, a] & points.visible[:, b]
-        surely = both & (own - other > nearer) & (other < _BETTER * own)
+        surely = both & (own - other > nearer) & (other < _MAX_REMAINING_SHARE * own)
         moments = _runs(_grown(surely, both & (own - other > noise)))
         if moments.any():
             found.append((float((own - other)[moments].sum()), (a, b), moments & both))
@@ -112,7 +118,7 @@ _FASTEST = 0.1
 _LESS = 0.6
 """Share of the way that points must go to their own last places, below which going to the other
 side's last places means that names were exchanged."""
-_LEAST = 0.1
+_MIN_SAVED_M = 0.1
 """Metres per point that must be saved by it; below, both sides were in the same place."""
 
 
@@ -164,7 +170,7 @@ def _exchanged(
     same = np.linalg.norm(after - before, axis=-1).sum(-1)
     other = np.linalg.norm(after[:, ::-1] - before, axis=-1).sum(-1)
     saved = np.clip(same - other, -1.0, 1.0).mean() / 2
-    return bool(saved > _LEAST and other.mean() < _LESS * same.mean())
+    return bool(saved > _MIN_SAVED_M and other.mean() < _LESS * same.mean())
 
 
 def _parity(flips: Bool[np.ndarray, " moments"]) -> Bool[np.ndarray, " moments"]:

@@ -1,4 +1,4 @@
-"""Tracked points in space with their names and their places on the body, for one clip."""
+"""Tracked points in space with names and places on the body, and their distances along bones."""
 
 from dataclasses import dataclass, replace
 
@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from observations.kinds import Tracked
 from observations.timing import at_observation_times
 from recon.body.model import BodyModel
-from recon.core.skeleton import MIRROR
+from recon.core.skeleton import MIRROR, PARENTS
 from recon.method.protocols import Estimate
 
 Points = Tracked
@@ -18,6 +18,11 @@ Points = Tracked
 _MIRRORED_WITHIN = 0.04
 """Metres between a point's mirror image at rest and its counterpart on the other side; markers
 are not placed more alike than this."""
+_MIN_PAIR_LENGTH_M = 0.1
+"""Metres of distance at rest from which on a pair of points tells the size of a body."""
+_MIN_PAIRS, _MIN_MOMENTS = 4, 3
+_MAX_SPREAD_RATIO = 0.5
+"""Share of its error up to which a length may vary where a joint is misplaced by a constant."""
 
 
 @dataclass(frozen=True)
@@ -174,3 +179,76 @@ def least_away(typical: Float[np.ndarray, " points"], at_least: float, times: fl
     """Median distance from which on a point is suspicious beside the others, metres."""
     known = typical[typical > 0]
     return max(at_least, times * float(np.median(known))) if len(known) > 0 else np.inf
+
+
+def size(points: NamedPoints) -> float | None:
+    """Size of the body against the average one: median ratio of distances along bones.
+
+    None where too few such distances are seen.
+    """
+    pairs = [
+        pair for pair in _along_bones(points) if rest_length(points, *pair) > _MIN_PAIR_LENGTH_M
+    ]
+    ratios = [
+        float(np.median(seen)) / rest_length(points, a, b)
+        for a, b in pairs
+        if len(seen := distances(points, a, b)) >= _MIN_MOMENTS
+    ]
+    return float(np.median(ratios)) if len(ratios) >= _MIN_PAIRS else None
+
+
+def out_of_reach(points: NamedPoints, limit: float) -> Bool[np.ndarray, " points"]:
+    """Joints whose bones to all of their neighbours are longer or shorter than a person's.
+
+    Args:
+        points: joints; of markers none is told.
+        limit: metres by which the median length of each bone differs from the average body's
+            of the same size.
+    """
+    wrong: list[list[bool]] = [[] for _ in points.names]
+    ratio = size(points)
+    if ratio is None or not points.are_joints:
+        return np.zeros(len(wrong), dtype=bool)
+    for a, b in joint_pairs(points):
+        seen = distances(points, a, b)
+        if len(seen) < _MIN_MOMENTS:
+            continue
+        middle = float(np.median(seen))
+        error = abs(middle - ratio * rest_length(points, a, b))
+        spread = float(np.median(np.abs(seen - middle)))
+        for one in (a, b):
+            wrong[one].append(error > limit and spread < _MAX_SPREAD_RATIO * error)
+    # the end of a wrong bone that has other, right bones is where it should be
+    return np.array([len(bones) > 0 and all(bones) for bones in wrong])
+
+
+def _along_bones(points: NamedPoints) -> list[tuple[int, int]]:
+    """Numbers of points on one bone, and of joints at its two ends."""
+    if points.rigid is not None:
+        return list(points.rigid)
+    bones, count = points.bones, range(len(points.bones))
+    return [
+        (a, b)
+        for a in count
+        for b in count
+        if PARENTS[bones[b]] == bones[a] or (bones[a] == bones[b] and a < b)
+    ]
+
+
+def joint_pairs(points: NamedPoints) -> list[tuple[int, int]]:
+    """Numbers of joints at the two ends of a bone, the parent first, or of rigid pairs."""
+    if points.rigid is not None:
+        return list(points.rigid)
+    bones, count = points.bones, range(len(points.bones))
+    return [(a, b) for b in count for a in count if PARENTS[bones[b]] == bones[a]]
+
+
+def distances(points: NamedPoints, a: int, b: int) -> Float[np.ndarray, " moments"]:
+    """Distances between two points, metres, wherever both are seen."""
+    both = points.visible[:, a] & points.visible[:, b]
+    return np.linalg.norm(points.positions[both, a] - points.positions[both, b], axis=-1)
+
+
+def rest_length(points: NamedPoints, a: int, b: int) -> float:
+    """Distance of two points on the average body in its rest pose, metres."""
+    return float(np.linalg.norm(points.rest[a] - points.rest[b]))

@@ -5,11 +5,10 @@ from jaxtyping import Bool, Float
 
 from recon.core.skeleton import ARMS
 from recon.diagnosis.findings import Code, Finding, listed, stretches
-from recon.diagnosis.points.bone_lengths import out_of_reach
-from recon.diagnosis.points.named_points import NamedPoints, Predicted, least_away
+from recon.diagnosis.points.named_points import NamedPoints, Predicted, least_away, out_of_reach
 from recon.diagnosis.points.quick import plausible
 
-_FAR = 0.25
+_OUTLIER_M = 0.25
 """Metres from the body beyond which a single position is an outlier, whatever the noise."""
 _NOISES = 6.0
 """Standard deviations of a coordinate beyond which a position is an outlier."""
@@ -30,12 +29,12 @@ _ONE_SIDED = 0.065
 """Metres by which a marker of the trunk or a leg may differ from the mirror image of its
 counterpart: people put both in the same manner, so that a protocol of other places moves both.
 Elbows and wrists, whose few markers leave the bone's twist open, differ by more."""
-_STEADY, _SPREAD = 0.5, 2.0
+_MAX_LENGTH_SHARE, _MAX_LENGTH_STDS = 0.5, 2.0
 """Share of its length, and standard deviations of a coordinate, within which (the larger of both)
 an offset stays the same in the frame of the bone."""
 _MOSTLY = 0.8
 """Quantile of its distances that must be as large; limbs return to a point that stands still."""
-_STILL = 0.08
+_MAX_STILL_RADIUS_M = 0.08
 """Metres from its middle within which a point that stands still in the room remains."""
 _ALWAYS = 0.9
 """Share of the moments at which it does."""
@@ -55,11 +54,14 @@ def misplaced_points(predicted: Predicted, noise: float) -> tuple[NamedPoints, l
     else:
         displaced = (constant > _OFFSET_MARKERS) | _one_sided(points, offset)
     unreached = out_of_reach(plausible(points), _OFFSET_JOINTS)
-    steady = spread < np.maximum(_STEADY * constant, _SPREAD * noise)
+    steady = spread < np.maximum(_MAX_LENGTH_SHARE * constant, _MAX_LENGTH_STDS * noise)
     for point in np.flatnonzero(points.visible.any(0)):
         seen = points.visible[:, point]
         x, body = points.positions[seen, point], predicted.positions[seen, point]
-        still = np.quantile(np.linalg.norm(x - np.median(x, axis=0), axis=-1), _ALWAYS) < _STILL
+        still = (
+            np.quantile(np.linalg.norm(x - np.median(x, axis=0), axis=-1), _ALWAYS)
+            < _MAX_STILL_RADIUS_M
+        )
         moved = np.linalg.norm(body - np.median(body, axis=0), axis=-1).max() > _MOVED
         name = points.names[point]
         value = float(typical[point])
@@ -97,7 +99,7 @@ def _one_sided(
 def outliers(predicted: Predicted, noise: float) -> tuple[NamedPoints, Finding | None]:
     """The points without single positions that are far from the body, and their share."""
     points = predicted.points
-    limit = max(_FAR, _NOISES * noise)
+    limit = max(_OUTLIER_M, _NOISES * noise)
     far = points.visible & (np.nan_to_num(predicted.away) > limit)
     far = _entered_by_leaps(far, points, max(_LEAP, _NOISES * noise))
     share = float(far.sum() / max(points.visible.sum(), 1))

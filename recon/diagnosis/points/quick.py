@@ -20,7 +20,7 @@ from recon.method.stages import Stage
 from recon.method.terms import Term
 from recon.solver.lbfgs import LBFGS
 
-_REACH = 1.4
+_BODY_RADIUS_M = 1.4
 """Metres from the middle of a body within which all of its points lie, arms stretched."""
 _SPIKE = 0.5
 """Metres by which a point may be away from its own median over a quarter of a second; hands that
@@ -36,7 +36,7 @@ def plausible(points: NamedPoints) -> NamedPoints:
 
 def _far(points: NamedPoints) -> Bool[np.ndarray, "moments points"]:
     away = np.linalg.norm(points.positions - points.centre[:, None], axis=-1)
-    return points.visible & (np.nan_to_num(away) > _REACH)
+    return points.visible & (np.nan_to_num(away) > _BODY_RADIUS_M)
 
 
 def smoothed(points: NamedPoints) -> NamedPoints:

@@ -31,7 +31,7 @@ from recon.diagnosis.points.outlying import misplaced_points, outliers
 from recon.diagnosis.points.quick import QuickFit, plausible, pursued, quick_fits
 from recon.diagnosis.points.tracks import frame_order, identity_changes, temporal_noise
 
-_FEWEST = 12
+_MIN_POSITIONS = 12
 """Visible positions without which nothing is checked."""
 _WRONG_SIDES = 0.75
 """Share of the cost of the names as given, below which exchanged sides are the right ones."""
@@ -74,7 +74,7 @@ def screen_points(points: Points, body: BodyModel, *, grounded: bool = True) -> 
     """
     exact, found = repaired_exact(NamedPoints.of(points, body))
     state = Screened(points).after(exact.into(points), *found)
-    if exact.visible.sum() < _FEWEST:
+    if exact.visible.sum() < _MIN_POSITIONS:
         return state
     if disorder := frame_order(exact):  # nothing else can be told from such frames
         return state.warned(*disorder)

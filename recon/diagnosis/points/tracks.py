@@ -7,8 +7,7 @@ from jaxtyping import Bool, Float
 from observations.noise import estimate_noise
 from recon.core.robust import NORMAL_MAD
 from recon.diagnosis.findings import Finding, spans, stretches
-from recon.diagnosis.points.bone_lengths import distances, joint_pairs
-from recon.diagnosis.points.named_points import NamedPoints
+from recon.diagnosis.points.named_points import NamedPoints, distances, joint_pairs
 from recon.diagnosis.points.quick import plausible
 
 _DIFFERENCE = 2.2

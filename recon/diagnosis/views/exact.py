@@ -10,16 +10,16 @@ from jaxtyping import Bool, Int
 from recon.diagnosis.findings import Finding, listed, spans, stretches
 from recon.diagnosis.views.images import Images
 
-_HELD = 4
+_MIN_HELD_MOMENTS = 4
 """Moments in a row at one place from which on a keypoint counts as held; two or three may be
 chance where a detector writes whole pixels."""
 _LONGER = 3
 """Multiple of the usual number of moments at one place from which on a keypoint counts as held."""
 _ALIKE = 0.9
 """Share of a frame's keypoints that must repeat for the frame to be a copy."""
-_FEWEST = 5
+_MIN_KEYPOINTS = 5
 """Keypoints in a frame from which on one can speak of a copy."""
-_STILL = 0.8
+_MIN_PHOTOGRAPH_SHARE = 0.8
 """Share of copied frames from which on a view is a photograph rather than a film with copies."""
 
 Found = tuple[Images, list[Finding]]
@@ -50,9 +50,9 @@ def repaired_copies(images: Images) -> Found:
         return images, []
     same = _same(images)
     both = images.seen[:, 1:] & images.seen[:, :-1]
-    enough = both.sum(-1) >= _FEWEST
+    enough = both.sum(-1) >= _MIN_KEYPOINTS
     copied = enough & (same[:, 1:].sum(-1) >= _ALIKE * both.sum(-1))
-    copied[copied.mean(-1) > _STILL] = False
+    copied[copied.mean(-1) > _MIN_PHOTOGRAPH_SHARE] = False
     copied = np.pad(copied, ((0, 0), (1, 0)))
     return images.without(np.repeat(copied[..., None], len(images.points), -1)), [
         Finding(
@@ -74,7 +74,9 @@ def repaired_held(images: Images) -> Found:
     since = _run_lengths(_same(images))
     length = _whole_runs(since)
     usual = np.median(length.max(1), -1)
-    held = (since > 0) & (length >= np.maximum(_HELD - 1, _LONGER * (usual[:, None, None] + 1)))
+    held = (since > 0) & (
+        length >= np.maximum(_MIN_HELD_MOMENTS - 1, _LONGER * (usual[:, None, None] + 1))
+    )
     return images.without(held), [
         Finding(
             "constant point",

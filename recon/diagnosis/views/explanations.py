@@ -21,7 +21,7 @@ _SAME_SIZE = 1.1
 _SMOOTHING = 0.15
 """Seconds to either side over which the pose of a camera that moves is averaged."""
 _ROUNDS = 8
-_FEWEST = 4
+_MIN_POINTS = 4
 """Points of a moment that tell how a camera is turned at that moment."""
 
 
@@ -113,7 +113,7 @@ class Odd:
         """The camera turned about itself by an angle that changes, averaged over a while."""
         rays, ways, there = self._directions()
         moments = len(rays)
-        known = there.sum(-1) >= _FEWEST
+        known = there.sum(-1) >= _MIN_POINTS
         if not known.any():
             return self.images, 0.0
         turns = robust_turns(ways, rays, there)

@@ -12,7 +12,7 @@ from observations.keypoints2d import Keypoints2D
 from observations.start.images import bone_scale
 from recon.body.model import BodyModel
 
-_STEADY = 0.5
+_SCALE_MEDIAN_S = 0.5
 """Seconds to either side over which the median of the scale of an image is taken."""
 
 
@@ -178,6 +178,6 @@ def _scale(
     """Pixels per metre at the body, the median over a second around every moment."""
     place, found, at_rest = (torch.from_numpy(a) for a in (pixels, confidence, rest))
     scale = bone_scale(points, at_rest, place[None], found[None])[0].numpy()
-    reach = min(round(_STEADY * fps), len(scale) - 1)
+    reach = min(round(_SCALE_MEDIAN_S * fps), len(scale) - 1)
     windows = np.lib.stride_tricks.sliding_window_view(np.pad(scale, reach, "edge"), 2 * reach + 1)
     return np.median(windows, -1)

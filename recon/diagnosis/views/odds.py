@@ -39,7 +39,7 @@ _STRETCH = 0.15
 """Seconds that such a stretch lasts at least."""
 _SIMPLER = 1.15
 """Multiple of the least remaining error within which the simplest explanation is preferred."""
-_CLEARLY = 0.6
+_MAX_MIRRORED_RATIO = 0.6
 """Mirrored images must fit together with less than this share of the error."""
 
 
@@ -80,7 +80,7 @@ def all_mirrored(images: Images) -> Outcome:
         return Outcome(images)
     turned = mirrored(images, list(range(len(images.names))))
     other = common_miss(turned)
-    if other > _CLEARLY * given:
+    if other > _MAX_MIRRORED_RATIO * given:
         return Outcome(images)
     said = (
         f"the images seem to be mirrored: their rays miss each other by {100 * given:.1f} cm, and "
@@ -174,7 +174,7 @@ def _one_left_out(images: Images, noise: float) -> Outcome:
     if before <= _AT_ODDS:
         return _stretches_left_out(images, odd, agree=agree)
     least = _simplest(odd.explained(tuple(_CODES)))
-    hint = _HINTS[least.cause] if least.remains < _CLEARLY * before else _SOMEBODY
+    hint = _HINTS[least.cause] if least.remains < _MAX_MIRRORED_RATIO * before else _SOMEBODY
     said = f"{name} contradicts the other views: its rays miss their points by {before:.2f} m"
     if agree:
         hidden = np.zeros_like(images.seen)
@@ -242,7 +242,7 @@ def _two_views(images: Images, noise: float) -> Outcome:
     said = f"{names} contradict each other: their rays miss by {100 * given:.1f} cm"
     timed = agreement(images, ("clock",))
     by = _out_of_step(images, timed)
-    if timed.remains <= floor and timed.remains < _CLEARLY * given:
+    if timed.remains <= floor and timed.remains < _MAX_MIRRORED_RATIO * given:
         text = (
             f"{said}, and by {100 * timed.remains:.1f} cm if {by}; its keypoints were moved in "
             "time. Number the frames of all cameras from the same moment"
@@ -253,7 +253,7 @@ def _two_views(images: Images, noise: float) -> Outcome:
     both = agreement(images, ("clock", "pose"))
     if both.remains < turned.remains / _SIMPLER:
         turned = both
-    if turned.remains <= floor and turned.remains < _CLEARLY * given:
+    if turned.remains <= floor and turned.remains < _MAX_MIRRORED_RATIO * given:
         late = f"{_out_of_step(images, turned)} and " if turned.late else ""
         text = (
             f"{said}, and by {100 * turned.remains:.1f} cm if {late}one of the cameras is turned "
@@ -264,7 +264,7 @@ def _two_views(images: Images, noise: float) -> Outcome:
         return Outcome(images, warnings=(Finding("view at odds", text, value=given),))
     if given <= _PAIR_AT_ODDS:
         return Outcome(images)
-    if timed.remains < _CLEARLY * given:
+    if timed.remains < _MAX_MIRRORED_RATIO * given:
         text = f"{said}; it seems that {by}"
         return Outcome(images, warnings=(Finding("views out of step", text, value=given),))
     text = (

@@ -13,12 +13,12 @@ _OUTLIER = 0.25
 turns about as fast as hands do is 0.1 m away at 30 Hz."""
 _TYPICAL = 8.0
 """Factor by which an outlier is farther away than keypoints of its view usually are."""
-_REACH = 2
+_MEDIAN_FRAMES = 2
 """Frames to either side in that median."""
 _WIDER = (4, 0.35)
 """Frames to either side, and metres, for a second pass: of three outliers in five frames none can
 be told."""
-_ROUNDS = 5
+_MAX_ROUNDS = 5
 """Largest number of rounds; outliers hide each other, and make the body look larger than it is."""
 _MANY = 0.01
 """Share of outliers that is worth a word; fewer do no harm to a robust fit."""
@@ -39,7 +39,7 @@ one frame ago; one that moves reaches two and more."""
 
 def repaired_outliers(images: Images) -> tuple[Images, list[Finding]]:
     """Keypoints far from where they are in the frames before and after are made unseen."""
-    wild = _wild(images, np.zeros_like(images.seen), _REACH, _OUTLIER)
+    wild = _wild(images, np.zeros_like(images.seen), _MEDIAN_FRAMES, _OUTLIER)
     many = _share(wild, images) > _MANY
     wild[many] = _wild(images.view(np.flatnonzero(many).tolist()), wild[many], *_WIDER)
     share = _share(wild, images)
@@ -68,7 +68,7 @@ def _wild(
     images: Images, wild: Bool[np.ndarray, "views moments points"], reach: int, least: float
 ) -> Bool[np.ndarray, "views moments points"]:
     """The outliers known and those that show when the known ones are left out."""
-    for _ in range(_ROUNDS):
+    for _ in range(_MAX_ROUNDS):
         found = _away(images.without(wild), reach, least)
         if not found.any():
             break

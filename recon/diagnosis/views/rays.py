@@ -88,9 +88,9 @@ _BONES = (
     ("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle"),
     ("shoulder", "hip"),
 )  # fmt: skip
-_SMALLEST, _LARGEST = 0.7, 1.17
+_MIN_SIZE_RATIO, _MAX_SIZE_RATIO = 0.7, 1.17
 """Sizes against the average body, of 1.70 m: a child of 1.20 m, an adult of 2.00 m."""
-_FEWEST = 10
+_MIN_MOMENTS = 10
 """Moments at which a bone must be seen for its length to count."""
 
 
@@ -101,7 +101,7 @@ def body_size(images: Images) -> float | None:
         float(np.median(length[both]) / np.linalg.norm(images.rest[a] - images.rest[b]))
         for a, b in _ends(images)
         for length, both in [_length(points, exists, a, b)]
-        if both.sum() >= _FEWEST
+        if both.sum() >= _MIN_MOMENTS
     ]
     return float(np.median(ratios)) if len(ratios) >= 4 else None
 
@@ -109,7 +109,7 @@ def body_size(images: Images) -> float | None:
 def scale_findings(images: Images) -> list[Finding]:
     """Whether everything is larger or smaller than people are."""
     size = body_size(images) if len(images.names) > 1 else None
-    if size is None or _SMALLEST < size < _LARGEST:
+    if size is None or _MIN_SIZE_RATIO < size < _MAX_SIZE_RATIO:
         return []
     return [
         Finding(

@@ -33,10 +33,10 @@ _LEAST_OVERLAP = 0.5
 """Share of the moments that the view must share with the others after a shift of its clock."""
 _COARSE = 1 / 30
 """Seconds between the offsets from which the best one is refined."""
-_MOST = 500
+_MAX_MOMENTS = 500
 """Moments that are looked at, evenly chosen from a longer recording."""
 _ROUNDS = 12
-_FEWEST = 100
+_MIN_KEYPOINTS = 100
 """Keypoints from which on clock and pose can be told."""
 _OUTLIER = 9.0
 """Squared standard deviations at which a keypoint counts half."""
@@ -49,7 +49,7 @@ _CLEAN_COST = 1.85
 1.6."""
 _LEAST_MOTION = 0.2
 """Share of the squared velocities that must be more than noise for a clock to be told."""
-_CLEARLY = 0.97
+_MAX_RESIDUAL_RATIO = 0.97
 """Share of the residuals at an offset nearer to zero that those at a better one have at most."""
 _GLANCE = 40
 """Moments that tell which offset to begin with."""
@@ -121,7 +121,7 @@ def registered(
         parts: what is corrected.
     """
     problem = _Problem.of(images, view, noise, parts)
-    if problem.paths.noise > NOISE or problem.seen.sum() < _FEWEST:
+    if problem.paths.noise > NOISE or problem.seen.sum() < _MIN_KEYPOINTS:
         return None
     return problem.solved()
 
@@ -129,7 +129,7 @@ def registered(
 def doubted(images: Images, view: int, noise: Float[np.ndarray, " views"]) -> bool:
     """Whether a view as it is given could agree better with the others; needs no search."""
     problem = _Problem.of(images, view, noise, PARTS)
-    if problem.paths.noise > NOISE or problem.seen.sum() < _FEWEST:
+    if problem.paths.noise > NOISE or problem.seen.sum() < _MIN_KEYPOINTS:
         return False
     return problem.doubted
 
@@ -159,7 +159,7 @@ class _Problem:
         rest = [v for v in range(len(images.names)) if v != view]
         paths = Trajectories.of(images.view(rest), noise[rest])
         moments = images.pixels.shape[1]
-        frames = np.unique(np.linspace(0, moments - 1, min(moments, _MOST)).astype(int))
+        frames = np.unique(np.linspace(0, moments - 1, min(moments, _MAX_MOMENTS)).astype(int))
         sigma = float(noise[view])
         return cls(images.view([view]), view, paths, sigma, parts, frames.astype(float))
 
@@ -175,7 +175,7 @@ class _Problem:
     def doubted(self) -> bool:
         """Whether the view as it is given could be better, by a test that needs no search."""
         given = self._residuals(0.0, self.images.pose[0, 0])
-        if given.there.sum() < _FEWEST or robust(given.squared[given.there]) > _CLEAN_COST:
+        if given.there.sum() < _MIN_KEYPOINTS or robust(given.squared[given.there]) > _CLEAN_COST:
             return True
         normal, slope, _ = given.equations()
         return float(slope @ np.linalg.solve(normal + 1e-9 * np.eye(7), slope)) > _CLEAN
@@ -188,7 +188,7 @@ class _Problem:
         covariance, inflation = np.zeros((7, 7)), 1.0
         found = self._residuals(late, pose)
         for _ in range(_ROUNDS):
-            if found.there.sum() < _FEWEST:
+            if found.there.sum() < _MIN_KEYPOINTS:
                 return None
             normal, slope, inflation = found.equations()
             normal[4:, 4:] += np.eye(3) / SHIFT**2
@@ -206,7 +206,7 @@ class _Problem:
             found = self._residuals(late, pose)
             if (np.abs(step[unknown]) < 0.02 * np.sqrt(np.diag(inverse))).all():
                 break
-        if found.there.sum() < _FEWEST:
+        if found.there.sum() < _MIN_KEYPOINTS:
             return None
         given = self._residuals(0.0, start)
         both = found.there & given.there
@@ -235,10 +235,10 @@ class _Problem:
         for late in sorted(lates.tolist(), key=abs):
             turned = some._turned(late, pose) if "pose" in self.parts else pose
             found = some._residuals(late, turned)
-            if found.there.sum() < _FEWEST / step:
+            if found.there.sum() < _MIN_KEYPOINTS / step:
                 continue
             away = float(np.median(found.squared[found.there]))
-            if away < _CLEARLY * best[0]:
+            if away < _MAX_RESIDUAL_RATIO * best[0]:
                 best = (away, late, turned)
         return best[1], best[2]
 

@@ -24,9 +24,9 @@ _CONTACTS = tuple(
 """Keypoints of the parts of feet that rest on the ground."""
 _LAG = 0.2
 """Seconds over which velocities are taken."""
-_OFTEN = 0.3
+_MIN_RESTING_SHARE = 0.3
 """Share of the moments in which some part of a foot rests, of a fixed camera."""
-_LEAST_SECONDS = 0.8
+_MIN_SEEN_S = 0.8
 """Time in which feet must be seen to tell anything."""
 _MOVES = 0.035
 """Metres per second, at the person, from which on what rests most moves in the image. In simulated
@@ -79,7 +79,7 @@ def rest_of(images: Images) -> Rest | None:
     if usual is None or brief is None:
         return None
     return Rest(
-        speed=usual.quantile(_OFTEN),
+        speed=usual.quantile(_MIN_RESTING_SHARE),
         noise=usual.noise,
         flying=float(np.quantile(usual.speeds, 1 - _SELDOM)),
         brief=brief.quantile(_SOMETIMES),
@@ -117,7 +117,7 @@ class _Slowest:
         every = np.stack(speeds)
         slowest, which = every.min(0), every.argmin(0)
         told = np.isfinite(slowest)
-        if told.sum() < _LEAST_SECONDS * images.fps:
+        if told.sum() < _MIN_SEEN_S * images.fps:
             return None
         jitter = np.stack(jitters)[which, np.arange(len(which))][told]
         spread = float(np.nanmedian(jitter)) / NORMAL_MAD / np.sqrt(6)

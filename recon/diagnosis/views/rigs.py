@@ -31,7 +31,7 @@ _LATEST = 0.7
 _COARSE = 1 / 30
 """Seconds between the offsets from which the best one is refined."""
 _ROUNDS = 8
-_STEPS = (0.5, 1e-4, 1e-4, 1e-4)
+_DIFFERENCE_STEPS = (0.5, 1e-4, 1e-4, 1e-4)
 """Frames and radians to either side over which derivatives are differences."""
 _UNKNOWN: dict[Part, tuple[int, ...]] = {"clock": (0,), "pose": (1, 2, 3)}
 
@@ -119,9 +119,9 @@ def _stepped(
     columns = []
     for k in unknown:
         step = np.zeros(4)
-        step[k] = _STEPS[k]
+        step[k] = _DIFFERENCE_STEPS[k]
         ahead, behind = _misses(images, values + step), _misses(images, values - step)
-        columns.append((ahead - behind) / (2 * _STEPS[k]))
+        columns.append((ahead - behind) / (2 * _DIFFERENCE_STEPS[k]))
     jacobian = np.stack(columns, -1)
     there &= (jacobian != 0).any(-1)
     j, r = jacobian[there], away[there]
@@ -150,11 +150,11 @@ class Outcome:
 
 _LEAST_NOISE = 0.5
 """Pixels; keypoints are not known better than that."""
-_SURE = 60.0
+_MIN_SQUARED_STDS = 60.0
 """Squared standard deviations by which a part of a correction must be different from none."""
 _FEWER = 30.0
 """Squared standard deviations from none of a part that is corrected beside a certain one."""
-_SMALLEST = 0.4
+_MIN_MOVED_STDS = 0.4
 """Least distance, in standard deviations of the keypoints, that a correction moves them by."""
 _TOLD = 60.0
 """Difference of robust squared residuals that tells two views apart."""
@@ -228,9 +228,9 @@ def candidates(images: Images) -> list[Registration]:
 
 def certain(found: Registration, fps: float) -> bool:
     """Whether a correction leaves nothing but noise and is more than noise itself."""
-    if found.noise > NOISE or found.moves < _SMALLEST:
+    if found.noise > NOISE or found.moves < _MIN_MOVED_STDS:
         return False
-    return any(_needed(found, part, fps, _SURE) for part in PARTS)
+    return any(_needed(found, part, fps, _MIN_SQUARED_STDS) for part in PARTS)
 
 
 def _simplest(

@@ -15,7 +15,7 @@ from recon.diagnosis.views.images import Images
 from recon.diagnosis.views.rays import Rays
 
 _ANKLES, _TOES = ("heel", "ankle"), ("big_toe", "foot", "small_toe")
-_LEAST = 0.02
+_MIN_FORWARD_M = 0.02
 """Metres by which something must stick out forwards for its direction to count."""
 _BENT = 0.06
 """Metres by which a knee must stand before the line from hip to ankle to tell the front."""
@@ -53,12 +53,12 @@ def _ahead(points: dict[str, np.ndarray]) -> Iterator[np.ndarray]:
     """Ways that lead forwards whichever side they are on; NaN where they are too short to tell."""
     ears = _pair(points, "ear") or _pair(points, "shoulder")
     if "nose" in points and ears is not None:
-        yield _long(points["nose"] - (ears[0] + ears[1]) / 2, _LEAST)
+        yield _long(points["nose"] - (ears[0] + ears[1]) / 2, _MIN_FORWARD_M)
     for side in ("left", "right"):
         back = [points[f"{side}_{n}"] for n in _ANKLES if f"{side}_{n}" in points]
         front = [points[f"{side}_{n}"] for n in _TOES if f"{side}_{n}" in points]
         if back and front:
-            yield _long(front[0] - back[0], _LEAST)
+            yield _long(front[0] - back[0], _MIN_FORWARD_M)
         leg = [points.get(f"{side}_{name}") for name in ("hip", "knee", "ankle")]
         if all(point is not None for point in leg):
             hip, knee, ankle = leg
@@ -84,20 +84,20 @@ def _unit(way: np.ndarray) -> np.ndarray:
 
 _MISS = 0.04
 """Metres by which rays of good views miss each other; real detections do by 0.01 to 0.03."""
-_STEP = (0.01, 0.05)
+_PATH_STEP_M = (0.01, 0.05)
 """Metres by which points of views leave their paths from one frame to the next, least and most;
 the median of a view tells."""
 _RAYLEIGH_MEDIAN = 1.1774
 """Median length of a vector whose two coordinates are unit normal."""
-_MOST = 9.0
+_MAX_SQUARED_STDS = 9.0
 """Squared standard deviations beyond which a point is an outlier and says no more."""
 _CHANGE = 12.0
 """Cost of a change of names, in squared standard deviations."""
-_FACING = 6.0
+_BACKWARDS_COST = 6.0
 """Cost of a moment that faces backwards, in squared standard deviations."""
 _EXCHANGED = 0.05
 """Cost of a moment with exchanged names: where nothing tells, most moments are right."""
-_SURE = 30.0
+_MIN_SAVED_COST = 30.0
 """Cost that exchanging names must save; in good windows of validation people it saves 11 at most,
 and 60 and more where a third of a clip has its names exchanged."""
 _MEET = 0.06
@@ -185,7 +185,7 @@ def _decided(images: Images, free: list[int]) -> Bool[np.ndarray, "views moments
     if not path.any():
         return np.zeros((views, moments), dtype=bool)
     saved = _cost(here, between, np.zeros(moments, dtype=int)) - _cost(here, between, path)
-    if saved < _SURE:
+    if saved < _MIN_SAVED_COST:
         return np.zeros((views, moments), dtype=bool)
     return np.stack(states)[path].T
 
@@ -219,10 +219,10 @@ def _emission(images: Images, state: Bool[np.ndarray, " views"]) -> Float[np.nda
     named = images.exchanged(np.repeat(state[:, None], moments, 1))
     rays = Rays.of(named)
     points, exists = rays.meet()
-    miss = np.minimum((rays.miss(points) / _MISS) ** 2, _MOST)
-    counted = np.where(exists, miss, _MOST / 2).sum(0, where=named.seen)
+    miss = np.minimum((rays.miss(points) / _MISS) ** 2, _MAX_SQUARED_STDS)
+    counted = np.where(exists, miss, _MAX_SQUARED_STDS / 2).sum(0, where=named.seen)
     cost += counted[:, named.sided].sum(-1)
-    return cost - _FACING * handedness(points, exists, images.points)
+    return cost - _BACKWARDS_COST * handedness(points, exists, images.points)
 
 
 def _steps(images: Images) -> tuple[np.ndarray, np.ndarray]:
@@ -240,7 +240,7 @@ def _steps(images: Images) -> tuple[np.ndarray, np.ndarray]:
     order = images.counterparts
 
     typical = np.array([
-        np.clip(np.median(way[some]) / _RAYLEIGH_MEDIAN if some.any() else 0.0, *_STEP)
+        np.clip(np.median(way[some]) / _RAYLEIGH_MEDIAN if some.any() else 0.0, *_PATH_STEP_M)
         for way, some in zip(
             np.linalg.norm(place - before, axis=-1) / scale[..., 0], seen & known, strict=True
         )
@@ -249,6 +249,6 @@ def _steps(images: Images) -> tuple[np.ndarray, np.ndarray]:
     def cost(there: np.ndarray, known: np.ndarray) -> np.ndarray:
         away = np.square((place - there) / scale / typical[:, None, None, None]).sum(-1)
         counted = seen & known & seen[:, :, order] & known[:, :, order] & images.sided
-        return np.minimum(away, _MOST).sum(-1, where=counted)
+        return np.minimum(away, _MAX_SQUARED_STDS).sum(-1, where=counted)
 
     return cost(before, known), cost(before[:, :, order], known[:, :, order])

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 from recon.diagnosis.views.images import Images
 from recon.diagnosis.views.rays import Rays
 
-_REACH = 0.07
+_PARABOLA_S = 0.07
 """Seconds to either side over which the path of a point is taken for a parabola."""
 
 
@@ -59,7 +59,7 @@ class Trajectories:
         free = np.maximum(2 * seen.sum(0) - 3, 1)
         usual = free * (1 - 2 / (9 * free)) ** 3  # median of chi², Wilson and Hilferty 1931
         beyond = np.median((squared / usual)[exists]) if exists.any() else 0.0
-        reach = max(1, min(round(_REACH * images.fps), (len(points) - 1) // 2))
+        reach = max(1, min(round(_PARABOLA_S * images.fps), (len(points) - 1) // 2))
         design = np.arange(-reach, reach + 1)[:, None] ** np.arange(3)
         solve = np.linalg.pinv(design)
         whole = np.asarray(_windows(exists, reach).all(-1))
