@@ -30,9 +30,8 @@ import recon
 from benchmarks import projects
 from benchmarks.results import recordings_source, write
 from benchmarks.scores import Columns, Row, cell
+from recon.api.fit import fit
 from recon.core.skeleton import LEGS
-from recon.fitting.settings import FitSettings
-from recon.jobs.fit import fitted
 
 SEED = 0
 Judged = Literal["world", "turned", "pelvis"]
@@ -87,7 +86,7 @@ def main() -> None:
 
 def _file(folder: Path, file: str, judged: Judged, fps: float | None, prior: str) -> Row:
     began = time.process_time()
-    result = fitted([folder / file], FitSettings(prior=prior, frame_rate=fps))
+    result = fit([folder / file], prior, frame_rate=fps)
     seconds = time.process_time() - began
     truth = np.load(folder / "truth_joints.npy")
     away = errors(result.joints.double().numpy()[: len(truth)], truth, judged)
@@ -117,9 +116,9 @@ def errors(
 def _project(observations: Path, name: str, scratch: Path, arguments: argparse.Namespace) -> Row:
     trial, opencap = projects.build(observations, name, scratch)
     began = time.process_time()
-    images = fitted([trial], FitSettings(prior=arguments.prior))
+    images = fit([trial], arguments.prior)
     seconds = time.process_time() - began
-    points = fitted([opencap], FitSettings(prior=arguments.prior))
+    points = fit([opencap], arguments.prior)
     ours, theirs = images.joints.double().numpy(), points.joints.double().numpy()
     turned = np.stack((-theirs[..., 1], theirs[..., 0], theirs[..., 2]), -1)
     frames = min(len(ours), len(theirs))

@@ -27,8 +27,8 @@ from rich.table import Table
 
 from benchmarks.results import write
 from recon import cli
+from recon.api.simulate import simulate
 from recon.formats.motions import load_motion
-from recon.jobs.simulate import simulate_file
 from recon.simulation.points import Corruption
 
 Arrays = dict[str, np.ndarray]
@@ -74,7 +74,8 @@ def judge(name: str, folder: Path, random: Random) -> str:
     )
     with resources.as_file(resources.files("recon") / "assets" / "demo.npz") as truth:
         frames = (first, first + 30)
-        simulate_file(truth, seen, kind, corruption, seed=first, frames=frames, overwrite=True)
+        known = simulate(truth, kind, **vars(corruption), seed=first, frames=frames)
+        known.save(seen, overwrite=True)
     SPOILS[name](seen, random)
     errors, answers = io.StringIO(), io.StringIO()
     try:

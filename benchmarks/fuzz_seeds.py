@@ -22,6 +22,7 @@ from benchmarks.fuzz_mutations import (
     inside_xz,
 )
 from observations.people.places import Silhouettes, load_silhouettes
+from recon.api.simulate import simulate
 from recon.core.skeleton import PARENTS
 from recon.formats.calibration import load_cameras
 from recon.formats.depth_images import read_depth_images
@@ -31,7 +32,6 @@ from recon.formats.motions import load_motion
 from recon.formats.observations import CameraArrays, PointsFile, load_observation
 from recon.formats.scans import read_scans, write_scans
 from recon.formats.smpl import load_smpl
-from recon.jobs.simulate import simulate_file
 from recon.simulation.points import Corruption
 
 Reader = Callable[[Path], object]
@@ -82,7 +82,7 @@ def _observations(folder: Path) -> Iterator[Seed]:
         )  # fmt: skip
         for kind in ("joints3d", "markers3d", "keypoints2d", "depth"):
             path = folder / f"{kind}.npz"
-            simulate_file(demo, path, kind, clean, seed=0, frames=(0, 12))  # type: ignore[arg-type]
+            simulate(demo, kind, **vars(clean), frames=(0, 12)).save(path)  # type: ignore[arg-type]
             yield Seed(
                 kind, path.name, path.read_bytes(), load_observation, BYTES[:3] + ARRAYS * 3,
                 share=2,

@@ -23,8 +23,7 @@ from torch import Tensor
 from benchmarks.results import corpus_source, write
 from benchmarks.slips.recordings import evenly, windows_of
 from observations.joints3d import Joints3D
-from recon.api.fit import fit
-from recon.api.refine import refine
+from recon.api.fit import fit, refine
 from recon.benchmark.windows import FPS
 from recon.body.model import BodyModel
 from recon.core.motion import Motion

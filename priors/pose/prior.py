@@ -191,7 +191,7 @@ class PosePrior(TensorStruct):
         *,
         weights: PoseWeights | None = None,
     ) -> "PosePrior":
-        """The bundled density, or one trained by `recon train pose`; by default for noisy joints.
+        """The bundled density, or one trained by `python -m training pose`; by default for noisy joints.
 
         Args:
             path: `open` or None for the bundled density, or a file.

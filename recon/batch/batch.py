@@ -47,7 +47,7 @@ def fit_one(job: Job) -> Record:
     record: Record = {"id": job.clip.name, "output": str(job.target)}
     if is_done(job, key):
         return record | {"status": "skipped"}
-    from recon.jobs.fit import fit_files
+    from recon.batch.files import fit_files
 
     began = time.perf_counter()
     report = fit_files(
@@ -149,7 +149,7 @@ def estimate_shape(job: ShapeJob) -> Record:
     key = clip_checksum(job.clip.observations, job.settings_checksum)
     if job.known.get("key") == key:
         return job.known
-    from recon.jobs.fit import fitted
+    from recon.batch.files import fitted
 
     first = replace(job.settings, prior="pose", weights="open", method=None, physics=0.0)
     result = fitted(job.clip.observations, first)

@@ -15,8 +15,8 @@ from recon.formats.mocap.reader import read_recording
 from recon.formats.mocap.recording import MarkerRecording
 from recon.formats.mocap.trc import write_trc
 from recon.formats.motions import load_motion
-from recon.jobs.fit import fit_files
 from tests.documents.blocks import ROOT
+from tests.verbs import fit_files
 
 ARM = ("LUPA", "LELB", "LWRA", "LWRB", "LFIN")
 
