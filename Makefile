@@ -1,6 +1,10 @@
 # make demo: reconstruct the bundled noisy clip.   make test: lint, types, tests.
 # make test-slow: the tests marked slow, run before a release.
+# make figures: how large the project is; fails when a figure is above its ceiling.
+# make changelog: fails when commits since BASE (origin/main) ask for a line that is not there.
 # make mutants: small faults in some modules, and which of them their tests notice.
+# make frozen-reference, make frozen: what short fits, verbs and exporters give now, kept in $(OUT)/frozen,
+# and whether they still give it (four minutes each).
 # make dist: wheel and sdist in dist/, tried in empty environments of Python 3.11 to 3.13.
 # make docs: the documentation site, in site/.
 # make tables: the tables of README.md and docs/ from benchmarks/results.
@@ -10,33 +14,38 @@
 PYTHON ?= python3
 BIN := .venv/bin
 PIP := $(BIN)/pip install --quiet --constraint constraints.txt
+CI := $(BIN)/python -m scripts.ci
 OUT ?= out
-# On the kernels of other processors, from inputs off by a few units in the last place. Shapes
-# hang on neither, and were checked before.
-NUMERICS = JAXTYPING_DISABLE=1 $(BIN)/pytest -q -n 2 --dist loadfile -m 'numerics and not slow' --ulps 4
+BASE ?= origin/main
 
-.PHONY: demo test test-slow dist docs mutants tables clients bench clean
+.PHONY: demo test test-slow frozen frozen-reference figures changelog dist docs mutants tables clients bench clean
 
 demo: .venv/installed
-	$(BIN)/recon demo --out demo
+	$(CI) demo
 
 test: .venv/developed
-	$(BIN)/ruff check .
-	$(BIN)/ruff format --check .
-	$(BIN)/pyright
-	$(BIN)/lint-imports
-	$(BIN)/pytest -q -n 2 --dist loadfile -m 'not slow'
-	ATEN_CPU_CAPABILITY=default MKL_CBWR=COMPATIBLE $(NUMERICS)
+	$(CI) lint types test numerics
 
 test-slow: .venv/developed
-	$(BIN)/pytest -q -n 2 --dist loadfile -m slow
-	ATEN_CPU_CAPABILITY=avx2 $(NUMERICS)
+	$(CI) slow
+
+figures: .venv/developed
+	$(CI) figures
+
+frozen-reference: .venv/developed
+	$(BIN)/python -m scripts.frozen --out $(OUT)/frozen
+
+frozen: .venv/developed
+	$(BIN)/python -m scripts.frozen --against $(OUT)/frozen
 
 dist: .venv/developed
-	$(BIN)/python -m scripts.distributions --out dist
+	$(CI) dist
 
 docs: .venv/developed
-	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
+	$(CI) docs
+
+changelog: .venv/developed
+	$(CI) changelog --base $(BASE)
 
 mutants: .venv/developed
 	$(BIN)/python -m benchmarks.mutants --out benchmarks/results/mutants.json
@@ -62,12 +71,11 @@ bench: .venv/developed
 
 .venv/installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
-	$(BIN)/pip install --quiet --upgrade 'pip>=25.1'
-	$(PIP) --editable .
+	$(CI) install
 	touch $@
 
 .venv/developed: .venv/installed
-	$(PIP) --group dev
+	$(CI) develop
 	touch $@
 
 clean:

@@ -23,7 +23,6 @@ _POINTS = ("noisy joints", "occluded points")
 _COLUMNS = ("--columns", "p=0", "p=50+lm", "f=5+lm", "p=50")
 
 _HALVES = ("half a body, one camera, posed", "half a body, three views")
-_SEGMENTS = ("segments", "CORPUS", "--only", "2", "--protocols")
 _ROLLOUT = ("rollout_fits", "CORPUS", "--part", "validation", "--only", "2", "--protocols")
 COMMANDS: dict[str, tuple[str, ...]] = {
     "corpus": ("corpus", "CORPUS"),
@@ -51,12 +50,8 @@ COMMANDS: dict[str, tuple[str, ...]] = {
                           "one camera"),
     "cameras_half": ("cameras", "CORPUS", "--only", "8", "--cases", *_HALVES),
     "labels": ("labels", "CORPUS", "PEOPLE", "--only", "15"),
-    "clouds": ("clouds", "CORPUS", "--part", "test", "--cases", "depth",
-               "--methods", "recon", "0.1.0", "--baseline", "BASELINE"),
-    "clouds_people": ("clouds", "CORPUS", "--part", "test", "--only", "12", "--cases",
-                      "depth, MakeHuman", "--people", "PEOPLE"),
-    "clouds_turned": ("clouds", "CORPUS", "--part", "validation", "--only", "8", "--cases",
-                      "depth", "--methods", "turned"),
+    "clouds": ("clouds", "CORPUS", "--part", "test"),
+    "clouds_walks": ("clouds", "CORPUS", "--cases", "walks"),
     "clouds_mixed": ("clouds", "CORPUS", "--part", "test", "--only", "12", "--cases",
                      "depth, sensor unknown", "2D", "2D + depth", "joints", "joints + depth"),
     "pose2sim": ("pose2sim", "OBSERVATIONS"),
@@ -115,13 +110,6 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "rollout_camera": (*_ROLLOUT, "one camera", "one camera, posed"),
     "rollout_views": (*_ROLLOUT, "three views"),
     "rollout_depth": (*_ROLLOUT, "keypoints and depth", "joints and depth"),
-    "segments": (*_SEGMENTS, "noisy joints", "--methods", "collocation", "segments of 5",
-                 "segments of 15"),
-    "segments_ends": (*_SEGMENTS, "noisy joints", "--methods", "segments of 1", "roll-out"),
-    "segments_hidden": (*_SEGMENTS, "hidden points", "--methods", "collocation", "segments of 5"),
-    "segments_hidden_1": (*_SEGMENTS, "hidden points", "--methods", "segments of 1"),
-    "segments_hidden_15": (*_SEGMENTS, "hidden points", "--methods", "segments of 15"),
-    "segments_hidden_rollout": (*_SEGMENTS, "hidden points", "--methods", "roll-out"),
     "strangers": ("strangers", "CORPUS", "FOLDS"),
     "strangers_all": ("strangers", "CORPUS", "FOLDS"),
     "strangers_varied": ("strangers", "CORPUS", "FOLDS", "--only", "60", "02"),
@@ -150,12 +138,12 @@ def main() -> None:
     run("benchmarks.free_recordings", str(data), str(corpus))
     if {"ablations", "cameras_ablations"} & set(given.only):
         run("benchmarks.ablations", str(corpus), "--out", str(out / "ablations"))
-    beside_0_1_0 = {"batch", "clouds", "convert", "pictures", "start"} & set(given.only)
+    beside_0_1_0 = {"batch", "convert", "pictures", "start"} & set(given.only)
     if beside_0_1_0 and not (out / "baseline").is_dir():
         commit = ("git", "worktree", "add", "--detach", str(out / "baseline"), _VERSION_0_1_0)
         subprocess.run(commit, check=True)
     people = out / "people.npz"
-    if {"labels", "clouds_people"} & set(given.only) and not people.is_file():
+    if "labels" in given.only and not people.is_file():
         run("benchmarks.people", str(people))
     places = {
         "CORPUS": str(corpus),

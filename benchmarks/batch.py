@@ -1,11 +1,11 @@
-"""Throughput of `recon batch` beside version 0.1.0 and beside clips fitted one by one.
+"""Throughput of `recon batch` beside version 0.1.0.
 
     python -m benchmarks.batch CORPUS BASELINE --json batch.json
     python -m benchmarks.batch CORPUS BASELINE --clips 32 --priors pose
 
 BASELINE is a source checkout of 0.1.0, for example `git worktree add BASELINE 0ce0517`. Clips are
 the 60 frames of the listed windows (of validation people unless said), 22 joints with 4 cm of
-noise per coordinate, several draws of it where there are more clips than windows. All variants
+noise per coordinate, several draws of it where there are more clips than windows. Both versions
 fit the same files with as many processes of one thread. They run at the same time, so that all
 meet the same machine, and what counts is the CPU seconds of all their processes: on a machine with
 a core for each process, throughput is as many times higher as CPU seconds are lower. Variants that
@@ -40,7 +40,7 @@ from recon.simulation import points as simulate
 from recon.simulation.points import Corruption
 
 SEED, NOISE = 0, 0.04
-BEFORE, ALONE, TOGETHER = "0.1.0", "one by one", "together"
+BEFORE, NOW = "0.1.0", "one by one"
 
 
 @dataclass(frozen=True)
@@ -100,16 +100,16 @@ def compared(
 ) -> dict[str, object]:
     """Costs of all variants with one prior, and how far their joints are from each other."""
     baseline = given.baseline.resolve()
-    variants = {BEFORE: (baseline, ()), ALONE: (ROOT, ("--together", "1")), TOGETHER: (ROOT, ())}
+    variants = {BEFORE: baseline, NOW: ROOT}
     for tree in (baseline, ROOT):  # compiles modules and brings files into memory
         out = folder / prior / f"warm {tree.name}"
         Command.begun(("one.jsonl", "--out", str(out), "--prior", prior), tree, folder).ended()
     commands = {
         name: Command.begun(
             ("all.jsonl", "--out", str(folder / prior / name), "--prior", prior,
-             "--processes", str(given.processes), *options), tree, folder,
+             "--processes", str(given.processes)), tree, folder,
         )
-        for name, (tree, options) in variants.items()
+        for name, tree in variants.items()
     }  # fmt: skip
     costs = {name: command.ended() for name, command in commands.items()}
     joints = {name: fitted_joints(folder / prior / name, given.clips) for name in variants}
@@ -118,14 +118,9 @@ def compared(
     for name, cost in costs.items():
         error = float(np.linalg.norm(joints[name] - known, axis=-1).mean())
         costs[name] = replace(cost, error=error)
-    apart = np.linalg.norm(joints[TOGETHER] - joints[ALONE], axis=-1)
     Console().print(shown(prior, costs))
     found: dict[str, object] = {name: asdict(cost) for name, cost in costs.items()}
-    return found | {
-        "throughput": costs[BEFORE].cpu_seconds / costs[TOGETHER].cpu_seconds,
-        "apart_mean": float(apart.mean()),
-        "apart_worst_clip": float(apart.mean((1, 2)).max()),
-    }
+    return found | {"throughput": costs[BEFORE].cpu_seconds / costs[NOW].cpu_seconds}
 
 
 @dataclass(frozen=True)

@@ -1,14 +1,15 @@
 """Observation files of a window as a depth sensor, its camera and a marker system see it."""
 
 import functools
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 from torch import Tensor
 
-from benchmarks.cameras import HIDDEN, PIXELS, corruption
+from benchmarks.cameras import PIXELS, corruption
 from recon.body.model import BodyModel
 from recon.core.camera import Camera, depth_camera, full_hd_camera
 from recon.core.motion import Motion
@@ -20,25 +21,14 @@ from recon.formats.observations import (
     PositionsFile,
     save_observation,
 )
-from recon.simulation.depth import (
-    DepthSensor,
-    Shown,
-    Surface,
-    depth_image,
-    depth_points,
-    without_pose,
-)
+from recon.simulation.depth import Shown, Surface, depth_points, without_pose
 from recon.simulation.images import dome, keypoints2d
-from recon.simulation.points import joints3d
+from recon.simulation.points import Corruption, joints3d
 
 JOINT_NOISE = 0.03
 """Metres, of every coordinate of joints."""
 _PIXELS_KEPT = 30_000
 """Pixels of a depth image, ground included; some thousand of them see the body."""
-_EVERY = 5
-"""Frames from one whose vertices are looked at to the next."""
-_BEHIND = 0.03
-"""A vertex counts as seen if it lies at most so many metres behind what its pixel sees."""
 
 
 @dataclass(frozen=True)
@@ -90,38 +80,57 @@ class Seen:
         assert self.cloud.truth_visible is not None
         return torch.from_numpy(self.cloud.truth_visible)
 
-    @property
-    def shown_frames(self) -> range:
-        """Frames whose vertices are compared."""
-        return range(0, self.truth.frames, _EVERY)
+
+WALKS = (
+    ("02_01", 0.2), ("06_01", 0.8), ("12_01", 0.9), ("26_01", 2.2), ("32_01", 0.7), ("35_01", 0.2),
+)  # fmt: skip
+"""Straight walks of six people who are not tested on: clip, and first second."""
+WALK_FRAMES = 75
+VIEWS = ((3.0, 90.0), (3.6, 0.0), (6.3, 180.0), (6.5, 60.0))
+"""Metres from the sensor to the middle of a way, and degrees between the way and the view back to
+the sensor: 0 comes nearer, 180 goes away."""
+
+
+def view_of(number: int) -> tuple[float, float]:
+    """The view of a walk in the list of walks, one person's after the other's.
+
+    The first view changes from person to person, so that some of the walks show all views.
+    """
+    return VIEWS[(number + number // len(VIEWS)) % len(VIEWS)]
+
+
+@dataclass(frozen=True)
+class SeenWalk(Seen):
+    """A straight walk before a sensor of known pose; every other person without the ground."""
+
+    distance: float
+    """Metres from the sensor to the middle of the way."""
+    angle: float
+    """Degrees between the way and the view back to the sensor."""
 
     @functools.cached_property
-    def visible_vertices(self) -> Bool[Tensor, "shown vertices"]:
-        """Vertices that the sensor sees in those frames."""
-        hidden = corruption(self.truth, 0.0).active(self.truth.times)
-        vertices = self.shown.vertices
-        return torch.stack([
-            self._seen(vertices[k]) & ~(hidden[k] & (vertices[k][:, 2] < HIDDEN))
-            for k in self.shown_frames
-        ])  # fmt: skip
+    def camera(self) -> Camera:
+        """The depth sensor 1.6 m above the ground."""
+        pelvis = self.shown.joints[:, 0]
+        middle, way = (pelvis[0] + pelvis[-1]) / 2, pelvis[-1] - pelvis[0]
+        heading = math.atan2(float(way[1]), float(way[0])) + math.radians(self.angle)
+        level = self.distance * middle.new_tensor([math.cos(heading), math.sin(heading)])
+        eye = torch.cat((middle[:2] + level, middle.new_tensor([1.6])))
+        return depth_camera().placed(eye, middle)
 
-    def _seen(self, vertices: Float[Tensor, "vertices 3"]) -> Bool[Tensor, " vertices"]:
-        image = depth_image(vertices, self.shown.faces, self.camera, None)[0]
-        image = torch.from_numpy(image)
-        projected = self.camera.project(vertices)
-        height, width = image.shape
-        column = projected.pixels[:, 0].long().clamp(0, width - 1)
-        row = projected.pixels[:, 1].long().clamp(0, height - 1)
-        near = projected.in_front & (projected.depth <= DepthSensor().farthest)
-        return near & (projected.depth < image[row, column] + _BEHIND)
+    @functools.cached_property
+    def cloud(self) -> PointsFile:
+        """Nothing is hidden."""
+        ground = (Surface.GROUND,) if self.number // len(VIEWS) % 2 else ()
+        return depth_points(
+            self.truth, self.body, self.camera, Corruption(), self.number,
+            points=_PIXELS_KEPT, surfaces=(Surface.BODY, *ground), shown=self.shown,
+        )  # fmt: skip
 
 
-OTHERS = "depth, MakeHuman"
-"""The case with people who are not quite our body."""
 CASES: dict[str, tuple[str, ...]] = {
     "depth": ("posed",),
     "depth, sensor unknown": ("unposed",),
-    OTHERS: ("makehuman",),
     "2D": ("keypoints",),
     "2D + depth": ("keypoints", "unposed"),
     "joints": ("joints",),
@@ -129,19 +138,13 @@ CASES: dict[str, tuple[str, ...]] = {
 }
 """Cases, and the files of each. Sensors of 2D keypoints do not know their pose."""
 
-ALONE = {
-    "2D + depth": ("2D", "depth, sensor unknown"),
-    "joints + depth": ("joints", "depth"),
-}
-"""Mixtures, and the cases of their parts."""
-
 
 def write_files(seen: Seen, case: str, folder: Path) -> list[Path]:
     """Write the observation files of a case, without anything that only a simulation knows."""
-    paths = [folder / f"{name}.npz" for name in CASES[case]]
-    for name, path in zip(CASES[case], paths, strict=True):
-        if not path.exists():
-            save_observation(path, replace(_file(seen, name), truth_visible=None))
+    names = CASES.get(case, ("posed",))
+    paths = [folder / f"{name}.npz" for name in names]
+    for name, path in zip(names, paths, strict=True):
+        save_observation(path, replace(_file(seen, name), truth_visible=None))
     return paths
 
 

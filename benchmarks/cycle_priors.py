@@ -4,8 +4,8 @@
         --json benchmarks/results/cycle_priors.json
 
 Columns as in `benchmarks.complete`: p points of every frame, or f of 100 frames with all points,
-with the 16 landmarks or without. Methods: the anchor-frame VAE (`network`, made by `python -m training
-anchor`), principal components of the same cycles with their Gaussian in the same optimiser (by
+with the 16 landmarks or without. Methods: the anchor-frame VAE (`network`, made by
+`python -m training anchor`), principal components of the same cycles with their Gaussian in the same optimiser (by
 `python -m training.anchor.components`), the pose prior with its smoothness (`pose`) and
 HuMoR (`humor`), which are told the same noise; `recon.complete` is the library's own choice by
 what was seen. Seeds draw other people, clothes, offsets of

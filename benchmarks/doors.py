@@ -9,8 +9,7 @@ in the world; where the file is in the frame of a camera or turned, after one ri
 whole clip; where it is relative to the pelvis, about the pelvis after one rotation. `warnings`
 counts repairs and warnings. Projects (`benchmarks.projects`) are fitted by their folder alone:
 `reprojection` is the median distance of the body's keypoints from the detections, `away` the mean
-distance of the joints that their table of triangulated keypoints gives from those of the images,
-after one turn about the vertical, as Pose2Sim's tables are turned.
+distance of the joints that their table of triangulated keypoints gives from those of the images.
 """
 
 import argparse
@@ -42,7 +41,7 @@ FILES: tuple[tuple[str, str, Judged, float | None], ...] = (
     ("FreeMoCap 1.x npy", f"{_SESSION}/mediapipe_body_3d_xyz.npy", "world", 30.0),
     ("FreeMoCap 2.0 csv, long", f"{_SESSION}/body_3d_xyz.csv", "world", 30.0),
     ("FreeMoCap csv by frame", "fmc_session/fmc_session_by_frame.csv", "world", None),
-    ("Pose2Sim TRC, HALPE 26", "halpe26.trc", "turned", None),
+    ("Pose2Sim TRC, HALPE 26", "halpe26.trc", "world", None),
     ("Azure Kinect json", "azure.json", "turned", None),
     ("MediaPipe world landmarks", "mp_world.json", "pelvis", 30.0),
     ("MotionBERT X3D.npy", "X3D.npy", "pelvis", 30.0),
@@ -120,12 +119,11 @@ def _project(observations: Path, name: str, scratch: Path, arguments: argparse.N
     seconds = time.process_time() - began
     points = fit([opencap], arguments.prior)
     ours, theirs = images.joints.double().numpy(), points.joints.double().numpy()
-    turned = np.stack((-theirs[..., 1], theirs[..., 0], theirs[..., 2]), -1)
     frames = min(len(ours), len(theirs))
     return {
         "frames": float(len(ours)),
         "reprojection": _reprojection(images),
-        "away": float(np.linalg.norm(ours[:frames] - turned[:frames], axis=-1).mean()),
+        "away": float(np.linalg.norm(ours[:frames] - theirs[:frames], axis=-1).mean()),
         "warnings": float(len(images.warnings) + len(points.warnings)),
         "seconds": seconds,
     }

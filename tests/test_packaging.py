@@ -79,6 +79,7 @@ def test_the_wheel_holds_the_packages_and_nothing_else(wheel):
         (info,) = {name.partition("/")[0] for name in names if ".dist-info/" in name}
         entry_points = archive.read(f"{info}/entry_points.txt").decode()
     assert {name for name in names if not name.startswith(info)} == _sources()
+    assert not [name for name in names if name.startswith(("training/", "tests/", "benchmarks/"))]
     assert {f"{package}/py.typed" for package in PACKAGES} <= names
     assert {f"{info}/licenses/LICENSE", f"{info}/licenses/NOTICE"} <= names
     assert "recon = recon.cli:main" in entry_points

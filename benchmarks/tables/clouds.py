@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from typing import Any
 
-from benchmarks.cloud_cases import ALONE, OTHERS
 from benchmarks.tables.values import markdown, number, present, result, source, spread
 from recon.benchmark.table import interval, paired
 
@@ -31,7 +30,8 @@ def _spread(estimate: Mapping[str, float], digits: int) -> str:
 
 
 _NAMES = {
-    "depth": "depth, sensor known", OTHERS: "depth, sensor known, MakeHuman's people",
+    "depth": "depth, sensor known",
+    "depth, MakeHuman": "depth, sensor known, MakeHuman's people",
     "depth, sensor unknown": "depth, sensor unknown",
     "2D": "2D of the sensor, unknown", "2D + depth": "2D + depth, sensor unknown",
     "joints": "joints", "joints + depth": "joints + depth, sensor known",
@@ -46,6 +46,11 @@ _COLUMNS = {
     "height": ("height cm", 100, 1), "first_seconds": ("first CPU s", 1, 1),
     "seconds": ("CPU s", 1, 1),
 }  # fmt: skip
+_ALONE = {
+    "2D + depth": ("2D", "depth, sensor unknown"),
+    "joints + depth": ("joints", "depth"),
+}
+"""Mixtures, and the cases of their parts."""
 _ERRORS = ("root_visible", "root_hidden", "root_all", "vertices_visible", "vertices")
 _WRONG = 0.1
 """Mean error of joints about the pelvis, metres, from which on a fit should say something."""
@@ -100,7 +105,7 @@ def depth_compared() -> str:
         rows += [
             [f"{_NAMES[case]}: less {_NAMES[part]}",
              *_differences(found, methods["recon"], found["values"][part]["recon"])]
-            for part in ALONE.get(case, ())
+            for part in _ALONE.get(case, ())
             if part in found["values"]
         ]  # fmt: skip
     headings = ["cm, with 95 % intervals", *(_COLUMNS[metric][0] for metric in _ERRORS)]

@@ -5,19 +5,19 @@ from typing import Any
 
 from benchmarks.tables.values import markdown, number, result, source
 
-_VARIANTS = ("0.1.0", "one by one", "together")
+_VARIANTS = ("0.1.0", "one by one")
 _CLIP_SECONDS = (2, 10, 60)
 _CLIPS = 1_000_000
 _CORES = 64
 
 
 def batch() -> str:
-    """Commands that fit the same clips: 0.1.0, this version one by one, and together."""
+    """Commands that fit the same clips: 0.1.0, and this version."""
     found = result("batch")
     count = found["clips"]
     rows = [line for prior, row in found["rows"].items() for line in _beside(prior, row, count)]
     headings = [f"{count} clips, {found['processes']} processes", "CPU s a clip",
-                "MB a process", "error cm", "from one by one mm",
+                "MB a process", "error cm",
                 "throughput, of 0.1.0"]  # fmt: skip
     return markdown(headings, rows) + source("batch")
 
@@ -28,7 +28,6 @@ def _beside(prior: str, row: Mapping[str, Any], clips: int) -> Iterator[list[str
         yield [
             f"`{prior}`, {name}", number(cost["cpu_seconds"] / clips, 1, 2),
             number(cost["largest_mb"], 1, 0), number(cost["error"], 100, 2),
-            number(row["apart_mean"] if name == "together" else None, 1000, 2),
             number(row["0.1.0"]["cpu_seconds"] / cost["cpu_seconds"], 1, 2),
         ]  # fmt: skip
 
@@ -38,7 +37,7 @@ def million() -> str:
     found = result("batch")
     rows = []
     for prior, row in found["rows"].items():
-        cost = row["together"]
+        cost = row["one by one"]
         frame = cost["cpu_seconds"] / found["clips"] / found["frames"]
         hours = [_CLIPS * 30 * seconds * frame / 3600 for seconds in _CLIP_SECONDS]
         gigabytes = _CORES * cost["largest_mb"] / 1024

@@ -1,7 +1,6 @@
 """Observations from files of points: the recording's frame, the person alone, thinned."""
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 import torch
@@ -9,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 
 from observations.curvature import Surfels
 from observations.depth import PointCloud
-from observations.files.moving_sensor import movement
+from observations.files.moving_sensor import eye_of, movement
 from recon.body.model import BodyModel
 from recon.core.camera import Camera, Ground
 from recon.core.errors import ObservationError
@@ -115,8 +114,6 @@ _UP_IN_CAMERA = (0.0, -1.0, 0.0)
 _UP_IN_WORLD = (0.0, 0.0, 1.0)
 _KNOWN_GROUND = 0.1
 """Metres by which a plane that is seen may miss z = 0 and still be the ground that is known."""
-_SEARCHED = 100_000
-"""Points of all frames in which the ground is searched."""
 _LEVEL = Ground.create(torch.tensor([0.0, 0.0, 1.0]).double(), torch.tensor(0.0).double())
 _LEAST = 20
 """Points that make a frame worth having."""
@@ -183,16 +180,17 @@ def cloud_of(
     frames = _frames(file, points)
     known = file.camera is None or file.camera.T_camera_world is not None
     generator = np.random.default_rng(seed)
-    few = file.points
-    if len(few) > _SEARCHED:
-        few = few[generator.permutation(len(few))[:_SEARCHED]]
     up = np.array(_UP_IN_WORLD if known else _UP_IN_CAMERA)
-    moves, found = movement(file, up), find_ground(few, up)
+    order = np.argsort(file.frame, kind="stable")
+    ends = np.searchsorted(file.frame[order], np.arange(1, frames))
+    clouds = np.split(file.points[order], ends)
+    moves, found = movement(file.camera, clouds, up), find_ground(clouds, up)
     T = np.eye(4)
     if not known:
         given = T_recording_camera
         T = _levelling(file.points, found.ground) if given is None else given
-    turned = file.points @ T[:3, :3].T + T[:3, 3]
+    clouds = [cloud @ T[:3, :3].T + T[:3, 3] for cloud in clouds]
+    walls = _walls(file.camera, clouds, T)
     seen = found.ground is not None
     if known and found.ground is not None:
         seen = abs(float(found.ground.offset)) < _KNOWN_GROUND
@@ -201,12 +199,8 @@ def cloud_of(
                 f"the points show a ground at z = {float(found.ground.offset):.2f} m, expected it "
                 "at z = 0: move the points there, or leave out what is no person"
             )
-    order = np.argsort(file.frame, kind="stable")
-    ends = np.searchsorted(file.frame[order], np.arange(frames + 1))
-    clouds = [turned[order[first:last]] for first, last in pairwise(ends)]
     if seen:
         clouds = [cloud[above(cloud, _LEVEL)] for cloud in clouds]
-    walls = _walls(file.camera, turned, T, generator)
     for wall in walls:
         clouds = [cloud[before(cloud, *wall)] for cloud in clouds]
     one = alone(clouds, _reach(clouds))
@@ -277,20 +271,16 @@ def _rises(cloud: Float[np.ndarray, "points 3"]) -> bool:
 
 
 def _walls(
-    camera: CameraArrays | None,
-    points: Float[np.ndarray, "points 3"],
-    T: Float[np.ndarray, "4 4"],
-    generator: np.random.Generator,
+    camera: CameraArrays | None, clouds: list[np.ndarray], T: Float[np.ndarray, "4 4"]
 ) -> list[tuple[Float[np.ndarray, "3"], float, Float[np.ndarray, "3"]]]:
-    """Normals and offsets of walls behind the person, and where the sensor is, recording frame.
+    """Normals and offsets of walls, and where the sensor is, recording frame.
 
     A sensor that moves sees them from many places, and scans have no sensor: none are looked for.
     """
     if camera is None or camera.poses > 1:
         return []
-    pose = T if camera.T_camera_world is None else np.linalg.inv(camera.T_camera_world[0])
-    few = points[generator.permutation(len(points))[:_SEARCHED]]
-    return [(normal, offset, pose[:3, 3]) for normal, offset in find_walls(few)]
+    eye = T[:3, :3] @ eye_of(camera) + T[:3, 3]
+    return [(normal, offset, eye) for normal, offset in find_walls(clouds, eye)]
 
 
 def _said(one: Alone, frames: int) -> tuple[str, ...]:

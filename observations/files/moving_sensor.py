@@ -1,6 +1,7 @@
 """Whether a depth sensor taken for fixed moves: ground and walls that it sees then move, too."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -9,7 +10,7 @@ from jaxtyping import Float
 
 from recon.core.errors import ObservationError
 from recon.core.planes import find_ground, find_walls
-from recon.formats.observations import PointsFile
+from recon.formats.observations import CameraArrays
 
 _PLACES, _SHARE = 5, 0.06
 """Stretches of the clip whose planes are compared, and the share of its frames that each has."""
@@ -22,24 +23,28 @@ _REFUSED = (5.0, 0.2)
 """Degrees and metres from which on a fit would only follow the sensor."""
 
 
-def movement(file: PointsFile, up: Float[np.ndarray, "3"]) -> tuple[str, ...]:
+def movement(
+    camera: CameraArrays | None, clouds: Sequence[np.ndarray], up: Float[np.ndarray, "3"]
+) -> tuple[str, ...]:
     """A note where a fixed sensor seems to move a little.
 
     A sensor that only turns about the vertical or moves along the ground is found out by the walls
     it sees; before a bare floor it is not.
 
     Args:
-        file: points and camera as read.
+        camera: as read; None for scans.
+        clouds: points as read, axes (points, 3), of every frame; some may be empty.
         up: roughly upwards in the frame of the points.
 
     Raises:
         ObservationError: when it moves so far that no fit is worth anything.
     """
-    camera = file.camera
     if camera is None or camera.poses > 1:
         return ()
-    middle = np.median(file.points[:: max(1, len(file.points) // _SAMPLE)], axis=0)
-    seen = _seen(file, up)
+    shown = [cloud for cloud in clouds if len(cloud) > 0]
+    every = max(1, sum(map(len, shown)) // _SAMPLE)
+    middle = np.median(np.concatenate(shown)[::every], axis=0)
+    seen = _seen(shown, eye_of(camera), up)
     tilt, rise = 0.0, 0.0
     for one, other in combinations(seen, 2):
         for planes, others in ((one.grounds, other.grounds), (one.walls, other.walls)):
@@ -76,23 +81,29 @@ class _Stretch:
     walls: tuple[Plane, ...]
 
 
-def _seen(file: PointsFile, up: Float[np.ndarray, "3"]) -> list[_Stretch]:
+def eye_of(camera: CameraArrays) -> Float[np.ndarray, "3"]:
+    """Position of a fixed sensor in the frame of its points, metres."""
+    pose = camera.T_camera_world
+    return np.zeros(3) if pose is None else np.linalg.inv(pose[0])[:3, 3]
+
+
+def _seen(
+    clouds: Sequence[np.ndarray], eye: Float[np.ndarray, "3"], up: Float[np.ndarray, "3"]
+) -> list[_Stretch]:
     """Ground and walls as they are seen in some stretches of the clip."""
-    numbers = np.unique(file.frame)
-    length = max(1, round(_SHARE * len(numbers)))
+    length = max(1, round(_SHARE * len(clouds)))
     found: list[_Stretch] = []
-    for first in np.linspace(0, len(numbers) - length, min(_PLACES, len(numbers))).astype(int):
-        last = numbers[first + length - 1]
-        points = file.points[(file.frame >= numbers[first]) & (file.frame <= last)]
-        ground = find_ground(points, up).ground
+    for first in np.linspace(0, len(clouds) - length, min(_PLACES, len(clouds))).astype(int):
+        stretch = clouds[first : first + length]
+        ground = find_ground(stretch, up).ground
         if ground is None:
             grounds, upwards = (), up
         else:
             upwards = ground.normal.double().numpy()
             grounds = ((upwards, float(ground.offset)),)
         turn = _upright(upwards)
-        walls = [(turn.T @ normal, offset) for normal, offset in find_walls(points @ turn.T)]
-        found.append(_Stretch(grounds, tuple(walls)))
+        walls = find_walls([cloud @ turn.T for cloud in stretch], turn @ eye)
+        found.append(_Stretch(grounds, tuple((turn.T @ n, offset) for n, offset in walls)))
     return found
 
 

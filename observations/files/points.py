@@ -18,7 +18,7 @@ from recon.body.model import BodyModel
 from recon.core.errors import FormatError, ObservationError, UnitsError
 from recon.core.robust import geman_mcclure, squared
 from recon.core.skeleton import JOINTS, LAYOUTS, keypoint_names
-from recon.core.units import METRES, Up, check_override, decide_up, head_above_feet, to_z_up
+from recon.core.units import METRES, Up, check_override, surely_up, to_z_up
 from recon.formats.observations import PositionsFile, load_observation
 
 SIZE = (0.25, 2.5)
@@ -40,7 +40,7 @@ def load(
         body: to compare the size with.
         unit: of the file's positions (m, cm, mm, inch, cmu); None takes the contract's metres
             and refuses what no body can measure.
-        up: axis that points up; None believes the file unless the body contradicts it.
+        up: axis that points up; None believes the file unless the body surely contradicts it.
         robust: distance in metres beyond which a point counts ever less; None is least squares.
 
     Raises:
@@ -133,18 +133,16 @@ def _upright(file: PositionsFile, path: str | Path, up: Up | None) -> np.ndarray
     """Positions with z up.
 
     Raises:
-        ValueError: when the body stands along another axis than the file says.
+        ValueError: when the body surely stands along another axis than the file says.
     """
     if up is not None:
         return file.positions @ to_z_up(up).T
     if not file.level:
         return file.positions
-    rise = head_above_feet(file.names, file.positions, file.visible)
-    found, reason = decide_up(rise, "z", str(path)) if rise is not None else ("z", "")
-    if found != "z":
+    if found := surely_up("z", file.names, file.positions, file.visible):
         raise ObservationError(
-            f"{path}: says z is up, but {reason.removeprefix('up axis ')}; give --up {found}, "
-            "or --up z if the person really lies"
+            f"{path}: says z is up, but the body stands along {found}; give --up {found}, "
+            "or --up z if the person really lies or hangs"
         )
     return file.positions
 

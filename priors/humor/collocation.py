@@ -35,7 +35,6 @@ from priors.pose.prior import PoseBelief, PosePrior, PoseVariables, PoseWeights
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.skeleton import KNEES
-from recon.method.alike import alike
 from recon.method.marquardt import Preconditioned
 from recon.method.protocols import Decoded, TrackedJoints
 from recon.method.quadratic import ClipModel
@@ -80,14 +79,6 @@ class CollocatedHumor:
         """The pose prior with all of its smoothness, which stands for the steps here."""
         weights = PoseWeights.for_noise(noise)
         return PosePrior(self.poses.density, weights).belief(noise)
-
-    def decodes_like(self, other: "CollocatedHumor") -> bool:
-        """Whether the other has the same networks, and a pose prior that decodes alike."""
-        return (
-            self.tempo == other.tempo
-            and self.poses.decodes_like(other.poses)
-            and alike(self.humor, other.humor)
-        )
 
     def from_steps(
         self, variables: PoseVariables, steps: Float[Tensor, "clips time 69"]

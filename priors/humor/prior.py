@@ -14,7 +14,7 @@ from torch import Tensor
 
 from priors.humor.mixture import Mixture
 from priors.humor.networks import HumorNetworks
-from priors.humor.rollout import FrozenDecoder, Rollout, roll_out
+from priors.humor.rollout import FrozenDecoder, roll_out
 from priors.humor.state import (
     Frame,
     State,
@@ -45,13 +45,11 @@ _LOG = logging.getLogger(__name__)
 
 _LOG_TWO_PI = math.log(2 * math.pi)
 
-_METHODS: Mapping[str, tuple[str, Mapping[str, int]]] = {
-    "collocation": ("priors.humor.collocation:Collocation", {}),
-    "rollout": ("priors.humor.shooting:Shooting", {}),
-    "shooting": ("priors.humor.shooting:Shooting", {"segment": 5}),
+_METHODS: Mapping[str, str] = {
+    "collocation": "priors.humor.collocation:Collocation",
+    "rollout": "priors.humor.shooting:Shooting",
 }
-"""Classes of the ways to fit and their settings, by name; the usual one first. Lengths other
-than 5 steps were measured on validation windows (`benchmarks.segments`)."""
+"""Classes of the ways to fit by name; the usual one first."""
 
 
 @dataclass(frozen=True)
@@ -96,24 +94,6 @@ class HumorVariables(TensorStruct):
         return self.derived(latents=self.latents[:, : frames - 1], valid=self.valid[:, :frames])
 
 
-@dataclass(frozen=True)
-class Rolled(TensorStruct):
-    """A first state and the states that latents lead to from there."""
-
-    first: State
-    """First states in the world; axis (clips)."""
-    start: State
-    """First states in their own canonical frames."""
-    frame: Frame
-    """Canonical frames of the first states."""
-    pelvis: Float[Tensor, "clips 3"]
-    """See `Humor.pelvis`."""
-    rollout: Rollout
-    """The steps, each in the canonical frame of the state that it starts from."""
-    states: State
-    """States to which the steps lead, in the world; axes (clips, steps)."""
-
-
 @dataclass(frozen=True, eq=False)
 class Humor:
     """Rempe et al., ICCV 2021: p(x_0) Π p(z_t | x_(t-1)), x_t = decoder(z_t, x_(t-1)).
@@ -141,7 +121,7 @@ class Humor:
         *,
         mixture: str | Path | None = None,
     ) -> "Humor":
-        """The bundled weights, ones trained by `python -m training humor`, or the released checkpoint.
+        """The bundled weights, ones of `python -m training humor`, or the released checkpoint.
 
         Args:
             path: .safetensors of ours, or the authors' .pth; `open` or None are the weights in the
@@ -177,12 +157,10 @@ class Humor:
     def method(self, noise: float, body: BodyModel, name: str | None = None) -> Method:
         """One of the `methods`, for observations whose coordinates are off by `noise` metres.
 
-        None is `collocation`, all frames at once; `rollout` moves a first state and latents,
-        `shooting` a state every few steps and latents.
+        None is `collocation`, all frames at once; `rollout` moves a first state and latents.
         """
-        place, settings = _METHODS[self.methods[0] if name is None else name]
-        kind = imported(place, "method")
-        return kind.for_noise(self.like(body.template), noise, **settings)
+        kind = imported(_METHODS[self.methods[0] if name is None else name], "method")
+        return kind.for_noise(self.like(body.template), noise)
 
     def live(self, noise: float) -> "LiveSteps":
         """The energies of steps for a stream whose points are off by `noise` metres."""
@@ -230,7 +208,7 @@ class Humor:
             velocity=first.velocity,
             angular_velocity=first.angular_velocity,
             joint_velocities=first.joint_velocities[:, 1:],
-            latents=own.latents_along(states, own.pelvis(motion.shape)),
+            latents=own._latents_along(states, own.pelvis(motion.shape)),
             shape=motion.shape,
             base=motion.rotations[:, 0],
             valid=motion.valid,
@@ -244,31 +222,23 @@ class Humor:
         nats.
         """
         own = self.like(variables.translation)
-        return own.decoded(variables, own.rolled(variables))
-
-    def rolled(self, variables: HumorVariables) -> "Rolled":
-        """The states of a first state and latents; the prior is in their precision."""
-        first, pelvis = self._first(variables), self.pelvis(variables.shape)
+        first, pelvis = own._first(variables), own.pelvis(variables.shape)
         frame = Frame.of(first)
         start = frame.enter(first, pelvis)
-        rest = self.body.rest_joints(variables.shape) if self.from_body else None
-        rollout = roll_out(self._decoder, start.pack(), pelvis, variables.latents, rest)
-        return Rolled(first, start, frame, pelvis, rollout, rollout.in_world(frame, pelvis))
-
-    def decoded(self, variables: HumorVariables, rolled: "Rolled") -> Decoded:
-        """What `decode` gives, from the states."""
-        mean, log_variance = self.networks.prior(rolled.rollout.inputs)
+        rest = own.body.rest_joints(variables.shape) if own.from_body else None
+        rollout = roll_out(own._decoder, start.pack(), pelvis, variables.latents, rest)
+        states = rollout.in_world(frame, pelvis)
+        mean, log_variance = own.networks.prior(rollout.inputs)
         away = (variables.latents - mean).square() * (-log_variance).exp()
         nats = 0.5 * (away + log_variance + _LOG_TWO_PI).sum(-1)
-        first, states = rolled.first, rolled.states
         motion = _motion(first, states, variables.shape, variables.start_time)
         return Decoded(
             motion=motion.replace(valid=variables.valid),
             energies={
                 "transition": nats.where(variables.valid[:, 1:], 0.0).sum(-1),
-                "initial": self.initial.energy(initial_features(rolled.start)),
+                "initial": own.initial.energy(initial_features(start)),
             },
-            contacts=contact_probabilities(rolled.rollout.contacts),
+            contacts=contact_probabilities(rollout.contacts),
             joints=torch.cat((first.joints[:, None], states.joints), 1),
         )
 
@@ -289,7 +259,7 @@ class Humor:
             joint_velocities=velocities,
         )
 
-    def latents_along(
+    def _latents_along(
         self, states: State, pelvis: Float[Tensor, "clips 3"]
     ) -> Float[Tensor, "clips steps 48"]:
         """Posterior mean of every step from where the steps before have led.

@@ -1,7 +1,4 @@
-"""HuMoR's roll-out fitted to data: a first state and latents are moved (single shooting).
-
-Or a state every few steps (multiple shooting), which the roll-out is with one segment.
-"""
+"""HuMoR's roll-out fitted to data: a first state and latents are moved (single shooting)."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -14,7 +11,6 @@ from torch import Tensor
 
 from priors.humor.collocation import Collocation
 from priors.humor.prior import Humor, HumorVariables
-from priors.humor.segments import SegmentedHumor
 from priors.humor.terms import (
     bone_length,
     contact_height,
@@ -22,7 +18,6 @@ from priors.humor.terms import (
     joint_consistency,
 )
 from priors.pose.prior import PosePrior, PoseWeights
-from recon.core.errors import ReconError
 from recon.method.protocols import Energy, Estimate
 from recon.method.reconstruction import Method
 from recon.method.stages import Stage
@@ -55,8 +50,6 @@ class HumorWeights:
     bones: float = 10.0
     contact_velocity: float = 1.0
     contact_height: float = 1.0
-    defect: float = 0.0
-    """Weight of ½ eᵀ C⁻¹ e where segments join, in nats; see `SegmentedHumor.decode`."""
     ground: float = 0.0
     """Weight of ½ (turn² + lift²) of an unknown ground away from where it began, radians² and
     metres², for every frame."""
@@ -65,9 +58,7 @@ class HumorWeights:
     def for_noise(cls, noise: float) -> "HumorWeights":
         """Weights for observations of a standard deviation of `noise` metres per coordinate."""
         variance = max(noise, _LEAST_NOISE) ** 2
-        return cls(
-            transition=0.2 * variance, initial=0.02 * variance, shape=5e-6, defect=0.1 * variance
-        )
+        return cls(transition=0.2 * variance, initial=0.02 * variance, shape=5e-6)
 
     @classmethod
     def published_joints(cls) -> "HumorWeights":
@@ -127,9 +118,6 @@ class Shooting:
     the mixture for an energy and the latents the conditional prior. The usual start is the motion
     that `Collocation` finds; the presets have the phases, weights and start of the publication
     (section 6.8).
-
-    With `segment`, a state is moved every so many steps, and what a segment leads to need only be
-    near to what the next one begins with.
     """
 
     prior: Humor
@@ -139,35 +127,9 @@ class Shooting:
     """Finds the motion from which first state and latents are encoded."""
     data_weights: Mapping[str, float] | None = None
     """Weights of observations by their unit, instead of those of the fit."""
-    segment: int | None = None
-    """Steps from one state that is moved to the next; None is all of them, the roll-out."""
-
-    def __post_init__(self) -> None:
-        """Refuse segments without steps, without joins, and published phases of them.
-
-        Raises:
-            ReconError: when a segment has no step, defects have no weight, or a phase is of the
-                roll-out alone.
-        """
-        if self.segment is None:
-            return
-        if self.segment < 1:
-            raise ReconError(
-                f"expected segments of at least one step, got {self.segment}; None is the roll-out"
-            )
-        if self.schedule.first > 0 or self.schedule.latents > 0:
-            raise ReconError(
-                "the phases of the first 15 frames and of the latents alone are of the roll-out; "
-                f"expected a schedule without them for segments of {self.segment} steps"
-            )
-        if not self.weights.defect > 0:
-            raise ReconError(
-                f"segments of {self.segment} steps would not join: expected a weight of their "
-                f"defects above 0, got {self.weights.defect:g}"
-            )
 
     @classmethod
-    def for_noise(cls, humor: Humor, noise: float, segment: int | None = None) -> "Shooting":
+    def for_noise(cls, humor: Humor, noise: float) -> "Shooting":
         """The method for observations of a standard deviation of `noise` metres per coordinate."""
         variance = max(noise, _LEAST_NOISE) ** 2
         return cls(
@@ -175,7 +137,6 @@ class Shooting:
             HumorWeights.for_noise(noise),
             Schedule(scale=0.5 * _NUMBERS * variance),
             start=Collocation.for_noise(humor, noise),
-            segment=segment,
         )
 
     @classmethod
@@ -209,11 +170,6 @@ class Shooting:
 
     def _phases(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
         w, schedule = self.weights, self.schedule
-        prior = self.prior
-        joins: tuple[Term, ...] = ()
-        if self.segment is not None:
-            prior = SegmentedHumor(self.prior, self.segment)
-            joins = (Term("defect", prior_energy("defect"), w.defect),)
         ground = (Term("ground held", _ground_held, w.ground),) if w.ground > 0 else ()
         always = (
             *data,
@@ -222,7 +178,6 @@ class Shooting:
             Term("shape", shape, w.shape),
             Term("consistency", joint_consistency, w.consistency),
             Term("bones", bone_length, w.bones),
-            *joins,
             *ground,
         )
         contacts = (
@@ -243,7 +198,7 @@ class Shooting:
                 tolerance_decrease=schedule.tolerance,
                 scale=schedule.scale,
             )
-            found: Stage[Any] = Stage(name, prior, terms, free, minimiser, portion)
+            found: Stage[Any] = Stage(name, self.prior, terms, free, minimiser, portion)
             return (found,) if iterations > 0 else ()
 
         return (
@@ -251,12 +206,7 @@ class Shooting:
                 "first state", (*always, *contacts), _STATE | _REST, schedule.first, _first_frames
             ),
             *stage("latents", always, _REST, schedule.latents),
-            *stage(
-                "all" if self.segment is None else "segments",
-                (*always, *contacts),
-                _STATE | _REST,
-                schedule.all,
-            ),
+            *stage("all", (*always, *contacts), _STATE | _REST, schedule.all),
         )
 
 

@@ -1,8 +1,8 @@
 """Networks of the HUMOS prior: transformers over windows of motion that see who moves.
 
-A motion is a row of coefficients per window (`LappedBasis`). `WindowNetworks` give every window a
-code; `ClipNetworks` one code to the whole clip, as published. Both start as the linear map of the
-basis or from nothing, and learn the rest; both are told the body at both ends.
+A motion is a row of coefficients per window (`LappedBasis`), and every window has a code. The
+networks start as the linear map of the basis and learn the rest; encoder and decoder are told the
+body. Published networks give one code to a whole clip (Tripathi et al. 2024, section 3.2).
 """
 
 from collections.abc import Mapping
@@ -78,58 +78,6 @@ class WindowNetworks(nn.Module):
         return self.basis.synthesise(latent @ self.from_code.mT + bent, frames)
 
 
-class ClipNetworks(nn.Module):
-    """One code for a whole clip, the single memory token of the published networks."""
-
-    def __init__(
-        self, basis: LappedBasis, latent: int, shape: int, width: int, layers: int,
-        dropout: float = 0.0,
-    ) -> None:  # fmt: skip
-        """Untrained; arguments as those of `WindowNetworks`."""
-        super().__init__()
-        self.basis, self.latent = basis, latent
-        size = len(basis.deviation)
-        self.enter = nn.Linear(size, width)
-        self.encoder = _Transformer(width, shape, width, width, layers, dropout)
-        self.asking = nn.Parameter(torch.randn(2, width) * width**-0.5)
-        self.to_code = nn.Linear(width, latent)
-        self.to_variance = nn.Linear(width, latent)
-        self.from_code = nn.Linear(latent, width)
-        self.decoder = _Transformer(width, shape, size, width, layers, dropout)
-        nn.init.constant_(self.to_variance.bias, _SURE)
-        nn.init.normal_(self.encoder.last.weight, std=width**-0.5)
-
-    def posterior(
-        self,
-        rows: Float[Tensor, "clips time numbers"],
-        shape: Float[Tensor, "clips shape"],
-        exists: Bool[Tensor, "clips windows"],
-    ) -> tuple[Float[Tensor, "clips memory latent"], Float[Tensor, "clips memory latent"]]:
-        """Mean and log-variance of the code of a motion that a body performs."""
-        entered = self.enter(self.basis.analyse(rows))
-        seen = self.encoder(entered + _clock(entered), shape, exists)
-        asked = (self.asking @ seen.mT).masked_fill(~exists[:, None], -torch.inf).softmax(-1)
-        mean, variance = (asked @ seen).unbind(-2)
-        code = self.to_code(mean)[:, None]
-        return code, self.to_variance(variance)[:, None].clamp(*LOG_VARIANCE)
-
-    def decode(
-        self,
-        latent: Float[Tensor, "clips memory latent"],
-        shape: Float[Tensor, "clips shape"],
-        exists: Bool[Tensor, "clips windows"],
-        frames: int,
-    ) -> Float[Tensor, "clips time numbers"]:
-        """The motion of this code as another body performs it."""
-        memory = self.from_code(latent).expand(-1, exists.shape[-1], -1)
-        bent = self.decoder(memory + _clock(memory), shape, exists)
-        return self.basis.synthesise(bent, frames)
-
-
-Networks = WindowNetworks | ClipNetworks
-"""Networks with a code per window, or with one code per clip."""
-
-
 class _Transformer(nn.Module):
     """Layers that see the body beside every window, and how far windows are apart."""
 
@@ -181,27 +129,17 @@ class _Layer(nn.Module):
         return x + self.outer(self.drop(functional.gelu(self.inner(self.norm2(x)))))
 
 
-def _clock(like: Float[Tensor, "*batch windows width"]) -> Float[Tensor, "windows width"]:
-    """Sines and cosines of the place of a window."""
-    windows, width = like.shape[-2:]
-    rate = 10_000 ** (-torch.arange(0, width, 2) / width)
-    angle = torch.arange(windows)[:, None] * rate
-    return torch.stack((angle.sin(), angle.cos()), -1).flatten(-2).to(like)
-
-
 _BASIS, _DENSITY = "basis.", "density."
 _SIZES = ("latent", "basis", "shape", "width", "layers")
 _MEMORY = 0.98
 """Most that any direction of a code keeps to the next."""
-_KINDS = {"windows": WindowNetworks, "clip": ClipNetworks}
 
 
 @dataclass(frozen=True)
 class CodeDensity(TensorStruct):
     """The aggregate posterior of recorded motions: codes that follow each other.
 
-    z = mean + root u; u_0 ~ N(0, I), u_k | u_(k-1) ~ N(follow u_(k-1), rest restᵀ). A clip with
-    one code has the first part only.
+    z = mean + root u; u_0 ~ N(0, I), u_k | u_(k-1) ~ N(follow u_(k-1), rest restᵀ).
     """
 
     mean: Float[Tensor, " latent"]
@@ -279,20 +217,15 @@ class CodeDensity(TensorStruct):
 class HumosWeights:
     """The content of a weights file."""
 
-    networks: Networks
+    networks: WindowNetworks
     density: CodeDensity
     frames: int
-    """Longest clip that was learned; only networks of one code per clip are bound to it."""
+    """Frames of the clips that were learned."""
 
     @property
     def shape(self) -> int:
         """Coefficients of the bodies."""
         return self.networks.decoder.body.in_features
-
-    @property
-    def one_code(self) -> bool:
-        """Whether there is one code per clip."""
-        return isinstance(self.networks, ClipNetworks)
 
 
 def save_weights(path: Path, weights: HumosWeights, settings: Mapping[str, Any]) -> None:
@@ -303,7 +236,7 @@ def save_weights(path: Path, weights: HumosWeights, settings: Mapping[str, Any])
         tensors[_BASIS + name] = tensor.half() if name == "directions" else tensor.float()
     for name, tensor in weights.density.tensors().items():
         tensors[_DENSITY + name] = tensor.float()
-    about = {**settings, "frames": weights.frames}
+    about = {"codes": "windows", **settings, "frames": weights.frames}
     save_checkpoint(path, "humos", tensors, about)
 
 
@@ -321,17 +254,18 @@ def load_weights(path: str | Path) -> HumosWeights:
     found = named_checkpoint(path, "humos")
     sizes = [found.settings.get(name) for name in (*_SIZES, "frames")]
     kind = found.settings.get("codes")
-    if kind not in _KINDS or not all(isinstance(size, int) and size > 0 for size in sizes):
+    if kind != "windows" or not all(isinstance(size, int) and size > 0 for size in sizes):
         raise WeightsError(
             f"{found.path}: expected the settings {', '.join(_SIZES)}, frames (whole numbers) and "
-            f"codes ({' or '.join(_KINDS)}), got {dict(found.settings)}"
+            f"codes = 'windows', got {dict(found.settings)}; files with codes = 'clip' are of "
+            "versions up to 0.2.0: train anew"
         )
     latent, size, shape, width, layers, frames = (int(one) for one in sizes if one is not None)
     numbers = WINDOW * NUMBERS
     basis = LappedBasis(**found.under(_BASIS).require({
         "mean": (numbers,), "directions": (size, numbers), "deviation": (size,),
     }))  # fmt: skip
-    networks = _KINDS[kind](basis, latent, shape, width, layers)
+    networks = WindowNetworks(basis, latent, shape, width, layers)
     found.besides(_BASIS, _DENSITY).into(networks)
     square = (latent, latent)
     density = CodeDensity(**found.under(_DENSITY).require({

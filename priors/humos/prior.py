@@ -115,7 +115,6 @@ class Humos:
             ValueError: when the clips are longer than networks of one code per clip know.
         """
         coarse = at_rate(motion)
-        self._known(coarse.frames)
         frames, base = BodyFrames.of(coarse, self.body)
         exists = self.exists(motion.valid, motion.fps)
         with torch.no_grad():
@@ -175,33 +174,18 @@ class Humos:
         """Motions drawn from the prior for these bodies, at 20 Hz, beginning at the origin.
 
         Raises:
-            ValueError: when they would be shorter than a second, or longer than clips that
-                networks of one code per clip know.
+            ValueError: when they would be shorter than a second.
         """
         if not 1 <= seconds < float("inf"):
             raise ReconError(f"expected at least 1 second, got {seconds:g}; ask for more")
         frames = round(seconds * FPS) + 1
-        self._known(frames)
-        memory = 1 if self.weights.one_code else windows_of(frames)
-        codes = self.weights.density.drawn(len(shape), memory, generator)
+        codes = self.weights.density.drawn(len(shape), windows_of(frames), generator)
         exists = torch.ones(len(shape), windows_of(frames), dtype=torch.bool)
         with torch.no_grad():
             rows = self.weights.networks.decode(codes, shape, exists, frames)
         base = torch.eye(4).expand(len(shape), 4, 4)
         made = BodyFrames.unpack(rows)
         return made.motion(shape, self.body, FPS, base)
-
-    @property
-    def longest(self) -> float:
-        """Longest duration of a clip, seconds."""
-        return self.weights.frames / FPS if self.weights.one_code else float("inf")
-
-    def _known(self, frames: int) -> None:
-        if frames > self.longest * FPS:
-            raise ReconError(
-                f"these weights know clips of {self.longest:g} s, got {frames / FPS:g} s; cut it, "
-                "or take weights with a code per window"
-            )
 
     def _with_details(self, x: HumosVariables, motion: Motion) -> HumosVariables:
         """Details with which the variables decode to a motion."""

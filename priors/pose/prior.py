@@ -17,7 +17,6 @@ from recon.core import rotations as so3
 from recon.core.motion import Motion, carried_translation
 from recon.core.skeleton import JOINTS
 from recon.core.struct import TensorStruct
-from recon.method.alike import alike
 from recon.method.free import FreeMotion
 from recon.method.marquardt import Marquardt
 from recon.method.priors import Traits
@@ -191,7 +190,7 @@ class PosePrior(TensorStruct):
         *,
         weights: PoseWeights | None = None,
     ) -> "PosePrior":
-        """The bundled density, or one trained by `python -m training pose`; by default for noisy joints.
+        """The bundled density, or one of `python -m training pose`; by default for noisy joints.
 
         Args:
             path: `open` or None for the bundled density, or a file.
@@ -321,15 +320,6 @@ class PosePrior(TensorStruct):
                 second_order=Marquardt(),
             ),
         )
-
-    def decodes_like(self, other: "PosePrior") -> bool:
-        """Whether the other has the same density, and variables of the same units.
-
-        Other weights are another synthesis of a motion's steps, which is among the variables.
-        """
-        mine, theirs = (one._scales.tensors().values() for one in (self, other))
-        scales = all(torch.equal(a, b) for a, b in zip(mine, theirs, strict=True))
-        return scales and alike(self.density, other.density)
 
     @cached_property
     def _scales(self) -> "_Scales":

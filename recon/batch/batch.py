@@ -5,8 +5,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from recon.batch.crew import TOGETHER, Crew, Run
-from recon.batch.workers import Failure, run_jobs
+from recon.batch.workers import Failure, Run, run_jobs
 from recon.batch.worklog import BatchClip, Record, open_log
 from recon.fitting.methods import traits
 from recon.fitting.settings import FitSettings
@@ -78,7 +77,12 @@ Shape = tuple[float, ...]
 
 
 def shapes_of_subjects(
-    clips: Sequence[BatchClip], settings: FitSettings, crew: Crew, log: Path, checksum: str
+    clips: Sequence[BatchClip],
+    settings: FitSettings,
+    processes: int,
+    log: Path,
+    checksum: str,
+    run: Run = run_jobs,
 ) -> dict[str, Shape]:
     """The shape that every clip of a subject is fitted with, by the clip's id.
 
@@ -89,9 +93,10 @@ def shapes_of_subjects(
     Args:
         clips: of a manifest (`recon.batch.worklog.read_manifest`).
         settings: of all fits.
-        crew: who works at a time.
+        processes: that work at a time.
         log: of the fits.
         checksum: of the settings and the files they name.
+        run: where processes run.
 
     Raises:
         ValueError: when the prior completes cycles, which have shapes of their own.
@@ -106,22 +111,27 @@ def shapes_of_subjects(
         )
     found: dict[str, list[Shape]] = {}
     names = {clip.name: str(clip.subject) for clip in known}
-    for record in _shapes(known, settings, crew, log, checksum):
+    for record in _shapes(known, settings, processes, log, checksum, run):
         found.setdefault(names[record["id"]], []).append(tuple(record["shape"]))
     shared = {subject: _shared(shapes) for subject, shapes in found.items()}
     return {name: shared[subject] for name, subject in names.items() if subject in shared}
 
 
 def _shapes(
-    clips: Sequence[BatchClip], settings: FitSettings, crew: Crew, log: Path, checksum: str
+    clips: Sequence[BatchClip],
+    settings: FitSettings,
+    processes: int,
+    log: Path,
+    checksum: str,
+    run: Run,
 ) -> Iterator[Record]:
     """A record with the shape of every clip that can be fitted."""
     with open_log(log.with_name(f"shapes-{log.name}")) as lines:
-        groups = (
-            [ShapeJob(one, settings, checksum, lines.records.get(one.name, {})) for one in group]
-            for group in crew.groups(clips)
+        jobs = (
+            (ShapeJob(one, settings, checksum, lines.records.get(one.name, {})),)
+            for one in large_first(clips)
         )
-        for _, result in crew.work(estimate_shape, groups):
+        for _, result in run(estimate_shape, jobs, processes):
             if not isinstance(result, Failure):
                 lines.append(result)
                 yield result
@@ -164,7 +174,7 @@ def _shared(shapes: Sequence[Shape]) -> Shape:
     return tuple(shared_shape([torch.tensor(shape) for shape in shapes]).tolist())
 
 
-FIT_VERSION = 11
+FIT_VERSION = 12
 """Version of the method. It is raised when the same clip and settings give another motion, so that
 results of older versions are made anew."""
 
@@ -178,7 +188,6 @@ def fit_all(
     work: Callable[[Job], Record] = fit_one,
     *,
     overwrite: bool = False,
-    together: int = TOGETHER,
     run: Run = run_jobs,
 ) -> Iterator[Record]:
     """Fit every clip that is not done yet; yields one record per clip, logged as it ends.
@@ -187,10 +196,7 @@ def fit_all(
     the result depends on, and the result is as it was written. All others are tried, also those
     that failed before. Whatever goes wrong with one clip is in its record alone.
 
-    A process fits several clips side by side, of about one size in bytes, and minimises those of
-    like length together, which takes less time; the results are those of one by one within the
-    tolerances of the minimiser. Long clips come first, so that no process ends long after the
-    others.
+    Large files come first, so that no process ends long after the others.
 
     Args:
         clips: with different names.
@@ -200,32 +206,52 @@ def fit_all(
         log: file of the records (`recon.batch.worklog`).
         work: what is done for one clip.
         overwrite: whether results that are there and recon did not write may be replaced.
-        together: frames that a process minimises together at most; 1 fits clips one by one.
         run: where processes run.
 
     Raises:
         ValueError: when a result would be written over an observation or a file of the settings,
-            another run is writing to the log, or there is to be no process or no frame.
+            another run is writing to the log, or there is to be no process.
     """
     from recon.fitting.clip_inputs import settings_checksum
 
-    crew = Crew(processes, together, run)
+    if processes < 1:
+        raise ValueError(f"expected at least one process, got {processes}")
     _check_targets(clips, out, settings)
     out.mkdir(parents=True, exist_ok=True)
     common = settings_checksum(settings, FIT_VERSION)
-    shapes = shapes_of_subjects(clips, settings, crew, log, common)
+    shapes = shapes_of_subjects(clips, settings, processes, log, common, run)
     with open_log(log) as lines:
 
-        def job(clip: BatchClip) -> Job:
+        def job(clip: BatchClip) -> tuple[Job]:
             known, shape = lines.records.get(clip.name, {}), shapes.get(clip.name)
-            return Job(clip, target(out, clip), settings, common, known, overwrite, shape)
+            return (Job(clip, target(out, clip), settings, common, known, overwrite, shape),)
 
-        groups = ([job(clip) for clip in group] for group in crew.groups(clips))
-        for done, result in crew.work(work, groups):
+        for (done,), result in run(work, map(job, large_first(clips)), processes):
             record = _failed(done, result) if isinstance(result, Failure) else result
             if record["status"] != "skipped":
                 lines.append(record)
             yield record
+
+
+def large_first(clips: Sequence[BatchClip]) -> list[BatchClip]:
+    """Clips by kind and size of their first observation, those of one kind from large to small."""
+    return sorted(clips, key=_size, reverse=True)
+
+
+def _size(clip: BatchClip) -> tuple[str, int]:
+    """The kind and the size of a clip's first observation; those of one kind can be compared.
+
+    That of a folder is the number of files in it. What is not there is refused by its own fit.
+    """
+    if len(clip.observations) == 0:
+        return "", 0
+    path = clip.observations[0]
+    try:
+        if path.is_dir():
+            return "/", sum(1 for _ in path.iterdir())
+        return path.suffix.lower(), path.stat().st_size
+    except OSError:
+        return "", 0
 
 
 def _failed(job: Job, failure: Failure) -> Record:

@@ -1,7 +1,6 @@
 """`recon.fit_clips`: several clips, each on its own or all of one person."""
 
 from collections.abc import Iterable, Sequence
-from functools import partial
 from typing import Any
 
 import torch
@@ -11,8 +10,6 @@ from torch import Tensor
 from recon.api.fit import fit
 from recon.api.observations import ObservationsLike
 from recon.api.result import Result
-from recon.batch.together import FRAMES, Raised, ended_together
-from recon.core.arrays import positive
 from recon.core.errors import ReconError
 from recon.fitting.methods import PriorObject
 from recon.method.protocols import Sensor
@@ -26,15 +23,13 @@ def fit_clips(
     prior: str | PriorObject = "humor",
     *,
     subject: bool = False,
-    together: int = FRAMES,
     **arguments: Any,
 ) -> list[Result]:
     """Several clips; a result for each, in their order.
 
     It is a function beside `recon.fit` so that one always returns a result and the other always
-    a list. Every clip is fitted as `recon.fit` does, with its own noise, ground and repairs; what
-    clips of like length minimise is minimised together, which takes less time. The results are
-    those of one by one within the tolerances of the minimiser.
+    a list. Clips are fitted in turn, each as `recon.fit` does, with its own noise, ground and
+    repairs.
 
     Args:
         clips: the observations of every clip, each as `recon.fit` takes them; or one observation
@@ -42,8 +37,6 @@ def fit_clips(
         prior: as of `recon.fit`.
         subject: whether all clips are of one person, whose shape they then share: it is estimated
             from every clip by the pose prior, and the median of these is held in all of them.
-        together: frames of several clips that are minimised together at most; memory grows with
-            them, and 1 fits clips one by one.
         arguments: others of `recon.fit`, the same for all clips.
 
     Raises:
@@ -53,15 +46,15 @@ def fit_clips(
     """
     every = _clips(clips)
     if not subject:
-        return _fitted(every, prior, arguments, together)
+        return _fitted(every, prior, arguments)
     if arguments.get("shape") is not None:
         raise ReconError(
             "subject: estimates the shape that all clips share, but a shape is given; leave one "
             "of them out"
         )
     first = {name: value for name, value in arguments.items() if name not in _FIRST}
-    shapes = [one.motion.shape for one in _fitted(every, "pose", first, together)]
-    return _fitted(every, prior, arguments | {"shape": shared_shape(shapes)}, together)
+    shapes = [one.motion.shape for one in _fitted(every, "pose", first)]
+    return _fitted(every, prior, arguments | {"shape": shared_shape(shapes)})
 
 
 def shared_shape(shapes: Sequence[Float[Tensor, " shape"]]) -> Float[Tensor, " shape"]:
@@ -91,16 +84,12 @@ def _clips(given: Any) -> list[Any]:
 
 
 def _fitted(
-    clips: Sequence[Any], prior: str | PriorObject, arguments: dict[str, Any], together: int
+    clips: Sequence[Any], prior: str | PriorObject, arguments: dict[str, Any]
 ) -> list[Result]:
-    positive(together, "together")
-    functions = [partial(fit, clip, prior, **arguments) for clip in clips]
-    results: dict[int, Result] = {}
-    for number, outcome in ended_together(functions, together):
-        if not isinstance(outcome, Raised):
-            results[number] = outcome
-        elif isinstance(outcome.error, ReconError):
-            raise type(outcome.error)(f"clip {number}: {outcome.error}") from outcome.error
-        else:
-            raise outcome.error
-    return [results[number] for number in range(len(clips))]
+    results: list[Result] = []
+    for number, clip in enumerate(clips):
+        try:
+            results.append(fit(clip, prior, **arguments))
+        except ReconError as error:
+            raise type(error)(f"clip {number}: {error}") from error
+    return results

@@ -23,8 +23,7 @@ from recon.batch.corpus_jobs import (
     survey,
     write_report,
 )
-from recon.batch.crew import run_items
-from recon.batch.workers import Failure, run_jobs
+from recon.batch.workers import Failure, run_items, run_jobs
 from recon.batch.worklog import Record, WorkLog, open_log
 from recon.body.model import BodyModel
 from recon.formats.replacing import file_checksum, value_checksum
@@ -34,7 +33,7 @@ from recon.ingest.subject import SubjectModel
 
 logger = logging.getLogger(__name__)
 
-CONVERSION_VERSION = 5
+CONVERSION_VERSION = 6
 """Raised when the conversion gives other results, so that old outputs are made anew."""
 _SURVEYED_TOGETHER = 20
 """Files that a process looks at in a row."""

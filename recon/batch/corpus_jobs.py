@@ -12,8 +12,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from recon.batch.collection import SourceClip, contents, read_clips, skeleton_key
-from recon.batch.crew import Begun, Ended
-from recon.batch.workers import Failure
+from recon.batch.workers import Begun, Ended, Failure
 from recon.batch.worklog import Record
 from recon.body.model import BodyModel
 from recon.formats.mocap.recording import SkeletonRecording

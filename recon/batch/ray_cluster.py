@@ -14,8 +14,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from recon.batch.crew import Run
-from recon.batch.workers import Failure, as_worker, attempt
+from recon.batch.workers import Failure, Run, as_worker, attempt
 from recon.core.errors import ReconError
 from recon.fitting.settings import FitSettings
 

@@ -15,7 +15,7 @@ from recon.fitting.settings import DEFAULTS, FitSettings
 from recon.formats.outputs import Kind, Output
 
 if TYPE_CHECKING:
-    from recon.batch.crew import Run
+    from recon.batch.workers import Run
 
 
 def _is_former(folder: Path) -> bool:
@@ -44,7 +44,6 @@ def batch(
     out: Path,
     settings: OmitArgPrefixes[FitSettings] = DEFAULTS,
     processes: int | None = None,
-    together: int = 1000,
     shard: str = "0/1",
     ray: str | None = None,
     overwrite: Overwrite = False,
@@ -65,8 +64,6 @@ def batch(
         settings: how to fit.
         processes: that work at a time, one thread each; default: 2, and with --ray as many as
             the cluster has processors.
-        together: frames of several clips of like length that a process fits together at most,
-            which takes less time and more memory; 1 fits clips one by one.
         shard: I/N fits the I-th of N equal parts: one part per machine or job of a cluster.
         ray: `local`, or the address of a Ray cluster that does the work (recon[ray]); its machines
             have recon and see the same files under the same paths.
@@ -96,9 +93,7 @@ def batch(
     counts: dict[str, int] = {}
     with console.progress() as bar, _crew(processes, ray) as (workers, run):
         task = bar.add_task("clips", total=len(clips))
-        for record in fit_all(
-            clips, out, settings, workers, log, overwrite=overwrite, together=together, run=run
-        ):
+        for record in fit_all(clips, out, settings, workers, log, overwrite=overwrite, run=run):
             counts[record["status"]] = counts.get(record["status"], 0) + 1
             if "error" in record:
                 console.complain(f"{record['id']}: {record['status']}: {record['error']}")

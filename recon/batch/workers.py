@@ -5,14 +5,14 @@ its reason. Unlike in `concurrent.futures`, a process that dies costs its own jo
 """
 
 import contextlib
-import ctypes
 import os
 import signal
 import sys
 import threading
 import traceback
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
 from multiprocessing import get_context
 from multiprocessing.connection import Connection, wait
 from types import GeneratorType
@@ -27,8 +27,6 @@ _REFUSALS = (
     PermissionError,
 )  # fmt: skip
 
-_ARENA_MAX = -8
-"""Glibc's number for how many heaps there may be."""
 _PATIENCE = 5.0
 """Seconds that a process has to clean up when it is told to end."""
 
@@ -45,6 +43,12 @@ class Failure:
     reason: str
     traceback: str = ""
     """Traceback of an unexpected error; empty where the reason says all."""
+
+
+Run = Callable[
+    [Callable[..., Any], Iterable[tuple[Any, ...]], int], Iterator[tuple[tuple[Any, ...], Any]]
+]
+"""What `run_jobs` does, in processes here or elsewhere."""
 
 
 def run_jobs(
@@ -199,13 +203,7 @@ def _end_with_parent() -> None:
 
 
 def as_worker() -> None:
-    """Settle a process for jobs: one thread, and one heap for the functions that take turns."""
-    _one_thread()
-    _one_heap()
-
-
-def _one_thread() -> None:
-    """A job per core is the fastest use of a machine; more threads each would fight."""
+    """Settle a process for jobs: a job per core is fastest; more threads each would fight."""
     os.environ["OMP_NUM_THREADS"] = "1"
     if "torch" in sys.modules:
         import torch
@@ -213,11 +211,73 @@ def _one_thread() -> None:
         torch.set_num_threads(1)
 
 
-def _one_heap() -> None:
-    """Threads of a process take turns here, so they share what was freed.
+@dataclass(frozen=True)
+class Begun:
+    """What a function gives before it works on an item of its chunk."""
 
-    By default every thread of glibc has a heap of its own, in which freed memory stays.
+    item: int
+    """Index in the chunk."""
+
+
+@dataclass(frozen=True)
+class Ended:
+    """What it gives afterwards."""
+
+    item: int
+    result: Any
+
+
+def run_items(
+    function: Callable[..., Any],
+    chunks: Iterable[Sequence[Any]],
+    processes: int,
+) -> Iterator[tuple[Any, Any]]:
+    """Work on chunks of items in some processes; yields items and results as they end.
+
+    `function(chunk)` is a generator of `Begun` and `Ended`. The item at which it fails, or its
+    process dies, has the `Failure` as its result, and the rest of the chunk is begun anew. Where
+    it fails before any item, all that are left have the `Failure`.
     """
-    allocator = getattr(ctypes.CDLL(None), "mallopt", None) if os.name == "posix" else None
-    if allocator is not None:
-        allocator(_ARENA_MAX, 1)
+    jobs = _Jobs(deque(chunk for chunk in chunks if len(chunk) > 0))
+    for (chunk,), message in run_jobs(function, jobs, processes):
+        state = jobs.states[id(chunk)]
+        if isinstance(message, Begun):
+            state.begun = message.item
+        elif isinstance(message, Ended):
+            state.ended.add(message.item)
+            yield chunk[message.item], message.result
+        else:
+            del jobs.states[id(chunk)]
+            if message == DONE:
+                message = Failure("error", "its process said nothing of it")
+            left = [k for k in range(len(chunk)) if k not in state.ended]
+            failed = [state.begun] if state.begun in left else left
+            if rest := [chunk[k] for k in left if k not in failed]:
+                jobs.chunks.append(rest)
+            for k in failed:
+                yield chunk[k], message
+
+
+@dataclass
+class _State:
+    """How far a chunk is."""
+
+    chunk: Sequence[Any]
+    begun: int = -1
+    """The item that was begun last."""
+    ended: set[int] = field(default_factory=set)
+
+
+@dataclass
+class _Jobs(Iterator[tuple[Sequence[Any]]]):
+    """Jobs of one chunk each; more can come after the last was drawn."""
+
+    chunks: deque[Sequence[Any]]
+    states: dict[int, _State] = field(default_factory=dict)
+
+    def __next__(self) -> tuple[Sequence[Any]]:
+        if len(self.chunks) == 0:
+            raise StopIteration
+        chunk = self.chunks.popleft()
+        self.states[id(chunk)] = _State(chunk)
+        return (chunk,)

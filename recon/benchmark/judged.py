@@ -41,7 +41,7 @@ def bench(
     Args:
         protocol: what is seen: `noisy-joints`, `hidden-points`, `gap` or `upper-body`.
         methods: names of built-in methods (`linear`, `butterworth`, `least-squares`, `pose`,
-            `collocation`, `rollout`, `shooting`), classes "package.module:Class", or objects by
+            `collocation`, `rollout`), classes "package.module:Class", or objects by
             the names they shall have; see `BenchMethod`. Without any, and without predictions,
             `pose` and `collocation`.
         corpus: folder of the free CMU recordings on our body (`recon convert --all`); None is

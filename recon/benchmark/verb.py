@@ -30,8 +30,8 @@ def bench(
     Args:
         protocol: 22 joints with 4 cm of noise; 43 points of the skin, those below 0.9 m hidden;
             22 joints of which nothing is seen for one second; joints from the pelvis up.
-        method: built-in ones (linear, butterworth, least-squares, pose, collocation, rollout,
-            shooting), and package.module:Class of your own; default: pose collocation.
+        method: built-in ones (linear, butterworth, least-squares, pose, collocation,
+            rollout), and package.module:Class of your own; default: pose collocation.
         predictions: folders with one prediction per window, a motion file or an .npz of joints
             (time, 22, 3) in metres, named as the files of --write.
         corpus: folder of the converted CMU recordings (recon convert --all).

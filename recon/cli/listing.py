@@ -6,6 +6,7 @@
 from collections.abc import Callable
 from functools import cache
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 
 from recon.cli.making import Verb, command
@@ -53,8 +54,15 @@ WHOLE = {"convert": ("--all",), "fit": ("--person", "all")}
 
 
 def names() -> tuple[str, ...]:
-    """Every verb: those of the core, then those that are registered as `recon.verbs`."""
-    return (*CORE, *sorted(registered(VERBS)))
+    """Every verb: those of the core, then those that are registered and whose room is there."""
+    return (*CORE, *sorted(name for name, place in registered(VERBS).items() if _is_there(place)))
+
+
+def _is_there(place: str) -> bool:
+    try:
+        return find_spec(place.partition(":")[0]) is not None
+    except ModuleNotFoundError:
+        return False
 
 
 @cache

@@ -1,4 +1,4 @@
-"""The ground as the sensor sees it: a plane through many points of a cloud, and what is not it."""
+"""Ground and walls as a sensor sees them: wide planes that stand still, and what is not them."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -15,6 +15,8 @@ _CANDIDATES = 4
 """Planes looked at: the largest, the largest of what it leaves, ..."""
 _SAMPLE = 20_000
 """Points that planes are counted on."""
+_FRAMES = 24
+"""Frames, evenly over the clip, that tell what stands still."""
 _REFINEMENTS = 5
 _WIDTH = 0.8
 """Metres that a ground extends over across its length: more than somebody lying on it."""
@@ -22,6 +24,11 @@ _STEEP = 0.5
 """Vertical part of the unit normal of a wall, at most."""
 _WALL = 1.2
 """Metres that a wall extends over across its length: more than somebody with arms spread."""
+
+
+_START, _END = 0.1, 0.9
+"""Quantiles of the points of a plane between which its extent is measured."""
+_NOWHERE = np.array([[np.inf] * 2, [-np.inf] * 2])
 
 
 @dataclass(frozen=True)
@@ -34,7 +41,7 @@ class FoundGround:
 
 
 def find_ground(
-    points: Float[np.ndarray, "points 3"],
+    clouds: Sequence[Float[np.ndarray, "_ 3"]],
     up: Float[np.ndarray, "3"],
     *,
     tolerance: float = 0.03,
@@ -45,10 +52,12 @@ def find_ground(
     """The largest roughly level plane that has few points below it.
 
     Planes are found by RANSAC (Fischler & Bolles 1981) and refined by least squares on their
-    inliers, the largest first. A table is level, too, but the floor around it lies below.
+    inliers, the largest first. A table is level, too, but the floor around it lies below. The
+    soles of a walker are near one plane all along the way; a ground is wide in most frames, so
+    the median of the widths of single frames counts.
 
     Args:
-        points: of a whole scene, metres.
+        clouds: points of a whole scene in every frame, metres; frames may be empty.
         up: roughly upwards; (0, -1, 0) in the frame of a camera held level.
         tolerance: distance within which a point belongs to a plane, metres.
         tilt: most the normal may differ from `up`, radians.
@@ -56,21 +65,21 @@ def find_ground(
         seed: of the random samples.
     """
     up = np.asarray(up, np.float64) / max(float(np.linalg.norm(up)), 1e-12)
-    if not np.isfinite(points).all():
+    if not all(np.isfinite(cloud).all() for cloud in clouds):
         raise ValueError("a cloud to find the ground in holds NaN or infinity; leave those out")
     generator = np.random.default_rng(seed)
-    cloud, rejected = _sample(points, generator), "no plane"
-    for normal, offset, points_of_plane in _planes(cloud, tolerance, least, generator):
+    sample, rejected = _Sample.of(clouds, generator), "no plane"
+    for normal, offset, rows in _planes(sample.points, tolerance, least, generator):
         if normal @ up < 0:
             normal, offset = -normal, -offset
         if normal @ up < math.cos(tilt):
             rejected = f"a plane {math.degrees(math.acos(normal @ up)):.0f} degrees from level"
             continue
-        if _width(points_of_plane, normal) < _WIDTH:
+        if np.median([_width(one, normal) for one in sample.by_frame(rows)]) < _WIDTH:
             rejected = "a level plane no wider than a body"
             continue
-        below = float((cloud @ normal < offset - 2 * tolerance).mean())
-        share = len(points_of_plane) / len(cloud)
+        below = float((sample.points @ normal < offset - 2 * tolerance).mean())
+        share = len(rows) / len(sample.points)
         if below > max(0.05, share / 2):
             rejected = f"a level plane with {below:.0%} of the points below it"
             continue
@@ -80,56 +89,108 @@ def find_ground(
 
 
 def find_walls(
-    points: Float[np.ndarray, "points 3"],
+    clouds: Sequence[Float[np.ndarray, "_ 3"]],
+    eye: Float[np.ndarray, "3"],
     *,
     tolerance: float = 0.03,
     least: float = 0.05,
     seed: int = 0,
 ) -> list[tuple[Float[np.ndarray, "3"], float]]:
-    """Unit normal n and offset n·x = d of steep planes that are too wide to be of a person.
+    """Unit normal n and offset n·x = d of steep planes that stand still and are opaque.
 
-    The largest planes are looked at first, as in `find_ground`.
+    Who walks in a straight line is near one steep plane all along the way. A wall, however, fills
+    the same rectangle of its plane, too wide for a person, in most frames, and little is seen
+    through that rectangle. The largest planes are looked at first, as in `find_ground`.
 
     Args:
-        points: of a whole scene, metres, z up.
+        clouds: points of a whole scene in every frame, metres, z up; frames may be empty.
+        eye: where the sensor is.
         tolerance: distance within which a point belongs to a plane, metres.
         least: share of the points a plane must have.
         seed: of the random samples.
     """
     generator = np.random.default_rng(seed)
-    return [
-        (normal, offset)
-        for normal, offset, points_of_plane in _planes(
-            _sample(points, generator), tolerance, least, generator
-        )
-        if abs(normal[2]) < _STEEP and _width(points_of_plane, normal) > _WALL
-    ]
+    sample = _Sample.of(clouds, generator)
+    walls: list[tuple[np.ndarray, float]] = []
+    for normal, offset, rows in _planes(sample.points, tolerance, least, generator):
+        if abs(normal[2]) >= _STEEP:
+            continue
+        axes = _axes(sample.points[rows])[:, 1:]
+        low, high = _shared([one @ axes for one in sample.by_frame(rows)])
+        if (high - low).min() / (_END - _START) <= _WALL:
+            continue
+        away, far = sample.points - eye, offset - normal @ eye
+        depth = away @ normal * np.sign(far)
+        behind = depth > abs(far) + 2 * tolerance
+        across = (eye + away[behind] * (abs(far) / depth[behind])[:, None]) @ axes
+        through = ((across > low) & (across < high)).all(1).sum()
+        if through < len(rows):
+            walls.append((normal, offset))
+    return walls
 
 
-def _sample(
-    points: Float[np.ndarray, "points 3"], generator: np.random.Generator
-) -> Float[np.ndarray, "some 3"]:
-    """Points drawn at random, at most as many as planes are counted on."""
-    if len(points) <= _SAMPLE:
-        return points
-    return points[generator.permutation(len(points))[:_SAMPLE]]
+@dataclass(frozen=True)
+class _Sample:
+    """Points drawn from frames that are spread evenly over a clip, about as many of each."""
+
+    points: Float[np.ndarray, "points 3"]
+    frame: Int[np.ndarray, " points"]
+    """Number of each point's frame among those that were drawn, 0, 1, ..."""
+    frames: int
+
+    @classmethod
+    def of(
+        cls, clouds: Sequence[Float[np.ndarray, "_ 3"]], generator: np.random.Generator
+    ) -> "_Sample":
+        shown = [cloud for cloud in clouds if len(cloud) > 0]
+        chosen = np.unique(np.linspace(0, len(shown) - 1, _FRAMES).round().astype(int))
+        shown = [shown[k] for k in chosen] if shown else [np.zeros((0, 3))]
+        most = _SAMPLE // len(shown)
+        some = [
+            cloud if len(cloud) <= most else cloud[generator.permutation(len(cloud))[:most]]
+            for cloud in shown
+        ]
+        frame = np.repeat(np.arange(len(some)), [len(cloud) for cloud in some])
+        return cls(np.concatenate(some), frame, len(some))
+
+    def by_frame(self, rows: Int[np.ndarray, " rows"]) -> list[Float[np.ndarray, "_ 3"]]:
+        """Some of the points, apart by frame."""
+        ends = np.searchsorted(self.frame[rows], np.arange(1, self.frames))
+        return np.split(self.points[rows], ends)
 
 
 def _planes(
-    cloud: Float[np.ndarray, "points 3"],
+    points: Float[np.ndarray, "points 3"],
     tolerance: float,
     least: float,
     generator: np.random.Generator,
-) -> Iterator[tuple[Float[np.ndarray, "3"], float, Float[np.ndarray, "inliers 3"]]]:
-    """Unit normal, offset and points of the largest plane, of the largest that it leaves, ..."""
-    left = cloud
+) -> Iterator[tuple[Float[np.ndarray, "3"], float, Int[np.ndarray, " inliers"]]]:
+    """Unit normal, offset and inliers of the largest plane, of the largest that it leaves, ..."""
+    left = np.arange(len(points))
     for _ in range(_CANDIDATES):
-        found = largest_plane(left, tolerance=tolerance, generator=generator)
-        if found is None or found[2].sum() < least * len(cloud):
+        found = largest_plane(points[left], tolerance=tolerance, generator=generator)
+        if found is None or found[2].sum() < least * len(points):
             return
         normal, offset, inliers = found
         yield normal, offset, left[inliers]
         left = left[~inliers]
+
+
+def _shared(
+    frames: Sequence[Float[np.ndarray, "_ 2"]],
+) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
+    """Corners of the rectangle that points of at least half of the frames extend over.
+
+    Three quarters of the frames begin before it along either axis, and three quarters end after.
+    """
+    ends = [
+        np.quantile(one, (_START, _END), axis=0) if len(one) > 0 else _NOWHERE for one in frames
+    ]
+    low, high = np.stack(ends, axis=1)
+    return (
+        np.quantile(low, 0.75, axis=0, method="higher"),
+        np.quantile(high, 0.25, axis=0, method="lower"),
+    )
 
 
 def before(
@@ -146,9 +207,16 @@ def before(
 
 def _width(points: Float[np.ndarray, "points 3"], normal: Float[np.ndarray, "3"]) -> float:
     """Extent along the second axis of points of a plane, without a tenth at either end, metres."""
+    if len(points) == 0:
+        return 0.0
+    across = np.cross(normal, _axes(points)[:, 2]) @ (points - points.mean(0)).T
+    return float(np.subtract(*np.quantile(across, (_END, _START))) / (_END - _START))
+
+
+def _axes(points: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, "3 3"]:
+    """Principal axes as columns, that of the least extent first."""
     centred = points - points.mean(0)
-    across = np.cross(normal, np.linalg.eigh(centred.T @ centred)[1][:, 2]) @ centred.T
-    return float(np.subtract(*np.percentile(across, (90, 10))) / 0.8)
+    return np.linalg.eigh(centred.T @ centred)[1]
 
 
 def largest_plane(

@@ -13,6 +13,7 @@ Axis = Literal["x", "y", "z"]
 AXES: tuple[Axis, ...] = get_args(Axis)
 Up = Literal["x", "y", "z", "x-down", "y-down", "z-down"]
 """The direction that is up: along an axis, or against one, as y points down in cameras."""
+_DOWN: dict[Axis, Up] = {"x": "x-down", "y": "y-down", "z": "z-down"}
 
 METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "cmu": 0.0254 / 0.45}
 """Metres per unit; `cmu` is the unit of the CMU database's ASF files, inches over 0.45."""
@@ -40,8 +41,13 @@ _HIGH = re.compile(
     r"|stern|strn|^man$|^s[jx][ns]$|^[lr]_?s(aa|ae|ia)$"
 )
 _PELVIS = re.compile(r"asi|psi|sac|ias$|ips$|pelvi|waist|wt$|hip")
+_HEAD = re.compile(r"head|[fb]hd$|^top|temple|ariel")
 _NECK = re.compile(r"^c7$|^cv7$|^ij$|clav|acr|sho$|should")
 _CHEST = re.compile(r"^px$|strn|stern|xiph|^sxs$|^tv?(7|8|10|12)$")
+_SURE = 0.7
+"""Mean cosine between the body and an axis from which it surely stands along that axis."""
+_CLEAR = 1.5
+"""Multiple of the cosine along the axis that a file says is up that another's must be."""
 _STEADY = 0.25
 """Share of its movement along another axis, at most, by which the lowest point of a body that
 moves over a floor goes up and down."""
@@ -121,32 +127,51 @@ def head_above_feet(
     positions: Float[np.ndarray, "time points 3"],
     visible: Bool[np.ndarray, "time points"],
 ) -> Float[np.ndarray, "3"] | None:
-    """Mean vector from the feet to the head (or shoulders, or pelvis), found by names.
+    """Mean vector from the feet to the head, or of what else is seen; see `along_body`.
 
-    Without feet it goes from the chest, or from the pelvis, to the neck. None when the names tell
-    neither or no frame shows both.
+    None when the names tell neither or no frame shows both.
+    """
+    found = along_body(names, positions, visible)
+    return found.mean(0) if len(found) else None
+
+
+def along_body(
+    names: Sequence[str],
+    positions: Float[np.ndarray, "time points 3"],
+    visible: Bool[np.ndarray, "time points"],
+) -> Float[np.ndarray, "frames 3"]:
+    """The vector up the body in every frame that shows one, its ends found by names.
+
+    It goes from the feet to the head and shoulders, or to the pelvis where neither is seen. Feet
+    count where more than half of their points are seen: one foot alone may be a raised one whose
+    fellow on the floor is hidden. Without them it goes from the pelvis to head and neck, from the
+    chest to the neck, or from the shoulders to the head; a single foot is the last resort.
     """
     words = [re.sub(r"[^a-z0-9]+", "_", name.lower().split(":")[-1]).strip("_") for name in names]
-    low = np.array([bool(_LOW.search(word)) for word in words])
-    high = np.array([bool(_HIGH.search(word)) for word in words]) & ~low
-    if not (visible & high).any():
-        high = np.array([bool(_PELVIS.search(word)) for word in words]) & ~low
-    both = (visible & low).any(1) & (visible & high).any(1)
-    for lower in (_CHEST, _PELVIS) if not (visible & low).any() else ():
-        if not both.any():
-            high = np.array([bool(_NECK.search(word)) for word in words])
-            low = np.array([bool(lower.search(word)) for word in words]) & ~high
-            both = (visible & low).any(1) & (visible & high).any(1)
-    if not both.any():
-        return None
-    return _centre(positions[both], visible[both] & high) - _centre(
-        positions[both], visible[both] & low
-    )
+
+    def seen(pattern: re.Pattern[str]) -> np.ndarray:
+        return visible & np.array([bool(pattern.search(word)) for word in words])
+
+    feet, head, neck = seen(_LOW), seen(_HEAD), seen(_NECK)
+    high, pelvis = seen(_HIGH) & ~feet, seen(_PELVIS) & ~feet
+    of_feet = sum(bool(_LOW.search(word)) for word in words)
+    both_feet = feet & (feet.sum(1, keepdims=True) > of_feet / 2)
+    pairs = (
+        (both_feet, high), (both_feet, pelvis), (pelvis, high | neck),
+        (seen(_CHEST) & ~neck, neck), (high & ~head, head & ~feet), (feet, high), (feet, pelvis),
+    )  # fmt: skip
+    found = np.zeros((len(positions), 3))
+    shown = np.zeros(len(positions), dtype=bool)
+    for low, top in pairs:
+        new = low.any(1) & top.any(1) & ~shown
+        found[new] = _centres(positions[new], top[new]) - _centres(positions[new], low[new])
+        shown |= new
+    return found[shown]
 
 
-def _centre(positions: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-    weights = chosen / chosen.sum(1, keepdims=True)
-    return np.einsum("tk,tkd->d", weights, positions) / len(positions)
+def _centres(positions: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+    """Mean of the chosen points of every frame."""
+    return np.einsum("tk,tkd->td", chosen / chosen.sum(1, keepdims=True), positions)
 
 
 def decide_up(
@@ -211,6 +236,30 @@ def axis_of_floor(
     return AXES[best], f"up axis {AXES[best]}: the lowest point stays at the floor along it"
 
 
+def surely_up(
+    declared: Axis,
+    names: Sequence[str],
+    positions: Float[np.ndarray, "time points 3"],
+    visible: Bool[np.ndarray, "time points"],
+) -> Up | None:
+    """The direction along which the body surely stands where a file says another; None otherwise.
+
+    The body is sure where its unit vectors of all frames have a mean of at least `_SURE` along an
+    axis or against it, and `_CLEAR` times as much as along the declared one.
+    """
+    vectors = along_body(names, positions, visible)
+    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    if not (lengths > 0).any():
+        return None
+    mean = (vectors / np.maximum(lengths, 1e-12)).mean(0)
+    best, own = int(np.abs(mean).argmax()), AXES.index(declared)
+    if abs(mean[best]) < _SURE or (best == own and mean[own] > 0):
+        return None
+    if best != own and abs(mean[best]) < _CLEAR * abs(mean[own]):
+        return None
+    return AXES[best] if mean[best] > 0 else _DOWN[AXES[best]]
+
+
 def decide_any_up(rise: Float[np.ndarray, "3"], name: str) -> tuple[Up, str]:
     """The axis along which or against which a person stands, and the reason for it.
 
@@ -232,8 +281,7 @@ def decide_any_up(rise: Float[np.ndarray, "3"], name: str) -> tuple[Up, str]:
     axis = AXES[best]
     if rise[best] > 0:
         return axis, f"up axis {axis}: the head is above the feet"
-    down: dict[Axis, Up] = {"x": "x-down", "y": "y-down", "z": "z-down"}
-    return down[axis], f"up axis: {axis} points down, as the feet are farther along it"
+    return _DOWN[axis], f"up axis: {axis} points down, as the feet are farther along it"
 
 
 def to_z_up(up: Up) -> Float[np.ndarray, "3 3"]:

@@ -123,7 +123,7 @@ def retarget(motion: Motion, shape: Float[Tensor, " shape"], prior: Humos) -> Mo
     def one(window: Motion) -> Motion:
         return _standing(_proposed(window, shape, prior, start), window, body)
 
-    return _in_windows(motion, prior.longest, one)
+    return _in_windows(motion, one)
 
 
 def by_physics(motion: Motion, shape: Float[Tensor, " shape"], body: BodyModel) -> Motion:
@@ -141,7 +141,7 @@ def by_physics(motion: Motion, shape: Float[Tensor, " shape"], body: BodyModel) 
         first = round((window.start_time - motion.start_time) * motion.fps)
         return _standing(grown.window(first, first + window.frames), window, body)
 
-    return _in_windows(motion, float("inf"), one)
+    return _in_windows(motion, one)
 
 
 def proposed(motion: Motion, shape: Float[Tensor, " shape"], prior: Humos) -> Motion:
@@ -152,9 +152,7 @@ def proposed(motion: Motion, shape: Float[Tensor, " shape"], prior: Humos) -> Mo
     """
     motion, shape = _checked(motion, shape, prior.body)
     start = _start(motion, prior.body)
-    return _in_windows(
-        motion, prior.longest, lambda window: _proposed(window, shape, prior, start)
-    )
+    return _in_windows(motion, lambda window: _proposed(window, shape, prior, start))
 
 
 def _proposed(
@@ -207,11 +205,9 @@ def _between(motion: Motion) -> Float[Tensor, "frames coarse"]:
     return spline(coarse, motion.frames, motion.fps).to(motion.translation)
 
 
-def _in_windows(motion: Motion, longest: float, one: Callable[[Motion], Motion]) -> Motion:
-    """The result of every window, joined; a window lasts `WINDOW` or `longest` seconds."""
-    longest = min(WINDOW, longest)
-    shared = OVERLAP * longest / WINDOW
-    windows = Windows.cover(motion.frames, int(longest * motion.fps), round(shared * motion.fps))
+def _in_windows(motion: Motion, one: Callable[[Motion], Motion]) -> Motion:
+    """The results of `one` on windows of `WINDOW` seconds that share `OVERLAP`, joined."""
+    windows = Windows.cover(motion.frames, int(WINDOW * motion.fps), round(OVERLAP * motion.fps))
     parts = [motion.window(first, first + windows.frames) for first in windows.starts]
     return join([one(part) for part in parts])
 

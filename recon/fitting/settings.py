@@ -92,8 +92,7 @@ class FitSettings(ReadOptions):
     file."""
     method: str | None = None
     """How the prior is fitted, where there are several ways: `humor` by `collocation` (the motion
-    itself is moved; default), `rollout` (a first state and latents are, as published) or
-    `shooting` (a state every five steps and latents are)."""
+    itself is moved; default) or `rollout` (a first state and latents are, as published)."""
     body: Path | None = None
     """A SMPL-family file of your own; default: the bundled body."""
     shape: str | None = None

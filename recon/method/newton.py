@@ -13,7 +13,7 @@ from recon.core import rotations as so3
 from recon.core.camera import transform
 from recon.core.motion import Motion
 from recon.method.protocols import REFERENCE_FPS, Estimate
-from recon.method.quadratic import FRAME, ClipModel, Framewise, OfScene, PointSensor, WeighedByClip
+from recon.method.quadratic import FRAME, ClipModel, Framewise, OfScene, PointSensor
 from recon.method.stages import Stage
 from recon.method.terms import (
     Term,
@@ -43,27 +43,18 @@ def hessians(
     there is a term whose curvature is not known: steps that leave it out overshoot.
     """
     prior = stage.prior
-    known = any(is_pointwise(_of_clip(term, 0).energy) for term in stage.terms)
+    known = any(is_pointwise(term.energy) for term in stage.terms)
     if not isinstance(prior, Framewise) or not known or estimate.motion.frames < 2:
         return None
     found: list[Banded] = []
     for clip in range(len(estimate.motion.translation)):
         turn = prior.turns(variables, clip)
         model = ClipModel(estimate, clip, turn, prior.reach, with_shape)
-        for joined in stage.terms:
-            term = _of_clip(joined, clip)
+        for term in stage.terms:
             if not prior.add_curvature(term, model) and not _add(term, model):
                 return None
         found.append(model.hessian())
     return found
-
-
-def _of_clip(term: Term, clip: int) -> Term:
-    """The term with the weight of one clip."""
-    if not isinstance(term.energy, WeighedByClip):
-        return term
-    weight, energy = term.energy.of_clip(clip)
-    return Term(term.name, energy, term.weight * weight)
 
 
 def is_pointwise(energy: Any) -> TypeGuard[PointSensor]:

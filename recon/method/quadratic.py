@@ -17,7 +17,7 @@ from recon.body.kinematics import forward_kinematics
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.scene import Scene
-from recon.method.protocols import Energy, Estimate
+from recon.method.protocols import Estimate
 from recon.method.terms import Term
 from recon.solver.banded import Banded
 
@@ -73,15 +73,6 @@ class OfScene(Protocol):
 
     def settled(self, scene: Scene) -> Any:
         """The observation as it is in a scene, of which it then asks no more."""
-        ...
-
-
-@runtime_checkable
-class WeighedByClip(Protocol):
-    """An energy that every clip of a batch weighs in its own way."""
-
-    def of_clip(self, clip: int) -> tuple[float, Energy]:
-        """The weight of a clip, and the energy that is weighed."""
         ...
 
 

@@ -1,8 +1,6 @@
 """The entry point: observations in, a motion and the reasons for it out."""
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from contextvars import ContextVar
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol, cast, runtime_checkable
 
@@ -134,64 +132,10 @@ def solve(
     data, body, start, scene, weights = admitted(observations, body, start, scene, weights)
     recorded = tuple(one for one in data if isinstance(one, Recorded))
     hypotheses = [checked_start(other, recorded, body) for other in others]
-    problem = _problem(data, prior, body, start, hypotheses, scene, weights)
-    elsewhere = _SOLVER.get()
-    if elsewhere is None or watch is not None:
-        return problem.solved(watch)
-    return elsewhere(problem)
-
-
-@dataclass(frozen=True)
-class Problem:
-    """Arguments of `solve` that are checked, complete and fit each other."""
-
-    observations: tuple[Observation, ...]
-    method: Method
-    body: BodyModel
-    start: Motion
-    others: tuple[Motion, ...]
-    scene: Scene
-    weights: tuple[float, ...]
-
-    def stages(self) -> tuple[Stage[Any], ...]:
-        """The minimisations, with the observations among their terms."""
-        many = len(self.observations) > 1
-        data = tuple(
-            Term(f"data {k + 1}" if many else "data", observation, weight)
-            for k, (observation, weight) in enumerate(
-                zip(self.observations, self.weights, strict=True)
-            )
-        )
-        stages = self.method.stages(data)
-        if self.others and stages[-1].kept is None:
-            stages = (*stages[:-1], replace(stages[-1], kept=1))
-        return stages
-
-    def solved(self, watch: Watch | None = None) -> Reconstruction:
-        """The minimisations, one after the other, here and now."""
-        stages, motions = self.stages(), [self.start, *self.others]
-        began = Hypotheses.of_motions(stages[0].prior, motions, self.scene, self.body)
-        found, reports = run_hypotheses(stages, self.body, began, watch)
-        chosen = None if found.number is None else tuple(found.number.tolist())
-        return Reconstruction(found.estimate(self.body), tuple(reports), chosen=chosen)
-
-
-Solver = Callable[[Problem], Reconstruction]
-_SOLVER: ContextVar[Solver | None] = ContextVar("solver", default=None)
-
-
-@contextmanager
-def solved_by(solver: Solver) -> Iterator[None]:
-    """Hand every problem that this thread calls `solve` with to a solver, until the block ends.
-
-    So several clips that are fitted at the same time can share their minimisations
-    (`recon.method.together`). Calls with a `watch` are solved as usual.
-    """
-    token = _SOLVER.set(solver)
-    try:
-        yield
-    finally:
-        _SOLVER.reset(token)
+    return reconstruct(
+        data, prior, body, start=start, others=hypotheses, scene=scene, weights=weights,
+        watch=watch,
+    )  # fmt: skip
 
 
 Admitted = tuple[list[Observation], BodyModel, Motion | None, Scene | None, Sequence[float] | None]
@@ -251,26 +195,24 @@ def reconstruct(
     watch: Watch | None = None,
 ) -> Reconstruction:
     """A reconstruction from arguments that are known to fit each other; see `solve`."""
-    return _problem(observations, prior, body, start, others, scene, weights).solved(watch)
-
-
-def _problem(
-    observations: Sequence[Observation],
-    method: Method,
-    body: BodyModel,
-    start: Motion | None,
-    others: Sequence[Motion],
-    scene: Scene | None,
-    weights: Sequence[float] | None,
-) -> Problem:
-    """Completed by the first guess of the first observation, a known ground and weights of one."""
     if start is None:
         with torch.no_grad():
             start = observations[0].start(body)
     if scene is None:
         scene = Scene.create(len(start.translation), like=start.translation)
     weights = [1.0] * len(observations) if weights is None else weights
-    return Problem(tuple(observations), method, body, start, tuple(others), scene, tuple(weights))
+    many = len(observations) > 1
+    data = tuple(
+        Term(f"data {k + 1}" if many else "data", observation, weight)
+        for k, (observation, weight) in enumerate(zip(observations, weights, strict=True))
+    )
+    stages = prior.stages(data)
+    if others and stages[-1].kept is None:
+        stages = (*stages[:-1], replace(stages[-1], kept=1))
+    began = Hypotheses.of_motions(stages[0].prior, [start, *others], scene, body)
+    found, reports = run_hypotheses(stages, body, began, watch)
+    chosen = None if found.number is None else tuple(found.number.tolist())
+    return Reconstruction(found.estimate(body), tuple(reports), chosen=chosen)
 
 
 def _body_beside(observation: Observation) -> BodyModel:

@@ -3,7 +3,6 @@
 import logging
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -12,7 +11,6 @@ from observations.keypoints2d import Keypoints2D
 from recon.api.fit import fit
 from recon.api.given import BodyLike, body_given
 from recon.api.result import Result
-from recon.batch.together import FRAMES, Raised, ended_together
 from recon.body.model import BodyModel
 from recon.core.errors import FormatError, ReconError
 from recon.core.motion import Motion
@@ -86,7 +84,6 @@ def fit_people(
     people: Sequence[PersonClip],
     prior: str | PriorObject = "humor",
     *,
-    together: int = FRAMES,
     body: BodyLike = None,
     notes: Sequence[str] = (),
     **arguments: Any,
@@ -102,7 +99,6 @@ def fit_people(
     Args:
         people: of one recording, as `recon.load_people` returns them.
         prior: as of `recon.fit`.
-        together: frames of several people that are minimised together at most.
         body: as of `recon.fit`.
         notes: what was decided before, for the report.
         arguments: others of `recon.fit`, the same for all people.
@@ -123,7 +119,7 @@ def fit_people(
         views = [_only_view(clip) for clip in clips]
         if all(view is not None for view in views):
             quick = {name: value for name, value in arguments.items() if name in _QUICK}
-            first = _fitted(numbers, clips, "pose", [quick] * len(clips), together)
+            first = _fitted(numbers, clips, "pose", [quick] * len(clips))
             shared = shared_camera(first)
             clips = [_before(clip, shared) for clip in clips]
             starts = list(shared.starts)
@@ -133,7 +129,7 @@ def fit_people(
         arguments if start is None else arguments | {"start": start} | {"shape": start.shape}
         for start in starts
     ]
-    results = _fitted(numbers, clips, prior, each, together)
+    results = _fitted(numbers, clips, prior, each)
     if shared is not None:
         results = [_on_one_floor(one) for one in results]
     return People(tuple(results), numbers, shared is not None, tuple(notes))
@@ -184,18 +180,11 @@ def _fitted(
     clips: Sequence[Clip],
     prior: str | PriorObject,
     arguments: Sequence[dict[str, Any]],
-    together: int,
 ) -> list[Result]:
-    functions = [
-        partial(fit, clip, prior, **own) for clip, own in zip(clips, arguments, strict=True)
-    ]
-    results: dict[int, Result] = {}
-    for k, outcome in ended_together(functions, together):
-        if not isinstance(outcome, Raised):
-            results[k] = outcome
-        elif isinstance(outcome.error, ReconError):
-            error = type(outcome.error)(f"person {numbers[k]}: {outcome.error}")
-            raise error from outcome.error
-        else:
-            raise outcome.error
-    return [results[k] for k in range(len(clips))]
+    results: list[Result] = []
+    for number, clip, own in zip(numbers, clips, arguments, strict=True):
+        try:
+            results.append(fit(clip, prior, **own))
+        except ReconError as error:
+            raise type(error)(f"person {number}: {error}") from error
+    return results

@@ -22,8 +22,8 @@ from priors.humor.networks import LATENT, HumorNetworks
 from priors.humor.state import Frame, State, compose, rest_pelvis, states_of
 from priors.humor.steps import explain
 from recon.body.model import BodyModel
-from tests.priors.test_humor_training import folder, settings_of
 from tests.priors.test_pose import swinging
+from tests.training.test_humor import folder, settings_of
 
 __all__ = ["folder"]
 

@@ -31,7 +31,7 @@ def test_a_command_that_fails_is_no_measurement(tmp_path):
 def test_a_million_clips_cost_in_proportion_to_their_frames(monkeypatch):
     cost = {"cpu_seconds": 6.0, "largest_mb": 512.0}
     about = {"command": "python -m benchmarks.batch", "commit": "0" * 40, "date": "today"}
-    found = {"about": about, "frames": 60, "clips": 10, "rows": {"pose": {"together": cost}}}
+    found = {"about": about, "frames": 60, "clips": 10, "rows": {"pose": {"one by one": cost}}}
     monkeypatch.setattr(many, "result", lambda _: found)
     monkeypatch.setattr(many, "source", lambda _: "")
     row = many.million().splitlines()[2]

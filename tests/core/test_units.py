@@ -5,12 +5,14 @@ import pytest
 
 from recon.core.units import (
     METRES,
+    Up,
     check_declared,
     check_override,
     decide_up,
     head_above_feet,
     parse_unit,
     snapped_rate,
+    surely_up,
     to_z_up,
     unit_from_bones,
     unit_from_markers,
@@ -84,6 +86,40 @@ def test_head_and_feet_are_found_among_the_names_of_many_systems() -> None:
         rise = head_above_feet(names, positions, np.ones((1, 2), dtype=bool))
         assert rise is not None, names
         assert np.allclose(rise, [0, 1.5, 0]), names
+
+
+def dancer(raised: bool) -> tuple[list[str], np.ndarray, np.ndarray]:
+    """Names, positions (one frame, z up) and what is seen of a dancer with hidden legs."""
+    places = {
+        "head": (0.1, 0.0, 1.6), "neck": (0.05, 0.0, 1.45), "pelvis": (0.0, 0.0, 1.0),
+        "left_ankle": (-0.8, 0.0, 1.2), "left_foot": (-0.9, 0.0, 1.3),
+        "right_ankle": (0.0, 0.0, 0.1), "right_foot": (0.1, 0.0, 0.0),
+    }  # fmt: skip
+    hidden = [not name.startswith("left" if raised else "h") and "_" in name for name in places]
+    return list(places), np.array([[*places.values()]]), ~np.array([hidden])
+
+
+def test_a_raised_foot_whose_fellow_is_hidden_tells_nothing_of_the_up_axis() -> None:
+    """The vector from it to the head told that the person stands along x: the file was refused."""
+    names, positions, visible = dancer(raised=True)
+    rise = head_above_feet(names, positions, visible)
+    assert rise is not None
+    assert decide_up(rise, "z", "clip")[0] == "z"
+    assert surely_up("z", names, positions, visible) is None
+
+
+@pytest.mark.parametrize("raised", [True, False])
+@pytest.mark.parametrize("up", ["x", "y", "x-down", "y-down", "z-down"])
+def test_a_trunk_tells_that_a_file_says_the_wrong_axis(up: Up, raised: bool) -> None:
+    names, positions, visible = dancer(raised)
+    assert surely_up("z", names, positions @ to_z_up(up), visible) == up
+
+
+def test_a_slanted_body_leaves_the_axis_to_what_the_file_says() -> None:
+    """It was refused, though nothing contradicted the file."""
+    names, positions, visible = dancer(raised=False)
+    turn = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]) + np.eye(3)
+    assert surely_up("z", names, positions @ turn, visible) is None
 
 
 def test_rates_hidden_by_rounding_are_whole() -> None:

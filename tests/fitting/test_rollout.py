@@ -20,11 +20,7 @@ def test_it_is_one_of_the_methods_of_humor():
     method = method_of(FitOptions(method="rollout"), 0.02, bundled())
     assert isinstance(method, Shooting)
     assert isinstance(method.start, Collocation)
-    assert method.segment is None
     assert isinstance(method_of(FitOptions(method="collocation"), 0.02, bundled()), Collocation)
-    segmented = method_of(FitOptions(method="shooting"), 0.02, bundled())
-    assert isinstance(segmented, Shooting)
-    assert segmented.segment == 5
     assert isinstance(
         method_of(FitOptions(prior=Humor.load(), method="rollout"), 0.02, bundled()), Shooting
     )
@@ -33,7 +29,7 @@ def test_it_is_one_of_the_methods_of_humor():
 @pytest.mark.parametrize(
     ("prior", "expected"),
     [
-        ("humor", "by collocation or rollout or shooting, got 'roll'"),
+        ("humor", "by collocation or rollout, got 'roll'"),
         ("pose", "'pose' is fitted in one way only, got 'roll'"),
         (Collocation(Humor.load()), "a Collocation is fitted in one way only"),
     ],
@@ -50,10 +46,9 @@ class Hurried:
 
     iterations: int = 5
     posing: int = 30
-    segment: int | None = None
 
     def stages(self, data) -> tuple[Stage, ...]:
-        method = Shooting.for_noise(Humor.load(), 0.02, self.segment)
+        method = Shooting.for_noise(Humor.load(), 0.02)
         brief = dataclasses.replace(method, schedule=Schedule(all=self.iterations))
         return tuple(
             dataclasses.replace(
@@ -66,14 +61,13 @@ class Hurried:
         )
 
 
-@pytest.mark.parametrize("segment", [None, 5])
-def test_one_camera_of_unknown_ground(segment):
+def test_one_camera_of_unknown_ground():
     """First states could not be carried to another world: an unknown ground was refused."""
     truth = walk(12)
     posed = view(truth, cameras(truth)[0])
     lens = posed.camera.camera_matrix.flatten(0, -3)[0]
     unposed = posed.replace(camera=recon.Camera.create(lens, posed.camera.image_size))
-    result = recon.fit(unposed, Hurried(segment=segment))
+    result = recon.fit(unposed, Hurried())
     assert not result.failed
     feet = result.joints[:, [7, 8, 10, 11], 2]
     assert (

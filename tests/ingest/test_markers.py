@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from observations.markers3d import Markers3D
 from recon.body.landmarks import landmark
 from recon.body.model import BodyModel
 from recon.body.soles import Soles
@@ -26,6 +27,7 @@ from recon.ingest.markers.exchanges import (
     steady_labels,
 )
 from recon.ingest.markers.gaps import bridged, gap_findings, observed_joints, placed_frames
+from recon.ingest.markers.observation import seen_markers
 from recon.ingest.markers.poses import natural_pose
 from tests.ingest.walker import LABELS
 from tests.verbs import report_of
@@ -274,6 +276,30 @@ def test_augmented_keypoints_are_left_out(markers: MarkerRecording, single: Body
     used = full_body_markers(recording, single)
     assert set(used.labels) <= set(study)
     assert not used.inside
+
+
+def test_virtual_points_are_left_out_by_conversions_and_fits(
+    markers: MarkerRecording, single: BodyModel
+) -> None:
+    """Fits left them out, conversions pulled the body to them: LTB1 is a point in the room there,
+    and a marker of the shank elsewhere."""
+    names = ("LTB1", "LTB2", "RTB1")
+    shins = markers.positions[:, [LABELS.index(label) for label in ("LTIB", "LTIB", "RTIB")]]
+    both = dataclasses.replace(
+        markers,
+        marker_names=(*markers.marker_names, *names),
+        positions=np.concatenate((markers.positions, shins + np.array([0.0, 0.4, 0.3])), 1),
+        visible=np.ones((markers.frames, len(LABELS) + 3), dtype=bool),
+    )
+    found, without = convert(both, single), convert(markers, single)
+    assert found.residuals.keys() == without.residuals.keys()
+    assert (found.joints - without.joints).norm(dim=-1).max() < 1e-3  # metres
+    assert [one.joints for one in found.warnings if one.code == "outliers"] == [names]
+    seen = seen_markers(both, single)
+    assert isinstance(seen.markers, Markers3D)
+    assert not seen.markers.visible[0, :, -3:].any()
+    assert seen.markers.visible[0, :, :-3].all()
+    assert any("LTB1, LTB2" in said and "left out" in said for said in seen.decisions)
 
 
 def test_contacts_on_a_belt_are_not_told(walk: Motion, single: BodyModel, tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import recon
+from benchmarks.projects import write_trc as write_pose2sim_trc
 from observations.correspondences import BodyPoints
 from observations.keypoints3d import Keypoints3D
 from observations.start.standing import planted_path
@@ -89,6 +90,17 @@ def test_keypoints_of_a_trc_are_never_skin(tmp_path):
     found, _ = read(tmp_path / "pose.trc")
     agrees(found, x)
     assert found.points.names == keypoint_names("halpe26")
+
+
+def test_points_of_pose2sim_stand_where_its_cameras_have_them(tmp_path):
+    """They were turned by a quarter about the vertical: Pose2Sim's y up is not OpenSim's."""
+    x = points("halpe26")
+    write_pose2sim_trc(tmp_path / "pose.trc", "halpe26", x, 0)
+    found, said = read(tmp_path / "pose.trc")
+    assert "Pose2Sim's world" in said
+    told, _ = read(tmp_path / "pose.trc", up="y")
+    for seen in (found, told):
+        np.testing.assert_allclose(seen.positions[0].numpy(), x, atol=2e-4)
 
 
 def test_an_azure_kinect_s_body_is_in_a_camera_that_may_be_tilted(tmp_path):

@@ -86,14 +86,13 @@ def test_it_begins_where_collocation_ends(body: BodyModel) -> None:
     validation window), and the roll-out stayed about where it began.
     """
     data, prior = (Term("data", zero, 1.0),), humor(body)
-    for segment in (None, 5):
-        method = Shooting.for_noise(prior, 0.0, segment)
-        *begun, last = method.stages(data)
-        assert isinstance(method.start, Collocation)
-        own = Collocation.for_noise(prior, 0.0).stages(data)
-        assert [(s.name, s.minimiser) for s in begun] == [(s.name, s.minimiser) for s in own]
-        assert [s.second_order is None for s in begun] == [s.second_order is None for s in own]
-        assert "latents" in last.free
+    method = Shooting.for_noise(prior, 0.0)
+    *begun, last = method.stages(data)
+    assert isinstance(method.start, Collocation)
+    own = Collocation.for_noise(prior, 0.0).stages(data)
+    assert [(s.name, s.minimiser) for s in begun] == [(s.name, s.minimiser) for s in own]
+    assert [s.second_order is None for s in begun] == [s.second_order is None for s in own]
+    assert "latents" in last.free
 
 
 def test_a_phase_of_some_frames_sees_only_them(body: BodyModel) -> None:

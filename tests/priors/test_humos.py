@@ -9,9 +9,7 @@ from observations.joints3d import Joints3D
 from priors.humos.collocation import CodesFit, CollocatedHumos, HumosCodes, HumosFit
 from priors.humos.frames import lowest_of
 from priors.humos.networks import (
-    ClipNetworks,
     CodeDensity,
-    WindowNetworks,
     load_weights,
     save_weights,
 )
@@ -27,7 +25,6 @@ from tests.priors.tiny_humos import tiny_prior, tiny_weights
 from tests.walking import a_walk
 
 BODY = BodyModel.load()
-KINDS = [WindowNetworks, ClipNetworks]
 
 
 @pytest.fixture(scope="module")
@@ -40,10 +37,9 @@ def walks(fps=30.0, seconds=1.9):
     return stack(found)
 
 
-@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("fps", [20.0, 30.0, 120.0])
-def test_encoding_is_exact_at_any_rate(kind, fps):
-    laws.check_prior(tiny_prior(BODY, kind), walks(fps), tolerance=2e-4)
+def test_encoding_is_exact_at_any_rate(fps):
+    laws.check_prior(tiny_prior(BODY), walks(fps), tolerance=2e-4)
 
 
 def test_codes_do_not_see_heading(prior):
@@ -132,9 +128,8 @@ def test_drawn_codes_are_spread_as_the_density_says():
     assert mean == pytest.approx(0.5 * white[0].numel(), rel=0.05)
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_samples_are_motions_of_their_bodies(kind):
-    prior = tiny_prior(BODY, kind)
+def test_samples_are_motions_of_their_bodies():
+    prior = tiny_prior(BODY)
     shape = torch.zeros(2, BODY.shape_size)
     made = prior.sample(shape, 1.5, torch.Generator().manual_seed(0))
     again = prior.sample(shape, 1.5, torch.Generator().manual_seed(0))
@@ -147,16 +142,9 @@ def test_samples_are_motions_of_their_bodies(kind):
         prior.sample(shape, 0.5, torch.Generator())
 
 
-def test_one_code_per_clip_knows_how_long_clips_are():
-    prior = tiny_prior(BODY, ClipNetworks)
-    with pytest.raises(ValueError, match="know clips of 2 s"):
-        prior.sample(torch.zeros(1, BODY.shape_size), 5.0, torch.Generator())
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_weights_survive_the_disk(kind, tmp_path):
-    weights = tiny_weights(BODY, kind)
-    sizes = {"codes": "windows" if kind is WindowNetworks else "clip", "latent": 6, "basis": 16,
+def test_weights_survive_the_disk(tmp_path):
+    weights = tiny_weights(BODY)
+    sizes = {"codes": "windows", "latent": 6, "basis": 16,
              "shape": BODY.shape_size, "width": 16, "layers": 1}  # fmt: skip
     path = tmp_path / "humos.safetensors"
     save_weights(path, weights, sizes)
@@ -165,7 +153,7 @@ def test_weights_survive_the_disk(kind, tmp_path):
     one, other = (Humos(w, BODY).encode(motion).latent for w in (weights, found))
     torch.testing.assert_close(one, other, atol=0.05, rtol=0.02)
     save_weights(path, weights, sizes | {"codes": "words"})
-    with pytest.raises(ValueError, match="windows or clip"):
+    with pytest.raises(ValueError, match="codes = 'windows'"):
         load_weights(path)
 
 

@@ -3,7 +3,7 @@
 import torch
 
 from priors.humos.frames import BodyFrames, LappedBasis
-from priors.humos.networks import CodeDensity, HumosWeights, Networks, WindowNetworks
+from priors.humos.networks import CodeDensity, HumosWeights, WindowNetworks
 from priors.humos.prior import Humos
 from recon.body.model import BodyModel
 from tests.walking import a_walk
@@ -22,11 +22,11 @@ def rows_of_walks(body: BodyModel, count=24, seed=0) -> torch.Tensor:
     return torch.stack(rows)
 
 
-def tiny_weights(body: BodyModel, kind: type[Networks] = WindowNetworks) -> HumosWeights:
+def tiny_weights(body: BodyModel) -> HumosWeights:
     """Principal components; the networks beside them have learned nothing."""
     rows = rows_of_walks(body)
     torch.manual_seed(0)
-    networks = kind(LappedBasis.fit(rows, 16), LATENT, body.shape_size, 16, 1).eval()
+    networks = WindowNetworks(LappedBasis.fit(rows, 16), LATENT, body.shape_size, 16, 1).eval()
     networks.requires_grad_(False)
     shape = torch.zeros(len(rows), body.shape_size)
     exists = torch.ones(len(rows), FRAMES // 8 + 1, dtype=torch.bool)
@@ -39,5 +39,5 @@ def tiny_weights(body: BodyModel, kind: type[Networks] = WindowNetworks) -> Humo
     return HumosWeights(networks, density, FRAMES)
 
 
-def tiny_prior(body: BodyModel, kind: type[Networks] = WindowNetworks) -> Humos:
-    return Humos(tiny_weights(body, kind), body)
+def tiny_prior(body: BodyModel) -> Humos:
+    return Humos(tiny_weights(body), body)

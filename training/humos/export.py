@@ -6,7 +6,7 @@ from pathlib import Path
 import torch
 
 from priors.humos.frames import LappedBasis
-from priors.humos.networks import CodeDensity, HumosWeights, Networks, save_weights
+from priors.humos.networks import CodeDensity, HumosWeights, WindowNetworks, save_weights
 from recon.benchmark.dataset import Splits
 from recon.body.model import BodyModel
 from training.humos.corpus import BodyCorpus, BodyVariation
@@ -47,7 +47,9 @@ def export_learned(settings: HumosTraining, path: Path, learned: BodyCorpus) -> 
     return path
 
 
-def _density(settings: HumosTraining, networks: Networks, learned: BodyCorpus) -> CodeDensity:
+def _density(
+    settings: HumosTraining, networks: WindowNetworks, learned: BodyCorpus
+) -> CodeDensity:
     """The distribution of the training clips' codes, and of each given the one before."""
     random = torch.Generator().manual_seed(settings.seed)
     codes, variances, before, after = [], [], [], []

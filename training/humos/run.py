@@ -2,12 +2,11 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
 
 import torch
 
 from priors.humos.frames import LappedBasis
-from priors.humos.networks import ClipNetworks, Networks, WindowNetworks
+from priors.humos.networks import WindowNetworks
 from recon.benchmark.dataset import SPLITS, Licence
 from training.humos.corpus import BodyCorpus, BodyVariation
 from training.run import CHECKPOINT, Run, read_state, trained_state
@@ -26,10 +25,8 @@ class HumosTraining:
     """`open`: clips whose weights may be shipped; `nc`: the non-commercial ones too."""
     splits: Path = SPLITS
     """Table of the subjects that are held out."""
-    codes: Literal["windows", "clip"] = "windows"
-    """A code for every 0.4 s, or one for the whole clip, as published."""
     latent: int = 96
-    """Numbers of a code; 320 are published for a clip."""
+    """Numbers of the code of a window; 320 are published for a whole clip."""
     basis: int = 256
     """Principal directions of windows that the networks see and make motions of."""
     basis_from: int = 3072
@@ -83,7 +80,7 @@ class HumosTraining:
 
     def __post_init__(self) -> None:
         """Refuse what has no meaning, before a corpus is read."""
-        if self.codes == "windows" and self.latent > self.basis:
+        if self.latent > self.basis:
             raise ValueError(
                 f"codes of {self.latent} numbers begin as as many of {self.basis} principal "
                 "directions: give a smaller latent, or a larger basis"
@@ -103,7 +100,7 @@ class HumosTraining:
         return 0 if self.warm is not None else self.warm_steps
 
 
-HumosRun = Run[Networks]
+HumosRun = Run[WindowNetworks]
 """A training run of the HUMOS prior."""
 
 
@@ -149,10 +146,11 @@ def save(run: HumosRun) -> None:
     run.save(basis=run.networks.basis.tensors())
 
 
-def untrained(settings: HumosTraining, basis: LappedBasis, shape: int) -> Networks:
+def untrained(settings: HumosTraining, basis: LappedBasis, shape: int) -> WindowNetworks:
     """Networks of these sizes."""
-    kind = WindowNetworks if settings.codes == "windows" else ClipNetworks
-    return kind(basis, settings.latent, shape, settings.width, settings.layers, settings.dropout)
+    return WindowNetworks(
+        basis, settings.latent, shape, settings.width, settings.layers, settings.dropout
+    )
 
 
 def _basis(settings: HumosTraining, corpus: BodyCorpus, random: torch.Generator) -> LappedBasis:

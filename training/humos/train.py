@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from priors.humos.frames import BodyFrames
-from priors.humos.networks import Networks
+from priors.humos.networks import WindowNetworks
 from priors.humos.prior import FPS
 from recon.benchmark.dataset import Splits
 from recon.body.model import BodyModel
@@ -41,7 +41,7 @@ class Codes:
 
 
 def encoded(
-    networks: Networks,
+    networks: WindowNetworks,
     rows: Float[Tensor, "clips time numbers"],
     shape: Float[Tensor, "clips shape"],
     exists: Bool[Tensor, "clips windows"],

@@ -12,10 +12,15 @@ from recon.formats.opening import decode, read_bytes, replacing
 
 _HEADER = 5
 """Lines before the numbers: type, keys, values, names, coordinates; a blank one may follow."""
+_POSE2SIM = {f"{side}{joint}" for side in "LR" for joint in ("Hip", "Knee", "Ankle")}
+"""Labels that all files of Pose2Sim have, whichever detector it used."""
 
 
 def read_trc(path: Path, *, unit: str | None = None, up: Axis | None = None) -> MarkerRecording:
     """Read a .trc file; a blank cell, NaN or three exact zeros are a marker not seen.
+
+    Pose2Sim, which leaves out the blank line after the header, writes (y, z, x) of its cameras'
+    world; this is undone first, so that its points stand where its calibration has them.
 
     Raises:
         FileNotFoundError: when there is no such file.
@@ -35,6 +40,12 @@ def read_trc(path: Path, *, unit: str | None = None, up: Axis | None = None) -> 
     labels, values = [labels[k] for k in named], values[:, named]
     visible = np.isfinite(values).all(-1) & (values != 0).any(-1)
     notes = [f"{beyond} columns of points without a label left out"] if beyond else []
+    custom: Axis = "y"
+    if set(labels) >= _POSE2SIM and lines[_HEADER].strip():
+        notes.append("coordinates are y, z and x of Pose2Sim's world, whose z points up")
+        values, custom = values[..., [2, 0, 1]], "z"
+        renamed: dict[Axis, Axis] = {"x": "y", "y": "z", "z": "x"}
+        up = renamed[up] if up else None
     fps, note = _rate(header.get("DataRate", ""), times, name)
     raw = MarkerRecording(
         name=name,
@@ -46,7 +57,7 @@ def read_trc(path: Path, *, unit: str | None = None, up: Axis | None = None) -> 
         start_time=float(times[0]),
     )
     declared = parse_unit(header.get("Units", ""))
-    return settle_markers(raw, unit=unit, up=up, declared=declared, usual_up="y")
+    return settle_markers(raw, unit=unit, up=up, declared=declared, usual_up=custom)
 
 
 def _labels(line: str) -> list[str]:

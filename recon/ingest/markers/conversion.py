@@ -5,10 +5,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Bool
 
 from recon.body.model import BodyModel
 from recon.body.soles import Soles
-from recon.diagnosis.findings import Finding
+from recon.diagnosis.findings import Finding, listed
 from recon.formats.mocap.recording import MarkerRecording
 from recon.ingest.conversion import Conversion, floored
 from recon.ingest.markers.coverage import MarkerSet, full_body_markers, keypoint_finding
@@ -19,7 +20,12 @@ from recon.ingest.markers.exchanges import (
     steady_labels,
     with_exchanged,
 )
-from recon.ingest.markers.findings import marker_findings, marker_residuals
+from recon.ingest.markers.findings import (
+    FAR,
+    marker_distances,
+    marker_findings,
+    marker_residuals,
+)
 from recon.ingest.markers.fit import MarkerFit, fit_markers, nominal_places
 from recon.ingest.markers.gaps import gap_findings, trimmed
 from recon.ingest.markers.jumps import jump_findings
@@ -27,6 +33,8 @@ from recon.solver.solution import one_thread
 
 _BAD = 0.02
 """Metres of mean residual from which on other labels are tried."""
+_MOSTLY = 0.5
+"""Share of a marker's frames."""
 _TRIAL_FRAMES = 40
 _BETTER = 0.6
 """Share of the residual that other labels must leave."""
@@ -71,6 +79,8 @@ class FittedMarkers:
     fit: MarkerFit
     repairs: tuple[Finding, ...]
     """Labels that were exchanged."""
+    warnings: tuple[Finding, ...]
+    """Markers that were left out: no frame of `recording` shows them."""
     decisions: tuple[str, ...]
     """What was read, chosen and left out, one sentence each."""
 
@@ -79,6 +89,9 @@ def fitted_markers(
     recording: MarkerRecording, body: BodyModel, markers: MarkerSet
 ) -> FittedMarkers:
     """The markers of a recording with labels put right, and the body that meets them.
+
+    Markers that the body misses by more than `FAR` in most of their frames are left out, and it is
+    fitted again: they are virtual points, or not what their labels say.
 
     Raises:
         ValueError: when no frame shows enough markers to place a body.
@@ -91,11 +104,35 @@ def fitted_markers(
         chosen, finding = other
         repairs.append(finding)
         fit = fit_markers(chosen, markers, body)
+    lost: list[str] = []
+    while (far := _lost(fit, chosen)).any() and not far[chosen.visible.any(0)].all():
+        lost += [label for label, one in zip(chosen.marker_names, far, strict=True) if one]
+        visible = chosen.visible & ~far
+        positions = np.where(visible[..., None], chosen.positions, 0.0)
+        chosen = dataclasses.replace(chosen, positions=positions, visible=visible)
+        fit = fit_markers(chosen, markers, body)
     left = f"; not known: {', '.join(markers.unknown)}" if markers.unknown else ""
     kind = "keypoints" if markers.inside else "markers"
-    used = f"{len(markers.labels)} {kind} used{left}"
+    used = f"{len(markers.labels) - len(lost)} {kind} used{left}"
     said = (*recording.decisions, *markers.decisions, used, *cut)
-    return FittedMarkers(chosen, fit, tuple(repairs), said)
+    return FittedMarkers(chosen, fit, tuple(repairs), _left_out(lost), said)
+
+
+def _lost(fit: MarkerFit, recording: MarkerRecording) -> Bool[np.ndarray, " markers"]:
+    """Markers that are far from their places in most of their frames."""
+    far = (marker_distances(fit, recording) > FAR) & recording.visible
+    return far.sum(0) > _MOSTLY * recording.visible.sum(0).clip(min=1)
+
+
+def _left_out(lost: list[str]) -> tuple[Finding, ...]:
+    if not lost:
+        return ()
+    said = (
+        f"{listed(lost)}: left out, for most frames have them more than {100 * FAR:.0f} cm from "
+        "their places on the body; look for virtual points, exchanged labels and ghosts, or say "
+        "where they sit with --mapping"
+    )
+    return (Finding("outliers", said, tuple(lost), value=float(len(lost))),)
 
 
 def _converted(
@@ -103,7 +140,7 @@ def _converted(
 ) -> Conversion:
     fit, chosen = found.fit, found.recording
     mended, jumps = jump_findings(fit.unmade, fit.mended)
-    warnings = [*gap_findings(fit.observed, chosen.fps), *jumps]
+    warnings = [*found.warnings, *gap_findings(fit.observed, chosen.fps), *jumps]
     if markers.inside:
         warnings.append(keypoint_finding(markers.labels))
     warnings += marker_findings(fit, chosen, markers)
@@ -127,8 +164,7 @@ def _converted(
 
 def mean_residual(fit: MarkerFit, recording: MarkerRecording) -> float:
     """Mean distance of visible markers from their places, metres."""
-    away = np.linalg.norm(fit.predicted.numpy() - recording.positions, axis=-1)
-    return float(away[recording.visible].mean())
+    return float(marker_distances(fit, recording)[recording.visible].mean())
 
 
 def _relabelled(
@@ -175,7 +211,7 @@ def _sides_finding() -> Finding:
 
 def _by_time(fit: MarkerFit, recording: MarkerRecording) -> tuple[Finding, ...]:
     """The mean residual of every second."""
-    away = np.linalg.norm(fit.predicted.numpy() - recording.positions, axis=-1)
+    away = marker_distances(fit, recording)
     step = max(1, round(recording.fps))
     found: list[Finding] = []
     for first in range(0, recording.frames, step):

@@ -26,17 +26,22 @@ _MOVED = 0.15
 
 
 def marker_residuals(fit: MarkerFit, recording: MarkerRecording) -> Mapping[str, float]:
-    """Mean distance of every marker from its place, millimetres; zero for those never visible."""
-    away, seen = _away(fit, recording), recording.visible
-    mean = (away * seen).sum(0) / seen.sum(0).clip(min=1)
-    return dict(zip(recording.marker_names, (1000 * mean).tolist(), strict=True))
+    """Mean distance of every marker that is ever visible from its place, millimetres."""
+    away, seen = marker_distances(fit, recording), recording.visible
+    frames = seen.sum(0)
+    mean = (away * seen).sum(0) / frames.clip(min=1)
+    return {
+        label: 1000 * float(mean[marker])
+        for marker, label in enumerate(recording.marker_names)
+        if frames[marker] > 0
+    }
 
 
 def marker_findings(
     fit: MarkerFit, recording: MarkerRecording, markers: MarkerSet
 ) -> list[Finding]:
     """Markers that stand still, leave their places, or sit elsewhere than their names say."""
-    away, seen = _away(fit, recording), recording.visible
+    away, seen = marker_distances(fit, recording), recording.visible
     constant = _constant(fit, recording)
     far = (away > FAR) & seen
     often = far.sum(0) > _OFTEN * seen.sum(0).clip(min=1)
@@ -112,5 +117,8 @@ def _constant(fit: MarkerFit, recording: MarkerRecording) -> np.ndarray:
     return still
 
 
-def _away(fit: MarkerFit, recording: MarkerRecording) -> Float[np.ndarray, "time markers"]:
+def marker_distances(
+    fit: MarkerFit, recording: MarkerRecording
+) -> Float[np.ndarray, "time markers"]:
+    """Distance of every marker from its place on the body, metres; visible or not."""
     return np.linalg.norm(fit.predicted.numpy() - recording.positions, axis=-1)

@@ -4,13 +4,12 @@ The body that meets the markers, as a conversion finds it, tells where each mark
 skin and how far it is from there, frame by frame: soft tissue moves, and bodies are no model.
 """
 
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from observations.markers3d import Markers3D
 from observations.noise import LIMITS
@@ -22,12 +21,9 @@ from recon.fitting.readers import SeenMarkers
 from recon.formats.mocap.recording import MarkerRecording
 from recon.ingest.markers.conversion import FittedMarkers, fitted_markers
 from recon.ingest.markers.coverage import full_body_markers
-from recon.ingest.markers.findings import FAR
+from recon.ingest.markers.findings import marker_distances
 from recon.ingest.markers.fit import stands_on_zero
 from recon.solver.solution import one_thread
-
-_MOSTLY = 0.5
-"""Share of a marker's frames."""
 
 
 def seen_markers(
@@ -54,9 +50,7 @@ def seen_markers(
     with one_thread():
         markers = full_body_markers(recording, body, mapping)
         found = fitted_markers(recording, body, markers)
-    shown, fit, lost = found.recording, found.fit, _lost(found)
-    shown = replace(shown, visible=shown.visible & ~lost)
-    found = replace(found, recording=shown)
+    shown, fit = found.recording, found.fit
     offsets = fit.subject.offsets
     grounded = bool(fit.observed[:, list(FEET)].any()) and stands_on_zero(shown)
     seen = Markers3D(
@@ -81,28 +75,14 @@ def seen_markers(
         if markers.bare
         else ()
     )
-    if lost.any():
-        names = [name for name, one in zip(shown.marker_names, lost, strict=True) if one]
-        said = "are more than 15 cm from their places on the body mostly: left out"
-        bare = (*bare, f"{listed(names)} {said}")
-    repaired = tuple(finding.message for finding in found.repairs)
-    return SeenMarkers(seen, (*found.decisions, ground, *bare, *repaired))
-
-
-def _lost(found: FittedMarkers) -> Bool[np.ndarray, " markers"]:
-    """Markers that are far from their places in most of their frames: wrong labels."""
-    seen = found.recording.visible
-    far = (_distances(found) > FAR) & seen
-    return far.sum(0) > _MOSTLY * seen.sum(0).clip(min=1)
-
-
-def _distances(found: FittedMarkers) -> Float[np.ndarray, "time markers"]:
-    away = found.fit.predicted.double().numpy() - found.recording.positions
-    return np.linalg.norm(away, axis=-1)
+    changed = tuple(finding.message for finding in (*found.warnings, *found.repairs))
+    return SeenMarkers(seen, (*found.decisions, ground, *bare, *changed))
 
 
 def _deviations(found: FittedMarkers) -> Float[np.ndarray, " markers"]:
     """Standard deviation of the coordinates of every marker about its place, metres."""
     seen = found.recording.visible
-    square = np.where(seen, np.square(_distances(found)), 0.0).sum(0) / seen.sum(0).clip(min=1)
+    square = np.where(seen, np.square(marker_distances(found.fit, found.recording)), 0.0).sum(
+        0
+    ) / seen.sum(0).clip(min=1)
     return np.sqrt(square / 3).clip(*LIMITS)

@@ -1,0 +1,164 @@
+"""The steps of continuous integration, which `make`, pre-commit and the workflows call.
+
+    python -m scripts.ci lint types test
+    python -m scripts.ci changelog --base origin/main
+
+Steps run in the order given, with the Python that runs this program; the first that fails ends it.
+"""
+
+import argparse
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+LIBRARY = ("recon/", "priors/", "observations/", "training/")
+"""What users notice changes of."""
+EXEMPT = "no changelog"
+"""A line of a commit's message: nothing that its users notice has changed."""
+PIP = ("-m", "pip", "install", "--quiet", "--constraint", "constraints.txt")
+TESTS = ("-m", "pytest", "-q", "-n", "2", "--dist", "loadfile", "-m")
+PLAIN_KERNELS = {"ATEN_CPU_CAPABILITY": "default", "MKL_CBWR": "COMPATIBLE"}
+AVX2_KERNELS = {"ATEN_CPU_CAPABILITY": "avx2"}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    told = ", ".join([*STEPS, "changelog"])
+    parser.add_argument("steps", nargs="+", metavar="STEP", help=told)
+    parser.add_argument("--base", default="origin/main", help="what `changelog` compares with")
+    arguments = parser.parse_args()
+    for step in arguments.steps:
+        if step not in STEPS and step != "changelog":
+            parser.error(f"no step {step!r}; there are {told}")
+    for step in arguments.steps:
+        if step == "changelog":
+            changelog(ROOT, arguments.base)
+        else:
+            STEPS[step]()
+
+
+def run(*words: str, **environment: str) -> None:
+    """Run this Python in the root of the checkout.
+
+    Raises:
+        SystemExit: with its exit status, where it failed.
+    """
+    said = [f"{name}={value}" for name, value in environment.items()]
+    print("+", *said, "python", *words, flush=True)
+    ended = subprocess.run(
+        [sys.executable, *words], cwd=ROOT, env={**os.environ, **environment}, check=False
+    )
+    if ended.returncode:
+        sys.exit(ended.returncode)
+
+
+def install() -> None:
+    """Install the package with what it needs, at the versions of constraints.txt."""
+    run("-m", "pip", "install", "--quiet", "--upgrade", "pip>=25.1")
+    run(*PIP, "--editable", ".")
+
+
+def develop() -> None:
+    """Install what the other steps need beside the package."""
+    run(*PIP, "--group", "dev")
+
+
+def demo() -> None:
+    run("-m", "recon", "demo", "--out", "demo")
+
+
+def lint() -> None:
+    run("-m", "ruff", "check", ".")
+    run("-m", "ruff", "format", "--check", ".")
+    run("-c", "from importlinter.cli import lint_imports_command as lint; lint()")
+
+
+def types() -> None:
+    run("-m", "pyright", "--pythonpath", sys.executable)
+
+
+def test() -> None:
+    run(*TESTS, "not slow")
+
+
+def numerics(kernels: dict[str, str] = PLAIN_KERNELS) -> None:
+    """Run tests that depend on rounding on other kernels, from inputs off by some units.
+
+    Shapes depend on neither, and were checked before.
+    """
+    run(*TESTS, "numerics and not slow", "--ulps", "4", JAXTYPING_DISABLE="1", **kernels)
+
+
+def slow() -> None:
+    """Run what `test` leaves out, and `numerics` on one more set of kernels."""
+    run(*TESTS, "slow")
+    numerics(AVX2_KERNELS)
+
+
+def figures() -> None:
+    run("-m", "scripts.figures", "--gate")
+
+
+def dist() -> None:
+    run("-m", "scripts.distributions", "--out", "dist")
+
+
+def docs() -> None:
+    run("-m", "mkdocs", "build", "--quiet", NO_MKDOCS_2_WARNING="1")
+
+
+STEPS: dict[str, Callable[[], None]] = {
+    step.__name__: step
+    for step in (install, develop, demo, lint, types, test, numerics, slow, figures, dist, docs)
+}
+
+
+def changelog(root: Path, base: str) -> None:
+    """End the program when CHANGELOG.md has no line for commits that ask for one."""
+    if told := unlisted(root, base):
+        sys.exit(
+            "These commits change the library, and CHANGELOG.md has no new line:\n"
+            + "".join(f"  {line}\n" for line in told)
+            + f"Add one, or the line {EXEMPT!r} to their messages where users notice nothing."
+        )
+    print(f"changelog: nothing is missing since {base}")
+
+
+def unlisted(root: Path, base: str) -> list[str]:
+    """Commits since a base that ask for a line of the changelog; none where it has a new one."""
+    added = git(root, "diff", "--numstat", f"{base}...HEAD", "--", "CHANGELOG.md")
+    if added and not added.startswith("0\t"):
+        return []
+    commits = git(root, "log", "--no-merges", "--format=%h", f"{base}..HEAD").split()
+    return [git(root, "log", "-1", "--format=%h %s", one) for one in commits if asks(root, one)]
+
+
+def asks(root: Path, commit: str) -> bool:
+    """Whether a commit changes the library, and its message does not say that nobody notices."""
+    message = git(root, "log", "-1", "--format=%B", commit).splitlines()
+    names = git(root, "diff-tree", "-r", "--root", "--no-commit-id", "--name-only", commit)
+    exempt = EXEMPT in (line.strip().lower() for line in message)
+    return not exempt and any(name.startswith(LIBRARY) for name in names.splitlines())
+
+
+def git(root: Path, *words: str) -> str:
+    """What git says.
+
+    Raises:
+        SystemExit: with what it complains of, where it failed.
+    """
+    ended = subprocess.run(
+        ["git", *words], cwd=root, capture_output=True, check=False, encoding="utf-8"
+    )
+    if ended.returncode:
+        sys.exit(f"git {' '.join(words)}: {ended.stderr.strip()}")
+    return ended.stdout.strip()
+
+
+if __name__ == "__main__":
+    main()
