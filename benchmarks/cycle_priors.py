@@ -4,12 +4,12 @@
         --json benchmarks/results/cycle_priors.json
 
 Columns as in `benchmarks.complete`: p points of every frame, or f of 100 frames with all points,
-with the 16 landmarks or without. Methods: the anchor-frame VAE (`network`, made by
-`python -m training anchor`), principal components of the same cycles with their Gaussian in the same optimiser (by
-`python -m training.anchor.components`), the pose prior with its smoothness (`pose`) and
-HuMoR (`humor`), which are told the same noise; `recon.complete` is the library's own choice by
-what was seen. Seeds draw other people, clothes, offsets of
-landmarks and noise for the same cycles.
+with the 16 landmarks or without. Methods: the anchor-frame VAE (`network`, made by `python -m
+training anchor`), principal components of the same cycles with their Gaussian in the same
+optimiser (by `python -m training.anchor.components`), the pose prior with its smoothness
+(`pose`) and HuMoR (`humor`), which are told the same noise; `recon.complete` is the library's
+own choice by what was seen. Seeds draw other people, clothes, offsets of landmarks and noise for
+the same cycles.
 
 What is in the JSON already, of the same commit, is not run again; with `--minutes` the command
 ends after the column that is then under way, and goes on when it is run once more.

@@ -2,7 +2,7 @@
 
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -144,13 +144,15 @@ def fit(
     model = body_given(body).to(device=device, dtype=torch.float32)
     beyond = None if robust == "auto" else finite(robust, "robust")
     if len(paths) > 0:
-        plane = ground if not isinstance(ground, str) else None
-        how = FitSettings.of(reading | {"robust": beyond, "ground": plane})
+        how = FitSettings.of(reading | {"robust": beyond})
         observations = read_clip(paths, how, model)
-        ground = "auto" if plane is not None else ground
-    elif options != ReadOptions():
+        is_plane = ground is not None and not isinstance(ground, str)
+        if is_plane and observations.T_recording_camera is not None:
+            # a plane below a camera without pose says how its images are carried into the world
+            observations, ground = read_clip(paths, replace(how, ground=ground), model), "auto"
+    elif given := options.given():
         raise ReconError(
-            f"{', '.join(reading)}: how to read files, but the observations are read already"
+            f"{', '.join(given)}: how to read files, but the observations are read already"
         )
     clip = clip_of(observations, model)
     if between is not None:
@@ -291,11 +293,9 @@ def refine(
 
 def _refuse_others(path: Path, options: ReadOptions, start: object) -> None:
     """Refuse options that an estimate of a motion does not heed."""
-    heeded = ("frame_rate", "up", "person", "ground", "robust", "seed")
-    given = [
-        one.name for one in fields(options)
-        if one.name not in heeded and getattr(options, one.name) != one.default
-    ] + ["start"] * (start is not None)  # fmt: skip
+    heeded = ("frame_rate", "up", "person")
+    given = [name for name in options.given() if name not in heeded]
+    given += [] if start is None else ["start"]
     if given:
         raise ReconError(
             f"{path}: is refined as an estimate of a motion, which takes no {', '.join(given)}"

@@ -77,6 +77,10 @@ class ReadOptions:
         files = {name: Path(given[name]) for name in _FILES if isinstance(given.get(name), str)}
         return cls(**{**given, **files})
 
+    def given(self) -> list[str]:
+        """Names of the options that are not as usual."""
+        return [one.name for one in fields(self) if getattr(self, one.name) != one.default]
+
 
 @dataclass(frozen=True)
 class FitSettings(ReadOptions):
