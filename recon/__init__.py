@@ -15,16 +15,16 @@ if TYPE_CHECKING:
     from observations.keypoints2d import Keypoints2D as Keypoints2D
     from observations.keypoints3d import Keypoints3D as Keypoints3D
     from observations.markers3d import Markers3D as Markers3D
-    from recon.api.complete import complete as complete
     from recon.api.convert import convert as convert
     from recon.api.convert import to_body as to_body
     from recon.api.evaluate import evaluate as evaluate
+    from recon.api.fit import complete as complete
     from recon.api.fit import fit as fit
+    from recon.api.fit import refine as refine
     from recon.api.generate import predict as predict
     from recon.api.generate import sample as sample
     from recon.api.given import Shape as Shape
     from recon.api.interpolate import interpolate as interpolate
-    from recon.api.refine import refine as refine
     from recon.api.result import Result as Result
     from recon.api.results import MotionResult as MotionResult
     from recon.api.retarget import retarget as retarget
@@ -73,8 +73,8 @@ _HOMES = {
     "Shape": "recon.api.given",
     "joint_angles": "recon.gait.angles",
     "bench": "recon.benchmark.judged",
-    "complete": "recon.api.complete",
-    "refine": "recon.api.refine",
+    "complete": "recon.api.fit",
+    "refine": "recon.api.fit",
     "retarget": "recon.api.retarget",
     "sample": "recon.api.generate",
     "predict": "recon.api.generate",

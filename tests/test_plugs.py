@@ -15,10 +15,9 @@ MAKERS = ("simulation/", "ingest/", "fitting/gait.py", "benchmark/protocols.py")
 VERBS = {
     "recon/api/generate.py",
     "recon/api/interpolate.py", "recon/api/retarget.py",
-    "recon/cli/verbs/complete.py", "recon/cli/verbs/generation/sample.py",
-    "recon/cli/verbs/train.py",
+    "recon/cli/making.py", "recon/cli/listing.py",
     "recon/fitting/recording.py", "recon/fitting/interpolation.py",
-    "recon/fitting/retargeting.py", "recon/jobs/demo.py", "recon/jobs/generate.py",
+    "recon/fitting/retargeting.py", "recon/demo.py",
     "training/labels/shards.py",
 }  # fmt: skip
 """Files about what one prior alone can do: training it, drawing from it, changing bodies."""
@@ -32,7 +31,6 @@ BENCH = {"recon/benchmark/methods.py"}
 """Files that judge priors by name, on windows of people from whom none of them learned."""
 DEFAULTS = {
     "recon/api/fit.py", "recon/batch/clips.py", "recon/people/together.py",
-    "recon/api/refine.py",
     "recon/fitting/settings.py",
     "recon/fitting/methods.py",
 }  # fmt: skip

@@ -119,7 +119,7 @@ class Humor:
         *,
         mixture: str | Path | None = None,
     ) -> "Humor":
-        """The bundled weights, ones trained by `recon train humor`, or the released checkpoint.
+        """The bundled weights, ones of `python -m training humor`, or the released checkpoint.
 
         Args:
             path: .safetensors of ours, or the authors' .pth; `open` or None are the weights in the

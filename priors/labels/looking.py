@@ -182,7 +182,7 @@ class CloudLabeller:
 
     @classmethod
     def load(cls, path: str | Path | None = None) -> "CloudLabeller":
-        """The bundled network, or one trained by `recon train labels`.
+        """The bundled network, or one trained by `python -m training labels`.
 
         Raises:
             FileNotFoundError: when there is no such file.

@@ -180,7 +180,7 @@ class PosePrior(TensorStruct):
         *,
         weights: PoseWeights | None = None,
     ) -> "PosePrior":
-        """The bundled density, or one trained by `recon train pose`; by default for noisy joints.
+        """The bundled density, or one of `python -m training pose`; by default for noisy joints.
 
         Args:
             path: `open` or None for the bundled density, or a file.

@@ -26,23 +26,25 @@ def convert(
     body: BodyLike = None,
     keep_frame: bool = False,
 ) -> Made:
-    """Any recording of joints or markers of a body as a motion of the body.
+    """Bring a recording of motion capture onto the body.
 
-    The result stands on z = 0 and keeps the recording's times. Nothing is random, and everything
-    is computed on the processor.
+    Recordings of joints or markers (.bvh, .amc, .c3d, .trc, .mat, also .xz and FILE::MEMBER). The
+    result stands on z = 0 and keeps the recording's times. Nothing is random, and everything is
+    computed on the processor. `recon convert FOLDER FOLDER --all` converts a whole folder; see
+    `recon convert-all --help`.
 
-    `about` of the result has `conversion` (flat numbers: frames, fps, residual_mm, slip_mps, ...),
+    Its report (`about`) has `conversion` (flat numbers: frames, fps, residual_mm, slip_mps, ...),
     `decisions` (what was read, guessed or cut, a sentence each), `residuals_mm` (mean distance of
     every joint or marker, millimetres), and the lists `diagnosis`, `repairs` and `warnings`.
 
     Args:
         recording: a file (.bvh, .amc, .c3d, .trc, .mat, also .xz, or FILE::MEMBER of an archive),
             or what `recon.formats.mocap.reader.read_recording` made of it.
-        unit: of the file; None finds it out.
-        up: axis of the file that points up; None finds it out.
+        unit: of the file; default: found out.
+        up: axis of the file that points up; default: found out.
         mapping: JSON or TOML file that says which of its joints or markers are which.
-        fps: rate of the result, frames per second; None is the recording's.
-        body: whose motion it becomes; a SMPL-family file, or None for the bundled body.
+        fps: rate of the result, frames per second; default: the recording's.
+        body: whose motion it becomes; a SMPL-family file; default: the bundled body.
         keep_frame: leave the motion where the laboratory has it, turned to z up at most, instead
             of standing it on z = 0; the plane that feet stand on is then in the file.
 
@@ -65,9 +67,9 @@ def convert(
         **found.findings(),
     }
     lines = (f"mean residual {found.report['residual_mm']:.1f} mm", *found.decisions)
-    return Made(
-        found.file(model), model, found.warnings, about, lines, found.repairs, found.diagnosis
-    )
+    shown = {"conversion": {key: {"value": value} for key, value in found.report.items()}}
+    file = found.file(model)
+    return Made(file, model, found.warnings, about, lines, found.repairs, found.diagnosis, shown)
 
 
 _NEAR = 0.005

@@ -37,7 +37,7 @@ def evaluate(
     truth_visible: Numbers | None = None,
     observed: ObservedPoints | None = None,
 ) -> Evaluation:
-    """All metrics of one clip in SI units; None where a value cannot be computed.
+    """Every metric of a reconstruction, in SI units; None where it cannot be computed.
 
     The truth is interpolated at the estimate's times. `slip_speed` and `slip_speed_truth` are both
     taken while the *truth* is in contact. Heights for `penetration_*` are those of the toe joints
@@ -54,8 +54,8 @@ def evaluate(
         estimate: the reconstruction, one clip: a motion, a result, a motion file or its arrays.
         truth: the true motion, one clip that lasts at least as long. Or the true joints alone, an
             array (time, 22, 3) in metres at the estimate's frames; errors of joints are then all.
-        body: of both, each motion has its own shape: a body, a SMPL-family file, or None for the
-            bundled body.
+        body: of both, each motion has its own shape: a SMPL-family file; default: the bundled
+            body.
         observation: the observation file that was fitted, or its path: for errors of its own
             points, and for the joints that a simulated sensor could see.
         contacts: the reconstruction's contacts, (time, 22), labels or probabilities at its

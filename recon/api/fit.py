@@ -1,7 +1,8 @@
-"""`recon.fit`: whatever was observed of one clip in, the motion behind it out."""
+"""`recon.fit`, `complete` and `refine`: what was observed of one clip in, its motion out."""
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,10 +11,12 @@ import torch
 
 from recon.api.given import (
     BodyLike,
+    MotionLike,
     Shape,
     ShapeLike,
     body_given,
     motion_given,
+    paths_given,
     prior_of,
     shape_known,
 )
@@ -22,12 +25,16 @@ from recon.api.pipeline import fitted, observed
 from recon.api.result import Result, Stopper, result_of
 from recon.body.model import BodyModel
 from recon.core.arrays import finite, positive
-from recon.core.errors import ObservationError
+from recon.core.errors import ObservationError, ReconError
 from recon.core.limits import FRAME_RATE
 from recon.core.motion import Motion
+from recon.core.units import Axis
+from recon.diagnosis.estimates import believed
 from recon.diagnosis.findings import Finding
-from recon.fitting.methods import FitOptions, PriorObject
+from recon.fitting.methods import FitOptions, PriorObject, traits
 from recon.fitting.observed import Clip
+from recon.fitting.settings import ReadOptions
+from recon.formats.foreign import is_estimate
 from recon.method.stages import Watch
 from recon.method.terms import Term
 
@@ -43,7 +50,7 @@ def fit(
     body: BodyLike = None,
     shape: ShapeLike | Shape | float | None = None,
     terms: Sequence[Term] = (),
-    noise: float | Sequence[float | None] | None = None,
+    noise: float | Sequence[float | None] | Mapping[str, float | None] | None = None,
     robust: float | str = "auto",
     physics: float = 0.0,
     ground: GroundChoice = "auto",
@@ -54,24 +61,33 @@ def fit(
     callback: Watch | None = None,
     max_seconds: float | None = None,
     repair: bool = True,
+    **reading: Any,
 ) -> Result:
-    """The motion that explains all observations of one clip and is likely under the prior.
+    """Reconstruct the motion that explains all that was observed of one clip.
 
-    Observations of any kinds add up; each weighs as its noise says, which is estimated from the
-    data unless it is given. First guesses, the ground where it is not known, recordings of any
-    length and faults of the data are taken care of. The fit computes in single precision, uses no
-    random numbers and changes no global setting, so that several may run in threads.
+    Observations of any kinds add up, any number of each; each weighs as its noise says, which is
+    estimated from the data unless it is given. First guesses, the ground where it is not known,
+    recordings of any length and faults of the data are taken care of. The fit computes in single
+    precision, uses no random numbers and changes no global setting, so that several may run in
+    threads.
+
+    Files and folders are observation files (.npz) of 3D joints, markers, keypoints or points; 3D
+    keypoints of FreeMoCap (session folder), MediaPipe, MotionBERT, Azure Kinect, Anipose, Pose2Sim
+    or your own (.npy, .npz, .csv, .json, .trc); markers of a laboratory (.c3d, .trc); with a frame
+    rate and a camera (which one view of a phone does not need), 2D detections of OpenPose, MMPose,
+    AlphaPose, MediaPipe, DeepLabCut, EasyMocap or Pose2Sim (a folder or file per view, or a folder
+    of views); a folder of scans (.ply, .pcd); a folder of 16-bit depth images (.png, with a
+    camera). A file of SMPL parameters that a network told from video (.pt, .pkl, .npz) is refined,
+    as `recon.refine` does.
 
     Args:
-        observations: one or several of `Joints3D`, `Markers3D`, `Keypoints2D`, `PointCloud`,
-            without a leading axis or with one of length one; `recon.load_observation` reads them
-            from files. Or paths of such files and folders, or what `recon.simulate` returned.
+        observations: files and folders of one clip; in Python also one or several of `Joints3D`,
+            `Markers3D`, `Keypoints2D`, `PointCloud`, without a leading axis or with one of length
+            one, and what `recon.simulate` returned.
         prior: a name (`humor`, `pose`, `anchor` for one gait cycle), a loaded prior, a
             method with `stages(data)`, or "package.module:Class".
         weights: of a prior given by its name: `open`, `nc` (not for commercial use) or a file.
         method: the way in which the prior is fitted, one of its `methods`; None is the usual one.
-            `humor` has `collocation` (the motion itself is moved; usual) and `rollout` (a first
-            state and latents, through the decoder's roll-out).
         body: a body, a SMPL-family file, or None for the bundled body.
         shape: shape coefficients that are held, or a motion, result or motion file that has them
             (of a static trial, say); or the person's height in metres or a `recon.Shape`, which
@@ -79,7 +95,8 @@ def fit(
         terms: further energies, added in all stages that move poses; their weights stand beside
             ½ |residual|² in metres² of the least noisy observation.
         noise: standard deviation of every coordinate, metres or, of keypoints, pixels: one number
-            for observations of one unit, or one per observation, None where it is estimated.
+            for observations of one unit, or one per observation, None where it is estimated, or
+            one per unit, {"metres": 0.02, "pixels": 3.0}.
         robust: metres beyond which a named point counts ever less; `auto` keeps each
             observation's own kernel.
         physics: multiplier of contact and balance energies; 0 leaves them out.
@@ -98,13 +115,28 @@ def fit(
         max_seconds: time after which the fit is ended. Checks before and after the fit are not
             counted. A fit that is ended early has a warning and its last finite estimate.
         repair: whether what is surely wrong with the data is repaired before the fit.
+        reading: how to read files, by the names of `recon.fitting.settings.ReadOptions`:
+            `frame_rate`, `camera`, `unit`, `up`, `layout`, `person`, ...
 
     Raises:
         ReconError: for what cannot be fitted or understood; the message says what to do.
-        FileNotFoundError: when there is no such body, weights or start.
+        FileNotFoundError: when there is no such file, body, weights or start.
     """
+    paths = paths_given(observations)
+    how_read = ReadOptions.of(reading)
+    if is_estimate(paths):
+        _refuse_others(paths[0], how_read, start)
+        return refine(
+            paths[0], prior, weights=weights, method=method, body=body, shape=shape,  # pyright: ignore[reportArgumentType]
+            frame_rate=how_read.frame_rate, up=how_read.up, person=how_read.person,  # pyright: ignore[reportArgumentType]
+            ground="unknown" if ground == "auto" else ground, terms=terms, noise=noise,
+            robust=robust, physics=physics, between=between, fps=fps, device=device,
+            callback=callback, max_seconds=max_seconds,
+        )  # fmt: skip
     model = body_given(body).to(device=device, dtype=torch.float32)
-    sighting = observed(observations, model, ground=ground, between=between, robust=robust)
+    sighting = observed(
+        observations, model, how_read, ground=ground, between=between, robust=robust
+    )
     clip = sighting.clip
     if fps is not None:
         FRAME_RATE.check(positive(fps, "fps"), "fit", "fps")
@@ -142,10 +174,119 @@ def fit(
     return result
 
 
-def _noises(given: float | Sequence[float | None] | None, clip: Clip) -> tuple[float | None, ...]:
+def complete(
+    observations: ObservationsLike, prior: str | PriorObject = "recording", **how: Any
+) -> Result:
+    """Complete a recording of which little was seen, of any length and any motion.
+
+    Few points of every frame, a few landmarks, few frames at odd times, or all of these: a folder
+    of scans (.ply, .pcd) with times.csv or a frame rate, or observations of points, 3D markers or
+    joints; several of one clip add up. HuMoR's steps explain the whole, by windows, with one
+    shape. Where few moments were seen, cycles of gait that explain the data join them, and one
+    motion is fitted to all. The report (`Result.stretches`) says what was used when.
+
+    With the prior `anchor` it is one whole cycle of gait (0.3 to 3 s, cut out with `between`) as
+    one code, of which many are tried, so that there is no `start`. What is no cycle of gait is
+    then completed all the same, with a warning; keypoints in images are not taken.
+    `Result.cycle` has its duration in seconds, and how far its code is from those of recorded
+    cycles.
+
+    Args:
+        observations: as of `recon.fit`: observations, files and folders of one clip.
+        prior: `recording`, or a `WholeRecording` with other priors; for one cycle `anchor`, or a
+            loaded `AnchorFrames`.
+        how: all others of `recon.fit`.
+
+    Raises:
+        ReconError: when nothing tells where the body is, at most one moment shows anything, or,
+            for one cycle, what was seen does not last as long as one.
+        FileNotFoundError: when there is no such file, body or weights.
+    """
+    if not traits(prior).completes:
+        raise ReconError(
+            f"`complete` is `fit` with the priors recording and anchor; for {prior}, run "
+            f"`recon fit --prior {prior}`"
+        )
+    return fit(observations, prior, **how)
+
+
+def refine(
+    motion: MotionLike,
+    prior: str | PriorObject = "humor",
+    *,
+    body: BodyLike = None,
+    shape: ShapeLike | None = None,
+    frame_rate: float | None = None,
+    up: Axis | None = None,
+    person: int | None = None,
+    ground: GroundChoice | str = "unknown",
+    **how: Any,
+) -> Result:
+    """Refine a motion that a network told from video: feet that stand, no jitter, impacts kept.
+
+    Networks that look at video err for seconds, by limb, and their path drifts; here residuals
+    are weighed by the inverse of their covariance in time, so that fast changes are believed and
+    lasting deviations are cheap. Limbs that are exchanged for moments are put right, stretches
+    between jumps err each for itself. Left-out frames are filled.
+
+    Args:
+        motion: a motion, a result, a motion file, or a file of per-frame SMPL parameters: GVHMR
+            (.pt), WHAM (.pkl), SLAHMR, SMPL-X or AMASS (.npz). Nothing in it is run.
+        prior: as in `recon.fit`.
+        body: the body that the estimate is of, a SMPL-family file of which the shape coefficients
+            are then taken; or None for the bundled body.
+        shape: of the person, as `recon.retarget` takes it ("height=1.80"), on the bundled body,
+            for which coefficients of another body model mean nothing; None is the average shape.
+        frame_rate: frames per second of an estimate that does not say it.
+        up: axis of the estimate's world that points up; None tells it from how the body stands.
+        person: which of several people in a file, from 1 on; None takes the one of most frames.
+        ground: `unknown`, to be found; or `known` at height zero of the estimate's world.
+        how: others of `recon.fit`.
+
+    Raises:
+        ReconError: when the estimate is damaged, no estimate, lasts less than four frames, or its
+            frame rate is missing.
+        FileNotFoundError: when there is no such file.
+    """
+    if ground not in ("known", "unknown"):
+        raise ReconError(f"ground: expected known or unknown, got {ground!r}")
+    # reading estimates loads scipy, which other fits need not wait for
+    from recon.api.estimates import LEAST_FRAMES, estimate_given
+
+    model = body_given(body)
+    own = body is not None
+    given, known, notes = estimate_given(motion, model, own, shape, frame_rate, up, person)
+    if given.frames < LEAST_FRAMES:
+        raise ReconError(
+            f"expected an estimate of at least {LEAST_FRAMES} frames, got {given.frames}"
+        )
+    found = believed(given, known, model)
+    seen = found.seen.replace(ground_known=ground == "known")
+    how |= {"body": model, "shape": given.shape, "start": found.motion, "repair": False}
+    result = fit(seen, prior, **how)
+    examined = replace(result.examined, repairs=(*found.repairs, *result.repairs))
+    return replace(result, notes=(*notes, *result.notes), examined=examined)
+
+
+def _refuse_others(path: Path, options: ReadOptions, start: object) -> None:
+    """Refuse options that an estimate of a motion does not heed."""
+    heeded = ("frame_rate", "up", "person")
+    given = [name for name in options.given() if name not in heeded]
+    given += [] if start is None else ["start"]
+    if given:
+        raise ReconError(
+            f"{path}: is refined as an estimate of a motion, which takes no {', '.join(given)}"
+        )
+
+
+def _noises(
+    given: float | Sequence[float | None] | Mapping[str, float | None] | None, clip: Clip
+) -> tuple[float | None, ...]:
     """One for every observation; empty where all are estimated."""
     if given is None:
         return ()
+    if isinstance(given, Mapping):
+        given = [given.get(one.unit) for one in clip.observations]
     count = len(clip.observations)
     if not isinstance(given, Sequence):
         units = sorted({one.unit for one in clip.observations})

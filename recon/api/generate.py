@@ -1,5 +1,8 @@
 """`recon.sample` and `recon.predict`: motions out of nothing, or after the end of a motion."""
 
+from dataclasses import replace
+from typing import Literal
+
 import torch
 
 from priors.humor import generation
@@ -37,25 +40,25 @@ def sample(
     weights: str = "open",
     body: BodyLike = None,
     seed: int = 0,
-    device: str = "cpu",
+    device: Literal["cpu", "cuda"] = "cpu",
 ) -> MotionResults:
-    """Motions that a prior finds likely, made out of nothing.
+    """Make up motions that a prior finds likely.
 
     Of HuMoR, where they begin is drawn from the mixture of first states, every step after it from
     the transition prior. Of HUMOS, the whole motion of a body of your choice is drawn at once.
-    `about` of every motion says whether it stays on its feet.
+    The report (`about` of every motion) says whether it stays on its feet.
 
     Args:
         prior: `humor`, `humos`, or one of them that is loaded.
         count: how many motions.
         seconds: from the first frame of a motion to its last.
-        shape: of `humos`: the body, as `recon.retarget` takes it; None is the average body.
-        fps: of `humos`: rate of the motions, frames per second; None is 30.
+        shape: of `humos`: the body, as `recon.retarget` takes it; default: the average body.
+        fps: of `humos`: rate of the motions, frames per second; default: 30.
         temperature: of `humor`: factor on the standard deviations of the prior; higher ones make
-            motions that vary more; None is 0.9.
+            motions that vary more; default: 0.9.
         weights: of a prior that is given by its name: `open`, `nc` (not for commercial use) or a
             file.
-        body: a body, a SMPL-family file, or None for the bundled body.
+        body: a SMPL-family file; default: the bundled body.
         seed: of everything random; the same seed gives the same motions.
         device: where to compute, `cpu` or, of `humor`, `cuda`.
 
@@ -78,8 +81,9 @@ def sample(
     frames = _frames(seconds)
     humor = _humor(prior, weights, body, device)
     random = torch.Generator().manual_seed(seed)
-    made = generation.sample(humor, frames, count, random, temperature=_temperature(temperature))
-    return _results(made, humor.body, "sample")
+    factor = _temperature(temperature)
+    made = generation.sample(humor, frames, count, random, temperature=factor)
+    return replace(_results(made, humor.body, "sample"), settings={"temperature": factor})
 
 
 def predict(
@@ -93,23 +97,23 @@ def predict(
     weights: str = "open",
     body: BodyLike = None,
     seed: int = 0,
-    device: str = "cpu",
+    device: Literal["cpu", "cuda"] = "cpu",
 ) -> MotionResults:
-    """What may follow the last frame of a motion, in one way or in several.
+    """Go on from the last frame of a motion, in one way or in several.
 
     Every continuation begins with the frame that it continues, at that frame's time, and has 30
-    frames per second. `about` of each says whether it stays on its feet.
+    frames per second. The report (`about` of each) says whether it stays on its feet.
 
     Args:
         motion: a motion of one clip with two frames or more, at any rate.
         prior: `humor`, or one that is loaded.
         seconds: to come.
         samples: how many continuations.
-        at: seconds after the motion's first frame from which on it is not known; None is its end.
+        at: seconds after the motion's first frame from which on it is not known; default: its end.
         temperature: factor on the standard deviations of the prior; higher ones make motions that
-            vary more; None is 0.9.
+            vary more; default: 0.9.
         weights: of a prior that is given by its name: `open`, `nc` or a file.
-        body: the motion's body; a SMPL-family file, or None for the bundled body.
+        body: the motion's body; a SMPL-family file; default: the bundled body.
         seed: of everything random.
         device: where to compute, `cpu` or `cuda`.
 
@@ -140,7 +144,11 @@ def predict(
     random = torch.Generator().manual_seed(seed)
     one = known.to(device=device)[None]
     made = generation.predict(humor, one, frames, samples, random, temperature=factor)
-    return _results(made, humor.body, "prediction")
+    return replace(
+        _results(made, humor.body, "prediction"),
+        about={"motion": given.name, "at": at},
+        settings={"temperature": factor},
+    )
 
 
 def _of_body(
@@ -169,12 +177,10 @@ def _of_body(
         for doubt in doubts(model, coefficients)
     )
     made = Decoded(motion, contacts=labels.to(coefficients))
-    return _results(made, model, "sample", warnings)
+    return replace(_results(made, model, "sample"), warnings=warnings, settings={"fps": rate})
 
 
-def _results(
-    made: Decoded, body: BodyModel, noun: str, warnings: tuple[Finding, ...] = ()
-) -> MotionResults:
+def _results(made: Decoded, body: BodyModel, noun: str) -> MotionResults:
     """Every motion with its joints, contacts and the ground."""
     joints = body.pose(made.motion).joints
     stays = stays_on_its_feet(joints, rest_heights(body, made.motion.shape), made.motion.fps)
@@ -197,7 +203,7 @@ def _results(
         )
         for k, stay in enumerate(stays)
     ]
-    return MotionResults(tuple(results), noun, warnings)
+    return MotionResults(tuple(results), noun)
 
 
 def _humor(prior: str | Humor, weights: str, body: BodyLike, device: str) -> Humor:

@@ -44,6 +44,15 @@ class GivenMotion:
         return self.file.motion
 
 
+def paths_given(given: Any) -> tuple[Path, ...]:
+    """Files and folders of one clip, where the caller gave nothing else; else none."""
+    if isinstance(given, Path | str):
+        return (Path(given),)
+    if isinstance(given, list | tuple) and all(isinstance(one, Path | str) for one in given):
+        return tuple(Path(one) for one in given)
+    return ()
+
+
 def body_given(given: BodyLike) -> BodyModel:
     """The body, read where a path is given.
 

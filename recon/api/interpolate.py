@@ -29,14 +29,15 @@ def interpolate(
     body: BodyLike = None,
     fps: float | None = None,
 ) -> Made:
-    """The cycle of gait that lies between the best cycles of two motions.
+    """Make the cycle of gait that lies between those of two motions.
 
-    Best are those that look like gait and stand on the same feet: backward walking, whose hips
-    swing as those of forward walking do, stands on the other foot meanwhile. The anchor-frame
-    prior mixes their codes and bodies. The result begins between where they begin, facing between
-    them. Nothing is random, and everything is computed on the processor.
+    Of each the best cycle is taken. Best are those that look like gait and stand on the same feet:
+    backward walking, whose hips swing as those of forward walking do, stands on the other foot
+    meanwhile. The anchor-frame prior mixes their codes and bodies. The result begins between where
+    they begin, facing between them. Nothing is random, and everything is computed on the
+    processor.
 
-    `about` of the result has the two `cycles` (seconds), their `durations` and that of the result
+    The report (`about`) has the two `cycles` (seconds), their `durations` and that of the result
     (seconds), and by how much their feet agree, -1 to 1.
 
     Args:
@@ -44,8 +45,8 @@ def interpolate(
         b: another.
         at: share of the second, 0 to 1.
         weights: of the prior: `open`, `nc` (not for commercial use) or a file.
-        body: both motions' body; a SMPL-family file, or None for the bundled body.
-        fps: rate of the result, frames per second; None is the first motion's.
+        body: both motions' body; a SMPL-family file; default: the bundled body.
+        fps: rate of the result, frames per second; default: the first motion's.
 
     Raises:
         ReconError: for a share outside 0 to 1, a motion that is damaged, of another body or
@@ -93,7 +94,8 @@ def interpolate(
         "durations": durations,
     }
     lines = [f"cycle of {name}: {seconds:.2f} s" for name, seconds in durations.items()]
-    return Made(described(motion[0], model), model, (), about, tuple(lines))
+    shown = {f"{share:g} of the way": {"seconds": durations}}
+    return Made(described(motion[0], model), model, (), about, tuple(lines), shown=shown)
 
 
 def _cycles(given: GivenMotion) -> tuple[Cycle, ...]:

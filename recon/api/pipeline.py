@@ -7,9 +7,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
+from recon.api.given import paths_given
 from recon.api.observations import Sighting, clip_of, counted_less_beyond, on_ground
 from recon.body.model import BodyModel
 from recon.core.arrays import finite
+from recon.core.errors import ReconError
 from recon.core.motion import Motion
 from recon.diagnosis.examination import Examined, examine, screen
 from recon.diagnosis.motions.belt import on_belt
@@ -18,6 +20,7 @@ from recon.fitting.fitted import ClipFit
 from recon.fitting.guess import guessed
 from recon.fitting.methods import FitOptions, loaded
 from recon.fitting.observed import window
+from recon.fitting.settings import FitSettings, ReadOptions
 from recon.method.protocols import Sensor
 from recon.method.stages import Watch
 
@@ -25,6 +28,7 @@ from recon.method.stages import Watch
 def observed(
     given: Any,
     body: BodyModel,
+    how_read: ReadOptions,
     *,
     ground: Any = "auto",
     between: tuple[float, float] | None = None,
@@ -34,11 +38,26 @@ def observed(
 
     Arguments and errors as of `recon.fit`.
     """
-    clip = clip_of(given, body)  # files and folders by `recon.reading`
+    beyond = None if robust == "auto" else finite(robust, "robust")
+    if paths := paths_given(given):
+        # observations that are in memory need no reader
+        from recon.reading.clip import load_clip
+
+        how = replace(FitSettings(**vars(how_read)), robust=beyond)
+        given = load_clip(paths, how, body)
+        is_plane = ground is not None and not isinstance(ground, str)
+        if is_plane and given.T_recording_camera is not None:
+            # a plane below a camera without pose says how its images are carried into the world
+            given, ground = load_clip(paths, replace(how, ground=ground), body), "auto"
+    elif names := how_read.given():
+        raise ReconError(
+            f"{', '.join(names)}: how to read files, but the observations are read already"
+        )
+    clip = clip_of(given, body)
     if between is not None:
         clip = window(clip, *between)
-    if robust != "auto":
-        clip = counted_less_beyond(clip, finite(robust, "robust"))
+    if beyond is not None:
+        clip = counted_less_beyond(clip, beyond)
     return on_ground(clip, ground)
 
 

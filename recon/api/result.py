@@ -234,7 +234,7 @@ class Result(MotionResult):
         """What is written beside the motion: stages, noise, residuals, findings.
 
         Args:
-            inputs: SHA-256 of the files that were read, by path; none by default.
+            inputs: as of `MotionResult.report`.
             settings: of the fit, by name; by default its arguments.
         """
         fit = self.examined.fit

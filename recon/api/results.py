@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +16,14 @@ from recon.core.errors import ReconError
 from recon.core.motion import Motion
 from recon.diagnosis.agreement import ResidualSummary
 from recon.diagnosis.findings import Finding
+from recon.formats.joint_table import JointCertainty, write_joint_table
 from recon.formats.motions import MotionFile, save_motion
 from recon.formats.outputs import Kind, Output
-from recon.formats.reports import JointCertainty, versions, write_joint_table
+from recon.formats.reports import versions
 from recon.formats.writing import write_report, writing, writing_file
 
+Tables = Mapping[str, Mapping[str, Mapping[str, Any]]]
+"""Numbers for the person at the terminal: rows of columns, by title and by name."""
 _KNOWN, _FINDINGS = 3, 4
 """Lines of them at most."""
 WIDEST = 96
@@ -144,9 +147,21 @@ class MotionResult(ABC):
         """Median standard deviations of joints that were seen and of joints that were not."""
         return JointCertainty.of(self.file)
 
+    @property
+    def tables(self) -> Tables:
+        """Its most important numbers."""
+        return {}
+
     @abstractmethod
-    def report(self) -> dict[str, Any]:
-        """What is written beside the motion, in plain values."""
+    def report(
+        self, inputs: Mapping[str, str] | None = None, settings: Mapping[str, Any] | None = None
+    ) -> dict[str, Any]:
+        """What is written beside the motion, in plain values.
+
+        Args:
+            inputs: SHA-256 of the files that were read, by path; none by default.
+            settings: how it was made, by name.
+        """
 
     def save(
         self,
@@ -210,10 +225,19 @@ class Made(MotionResult):
     """What was wrong with a recording and was put right."""
     diagnosis: tuple[Finding, ...] = ()
     """What is worth knowing but is no fault."""
+    shown: Tables = field(default_factory=dict)
+    """Numbers for the person at the terminal."""
 
-    def report(self) -> dict[str, Any]:
-        """What is written beside the motion."""
-        return {**self.about, "versions": versions()}
+    @property
+    def tables(self) -> Tables:
+        """Its most important numbers."""
+        return self.shown
+
+    def report(
+        self, inputs: Mapping[str, str] | None = None, settings: Mapping[str, Any] | None = None
+    ) -> dict[str, Any]:
+        """What is written beside the motion; see `MotionResult.report`."""
+        return {**self.about, **told(inputs, settings)}
 
     def __repr__(self) -> str:
         """A summary of at most ten lines: length, person, what is known, and findings."""
@@ -232,6 +256,16 @@ class MotionResults:
     """What one of them is called, in names of files: "sample"."""
     warnings: tuple[Finding, ...] = ()
     """What should be read before they are used."""
+    about: Mapping[str, Any] = field(default_factory=dict)
+    """What is known of all of them, in plain values."""
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    """What was taken for settings that the caller left open."""
+
+    @property
+    def tables(self) -> Tables:
+        """What is known of each."""
+        rows = {f"{self.noun} {k}": one.about for k, one in enumerate(self.made)}
+        return {repr(self).splitlines()[0]: rows}
 
     def __len__(self) -> int:
         """How many they are."""
@@ -245,18 +279,26 @@ class MotionResults:
         """One after the other."""
         return iter(self.made)
 
-    def report(self, out: Path | str) -> dict[str, Any]:
+    def report(
+        self,
+        out: Path | str,
+        inputs: Mapping[str, str] | None = None,
+        settings: Mapping[str, Any] | None = None,
+    ) -> dict[str, Any]:
         """What is written beside them, in plain values.
 
         Args:
             out: where they are written, as `save` takes it.
+            inputs: SHA-256 of the files that were read, by path; none by default.
+            settings: how they were made, by name.
         """
         path = Path(out)
         names = file_names(path, len(self), self.noun)
         paths = [path] if path.suffix == ".npz" else [path / name for name in names]
         files = {str(p): dict(one.about) for p, one in zip(paths, self.made, strict=True)}
         warnings = [finding.message for finding in self.warnings]
-        return {"files": files, "warnings": warnings, "versions": versions()}
+        asked = None if settings is None else {**settings, **self.settings}
+        return {"files": files, "warnings": warnings, **self.about, **told(inputs, asked)}
 
     def save(
         self,
@@ -299,6 +341,14 @@ class MotionResults:
         return in_ten_lines(first, kept, found)
 
 
+def told(inputs: Mapping[str, str] | None, settings: Mapping[str, Any] | None) -> dict[str, Any]:
+    """What every report ends with: settings and inputs, where they are known, and versions."""
+    known = {"settings": settings, "inputs": inputs}
+    return {key: dict(one) for key, one in known.items() if one is not None} | {
+        "versions": versions()
+    }
+
+
 def file_names(out: Path, count: int, noun: str) -> list[str]:
     """Names of files: of one, or of several in a folder.
 
@@ -333,6 +383,17 @@ class Evaluation(dict[str, float | None]):
     It is a dictionary; printed, it says the most important ones in at most ten lines.
     """
 
+    @property
+    def tables(self) -> Tables:
+        """All metrics."""
+        return {"metrics, SI units": {key: {"value": value} for key, value in self.items()}}
+
+    def report(
+        self, inputs: Mapping[str, str] | None = None, _: Mapping[str, Any] | None = None
+    ) -> dict[str, Any]:
+        """The metrics and what they were computed from, in plain values."""
+        return {**self, **told(inputs, None)}
+
     def save(
         self,
         path: Path | str,
@@ -345,12 +406,12 @@ class Evaluation(dict[str, float | None]):
         Args:
             path: file to write.
             overwrite: replace a file that is there and recon did not write.
-            report: what to write beside the metrics instead of the versions of the programs.
+            report: what to write beside the metrics instead of `report()`.
 
         Raises:
             FileExistsError: when it is there and recon did not write it, unless `overwrite`.
         """
-        about = {"versions": versions()} if report is None else report
+        about = self.report() if report is None else report
         write_report(Path(path), {**self, **about}, overwrite=overwrite)
 
     def __repr__(self) -> str:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from jaxtyping import Float
@@ -48,20 +48,25 @@ def retarget(
     motion: MotionLike,
     shape: ShapeLike,
     *,
-    method: str = "physics",
+    method: Literal["physics", "network"] = "physics",
     weights: str = "open",
     body: BodyLike = None,
     fps: float | None = None,
     ground: float | None = None,
 ) -> Made:
-    """The motion of one body as a body of another shape would perform it.
+    """Show a motion as another body would do it.
 
     By `physics` the scaled copy is proposed (equal rotations, a path that grows with the legs),
     and by `network` what the HUMOS prior makes of the motion for that body; the nearest motion to
     the proposal that obeys physics is the result. It begins at the same place. Nothing is random,
     and everything is computed on the processor. docs/retargeting.md compares the two.
 
-    `about` of the result has both bodies (`source` and `target`: height in metres, weight in
+    A shape is coefficients (0.5,-1,2; write --shape=-1,2 where the first is negative), measures
+    (height=1.80,weight=75: metres and kilograms, one or both), words (man or woman, tall or
+    short, heavy or slim), words and measures (woman,height=1.65), or a motion file of somebody.
+    Measures mean the shape with them that is nearest to the average, or to that of men or women.
+
+    The report (`about`) has both bodies (`source` and `target`: height in metres, weight in
     kilograms, shape), the `method`, `rotation_change` (radians, on average over joints and
     frames), where the `windows` begin (seconds after the first frame), and the `physics` of the
     motion, of its plain copy on the other body and of the result (docs/physics.md), at 20 Hz; slip
@@ -69,13 +74,12 @@ def retarget(
 
     Args:
         motion: a motion of one clip of a second or longer, at any rate.
-        shape: the other body: coefficients, measures ("height=1.80,weight=75"; metres,
-            kilograms), words ("woman,tall"), or a motion, result or motion file of somebody.
+        shape: the other body; in Python also a motion or result of somebody.
         method: `physics` or `network`.
         weights: of the network: `open`, `nc` (not for commercial use) or a file.
-        body: the motion's body; a SMPL-family file, or None for the bundled body.
-        fps: rate of the result, frames per second; None is the motion's.
-        ground: height of the level ground in the motion, metres; None is what the motion's file
+        body: the motion's body; a SMPL-family file; default: the bundled body.
+        fps: rate of the result, frames per second; default: the motion's.
+        ground: height of the level ground in the motion, metres; default: what the motion's file
             says, else 0.
 
     Raises:
@@ -115,7 +119,8 @@ def retarget(
     windows = Windows.cover(source.frames, round(WINDOW * source.fps), round(OVERLAP * source.fps))
     bodies = {"source": _measures(model, source.shape), "target": _measures(model, target)}
     about = {
-        **bodies,
+        "source": {"file": given.name, **bodies["source"]},
+        "target": {"asked": shape_name(shape), **bodies["target"]},
         "method": method,
         "frames": result.frames,
         "fps": result.fps,
@@ -130,8 +135,15 @@ def retarget(
         "warnings": [finding.message for finding in warnings],
     }
     lines = [f"{k}: {row['height']:.2f} m, {row['weight']:.1f} kg" for k, row in bodies.items()]
+    shown = {
+        "bodies": {
+            k: {"height, m": round(row["height"], 3), "weight, kg": round(row["weight"], 1)}
+            for k, row in bodies.items()
+        },
+        "physics at 20 Hz": {k: _shown(row) for k, row in about["physics"].items()},
+    }
     file = described(raised(result, level), model, level)
-    return Made(file, model, warnings, about, tuple(lines))
+    return Made(file, model, warnings, about, tuple(lines), shown=shown)
 
 
 def ground_height(given: GivenMotion, asked: float | None) -> float:
@@ -227,4 +239,18 @@ def _measures(body: BodyModel, shape: Float[Tensor, " shape"]) -> dict[str, Any]
         "height": float(height(body, shape)),
         "weight": float(weight(body, shape)),
         "shape": [round(x, 4) for x in shape.tolist()],
+    }
+
+
+def _shown(row: dict[str, float | None]) -> dict[str, float | None]:
+    """Some metrics, in the units of HUMOS's table."""
+    columns = {
+        "penetrate, cm": ("penetrate", 100),
+        "float, cm": ("float", 100),
+        "slip, m/s": ("slip_in_contact", 1),
+        "stable, %": ("dynamic_stability", 100),
+    }
+    return {
+        name: None if (value := row[key]) is None else factor * value
+        for name, (key, factor) in columns.items()
     }

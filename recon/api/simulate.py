@@ -4,10 +4,10 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from recon.api.given import MotionLike, motion_given
-from recon.api.results import in_ten_lines
+from recon.api.results import Tables, in_ten_lines, told
 from recon.body.model import BodyModel
 from recon.core.arrays import positive
 from recon.core.errors import ReconError
@@ -16,7 +16,6 @@ from recon.fitting.observed import Clip
 from recon.fitting.settings import DEFAULTS
 from recon.formats.observations import ObservationFile, PointsFile, save_observation
 from recon.formats.outputs import Kind, Output
-from recon.formats.reports import versions
 from recon.formats.scans import write_scans
 from recon.formats.writing import writing
 from recon.method.protocols import Sensor
@@ -44,6 +43,8 @@ class Simulated:
     """The motion at the sensor's moments."""
     body: BodyModel
     """The body that moves."""
+    tables: ClassVar[Tables] = {}
+    """Nothing that a person at the terminal should be shown."""
 
     @cached_property
     def clip(self) -> Clip:
@@ -64,6 +65,12 @@ class Simulated:
         """How many observations there are."""
         return len(self.files)
 
+    def report(
+        self, inputs: Mapping[str, str] | None = None, settings: Mapping[str, Any] | None = None
+    ) -> dict[str, Any]:
+        """What is written beside them; see `MotionResult.report`."""
+        return {"kind": self.kind, **told(inputs, settings)}
+
     def save(
         self,
         out: Path | str,
@@ -78,7 +85,7 @@ class Simulated:
                 OUT/CAMERA.npz. Of scans, .npz is one file, and all else a folder of PLY files
                 with times.csv.
             overwrite: replace what is there and recon did not write.
-            report: what to write beside them instead of the kind and the programs' versions.
+            report: what to write beside them instead of `report()`.
 
         Raises:
             ReconError: when there are several cameras for one file.
@@ -91,7 +98,7 @@ class Simulated:
             )
         scans = self.kind == "scans" and path.suffix != ".npz"
         output = Output(path, Kind.FOLDER if scans or several else Kind.FILE)
-        said = {"kind": self.kind, "versions": versions()} if report is None else report
+        said = self.report() if report is None else report
         with writing(output, report=said, overwrite=overwrite) as (staged,):
             for name, file in self.files.items():
                 if scans:
@@ -140,7 +147,7 @@ def simulate(
     unknown_ground: bool = False,
     seed: int = 0,
 ) -> Simulated:
-    """What a sensor would have seen of a motion of the bundled body.
+    """Make observations of a motion of the bundled body, as a sensor would have seen it.
 
     The result holds observations as `recon.fit` takes them, and can be given to it as it is.
 
@@ -154,8 +161,8 @@ def simulate(
         hide_below: points lower than this are hidden, metres.
         hide_box: two corners of a box that hides points, metres; from cameras what lies behind
             it, too.
-        during: seconds of the motion's clock from which and up to which things are hidden; None
-            is always.
+        during: seconds of the motion's clock from which and up to which things are hidden;
+            default: always.
         missing_points: share of points missing at random, 0 to 1.
         missing_frames: share of frames in which nothing is seen.
         outliers: share of points that are up to half a metre off in a random direction.
@@ -165,14 +172,15 @@ def simulate(
         orbit: angle that the cameras are carried around the body by, radians.
         layout: which keypoints: openpose25, coco17, ...
         points: most points of a frame of depth and scans.
-        clothed: seed of the clothes that depth and scans see; None is bare skin.
+        clothed: seed of the clothes that depth and scans see; default: bare skin.
         skin_offset: standard deviation per axis of how far landmarks are placed from where they
             should be, metres.
         furniture: what stands around the body in the view of a depth sensor: `chair` (behind),
             `table` (at the left), `box` (at the right), `board` (before the shins).
         left_over: what remains in clouds of depth beside the body: `ground`, `furniture`.
-        frames: part of the motion, from which frame up to which, in its own frames.
-        fps: rate of the sensor, frames per second; None is that of the motion.
+        frames: part of the motion, from which frame up to which, in its own frames; A:B on a
+            command line.
+        fps: rate of the sensor, frames per second; default: that of the motion.
         unknown_ground: leave out where the ground is and where the camera stands.
         seed: of everything random.
 

@@ -9,6 +9,7 @@ from recon.batch.workers import Failure, Run, run_jobs
 from recon.batch.worklog import BatchClip, Record, open_log
 from recon.fitting.methods import traits
 from recon.fitting.settings import FitSettings
+from recon.formats.outputs import paths_in
 from recon.formats.replacing import file_checksum, value_checksum
 
 
@@ -46,7 +47,7 @@ def fit_one(job: Job) -> Record:
     record: Record = {"id": job.clip.name, "output": str(job.target)}
     if is_done(job, key):
         return record | {"status": "skipped"}
-    from recon.jobs.fit import fit_files
+    from recon.batch.files import fit_files
 
     began = time.perf_counter()
     report = fit_files(
@@ -159,7 +160,7 @@ def estimate_shape(job: ShapeJob) -> Record:
     key = clip_checksum(job.clip.observations, job.settings_checksum)
     if job.known.get("key") == key:
         return job.known
-    from recon.jobs.fit import fitted
+    from recon.batch.files import fitted
 
     first = replace(job.settings, prior="pose", weights="open", method=None, physics=0.0)
     result = fitted(job.clip.observations, first)
@@ -264,15 +265,8 @@ def _failed(job: Job, failure: Failure) -> Record:
 
 def _check_targets(clips: Sequence[BatchClip], out: Path, settings: FitSettings) -> None:
     """Refuse to write a result of any clip over what any clip is made from."""
-    named = (
-        settings.camera,
-        settings.camera_track,
-        settings.masks,
-        settings.body,
-        Path(settings.weights),
-    )
     inputs = {file.resolve() for clip in clips for file in clip.observations}
-    inputs |= {path.resolve() for path in named if path is not None}
+    inputs |= {path.resolve() for path in paths_in(settings)}
     for clip in clips:
         result = target(out, clip)
         for path in (result, result.with_name(result.name + ".json")):

@@ -65,8 +65,9 @@ def absolute(settings: FitSettings) -> FitSettings:
         value = getattr(settings, field.name)
         if isinstance(value, Path):
             found[field.name] = value.absolute()
-    if Path(settings.weights).is_file():
-        found["weights"] = str(Path(settings.weights).absolute())
+    for name in ("weights", "shape"):
+        if Path(text := getattr(settings, name) or "").is_file():
+            found[name] = str(Path(text).absolute())
     return replace(settings, **found)
 
 

@@ -1,12 +1,13 @@
-"""`recon batch`: many clips at once."""
+"""`recon batch` and `recon convert --all`: many clips at once."""
 
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
-from typing import TYPE_CHECKING
+from statistics import median
+from typing import TYPE_CHECKING, Annotated
 
-from tyro.conf import OmitArgPrefixes, Positional
+from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from recon.cli.errors import Failed
 from recon.cli.places import Arguments, Overwrite, Place, Quiet, writes
@@ -117,3 +118,73 @@ def _crew(processes: int | None, ray: str | None) -> Iterator[tuple[int, "Run"]]
     # Ray prints what happens to its processes; stdout is for the answer
     with redirect_stdout(sys.stderr), ray_cluster(ray, processes) as cluster:
         yield cluster.cpus if processes is None else processes, cluster.run
+
+
+def _is_former_corpus(folder: Path) -> bool:
+    """Whether a folder has the report of a conversion: a list with a row for every clip."""
+    import json
+
+    try:
+        rows = json.loads((folder / "report.json").read_bytes())
+    except (OSError, ValueError, RecursionError):
+        return False
+    return isinstance(rows, list) and all(isinstance(row, dict) and "clip" in row for row in rows)
+
+
+def _corpus(out: Path, _: Arguments) -> tuple[Output, ...]:
+    # what is written is no recording, so it may lie among them
+    return (Output(out, Kind.CONTINUED, inside_input=True, is_former=_is_former_corpus),)
+
+
+@writes(Place("out", _corpus))
+def convert_all(
+    recordings: Positional[Path],
+    out: Positional[Path],
+    body: Path | None = None,
+    processes: int = 2,
+    json: Annotated[bool, arg(help="Print the report as JSON on stdout.")] = False,
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+) -> None:
+    """Bring every skeleton recording below a folder onto the body, one shape per subject.
+
+    Run it again to continue. Exit code 1 says that something went wrong with some; those that are
+    too short or of an unknown skeleton are rejected, which is in the report alone. Unit, axis and
+    rate are taken from each file.
+
+    Args:
+        recordings: folder of recordings (.bvh, .amc, .c3d, .trc, .mat, also .xz).
+        out: folder for the motions and the report.
+        body: a SMPL-family file of your own; default: the bundled body.
+        processes: clips at a time.
+        json: print the report as JSON on stdout.
+        overwrite: replace files that are there and recon did not write.
+        quiet: say nothing but errors and, last, where the result is.
+    """
+    del quiet  # heeded by `writes`
+    from recon.batch.corpus import convert_corpus
+    from recon.cli import console
+
+    rows = convert_corpus(recordings, out, processes=processes, body=body, overwrite=overwrite)
+    kept = [row for row in rows if row.get("kept")]
+    failed = [row for row in rows if row["status"] not in ("ok", "rejected")]
+    table = out / "report.csv"
+    summary = {
+        "clips": len(rows),
+        "converted": len(kept),
+        "rejected": len(rows) - len(kept) - len(failed),
+        "failed": len(failed),
+        "minutes": round(sum(float(row["seconds"] or 0) for row in kept) / 60, 2),
+        "median_residual_mm": median(float(row["residual_mm"] or 0) for row in kept)
+        if kept
+        else 0,
+        "report": str(table),
+    }
+    console.table(str(out), {key: {"value": value} for key, value in summary.items()})
+    console.last(str(out))
+    if json:
+        console.answer(summary)
+    if not kept:
+        raise Failed(f"{recordings}: no recording could be converted; see {table}")
+    if failed:
+        raise Failed(f"{len(failed)} recordings could not be converted; {table} says why")

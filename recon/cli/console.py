@@ -64,7 +64,7 @@ def findings(report: Mapping[str, Any]) -> None:
     for finding in report.get("repairs", []):
         say(f"repaired: {finding['message']}")
     for finding in report.get("warnings", []):
-        warn(finding["message"])
+        warn(finding if isinstance(finding, str) else finding["message"])
 
 
 def answer(value: Mapping[str, Any]) -> None:

@@ -26,6 +26,14 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "recon convert walk.c3d walk.npz",
         "recon convert recordings/ motions/ --all --processes 4",
     ),
+    "convert-all": (
+        "recon convert-all recordings/ motions/",
+        "recon convert-all recordings/ motions/ --processes 4 --body smpl.npz",
+    ),
+    "fit-all": (
+        "recon fit-all keypoints.json --frame-rate 30 --out people/",
+        "recon fit-all views/ --camera calibration.toml --frame-rate 30 --out people/",
+    ),
     "sample": (
         "recon sample --out walk.npz --seconds 4",
         "recon sample --prior humos --shape woman,height=1.65 --count 5 --out samples/",
@@ -75,10 +83,6 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "info": (
         "recon info motion.npz",
         "recon info walk.c3d --json",
-    ),
-    "train": (
-        "recon train pose motions/ --out pose.safetensors",
-        "recon train humor motions/ --out humor.safetensors --steps 20000",
     ),
 }
 """Examples by verb."""

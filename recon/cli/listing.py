@@ -3,45 +3,72 @@
 `recon VERB --help` tells a verb's options, with examples; `recon --version` what is installed.
 """
 
-from recon.batch.verb import batch
-from recon.benchmark.verb import bench
-from recon.cli.verbs.complete import complete
-from recon.cli.verbs.convert import convert
-from recon.cli.verbs.demo import demo
-from recon.cli.verbs.fit import fit
-from recon.cli.verbs.generation.interpolate import interpolate
-from recon.cli.verbs.generation.predict import predict
-from recon.cli.verbs.generation.sample import sample
-from recon.cli.verbs.info import info
-from recon.cli.verbs.judging.evaluate import evaluate
-from recon.cli.verbs.refine import refine
-from recon.cli.verbs.retarget import retarget
-from recon.cli.verbs.simulate import simulate
-from recon.cli.verbs.train import train
-from recon.cli.verbs.view import view
-from recon.export.verb import export
-from recon.gait.verb import report
-from recon.live.verb import stream
+from collections.abc import Callable
+from functools import cache
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
 
-ALL = (
-    demo,
-    fit,
-    complete,
-    refine,
-    batch,
-    stream,
-    convert,
-    sample,
-    predict,
-    interpolate,
-    retarget,
-    simulate,
-    evaluate,
-    bench,
-    report,
-    view,
-    export,
-    info,
-    train,
-)
-"""The verbs, in the order of `recon --help`."""
+from recon.cli.making import Verb, command
+from recon.cli.places import Arguments, Place, folder, its_own_report, several_or_npz
+from recon.fitting.settings import FitSettings
+from recon.formats.outputs import Kind, Output
+from recon.method.plugins import VERBS, registered
+
+
+def _file_or_folder(out: Path, given: Arguments) -> tuple[Output, ...]:
+    """One file; a folder of scans or of several cameras, of which a calibration may tell."""
+    several = given["kind"] == "scans" or given["views"] > 1 or out.is_dir()
+    return (Output(out, Kind.FOLDER if several and out.suffix != ".npz" else Kind.FILE),)
+
+
+_SEVERAL = "motion file (.npz) for one motion, or a folder for several."
+CORE = {
+    "demo": Verb("recon.demo:demo", (Place("out", folder),)),
+    "fit": Verb("recon.api.fit:fit", settings=FitSettings()),
+    "complete": Verb("recon.api.fit:complete", settings=FitSettings(prior="recording")),
+    "refine": Verb("recon.api.fit:refine", settings=FitSettings(ground="unknown")),
+    "convert": Verb("recon.api.convert:convert", out_follows=True),
+    "sample": Verb("recon.api.generate:sample", (Place("out", several_or_npz),), _SEVERAL),
+    "predict": Verb("recon.api.generate:predict", (Place("out", several_or_npz),), _SEVERAL),
+    "interpolate": Verb("recon.api.interpolate:interpolate"),
+    "retarget": Verb("recon.api.retarget:retarget"),
+    "simulate": Verb(
+        "recon.api.simulate:simulate",
+        (Place("out", _file_or_folder),),
+        "observation file to write; a folder for several cameras. Of scans, .npz is one file and "
+        "all else a folder of .ply files.",
+        out_follows=True,
+    ),
+    "evaluate": Verb(
+        "recon.api.evaluate:evaluate", (Place("json", its_own_report),), "File for the metrics."
+    ),
+    "view": Verb(
+        "recon.view.files:view", (Place("html"), Place("png"), Place("mp4"), Place("rrd"))
+    ),
+    "info": Verb("recon.view.info:info", ()),
+}
+"""Verbs of the core, in the order of `recon --help`; those of other rooms are registered."""
+WHOLE = {"convert": ("--all",), "fit": ("--person", "all")}
+"""Options with which a verb is about many clips or people: another room's verb VERB-all."""
+
+
+def names() -> tuple[str, ...]:
+    """Every verb: those of the core, then those that are registered and whose room is there."""
+    return (*CORE, *sorted(name for name, place in registered(VERBS).items() if _is_there(place)))
+
+
+def _is_there(place: str) -> bool:
+    try:
+        return find_spec(place.partition(":")[0]) is not None
+    except ModuleNotFoundError:
+        return False
+
+
+@cache
+def verb(name: str) -> Callable[..., None]:
+    """The function that the command line of a verb calls."""
+    if name in CORE:
+        return command(name, CORE[name])
+    module, _, function = registered(VERBS)[name].partition(":")
+    return getattr(import_module(module), function)

@@ -1,17 +1,48 @@
-"""Recordings that nobody can place on a body, refused at a look, before torch is loaded."""
+"""Files that nobody can fit or convert, refused at a look, before torch is loaded."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
-import numpy as np
-
-from recon.body.landmarks import FEWEST_MARKERS, mapping_to_write, match_markers
-from recon.core.errors import FormatError
-from recon.formats.keypoints3d.labels import STUDY, are_keypoints
-from recon.formats.mocap.reader import read_recording
-from recon.formats.mocap.recording import MarkerRecording
+from recon.cli.own import check_plugs
 
 _ENDINGS = (".c3d", ".trc")
+
+
+def look_at(given: Mapping[str, Any]) -> None:
+    """Refuse what cannot be fitted or converted: unknown priors, foreign files, unknown markers.
+
+    Args:
+        given: a verb's arguments by name.
+
+    Raises:
+        ValueError: says what was seen and what would fit.
+    """
+    if (settings := given.get("settings")) is not None:
+        check_plugs(settings.prior, settings.reader)
+        from recon.formats.foreign import is_estimate, refuse_foreign
+        from recon.method.plugins import SENSORS, registered
+
+        paths = given.get("observations", ())
+        if settings.reader is None and not registered(SENSORS) and not is_estimate(paths):
+            refuse_foreign(paths)
+            if settings.up is None:
+                refuse_unknown_markers(paths, settings.mapping, settings.unit)
+    if "recording" in given and given["mapping"] is None:
+        refuse_unknown_recording(given["recording"], given["unit"], given["up"])
+
+
+def refuse_unknown_recording(path: Path, unit: str | None, up: str | None) -> None:
+    """Refuse a recording whose skeleton or markers are not known.
+
+    Raises:
+        ValueError: says what was seen, and which mapping file to write.
+    """
+    from recon.formats.mocap.reader import refuse_unknown_skeleton
+
+    refuse_unknown_skeleton(path)
+    if up is None:
+        refuse_unknown_markers([path], None, unit)
 
 
 def refuse_unknown_markers(paths: Sequence[Path], mapping: Path | None, unit: str | None) -> None:
@@ -23,11 +54,18 @@ def refuse_unknown_markers(paths: Sequence[Path], mapping: Path | None, unit: st
     Raises:
         ValueError: says what was seen, and which mapping file to write.
     """
-    if mapping is not None:
+    marked = [one for one in paths if one.name.lower().endswith(_ENDINGS) and one.is_file()]
+    if mapping is not None or not marked:
         return
-    for path in paths:
-        if not path.name.lower().endswith(_ENDINGS) or not path.is_file():
-            continue
+    import numpy as np
+
+    from recon.body.landmarks import FEWEST_MARKERS, mapping_to_write, match_markers
+    from recon.core.errors import FormatError
+    from recon.formats.keypoints3d.labels import STUDY, are_keypoints
+    from recon.formats.mocap.reader import read_recording
+    from recon.formats.mocap.recording import MarkerRecording
+
+    for path in marked:
         recording = read_recording(path, unit=unit)
         assert isinstance(recording, MarkerRecording)
         shown = np.flatnonzero(recording.visible.sum(0))

@@ -22,34 +22,45 @@ def parsed(words: Sequence[str]) -> Callable[[], None]:
     """
     import tyro
 
-    verbs = {verb.__name__: verb for verb in listing.ALL}
+    words = _of_all(list(words))
     first = words[0] if len(words) > 0 else ""
-    if first in verbs:
-        return _of_verb(verbs[first], words[1:])
+    if first in listing.CORE or (first and first in listing.names()):
+        return _of_verb(first, words[1:])
+    names = listing.names()
     if first and not first.startswith("-"):
         _refuse(
-            f"there is no verb {first}{_did_you_mean(first, verbs)}; the verbs are "
-            f"{', '.join(verbs)}. `recon --help` tells what they do"
+            f"there is no verb {first}{_did_you_mean(first, names)}; the verbs are "
+            f"{', '.join(names)}. `recon --help` tells what they do"
         )
     if unknown := _unknown(words, ("-h", "--help", *_COMPLETION)):
         _refuse(f"there is no option {unknown[0]}; `recon --help` lists the verbs")
     app = tyro.extras.SubcommandApp()
-    for verb in verbs.values():
-        app.command(_in_short(verb))
+    for name in names:
+        app.command(name=name)(_in_short(listing.verb(name)))
     return app.cli(prog="recon", description=listing.__doc__ or "", args=words or ["--help"])
+
+
+def _of_all(words: list[str]) -> list[str]:
+    """`VERB --all` is the verb `VERB-all`, which another room brings."""
+    option = listing.WHOLE.get(words[0], ()) if words else ()
+    for k in range(len(words)):
+        for spelt in (list(option), ["=".join(option)]):
+            if option and words[k : k + len(spelt)] == spelt:
+                return [f"{words[0]}-all", *words[1:k], *words[k + len(spelt) :]]
+    return words
 
 
 _COMPLETION = ("--tyro-print-completion", "--tyro-write-completion")
 
 
-def _of_verb(verb: Callable[..., None], words: Sequence[str]) -> Callable[[], None]:
+def _of_verb(name: str, words: Sequence[str]) -> Callable[[], None]:
     """One verb is parsed alone: in a quarter of the time of all, and errors are about it."""
     import tyro
 
-    name = verb.__name__
+    verb = listing.verb(name)
     later = _put_off(verb)
     ask = functools.partial(
-        tyro.cli, later, prog=f"recon {name}", description=_description(verb), args=words
+        tyro.cli, later, prog=f"recon {name}", description=_description(name, verb), args=words
     )
     try:
         return ask(console_outputs="-h" in words or "--help" in words)
@@ -109,11 +120,11 @@ def _in_short(verb: Callable[..., None]) -> Callable[..., Callable[[], None]]:
     return later
 
 
-def _description(verb: Callable[..., None]) -> str:
+def _description(name: str, verb: Callable[..., None]) -> str:
     text = (inspect.getdoc(verb) or "").partition("\n\nArgs:")[0]
-    if verb.__name__ not in EXAMPLES:
+    if name not in EXAMPLES:
         return text
-    return "\n".join((text, "", "Examples:", *(f"  {one}" for one in EXAMPLES[verb.__name__])))
+    return "\n".join((text, "", "Examples:", *(f"  {one}" for one in EXAMPLES[name])))
 
 
 def _unknown(words: Sequence[str], options: Iterable[str]) -> list[str]:

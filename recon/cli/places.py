@@ -91,10 +91,10 @@ def writes(
             check_outputs(
                 outputs,
                 (*paths_in(tuple(read.values())), *reads(given)),
-                overwrite=given["overwrite"],
+                overwrite=given.get("overwrite", False),
             )
             with console.quietly(given.get("quiet", False)):
-                return verb(*args, **kwargs)
+                return verb(*bound.args, **bound.kwargs)
 
         vars(checked)["writes"] = places
         return checked

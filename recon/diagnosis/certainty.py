@@ -17,7 +17,7 @@ from recon.core.residuals import Noise, Unit
 from recon.core.skeleton import JOINTS
 from recon.fitting.clip import GROUND_DEVIATION
 from recon.fitting.fitted import ClipFit
-from recon.formats.reports import JointCertainty
+from recon.formats.joint_table import JointCertainty
 from recon.method.derivatives import GroundBelief, GroundDeviation
 from recon.method.laplace import Believing, Deviations, Measure, deviations
 from recon.method.priors import traits_of

@@ -57,6 +57,27 @@ def refuse_foreign(paths: Sequence[Path]) -> None:
             raise FormatError(f"{path}: {seen}")
 
 
+def is_estimate(paths: Sequence[Path]) -> bool:
+    """Whether this is one file of body parameters that a network told from video, at a look.
+
+    Motion files of recon, which name their body by its checksum, are none.
+    """
+    if len(paths) != 1 or not paths[0].is_file():
+        return False
+    if paths[0].suffix.lower() in (".pt", ".pth", ".pkl"):
+        return True
+    if paths[0].suffix.lower() != ".npz" or not zipfile.is_zipfile(paths[0]):
+        return False
+    with zipfile.ZipFile(paths[0]) as archive:
+        names = {name.removesuffix(".npy") for name in archive.namelist()}
+    return bool(names & _PLACES and names & _POSES) and not names & {"kind", "body_checksum"}
+
+
+_PLACES = {"trans", "transl", "trans_world"}
+_POSES = {"poses", "pose", "pose_body", "body_pose", "pose_world", "fullpose"}
+"""Arrays of such a file, of which it has one of each."""
+
+
 def _npz(path: Path, head: bytes) -> str | None:
     del head
     try:

@@ -13,6 +13,7 @@ from recon.core.errors import FormatError
 from recon.core.units import Axis
 from recon.diagnosis.motions.belt import belt_velocity
 from recon.formats.json_files import read_json
+from recon.formats.mocap.asf_amc import recording_files
 from recon.formats.motions import MotionFile
 from recon.formats.outputs import check_outputs
 from recon.formats.reports import checksums, versions
@@ -20,7 +21,6 @@ from recon.gait.analysis import analyse
 from recon.gait.laboratory import LaboratoryReport
 from recon.gait.page import outputs_of
 from recon.gait.plots import LaboratoryContents, PointResiduals, require_matplotlib
-from recon.jobs.convert import recording_files
 
 
 def report(

@@ -46,13 +46,9 @@ def report(
     from recon.cli import console
 
     if trial.suffix.lower() != ".npz" and mapping is None:
-        from recon.formats.mocap.reader import refuse_unknown_skeleton
+        from recon.cli.looks import refuse_unknown_recording
 
-        refuse_unknown_skeleton(trial)
-        if up is None:
-            from recon.cli.looks import refuse_unknown_markers
-
-            refuse_unknown_markers([trial], mapping, unit)
+        refuse_unknown_recording(trial, unit, up)
     from recon.gait.report import report_file
 
     page, found = report_file(trial, out, unit=unit, up=up, mapping=mapping, overwrite=overwrite)

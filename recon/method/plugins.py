@@ -15,6 +15,8 @@ PRIORS = "recon.priors"
 """Entry point group of priors: their names, and the places of their classes."""
 SENSORS = "recon.observations"
 """Entry point group of sensors whose classes read files of their own."""
+VERBS = "recon.verbs"
+"""Entry point group of verbs of the command `recon`: their names, and places of functions."""
 _CHECKOUT = Path(__file__).parents[2] / "pyproject.toml"
 
 

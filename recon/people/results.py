@@ -49,6 +49,11 @@ class People:
         """Whether a fit met NaN or infinity."""
         return any(one.failed for one in self.results)
 
+    @property
+    def tables(self) -> dict[str, dict[str, dict[str, Any]]]:
+        """The summary, for the person at the terminal."""
+        return {"people": self.summary()}
+
     def summary(self) -> dict[str, dict[str, Any]]:
         """Seconds of the recording's clock, height, and median residuals, by file."""
         out: dict[str, dict[str, Any]] = {}

@@ -252,7 +252,7 @@ def together(
             f"the cameras of {', '.join(views_without)} have no pose (T_camera_world), so nobody "
             "knows how they stand to each other; give a calibration, or fit one view alone"
         )
-    plane = None if settings.ground == "none" else settings.ground
+    plane = None if isinstance(settings.ground, str) else settings.ground
     T = None if plane is None else camera_above(plane)
     found: dict[int, Sensor] = {}
     for k, (name, file) in enumerate(files):

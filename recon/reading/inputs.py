@@ -1,15 +1,17 @@
 """The files that a fit of one clip reads, and checksums of what its result depends on."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from importlib import resources
 from importlib.util import find_spec
 from os.path import commonpath
 from pathlib import Path
+from typing import Any
 
 from priors.checkpoints import FIRST
 from recon.fitting.settings import FitSettings
 from recon.formats.keypoints3d.reader import body_file, time_stamps
+from recon.formats.mocap.asf_amc import recording_files
 from recon.formats.projects import project_at
 from recon.formats.replacing import MISSING, file_checksum, files_checksum, value_checksum
 from recon.formats.weight_files import weights_path
@@ -112,22 +114,38 @@ def masks_input(path: Path) -> Input:
     return Input(path, _inside(path, _IMAGES) if path.is_dir() else (path,))
 
 
-def input_checksums(paths: Sequence[Path], settings: FitSettings) -> dict[str, str]:
-    """SHA-256 of every observation, and of the files and folders that the settings name.
+def input_checksums(given: Mapping[str, Any]) -> dict[str, str]:
+    """SHA-256 of every file and folder among the arguments of a verb, by path.
+
+    Args:
+        given: values by the names that the verb's arguments have. A text counts where it is the
+            name of a file, as weights, cameras and shapes are given by a word or by a file.
 
     Raises:
         OSError, ValueError: when a file is there and cannot be read.
     """
-    given = [observation_input(path) for path in paths]
-    named: list[tuple[Path | None, Callable[[Path], Input]]] = [
-        (settings.camera, camera_input),
-        (settings.camera_track, track_input),
-        (settings.masks, masks_input),
-        (settings.body, lambda path: Input(path, (path,))),
-        (settings.mapping, lambda path: Input(path, (path,))),
-    ]
-    given += [input_of(path) for path, input_of in named if path is not None]
-    return {str(one.path): one.checksum() for one in given}
+    found: list[Input] = []
+    for name, value in given.items():
+        for one in value if isinstance(value, tuple | list) else (value,):
+            path = Path(one) if isinstance(one, str) else one
+            if not isinstance(path, Path) or (isinstance(one, str) and not path.is_file()):
+                continue
+            parts = recording_files(path) if name == "recording" else (path,)
+            found += [_READ.get(name, _file_input)(part) for part in parts]
+    return {str(one.path): one.checksum() for one in found}
+
+
+def _file_input(path: Path) -> Input:
+    return Input(path, (path,))
+
+
+_READ: dict[str, Callable[[Path], Input]] = {
+    "observations": observation_input,
+    "camera": camera_input,
+    "camera_track": track_input,
+    "masks": masks_input,
+}
+"""What is read of an argument, where that is more than one file."""
 
 
 def settings_checksum(settings: FitSettings, version: int) -> str:
@@ -141,6 +159,8 @@ def settings_checksum(settings: FitSettings, version: int) -> str:
         OSError, ValueError: when a file is there and cannot be read.
     """
     plain = {name: value for name, value in asdict(settings).items() if name not in _PATHS}
+    if settings.shape is None:
+        del plain["shape"]  # results of before there was a shape keep their checksums
     body = settings.body
     contents = {
         "camera": None if settings.camera is None else camera_input(settings.camera).checksum(),
@@ -158,6 +178,8 @@ def settings_checksum(settings: FitSettings, version: int) -> str:
     }
     if (mapping := settings.mapping) is not None:
         contents["mapping"] = Input(mapping, (mapping,)).checksum()
+    if settings.shape is not None and Path(settings.shape).is_file():
+        contents["shape"] = file_checksum(settings.shape)
     return value_checksum({"version": version, "settings": plain, **contents})
 
 

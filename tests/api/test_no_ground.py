@@ -15,7 +15,6 @@ from recon.fitting.ground import LEVEL_CAMERA, camera_above
 from recon.fitting.methods import FitOptions
 from recon.fitting.settings import FitSettings
 from recon.formats.observations import PositionsFile, save_observation
-from recon.jobs.fit import fitted
 from recon.method.priors import Traits
 from recon.method.terms import Term
 from recon.solver.lbfgs import LBFGS
@@ -94,4 +93,4 @@ def test_the_command_line_says_none(tmp_path):
     joints = bundled().pose(walk(6)).joints.double().numpy() + 2.0
     file = PositionsFile("joints3d", joints, np.ones((6, 22), bool), JOINTS, 30.0)
     save_observation(tmp_path / "seen.npz", file)
-    assert fitted([tmp_path / "seen.npz"], settings).ground is None
+    assert recon.fit(tmp_path / "seen.npz", **settings.arguments()).ground is None

@@ -108,3 +108,29 @@ def test_bad_arguments_are_refused(cases, arguments, words):
 def test_too_short_an_estimate_is_refused(cases):
     with pytest.raises(recon.ReconError, match="at least 4 frames, got 3"):
         recon.refine(cases[1].window(0, 3), "pose")
+
+
+def test_a_fit_refines_an_estimate(tmp_path, cases):
+    """`recon fit` refused the files that `recon refine` takes."""
+    _, seen = cases
+    rows = slice(0, 12)
+    poses = so3.log(seen.rotations[rows]).flatten(1).numpy()
+    np.savez(tmp_path / "a.npz", poses=poses, trans=seen.translation[rows].numpy())
+    how = {"frame_rate": 30.0, "ground": "known", "fps": 15.0}
+    found = recon.fit(tmp_path / "a.npz", "pose", **how)
+    same = recon.refine(tmp_path / "a.npz", "pose", **how)
+    assert torch.equal(found.motion.rotations, same.motion.rotations)
+    assert found.motion.fps == 15.0
+    with pytest.raises(recon.ReconError, match="takes no camera, start"):
+        recon.fit(tmp_path / "a.npz", camera="c.toml", start=seen, frame_rate=30.0)
+    ask = ["fit", str(tmp_path / "a.npz"), "--out", str(tmp_path / "b.npz"), "--prior", "pose"]
+    assert cli.run([*ask, "--frame-rate", "30", "--ground", "known", "--fps", "15"]) == cli.OK
+    kept = recon.load_motion(tmp_path / "b.npz").motion
+    torch.testing.assert_close(kept.translation, found.motion.translation)
+
+
+def test_options_of_reading_are_of_files(cases):
+    with pytest.raises(recon.ReconError, match="camera: how to read files"):
+        recon.fit(recon.simulate(cases[0], "joints3d"), camera="c.toml")
+    with pytest.raises(TypeError, match="did you mean frame_rate"):
+        recon.fit("seen.npz", frame_rat=30.0)

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from importlib import resources
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -93,7 +94,8 @@ def test_what_was_assumed_and_what_is_wrong_is_said(clip, tmp_path, capsys, monk
              "energies": {"data": 1.0, "pose": 0.5}},
         ],
     }  # fmt: skip
-    monkeypatch.setattr("recon.jobs.fit.fit_files", lambda *_, **__: report)
+    result = SimpleNamespace(report=lambda *_: report, save=lambda *_, **__: None, tables={})
+    monkeypatch.setattr("recon.api.fit.fit", lambda *_, **__: result)
     seen = tmp_path / "seen.npz"
     assert recon_("simulate", clip, seen, "--kind", "joints3d") == cli.OK
     capsys.readouterr()
@@ -104,6 +106,9 @@ def test_what_was_assumed_and_what_is_wrong_is_said(clip, tmp_path, capsys, monk
     assert "repaired: a: zeros were left out" in shown.err
     assert "warning: a: check the focal length" in shown.err
     assert "total 1.5: converged" in shown.err
+    report["failed"] = True
+    assert recon_("fit", seen, "--out", tmp_path / "o.npz") == cli.FAILED
+    assert "converged" in capsys.readouterr().err
 
 
 def test_an_exported_skeleton_converts_back(clip, tmp_path, capsys):

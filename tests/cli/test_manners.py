@@ -15,9 +15,10 @@ from recon import cli
 from recon.cli import console, inputs, listing
 from recon.cli.examples import EXAMPLES
 from recon.cli.parsing import options_of, parsed
+from recon.cli.places import declared
 
 DEMO = Path(recon.__file__).parent / "assets" / "demo.npz"
-VERBS = {verb.__name__: verb for verb in listing.ALL}
+VERBS = {name: listing.verb(name) for name in listing.names()}
 COMMANDS = [command for examples in EXAMPLES.values() for command in examples]
 
 
@@ -43,7 +44,9 @@ def test_examples_are_commands(command):
     program, verb, *words = shlex.split(command)
     assert program == "recon"
     call = parsed([verb, *words])
-    assert inspect.unwrap(getattr(call, "func")) is inspect.unwrap(VERBS[verb])  # noqa: B009
+    whole = "--all" in words or "--person all" in command
+    expected = VERBS[f"{verb}-all" if whole else verb]
+    assert inspect.unwrap(getattr(call, "func")) is inspect.unwrap(expected)  # noqa: B009
 
 
 @pytest.mark.parametrize(
@@ -130,11 +133,11 @@ def test_a_quiet_verb_says_where_its_result_is(tmp_path, capsys):
 
 
 def test_every_argument_that_is_read_says_what_it_should_be():
-    for verb in listing.ALL:
-        written = {place.parameter for place in vars(verb).get("writes", ())}
-        for name, parameter in inspect.signature(verb).parameters.items():
+    for verb, function in VERBS.items():
+        written = {place.parameter for place in declared(function)}
+        for name, parameter in inspect.signature(function).parameters.items():
             if "Path" in str(parameter.annotation) and name not in written:
-                assert name in inputs.EXPECTED, f"{verb.__name__}: {name}"
+                assert name in inputs.EXPECTED, f"{verb}: {name}"
     assert {"camera", "body", "masks"} <= set(inputs.EXPECTED)
 
 
@@ -180,7 +183,7 @@ def test_a_quick_answer_loads_nothing_heavy(work, tmp_path):
     assert run.stdout.splitlines()[-1] == "[]"
 
 
-ROMA = "import sys, recon.jobs.fit; print({'roma', 'torch._dynamo', 'scipy'} & set(sys.modules))"
+ROMA = "import sys, recon.api.fit; print({'roma', 'torch._dynamo', 'scipy'} & set(sys.modules))"
 
 
 def test_a_fit_loads_neither_the_compiler_nor_scipy_before_they_are_used():

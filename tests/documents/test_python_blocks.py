@@ -3,14 +3,17 @@
 import ast
 import importlib
 import inspect
+from dataclasses import fields
 
 import pytest
 
 import recon
+from recon.fitting.settings import ReadOptions
 from tests.documents.blocks import PAGES, ROOT, Block, blocks
 from tests.documents.readers import names_of_readers
 
 PYTHON = [block for page in PAGES for block in blocks(page, "python")]
+READING = [one.name for one in fields(ReadOptions)]
 RUN = [page for page in PAGES if blocks(page, "python")]
 QUICK = ("README.md", "prior.md", "observations.md")
 """Pages that are run in every test run; the others are slow."""
@@ -30,6 +33,8 @@ def test_names_and_arguments_of_blocks_exist(block: Block) -> None:
             case ast.Call(func=ast.Attribute(value=ast.Name(id="recon"), attr=name)):
                 known = inspect.signature(getattr(recon, name)).parameters
                 given = {one.arg for one in node.keywords if one.arg is not None}
+                if "how" in known or "reading" in known:  # what `recon.fit` takes, and readers
+                    known = {*known, *inspect.signature(recon.fit).parameters, *READING}
                 assert given <= set(known), f"{block}: recon.{name} takes no {given - set(known)}"
             case _:
                 pass

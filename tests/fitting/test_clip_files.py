@@ -14,12 +14,12 @@ from recon.fitting.observed import Clip, window
 from recon.fitting.settings import FitSettings
 from recon.formats.motions import load_motion
 from recon.formats.observations import save_observation
-from recon.jobs.fit import fit_files
 from recon.reading.clip import load_clip
 from recon.simulation.images import camera_arrays, keypoints2d
 from recon.simulation.points import Corruption
 from tests.filmed import NOISE, bundled, cameras, walk
 from tests.keypoint_scene import write_openpose, write_toml
+from tests.verbs import fit_files
 
 POSE = FitSettings(prior="pose")
 

@@ -121,7 +121,7 @@ def test_a_clip_is_its_observations_in_their_order(tmp_path):
 def test_reports_name_all_that_was_given(tmp_path):
     observation = written(tmp_path, "a.npz") / "a.npz"
     camera = written(tmp_path, "c.toml") / "c.toml"
-    found = input_checksums([observation], replace(FitSettings(), camera=camera))
+    found = input_checksums({"observations": (observation,), "camera": camera})
     assert found == {str(p): file_checksum(p) for p in (observation, camera)}
 
 

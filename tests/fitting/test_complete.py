@@ -25,12 +25,12 @@ from recon.formats.observations import (
     save_observation,
 )
 from recon.formats.scans import write_ply, write_scans
-from recon.jobs.fit import fit_files
 from recon.method.stages import Stage
 from recon.method.terms import Term
 from recon.reading.clouds import cloud_of
 from recon.simulation.points import Corruption, landmarks3d, scan_points
 from recon.solver.lbfgs import LBFGS
+from tests.verbs import fit_files
 from tests.walk_prior import one_cycle, tiny_weights
 
 pytestmark = pytest.mark.numerics

@@ -11,8 +11,8 @@ from recon.core.motion import Motion
 from recon.core.skeleton import joint_index
 from recon.fitting.interpolation import agreement, between, cycles_of, foot_lift, played
 from recon.formats.motions import MotionFile, load_motion, save_motion
-from recon.jobs.interpolate import InterpolationSettings, interpolate_files
 from tests.priors.tiny_anchor import tiny_prior
+from tests.verbs import report_of
 
 pytestmark = pytest.mark.numerics
 
@@ -121,8 +121,8 @@ def test_files_are_mixed_and_described(weights, body, tmp_path):
     save_motion(paths[0], MotionFile(gait(body), body.name, body.checksum))
     save_motion(paths[1], MotionFile(gait(body, period=1.4, turn=0.5), body.name, body.checksum))
     out = tmp_path / "between.npz"
-    settings = InterpolationSettings(at=0.5, weights=weights, fps=60.0)
-    report = interpolate_files(paths[0], paths[1], out, settings)
+    pair = {"a": paths[0], "b": paths[1]}
+    report = report_of("interpolate", out, **pair, weights=weights, fps=60.0)
     made = load_motion(out)
     assert made.checksum == body.checksum
     assert made.motion.fps == 60
@@ -140,14 +140,14 @@ def test_bad_input_is_named(weights, body, tmp_path):
     save_motion(bad, still)
     out = tmp_path / "out.npz"
     with pytest.raises(ValueError, match=r"standing\.npz: found no cycle"):
-        interpolate_files(good, bad, out, InterpolationSettings(0.5, weights))
+        report_of("interpolate", out, a=good, b=bad, weights=weights)
     with pytest.raises(ValueError, match="at: lies between 0"):
-        interpolate_files(good, good, out, InterpolationSettings(1.5, weights))
+        report_of("interpolate", out, a=good, b=good, at=1.5, weights=weights)
     with pytest.raises(ValueError, match="fps: expected"):
-        interpolate_files(good, good, out, InterpolationSettings(0.5, weights, fps=0.0))
+        report_of("interpolate", out, a=good, b=good, weights=weights, fps=0.0)
     save_motion(bad, MotionFile(motion, "other", "0" * 16))
     with pytest.raises(ValueError, match=r"standing\.npz: made with the body other"):
-        interpolate_files(good, bad, out, InterpolationSettings(0.5, weights))
+        report_of("interpolate", out, a=good, b=bad, weights=weights)
     assert not out.exists()
 
 
@@ -155,6 +155,5 @@ def test_cycles_on_different_feet_are_refused(weights, body, tmp_path):
     paths = [tmp_path / name for name in ("left.npz", "right.npz")]
     save_motion(paths[0], cycle(body))
     save_motion(paths[1], cycle(body, phase=math.pi))
-    settings = InterpolationSettings(0.5, weights)
     with pytest.raises(ValueError, match="stands on the right"):
-        interpolate_files(paths[0], paths[1], tmp_path / "out.npz", settings)
+        report_of("interpolate", tmp_path / "out.npz", a=paths[0], b=paths[1], weights=weights)

@@ -15,7 +15,6 @@ from recon.fitting.long_recording import LongRecording, Overlap
 from recon.fitting.settings import FitSettings
 from recon.formats.motions import load_motion
 from recon.formats.observations import PositionsFile, save_observation
-from recon.jobs.fit import fit_files
 from recon.method import terms
 from recon.method.free import FreeMotion
 from recon.method.reconstruction import reconstruct, solve
@@ -24,6 +23,7 @@ from recon.method.terms import Term
 from recon.method.windows import join
 from recon.solver.lbfgs import LBFGS
 from tests import laws
+from tests.verbs import fit_files
 
 
 class Unbent(FreeMotion):

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from recon.core.errors import FormatError
 from recon.formats.estimates import read_estimate
-from recon.jobs.info.files import describe
+from recon.view.info import info
 
 FRAMES = 6
 RANDOM = np.random.default_rng(0)
@@ -71,7 +71,7 @@ def test_every_layout_gives_the_same_body(tmp_path, kind):
 
 @pytest.mark.parametrize("kind", ["gvhmr", "wham", "slahmr"])
 def test_info_says_what_an_estimate_holds(tmp_path, kind):
-    said = describe(written(tmp_path / LAYOUTS[kind], kind))
+    said = info(written(tmp_path / LAYOUTS[kind], kind))
     assert said["frames"] == FRAMES
     assert said["up"] == "z"
     assert "recon refine" in said["format"]

@@ -10,10 +10,10 @@ import recon
 from recon import cli
 from recon.api.result import described
 from recon.core.skeleton import JOINTS
+from recon.formats.joint_table import JointCertainty
 from recon.formats.keypoints3d.reader import read_points_3d
 from recon.formats.motions import save_motion
-from recon.formats.reports import JointCertainty
-from recon.jobs.info.files import describe
+from recon.view.info import info
 from tests.filmed import bundled, walk
 
 FRAMES = 6
@@ -78,12 +78,12 @@ def test_a_line_tells_seen_joints_from_inferred_ones(tmp_path):
     assert str(found) == "3.0 cm where seen, 3.0 cm where inferred (9 % of the joints)"
     assert JointCertainty.of(replace(fitted(), joint_std=None)) is None
     save_motion(tmp_path / "m.npz", fitted())
-    facts = describe(tmp_path / "m.npz")
+    facts = info(tmp_path / "m.npz")
     assert facts["format"] == "motion (AMASS .npz)"  # its joints were taken for 3D keypoints
     assert facts["median_joint_std_seen"] == pytest.approx(0.03)
     assert facts["share_of_hidden_joints"] == pytest.approx(2 / 22)
     save_motion(tmp_path / "bare.npz", walk(FRAMES))
-    assert describe(tmp_path / "bare.npz")["has_joint_std"] is False
+    assert info(tmp_path / "bare.npz")["has_joint_std"] is False
 
 
 def test_a_result_saves_its_table_and_prints_how_sure_it_is(tmp_path):

@@ -1,7 +1,6 @@
 """Recordings of markers with what goes wrong in practice: gaps, jumps, exchanged labels."""
 
 import dataclasses
-import json
 from importlib import resources
 from pathlib import Path
 
@@ -30,8 +29,8 @@ from recon.ingest.markers.exchanges import (
 from recon.ingest.markers.gaps import bridged, gap_findings, observed_joints, placed_frames
 from recon.ingest.markers.observation import seen_markers
 from recon.ingest.markers.poses import natural_pose
-from recon.jobs.convert import ConversionSettings, convert_file
 from tests.ingest.walker import LABELS
+from tests.verbs import report_of
 
 ARM = [LABELS.index(label) for label in ("LELB", "LWRA", "LWRB")]
 
@@ -117,8 +116,7 @@ def test_the_report_beside_the_motion_holds_the_lists(
     monkeypatch.setattr("recon.ingest.single.convert", lambda *_, **__: with_gaps)
     (tmp_path / "raw.trc").write_bytes(b"markers")
     out = tmp_path / "m.npz"
-    convert_file(tmp_path / "raw.trc", out, ConversionSettings())
-    report = json.loads((tmp_path / "m.npz.json").read_bytes())
+    report = report_of("convert", out, recording=tmp_path / "raw.trc")
     assert {entry["code"] for entry in report["warnings"]} == {"gap", "unseen"}
     assert report["repairs"] == []
     assert {entry["code"] for entry in report["diagnosis"]} == {"residual"}

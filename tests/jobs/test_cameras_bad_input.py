@@ -12,11 +12,11 @@ from recon.core.skeleton import keypoint_names
 from recon.fitting.settings import FitSettings
 from recon.formats.motions import load_motion
 from recon.formats.observations import CameraArrays, KeypointsFile
-from recon.jobs.fit import fit_files
 from recon.simulation.images import camera_arrays, keypoints2d
 from recon.simulation.points import Corruption
 from tests.filmed import NOISE, bundled, cameras, joint_error, walk
 from tests.keypoint_scene import write_openpose, write_toml
+from tests.verbs import fit_files
 
 FRAMES = 12
 WIDTH = 1920

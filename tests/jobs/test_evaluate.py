@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 import torch
 
+from recon.api.evaluate import evaluate
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.formats.motions import MotionFile, load_motion, save_motion
 from recon.formats.observations import KeypointsFile, load_observation
-from recon.jobs.evaluate import evaluate_files
-from recon.jobs.simulate import simulate_file
 from recon.simulation.points import Corruption
+from tests.verbs import simulate_file
 
 TILT, LIFT = 0.05, 0.07
 """Radians and metres by which the ground is wrong."""
@@ -56,7 +56,8 @@ def found(clip, tmp_path) -> tuple[Path, Path, torch.Tensor]:
 
 def test_a_true_motion_on_a_wrong_ground(clip, found, tmp_path):
     result, seen, camera = found
-    metrics = evaluate_files(result, clip, seen, tmp_path / "m.json")
+    metrics = evaluate(result, clip, observation=seen)
+    metrics.save(tmp_path / "m.json")
     assert metrics.items() <= json.loads((tmp_path / "m.json").read_text()).items()
     for name in ("joints_all", "joints_hidden", "joints_visible", "vertices"):
         assert metrics[name] == pytest.approx(0.0, abs=1e-4)  # metres
@@ -72,8 +73,8 @@ def test_a_true_motion_on_a_wrong_ground(clip, found, tmp_path):
 def test_how_it_stands_is_judged_on_the_ground_that_was_found(clip, found):
     result, seen, _ = found
     blind, seeing = (
-        evaluate_files(result, clip, None, None),
-        evaluate_files(result, clip, seen, None),
+        evaluate(result, clip),
+        evaluate(result, clip, observation=seen),
     )
     for name in ("penetration_freq", "penetration_dist", "sole_penetration_dist", "slip_speed"):
         assert seeing[name] == pytest.approx(blind[name])
@@ -86,11 +87,11 @@ def test_without_either_camera_nothing_is_carried(clip, found, tmp_path):
     result, seen, _ = found
     file = load_motion(result)
     save_motion(tmp_path / "bare.npz", MotionFile(file.motion))
-    assert evaluate_files(tmp_path / "bare.npz", clip, seen, None)["ground_normal"] is None
+    assert evaluate(tmp_path / "bare.npz", clip, observation=seen)["ground_normal"] is None
     with np.load(seen) as arrays:
         kept = {k: arrays[k] for k in arrays.files if k != "truth_T_world_camera"}
     np.savez(tmp_path / "plain.npz", **kept)
-    metrics = evaluate_files(result, clip, tmp_path / "plain.npz", None)
+    metrics = evaluate(result, clip, observation=tmp_path / "plain.npz")
     assert metrics["ground_height"] is None
     assert metrics["joints_hidden"] is not None  # visibility needs no pose
 
@@ -101,7 +102,7 @@ def test_points_of_a_depth_sensor_tell_the_same(clip, tmp_path):
     truth = load_motion(clip)
     camera = torch.from_numpy(load_observation(seen).truth_T_world_camera)  # type: ignore[union-attr]
     save_motion(tmp_path / "r.npz", MotionFile(truth.motion, T_world_camera=camera[None]))
-    metrics = evaluate_files(tmp_path / "r.npz", clip, seen, None)
+    metrics = evaluate(tmp_path / "r.npz", clip, observation=seen)
     assert metrics["ground_normal"] == pytest.approx(0.0, abs=1e-5)
     assert metrics["joints_all"] == pytest.approx(0.0, abs=1e-5)
 
@@ -112,5 +113,5 @@ def test_many_found_poses_are_refused(clip, found, tmp_path):
     poses = camera.expand(file.motion.frames, 4, 4)
     save_motion(tmp_path / "many.npz", MotionFile(file.motion, T_world_camera=poses))
     with pytest.raises(ValueError, match="expected one"):
-        evaluate_files(tmp_path / "many.npz", clip, seen, None)
-    assert math.isfinite(evaluate_files(result, clip, seen, None)["joints_all"] or math.nan)
+        evaluate(tmp_path / "many.npz", clip, observation=seen)
+    assert math.isfinite(evaluate(result, clip, observation=seen)["joints_all"] or math.nan)

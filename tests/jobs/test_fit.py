@@ -10,15 +10,14 @@ import numpy as np
 import pytest
 import torch
 
+from recon.api.evaluate import evaluate
 from recon.cli.errors import Failed
 from recon.core.skeleton import JOINTS
 from recon.fitting.settings import FitSettings
 from recon.formats.motions import load_motion, save_motion
-from recon.jobs.evaluate import evaluate_files
-from recon.jobs.fit import fit_files
-from recon.jobs.simulate import simulate_file
 from recon.simulation.points import Corruption
 from tests import laws
+from tests.verbs import fit_files, simulate_file
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +58,8 @@ def test_a_simulated_observation_is_fitted_written_and_evaluated(kind, truth, tm
     result = load_motion(out)
     assert result.motion.frames == 12
     assert result.joints is not None
-    metrics = evaluate_files(out, truth, seen, tmp_path / "m.json")
+    metrics = evaluate(out, truth, observation=seen)
+    metrics.save(tmp_path / "m.json")
     assert metrics["observed_visible"] is not None
     assert metrics["observed_visible"] < 0.04  # metres
     assert metrics.items() <= json.loads((tmp_path / "m.json").read_text()).items()

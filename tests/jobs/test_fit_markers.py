@@ -14,9 +14,9 @@ from recon.formats.mocap.reader import read_recording
 from recon.formats.mocap.recording import MarkerRecording
 from recon.formats.mocap.trc import write_trc
 from recon.formats.motions import load_motion
-from recon.jobs.fit import fit_files
 from recon.reading.inputs import input_checksums, settings_checksum
 from tests.documents.blocks import ROOT
+from tests.verbs import fit_files
 
 ARM = ("LUPA", "LELB", "LWRA", "LWRB", "LFIN")
 
@@ -72,7 +72,7 @@ def test_a_mapping_counts_in_checksums(trial: MarkerRecording, tmp_path: Path) -
     write_trc(tmp_path / "trial.trc", trial)
     settings = FitSettings(mapping=path)
     before = settings_checksum(settings, 1)
-    assert str(path) in input_checksums([tmp_path / "trial.trc"], settings)
+    assert str(path) in input_checksums(vars(settings))
     path.write_text(json.dumps({"C7": "t2"}))
     assert settings_checksum(settings, 1) != before
     assert settings_checksum(FitSettings(), 1) != before

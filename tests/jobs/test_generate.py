@@ -15,7 +15,7 @@ from recon.body.identities import height
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.formats.motions import MotionFile, load_motion, save_motion
-from recon.jobs.view import view_files
+from recon.view.files import view
 from tests.priors.test_humor import humor, motions
 from tests.priors.test_pose import swinging
 
@@ -67,7 +67,7 @@ def test_samples_are_motion_files(weights: Path, tmp_path: Path, capsys) -> None
         torch.testing.assert_close(file.joints, body.pose(file.motion).joints, atol=1e-5, rtol=0)
         assert 0 < file.contacts[:, 7:9].min() <= file.contacts.max() < 1
     assert not torch.equal(files[0].motion.translation, files[1].motion.translation)
-    view_files(folder / "sample_000.npz", compare=folder / "sample_001.npz",
+    view(folder / "sample_000.npz", compare=folder / "sample_001.npz",
                png=tmp_path / "two.png")  # fmt: skip
 
 

@@ -11,6 +11,7 @@ from recon import cli
 from recon.cli import listing as verbs
 from recon.cli.places import declared
 from recon.formats.outputs import Kind
+from training.__main__ import train
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,8 @@ CASES = (
     Case("complete", "out", ("IN.npz", "--out", "OUT")),
     Case("batch", "out", ("IN.jsonl", "--out", "OUT"), Kind.CONTINUED),
     Case("convert", "out", ("IN.trc", "OUT")),
-    Case("convert", "out", ("IN.folder", "OUT", "--all"), Kind.CONTINUED),
+    Case("convert-all", "out", ("IN.folder", "OUT"), Kind.CONTINUED),
+    Case("fit-all", "out", ("IN.json", "--out", "OUT"), Kind.FOLDER),
     Case("sample", "out", ("--out", "OUT.npz", "--weights", "IN.npz")),
     Case("sample", "out", ("--out", "OUT", "--count", "2", "--weights", "IN.npz"), Kind.FOLDER),
     Case("predict", "out", ("IN.npz", "--out", "OUT.npz")),
@@ -64,16 +66,16 @@ CASES = (
     Case("export", "ply", ("IN.npz", "--ply", "OUT"), Kind.FOLDER),
     Case("bench", "json", ("gap", "--splits", "IN.npz", "--json", "OUT"), Kind.REPORT),
     Case("bench", "write", ("gap", "--splits", "IN.npz", "--write", "OUT"), Kind.FOLDER),
-    *(Case("train", "out", (p, "IN.folder", "--out", "OUT.st")) for p in ("pose", "humor")),
 )
 """Every output that any verb declares."""
 
 
 def test_every_output_of_every_verb_is_tried():
     """A verb or an output added later is missed here until it has a case of its own."""
-    known = {(verb.__name__, place.parameter) for verb in verbs.ALL for place in declared(verb)}
+    every = {name: declared(verbs.verb(name)) for name in verbs.names()}
+    known = {(name, place.parameter) for name, places in every.items() for place in places}
     assert {(case.verb, case.output) for case in CASES} == known
-    assert {verb.__name__ for verb in verbs.ALL if not declared(verb)} == {"info", "stream"}
+    assert {name for name, places in every.items() if not places} == {"info", "stream"}
 
 
 @pytest.fixture
@@ -85,13 +87,12 @@ def place(tmp_path: Path) -> Path:
         (tmp_path / "in" / name).write_text(f"nonsense in {name}")
     line = {"id": "clip", "observations": ["clip.npz"]}
     (tmp_path / "in" / "IN.jsonl").write_text(json.dumps(line))
+    (tmp_path / "in" / "IN.json").write_text('{"people": [')
     return tmp_path
 
 
 def an_input(case: Case, place: Path) -> tuple[Path, str]:
     given = next(place / "in" / one for one in case.arguments if one.startswith("IN"))
-    if case.verb == "train":
-        return given / "weights.st", "lies in the input"
     if case.kind in (Kind.FOLDER, Kind.CONTINUED) and given.is_file():
         return place / "in", "holds the input"
     return given, "is the input"
@@ -206,4 +207,19 @@ def test_an_input_is_known_by_any_name(spelt, overwrite, place, capsys, monkeypa
     options = ["--overwrite"] if overwrite else []
     assert cli.run(["fit", str(given), "--out", str(out), *options]) == cli.BAD_INPUT
     assert "is the input" in " ".join(capsys.readouterr().err.split())
+    assert contents(place) == before
+
+
+@pytest.mark.parametrize("bad", BAD, ids=lambda bad: bad.__name__)
+@pytest.mark.parametrize("prior", ["pose", "humor"])
+def test_a_training_refuses_a_bad_out(prior, bad, place, capsys):
+    """`python -m training` writes as verbs do."""
+    case = Case("train", "out", (prior, "IN.folder", "--out", "OUT.st"))
+    out, words = bad(case, place)
+    if bad is an_input:
+        out, words = out / "weights.st", "lies in the input"
+    before = contents(place)
+    given = (prior, place / "in" / "IN.folder")
+    assert cli.run_command(lambda: train(*given, out=out)) == cli.BAD_INPUT
+    assert words in " ".join(capsys.readouterr().err.split())
     assert contents(place) == before

@@ -16,11 +16,11 @@ from recon.core.motion import Motion
 from recon.formats.motions import load_motion, save_motion
 from recon.formats.observations import KeypointsFile, PointsFile, PositionsFile, load_observation
 from recon.formats.scans import read_scans
-from recon.jobs.simulate import simulate_file
 from recon.simulation.images import cameras_around
 from recon.simulation.points import Corruption
 from recon.simulation.settings import FilmSettings, SurfaceSettings
 from tests.keypoint_scene import camera, write_toml
+from tests.verbs import simulate_file
 
 NOTHING = Corruption()
 

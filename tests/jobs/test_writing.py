@@ -228,7 +228,8 @@ def slow(out: Path, overwrite: Overwrite = False) -> None:
         while True:  # a signal that comes just before a sleep is heeded after it
             time.sleep(0.1)
 
-verbs.ALL = (slow, verbs.ALL[0])
+verbs.CORE = {"slow": None}
+verbs.verb = {"slow": slow}.__getitem__
 main()
 """
 

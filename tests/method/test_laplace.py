@@ -15,7 +15,6 @@ from recon.core import rotations as so3
 from recon.core.camera import depth_camera
 from recon.core.residuals import Noise
 from recon.core.scene import UnknownGround
-from recon.jobs.info.files import describe
 from recon.method import laplace as laplace
 from recon.method.derivatives import GroundBelief
 from recon.method.laplace import deviations
@@ -24,6 +23,7 @@ from recon.reading.clouds import cloud_of
 from recon.simulation.depth import depth_points
 from recon.simulation.images import dome
 from recon.simulation.points import Corruption, joints3d
+from recon.view.info import info
 from tests.filmed import bundled, cameras, view, walk
 
 FRAMES = 24
@@ -135,7 +135,7 @@ def test_a_result_says_how_sure_its_ground_is(tmp_path):
     loaded = recon.load_motion(tmp_path / "out.npz")
     assert loaded.ground_std is not None
     assert loaded.ground_std.tolist() == pytest.approx([0.0, result.ground_std.height])
-    assert describe(tmp_path / "out.npz")["ground_height_std"] == pytest.approx(
+    assert info(tmp_path / "out.npz")["ground_height_std"] == pytest.approx(
         result.ground_std.height
     )
     assert recon.fit(seen()[0], "pose").ground_std is None

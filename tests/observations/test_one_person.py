@@ -9,13 +9,13 @@ from observations.depth import PointCloud
 from recon.core.camera import depth_camera
 from recon.core.errors import ObservationError
 from recon.formats.observations import CameraArrays, PointsFile, save_observation
-from recon.jobs.simulate import simulate_file
 from recon.reading.clouds import alone, cloud_of
 from recon.simulation.depth import Surface, depth_points
 from recon.simulation.points import Corruption
 from recon.simulation.scenery import box
 from recon.simulation.settings import FilmSettings, SurfaceSettings
 from tests.filmed import bundled
+from tests.verbs import simulate_file
 from tests.walking import a_walk
 
 

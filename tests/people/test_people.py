@@ -10,11 +10,11 @@ import torch
 import recon
 from recon.core.camera import transform
 from recon.fitting.settings import FitSettings
-from recon.jobs.fit import fit_people_files
 from recon.reading.clip import load_clip
 from recon.simulation.images import keypoints2d
 from recon.simulation.points import Corruption
 from tests.filmed import BESIDE, before_two, bundled, two_people
+from tests.verbs import report_of
 
 FRAMES = 24
 
@@ -42,7 +42,7 @@ def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_everybody_is_fitted_in_one_world(film: Path, tmp_path: Path) -> None:
     """Fits of one person each put their worlds and lenses where each liked best."""
     settings = FitSettings(prior="pose", frame_rate=30.0, image_size=(1920, 1080), person="all")
-    report = fit_people_files([film], tmp_path / "people", settings)
+    report = report_of("fit-all", tmp_path / "people", observations=(film,), settings=settings)
     names = ["person_0.npz", "person_1.npz"]
     assert list(report["people"]) == list(report["summary"]) == names
     assert report["camera_shared"]
@@ -82,4 +82,4 @@ def test_nobody_is_no_recording() -> None:
 def test_masks_are_of_one_person(film: Path, tmp_path: Path) -> None:
     settings = FitSettings(frame_rate=30.0, person="all", masks=film)
     with pytest.raises(recon.ReconError, match="--masks"):
-        fit_people_files([film], tmp_path / "people", settings)
+        report_of("fit-all", tmp_path / "people", observations=(film,), settings=settings)

@@ -8,9 +8,9 @@ import torch
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.formats.motions import MotionFile, save_motion
-from recon.jobs.view import view_files
 from recon.view import Figure
 from recon.view.beside import beside, common
+from recon.view.files import view
 from recon.view.viewpoint import follow
 from tests.walking import a_walk
 
@@ -57,7 +57,7 @@ def test_files_are_drawn_side_by_side(tmp_path: Path) -> None:
     for path, motion in zip(paths, (walk, tall(walk)), strict=True):
         save_motion(path, MotionFile(motion))
     page, picture = tmp_path / "two.html", tmp_path / "two.png"
-    view_files(paths[0], side=paths[1], html=page, png=picture)
+    view(paths[0], beside=paths[1], html=page, png=picture)
     text = page.read_text(encoding="utf-8")
     assert "walk: 1.70 m, 71 kg" in text
     assert "walk (2): 1.83 m, 83 kg" in text

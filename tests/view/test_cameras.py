@@ -14,11 +14,11 @@ from recon.core.camera import Camera, Ground, looking
 from recon.core.skeleton import JOINTS, joint_index
 from recon.formats.motions import MotionFile, load_motion, save_motion
 from recon.formats.observations import CameraArrays, KeypointsFile, PointsFile, save_observation
-from recon.jobs.view import view_files
 from recon.view import Figure, Show, View
 from recon.view.drawing.marks import paint_view
 from recon.view.drawing.painter import paint
 from recon.view.drawing.stage import frustum
+from recon.view.files import view
 from recon.view.html import write_html
 from recon.view.observed import observed
 from recon.view.panels import write_views_mp4, write_views_png
@@ -243,11 +243,11 @@ def test_files_of_images_become_views(tmp_path: Path) -> None:
         seen = observed([tmp_path / name], load_motion(tmp_path / file), body)
         assert seen.cameras[0].median_error == pytest.approx(0.0, abs=0.01)  # pixels
     with pytest.raises(ValueError, match=r"unposed\.npz: the camera has no pose"):
-        view_files(tmp_path / "fit.npz", obs=[tmp_path / "unposed.npz"])
+        view(tmp_path / "fit.npz", obs=(tmp_path / "unposed.npz",), png=tmp_path / "a.png")
     half = KeypointsFile(pixels[:, :9], ones[:, :9], "coco17", motion.fps, arrays())
     save_observation(tmp_path / "half.npz", half)
     with pytest.raises(ValueError, match="layout coco17 has 17 points, the file 9"):
-        view_files(tmp_path / "fit.npz", obs=[tmp_path / "half.npz"])
+        view(tmp_path / "fit.npz", obs=(tmp_path / "half.npz",), png=tmp_path / "a.png")
 
 
 def test_files_of_clouds_come_into_the_world(tmp_path: Path) -> None:

@@ -9,9 +9,9 @@ import torch
 from recon.body.model import BodyModel
 from recon.core.skeleton import joint_index
 from recon.formats.motions import MotionFile, save_motion
-from recon.jobs.view import shown, view_files
 from recon.view import Figure, Show
 from recon.view.drawing.painter import paint
+from recon.view.files import shown, view
 from recon.view.html import write_html
 from recon.view.scene import CERTAINTY
 from recon.view.viewpoint import viewpoints
@@ -66,4 +66,4 @@ def test_files_are_drawn_with_what_they_know(body: BodyModel, tmp_path) -> None:
     beside = shown(tmp_path / "sure.npz", side=tmp_path / "bare.npz")
     assert [figure.joint_std is None for figure in beside.figures] == [False, True]
     with pytest.raises(ValueError, match=r"bare\.npz: no standard deviations"):
-        view_files(tmp_path / "bare.npz", html=tmp_path / "page.html", certainty=True)
+        view(tmp_path / "bare.npz", html=tmp_path / "page.html", std=True)

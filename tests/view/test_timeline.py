@@ -59,7 +59,7 @@ def test_everything_is_on_the_timelines(files, tmp_path):
 
 
 def test_without_rerun_it_says_what_to_install(tmp_path, monkeypatch):
-    from recon.jobs.view import shown
+    from recon.view.files import shown
 
     monkeypatch.setitem(sys.modules, "rerun", None)
     with pytest.raises(recon.ReconError, match=r"motion-recon\[rerun\]"):

@@ -296,3 +296,15 @@ def _bone_motion(
         elif channel.startswith("t"):
             shift[:, "xyz".index(channel[1])] = column
     return bone.axis @ turn @ bone.axis.T, shift
+
+
+def recording_files(recording: Path) -> list[Path]:
+    """The files that a recording of any format (FILE, or FILE::MEMBER) is read from.
+
+    Raises:
+        FileNotFoundError: when the skeleton of an .amc file is missing.
+    """
+    path = Path(str(recording).partition("::")[0])
+    if path.name.lower().endswith((".amc", ".amc.xz")) and path.is_file():
+        return [path, find_skeleton(path)]
+    return [path]

@@ -1,4 +1,4 @@
-"""What a file holds and what was assumed in reading it."""
+"""`recon info`: what a file holds and what was assumed in reading it."""
 
 import json
 import math
@@ -7,8 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from recon.body.model import BodyModel
+from recon.formats.estimates import read_estimate
+from recon.formats.joint_table import JointCertainty
 from recon.formats.keypoints3d.labels import are_keypoints
 from recon.formats.keypoints3d.reader import from_recording, holds_points_3d, read_points_3d
+from recon.formats.keypoints3d.records import Points3D
 from recon.formats.mocap.reader import read_recording
 from recon.formats.mocap.recording import MarkerRecording
 from recon.formats.motions import MotionFile, load_motion
@@ -20,66 +24,74 @@ from recon.formats.observations import (
 )
 from recon.formats.opening import existing, load_arrays
 from recon.formats.projects import Project, project_at
-from recon.formats.reports import JointCertainty, read_report
+from recon.formats.reports import read_report
 from recon.formats.smpl import load_smpl, read_tree
-from recon.jobs.info.cameras import (
+from recon.reading.keypoints3d import settled
+from recon.reading.places import load_silhouettes
+from recon.view.info_cameras import (
     describe_calibration,
     describe_detections,
     describe_folder,
     describe_json,
 )
-from recon.jobs.info.estimates import describe_estimate
-from recon.jobs.info.points import describe_points
-from recon.reading.places import load_silhouettes
 
 _RATES = frozenset({"mocap_framerate", "mocap_frame_rate", "fps"})
 """Names of the frame rate in motion files; estimates of networks have none."""
 
+_ANY_RATE = 30.0
+"""Frames per second with which nothing is told but times."""
 
-def describe(path: Path) -> dict[str, Any]:
-    """Format, sizes, rate, units and decisions of one file or folder; plain values.
+
+def info(file: Path) -> dict[str, Any]:
+    """Say what a file or folder holds, and how that was told.
+
+    Motions, observations, recordings, bodies, 2D keypoints, calibrations, scans, depth images:
+    their format, sizes, rate, units and decisions, as plain values.
+
+    Args:
+        file: any file or folder that recon reads.
 
     Raises:
         FileNotFoundError: when there is no such file.
         ValueError: when it is nothing that recon reads; the message says what was expected.
     """
-    if not path.exists():
-        raise FileNotFoundError(f"{path}: no such file")
-    if (project := project_at(path)) is not None:
+    if not file.exists():
+        raise FileNotFoundError(f"{file}: no such file")
+    if (project := project_at(file)) is not None:
         return _project(project)
-    if holds_points_3d(path):
-        return describe_points(read_points_3d(path))
-    if path.is_dir():
-        return describe_folder(path)
-    ending = path.suffix.lower()
+    if holds_points_3d(file):
+        return _points(read_points_3d(file))
+    if file.is_dir():
+        return describe_folder(file)
+    ending = file.suffix.lower()
     if ending in (".pt", ".pth"):
-        return describe_estimate(path)
+        return _estimate(file)
     if ending == ".pkl":
-        return _body(path) if "v_template" in read_tree(path) else describe_estimate(path)
+        return _body(file) if "v_template" in read_tree(file) else _estimate(file)
     if ending == ".json":
-        return describe_json(path)
+        return describe_json(file)
     if ending == ".csv":
-        return describe_detections(path)
+        return describe_detections(file)
     if ending in (".toml", ".yml", ".yaml"):
-        return describe_calibration(path)
+        return describe_calibration(file)
     if ending != ".npz":
-        return _recording(path)
-    keys = set(load_arrays(existing(path)))
+        return _recording(file)
+    keys = set(load_arrays(existing(file)))
     if "kind" in keys:
-        return _observation(path)
+        return _observation(file)
     if "trans" in keys and keys & _RATES:
-        return _motion(path)
+        return _motion(file)
     if keys & {"trans", "transl"}:
-        return describe_estimate(path)
+        return _estimate(file)
     if "v_template" in keys:
-        return _body(path)
+        return _body(file)
     if "camera_matrix" in keys:
-        return describe_calibration(path)
+        return describe_calibration(file)
     if "mask" in keys:
-        masks = load_silhouettes(path)
+        masks = load_silhouettes(file)
         return {"format": "masks", "frames": len(masks.images)}
     raise ValueError(
-        f"{path}: neither an observation (has `kind`), a motion (`trans`, `poses`), a body "
+        f"{file}: neither an observation (has `kind`), a motion (`trans`, `poses`), a body "
         f"(`v_template`), a calibration (`camera_matrix`) nor masks (`mask`); it has "
         f"{', '.join(sorted(keys))}"
     )
@@ -88,7 +100,7 @@ def describe(path: Path) -> dict[str, Any]:
 def _project(project: Project) -> dict[str, Any]:
     """What the files of a project hold, and what they state of it."""
     seen = project.detections or project.points
-    inside = describe(seen) if seen is not None else {"format": "nothing that can be fitted"}
+    inside = info(seen) if seen is not None else {"format": "nothing that can be fitted"}
     own = {"fps": project.fps or inside.get("fps"), "frame_range": project.frames}
     said = [*project.decisions, *inside.get("decisions", ())]
     return {**inside, **own, "decisions": said}
@@ -189,7 +201,7 @@ def _pose(camera: CameraArrays) -> dict[str, Any]:
 def _recording(path: Path) -> dict[str, Any]:
     recording = read_recording(path)
     if isinstance(recording, MarkerRecording) and are_keypoints(recording.marker_names):
-        return describe_points(from_recording(recording))
+        return _points(from_recording(recording))
     names = (
         recording.marker_names if isinstance(recording, MarkerRecording) else recording.joint_names
     )
@@ -216,4 +228,47 @@ def _body(path: Path) -> dict[str, Any]:
         "joints": len(arrays.parents),
         "shape_coefficients": arrays.shape_directions.shape[-1],
         "pose_correctives": arrays.pose_directions is not None,
+    }
+
+
+def _estimate(path: Path) -> dict[str, Any]:
+    """The person of most frames, as `recon refine` takes them; plain values.
+
+    Raises:
+        ValueError: when the file holds no such parameters.
+    """
+    found = read_estimate(path)
+    sign, axis = found.up
+    return {
+        "format": "per-frame SMPL parameters (for `recon refine`)",
+        "frames": len(found.translation),
+        "frames_without_person": int((~found.known).sum()),
+        "fps": found.fps,
+        "shape_coefficients": len(found.betas),
+        "up": f"{'-' if sign < 0 else ''}{axis}",
+        "units": "metres",
+        "decisions": list(found.notes),
+    }
+
+
+def _points(points: Points3D) -> dict[str, Any]:
+    """Keypoints, sizes, rate and decisions; without a rate, all that does not depend on it.
+
+    Raises:
+        ValueError: when layout, unit or axis cannot be told; the message says what was found.
+    """
+    file = settled(points, BodyModel.load(), fps=points.fps or _ANY_RATE)
+    asked = () if points.fps is not None else ("no frame rate: give --frame-rate to fit",)
+    return {
+        "format": "3D keypoints",
+        "frames": len(file.positions),
+        "points": len(file.names),
+        "fps": points.fps,
+        "start_time": file.start_time,
+        "missing": float(1 - file.visible.mean()),
+        "units": "metres, z up" if file.level else "metres, frame of a camera turned to z up",
+        "placed": file.placed,
+        "ground_known": file.ground_known,
+        "names": list(file.names),
+        "decisions": [*file.decisions, *asked],
     }

@@ -1,12 +1,14 @@
-"""`recon train`: learn a prior from a converted corpus."""
+"""`python -m training PRIOR CORPUS --out FILE`: learn a prior from a converted corpus."""
 
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
+import tyro
 from tyro.conf import Positional
 
+from recon.cli import run_command
 from recon.cli.places import Arguments, Overwrite, Place, Quiet, writes
 from recon.formats.outputs import Kind, Output
 
@@ -134,3 +136,7 @@ def _humor(ask: dict[str, Any], device: str) -> Export:
     run = HumorTraining(**{name: ask[name] for name in ask if name != "latent"}, device=device)
     train_humor(run)
     return partial(export_weights, run)
+
+
+if __name__ == "__main__":
+    raise SystemExit(run_command(lambda: tyro.cli(train, prog="python -m training")))

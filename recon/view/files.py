@@ -1,4 +1,4 @@
-"""Motion and observation files as a show, drawn to files: what `recon view` does."""
+"""Motion and observation files as a show, drawn to files: `recon view`."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -13,44 +13,60 @@ from recon.formats.motions import MotionFile
 from recon.formats.outputs import Output
 from recon.formats.reports import checksums, versions
 from recon.formats.writing import writing
-from recon.view.beside import beside, common
+from recon.view import beside as side_by_side
 from recon.view.observed import observed
 from recon.view.scene import CORAL, GREY, Figure, Show
 
 
-def view_files(
+def view(
     motion: Path,
     *,
-    obs: Sequence[Path] = (),
-    compare: Path | None = None,
-    side: Path | None = None,
     html: Path | None = None,
     png: Path | None = None,
     mp4: Path | None = None,
     rrd: Path | None = None,
+    obs: tuple[Path, ...] = (),
+    compare: Path | None = None,
+    beside: Path | None = None,
     body: Path | None = None,
-    certainty: bool = False,
+    std: bool = False,
     overwrite: bool = False,
 ) -> None:
-    """Draw a motion, with what it was fitted to and another motion if given.
+    """Draw a motion as a page to play, a picture or a film.
 
-    With observations from cameras, the picture and the film also show what each camera sees.
-    `compare` is drawn in the same place at the same times; `side` beside the motion, both from
-    their first frames on for as long as both last, with heights and weights in the legend.
-    `certainty` draws a sphere of one standard deviation around every joint; a page has these
-    spheres in any case, as a layer that can be switched.
+    The page is one file that needs no network. Observations from cameras add the cameras, and to
+    the picture and the film what each of them sees.
+
+    Args:
+        motion: motion file.
+        html: page to write.
+        png: picture to write: frames side by side.
+        mp4: film to write.
+        rrd: file for the Rerun viewer to write, everything on a timeline; needs rerun-sdk.
+        obs: observations of the motion, of any kind: their points, clouds and cameras are drawn;
+            missing points where the motion has them.
+        compare: a second motion, for example the truth, in the same place at the same times.
+        beside: a motion to play side by side with this one, for example the same motion on
+            another body; both play from their first frames on for as long as both last, with
+            heights and weights in the legend.
+        body: the SMPL-family file of the motions' body; default: the bundled body.
+        std: draw a sphere of one standard deviation around every joint. A page has these spheres
+            in any case, as a layer to switch on.
+        overwrite: replace files that are there and recon did not write.
 
     Raises:
         FileNotFoundError: when a file does not exist.
-        ValueError: when one is damaged or of another body, the motions do not overlap in time, or
-            the standard deviations that are asked for are not known.
+        ValueError: when one is damaged or of another body, the motions do not overlap in time, the
+            standard deviations that are asked for are not known, or nothing is asked for.
         FileExistsError: when a file to write is there and recon did not write it, unless
             `overwrite`.
     """
-    show = shown(motion, obs=obs, compare=compare, side=side, body=body, certainty=certainty)
     every = ((html, draw_html), (png, _draw_png), (mp4, _draw_mp4), (rrd, _draw_rrd))
     asked = [(Output(path), draw) for path, draw in every if path is not None]
-    read = [path for path in (motion, *obs, compare, side, body) if path is not None]
+    if not asked:
+        raise ValueError("nothing to draw: give --html, --png, --mp4 or --rrd FILE")
+    show = shown(motion, obs=obs, compare=compare, side=beside, body=body, certainty=std)
+    read = [path for path in (motion, *obs, compare, beside, body) if path is not None]
     report = {"inputs": checksums(read), "versions": versions()}
     outputs = [output for output, _ in asked]
     with writing(*outputs, report=report, overwrite=overwrite) as staged:
@@ -67,7 +83,7 @@ def shown(
     body: Path | None = None,
     certainty: bool = False,
 ) -> Show:
-    """What `view_files` draws.
+    """What `view` draws.
 
     Raises:
         FileNotFoundError, ValueError: as there.
@@ -85,12 +101,12 @@ def shown(
         figures.append(Figure(model, file.motion, motion.stem, contacts=touching, joint_std=std))
     else:
         other = load_motion_of(side, model)
-        file, second = common(file, other)
+        file, second = side_by_side.common(file, other)
         figures.append(
             _measured(Figure(model, file.motion, motion.stem, joint_std=file.joint_std))
         )
         aside = Figure(model, second, _another(side, motion), CORAL)
-        figures.append(beside(figures[0], _measured(aside)))
+        figures.append(side_by_side.beside(figures[0], _measured(aside)))
     if compare is not None:
         other = _meanwhile(load_motion_of(compare, model), file.motion, compare)
         name = _another(compare, motion)

@@ -12,12 +12,13 @@ from observations.noise import estimate_noise
 from priors.humor.collocation import Collocation
 from priors.humor.prior import Humor
 from priors.pose.prior import PosePrior, PoseWeights
+from recon.api.result import described
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
-from recon.formats.motions import load_motion
+from recon.formats.motions import load_motion, save_motion
 from recon.formats.outputs import Kind, Output
 from recon.formats.reports import versions
-from recon.formats.writing import writing
+from recon.formats.writing import writing, writing_file
 from recon.method.reconstruction import Method, Reconstruction, solve
 from recon.metrics.evaluation import (
     ObservedPoints,
@@ -60,23 +61,41 @@ CASES: Mapping[str, Case] = {
 SEED = 0
 
 
-def demo(out: Path, *, overwrite: bool = False) -> dict[str, dict[str, Metrics]]:
-    """Reconstruct both cases and write demo.json, demo.html, noisy.html, demo.png and *.npz.
+class Demo(dict[str, dict[str, Metrics]]):
+    """Metrics by case and method, and where they were written."""
 
-    Returns the metrics by case and method.
+    def __init__(self, metrics: Mapping[str, dict[str, Metrics]], out: Path) -> None:
+        super().__init__(metrics)
+        self.place = f"open {out / 'demo.html'} in a browser; the picture is {out / 'demo.png'}"
+        """What to look at."""
+
+    @property
+    def tables(self) -> dict[str, dict[str, dict[str, float | None]]]:
+        """A table with a row per case and method."""
+        return {"mean errors of the reconstruction, centimetres": summary(self)}
+
+
+def demo(out: Path | str = "demo", *, overwrite: bool = False) -> Demo:
+    """Spoil a real recording in two ways and give it back.
+
+    Writes demo.json (all metrics), demo.html and noisy.html (pages to play), demo.png and the
+    motions.
+
+    Args:
+        out: folder to write into.
+        overwrite: replace files that are there and recon did not write.
 
     Raises:
         FileExistsError: when the folder holds files that recon did not write, unless `overwrite`.
     """
+    place = Path(out)
     report = {"seed": SEED, "cases": {name: case.title for name, case in CASES.items()}}
     report["versions"] = versions()
-    with writing(Output(out, Kind.FOLDER), report=report, overwrite=overwrite) as (staged,):
-        return _demo(staged)
+    with writing(Output(place, Kind.FOLDER), report=report, overwrite=overwrite) as (staged,):
+        return Demo(_demo(staged), place)
 
 
 def _demo(out: Path) -> dict[str, dict[str, Metrics]]:
-    from recon.jobs.fit import write_result
-
     body = BodyModel.load()
     with resources.as_file(resources.files("recon") / "assets" / "demo.npz") as path:
         truth = load_motion(path).motion
@@ -97,7 +116,9 @@ def _demo(out: Path) -> dict[str, dict[str, Metrics]]:
             table[name][method] = _metrics(result, seen, truth, body)
             shows.append(_show(f"{case.title}: {method}", seen, result, truth))
         motion = results["HuMoR"].clip(0).detach()
-        write_result(out / f"{name}.npz", motion, body, {"case": case.title, "seed": SEED})
+        said = {"case": case.title, "seed": SEED}
+        with writing_file(out / f"{name}.npz", said) as staged:
+            save_motion(staged, described(motion, body))
         write_html(out / ("demo.html" if name == "occluded" else f"{name}.html"), shows[-1])
     write_png(out / "demo.png", shows)
     (out / "demo.json").write_text(json.dumps(table, indent=1))

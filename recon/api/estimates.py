@@ -1,0 +1,111 @@
+"""Motions that another program estimated, as something observed."""
+
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Bool
+from torch import Tensor
+
+from recon.api.given import MotionLike, ShapeLike, motion_given, shape_given
+from recon.body.model import BodyModel
+from recon.core.arrays import positive
+from recon.core.errors import ReconError
+from recon.core.limits import FRAME_RATE
+from recon.core.motion import Motion
+from recon.core.units import Axis
+from recon.formats.estimates import BodyEstimate, read_estimate
+from recon.formats.opening import load_arrays
+
+LEAST_FRAMES = 4
+"""Fewest frames that tell how a person moves."""
+
+
+def estimate_given(
+    motion: MotionLike,
+    body: BodyModel,
+    own_body: bool,
+    shape: ShapeLike | None,
+    frame_rate: float | None,
+    up: Axis | None,
+    person: int | None,
+) -> tuple[Motion, Bool[Tensor, " time"], tuple[str, ...]]:
+    """The estimate on a body in a world with z up, which frames there are, what was assumed.
+
+    Args:
+        motion: as of `recon.refine`, and so are the others.
+        body: that the estimate is brought onto.
+        own_body: whether the caller gave the body, so that coefficients of a file are of it.
+        shape: that is held; None takes the estimate's or the average.
+        frame_rate: frames per second of an estimate that does not say it.
+        up: axis of the estimate's world that points up; None tells it from how the body stands.
+        person: which of several people in a file, from 1 on.
+
+    Raises:
+        ReconError: when it is damaged, no estimate, lasts less than four frames, or its frame rate
+            is missing.
+        FileNotFoundError: when there is no such file.
+    """
+    known_shape = None if shape is None else shape_given(shape, body)
+    if not isinstance(motion, Path | str) or _of_this_body(Path(motion), body):
+        found = motion_given(motion, body).motion
+        if known_shape is not None:
+            found = found.replace(shape=known_shape)
+        return found, torch.ones(found.frames, dtype=torch.bool), ()
+    read = read_estimate(Path(motion), person, up)
+    rate = read.fps if frame_rate is None else frame_rate
+    if rate is None:
+        raise ReconError(
+            f"{motion}: does not say how many frames there are per second; give frame_rate "
+            "(--frame-rate), that of the video"
+        )
+    FRAME_RATE.check(positive(rate, "frame_rate"), "refine", "frame_rate")
+    coefficients, words = _shape(read, body, own_body, known_shape)
+    placed = Motion.create(
+        torch.from_numpy(read.translation).float(),
+        torch.from_numpy(read.rotations).float(),
+        coefficients,
+        fps=rate,
+    )
+    pelvis = body.rest_joints(coefficients)[0]
+    upright = placed.carried(torch.from_numpy(_to_z(read.up)).float(), pelvis)
+    return upright, torch.from_numpy(read.known), (*read.notes, *words)
+
+
+def _of_this_body(path: Path, body: BodyModel) -> bool:
+    """Whether a file says that its shape coefficients are of this body."""
+    if path.suffix.lower() != ".npz" or not path.is_file():
+        return False
+    arrays = load_arrays(path)
+    return "body_checksum" in arrays and str(arrays["body_checksum"]) == body.checksum
+
+
+def _shape(
+    read: BodyEstimate, body: BodyModel, own_body: bool, given: Tensor | None
+) -> tuple[Tensor, tuple[str, ...]]:
+    """The shape that is held: as given, the file's on a body of the user's, or the average."""
+    if given is not None:
+        return given, ()
+    if own_body:
+        count = min(len(read.betas), body.shape_size)
+        found = body.template.new_zeros(body.shape_size)
+        found[:count] = torch.from_numpy(read.betas[:count]).to(found)
+        return found, ()
+    return body.template.new_zeros(body.shape_size), (
+        "its shape coefficients are of another body model and mean nothing on this one: the "
+        "average body is taken; give the person's shape (--shape height=1.80), or the body model "
+        "(--body)",
+    )
+
+
+def _to_z(up: tuple[int, Axis]) -> np.ndarray:
+    """The turn by the least angle that brings an axis to z."""
+    sign, axis = up
+    T = np.eye(4)
+    if axis == "y":
+        T[:3, :3] = [[1, 0, 0], [0, 0, -sign], [0, sign, 0]]
+    elif axis == "x":
+        T[:3, :3] = [[0, 0, -sign], [0, 1, 0], [sign, 0, 0]]
+    elif sign < 0:
+        T[:3, :3] = np.diag([1.0, -1.0, -1.0])
+    return T

@@ -1,0 +1,143 @@
+"""The command line of a function, made from its source: torch is not loaded to show its help."""
+
+import ast
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields
+from inspect import Parameter, Signature, unwrap
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from tyro.conf import OmitArgPrefixes, Positional, arg
+
+import recon
+from recon.cli import running
+from recon.cli.places import Overwrite, Place, Quiet, writes
+from recon.fitting.settings import FitSettings
+from recon.simulation.settings import FurnitureName, LeftOver, SensorKind
+
+Box = tuple[float, float, float, float, float, float]
+TYPES: dict[str, Any] = {
+    "BodyLike": Path | None,
+    "MotionLike": Path,
+    "MotionLike | Numbers": Path,
+    "ObservationsLike": tuple[Path, ...],
+    "ObservationFile | Path | str | None": Annotated[Path | None, arg(name="obs")],
+    "str | Path | SkeletonRecording | MarkerRecording": Path,
+    "str | Path": str,
+    "Path | str": Path,
+    "str | Path | None": Path | None,
+    "ShapeLike": str,
+    "str | Humor | Humos": Literal["humor", "humos"],
+    "tuple[Corner, Corner] | None": Annotated[Box | None, arg(name="occluder")],
+    "tuple[int, int] | None": str | None,
+    "Axis": Literal["x", "y", "z"],
+    "FurnitureName": FurnitureName,
+    "LeftOver": LeftOver,
+    "SensorKind": SensorKind,
+    "Literal": Literal,
+    "Path": Path,
+}
+"""What is written on a command line for an argument of a function, by its annotation or a name in
+it. Arguments of other types, such as functions and arrays, no command line can give."""
+
+
+_MOTION = (
+    "motion file to write (AMASS .npz with joints, contacts and ground); OUT.json tells what "
+    "happened."
+)
+
+
+@dataclass(frozen=True)
+class Verb:
+    """A function whose command line is made from its signature and docstring."""
+
+    place: str
+    """Place of the function, "module:name"."""
+    places: tuple[Place, ...] = (Place("out"),)
+    """Its outputs; what it does not write itself is its result, which is saved at the first."""
+    out: str = (
+        "motion file to write (AMASS .npz with joints, contacts and ground); OUT.json tells \
+what happened."
+    )
+    """What is said of the argument that names its result."""
+    out_follows: bool = False
+    """Whether that is named after the inputs, without an option."""
+    settings: FitSettings | None = None
+    """Options that stand for the function's arguments of these names, with their defaults."""
+
+
+def command(name: str, verb: Verb) -> Callable[..., None]:
+    """The function that a command line calls: it checks, computes, writes and says what it did."""
+    node = _function(verb.place)
+    taken = [] if verb.settings is None else [one.name for one in fields(verb.settings)]
+    own = [one for one in _parameters(node) if one.name not in taken]
+    shown = [*own, *_added(verb, {one.name for one in own})]
+    given = [one for one in shown if one.annotation is not Parameter.empty]
+    given.sort(key=lambda one: one.default is not Parameter.empty)
+
+    def run(**arguments: Any) -> None:
+        running.run(verb.place, [place.parameter for place in verb.places], arguments)
+
+    for one in {run, unwrap(run)}:  # what checks types and shapes in tests has wrapped it
+        one.__name__, one.__doc__ = name, ast.get_docstring(node)
+        one.__annotations__ = {parameter.name: parameter.annotation for parameter in given}
+        vars(one)["__signature__"] = Signature(given)
+    return writes(*verb.places)(run)
+
+
+def _function(place: str) -> ast.FunctionDef:
+    """The definition of a function "module:name"."""
+    module, _, name = place.partition(":")
+    path = Path(recon.__file__).parents[1].joinpath(*module.split(".")).with_suffix(".py")
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    return next(one for one in tree.body if isinstance(one, ast.FunctionDef) and one.name == name)
+
+
+def _parameters(node: ast.FunctionDef) -> list[Parameter]:
+    """A function's parameters, without annotation where no command line can give them."""
+    plain = node.args.args
+    missing = [None] * (len(plain) - len(node.args.defaults))
+    defaults = [*missing, *node.args.defaults, *node.args.kw_defaults]
+    every = zip((*plain, *node.args.kwonlyargs), defaults, strict=True)
+    return [_parameter(one, default) for one, default in every]
+
+
+def _parameter(node: ast.arg, default: ast.expr | None) -> Parameter:
+    assert node.annotation is not None
+    text = ast.unparse(node.annotation).replace('"', "'")
+    try:
+        kind = TYPES[text] if text in TYPES else eval(text, {**TYPES})
+    except NameError:
+        return Parameter(node.arg, Parameter.KEYWORD_ONLY)
+    if default is None:
+        read = kind in (Path, tuple[Path, ...])
+        return _option(node.arg, Positional[kind] if read else kind)
+    value = ast.literal_eval(default)
+    return _option(node.arg, kind, Path(value) if kind is Path else value)
+
+
+def _added(verb: Verb, own: set[str]) -> Iterator[Parameter]:
+    """Options that a command line has besides the arguments of its function."""
+    if verb.settings is not None:
+        yield _option("settings", OmitArgPrefixes[type(verb.settings)], verb.settings)
+    if verb.places and (result := verb.places[0].parameter) not in own:
+        if result == "json":
+            yield _option("json", Annotated[Path | None, arg(help=verb.out)], None)
+        else:
+            kind = Annotated[Path, arg(help=verb.out)]
+            yield _option(result, Positional[kind] if verb.out_follows else kind)
+    written = {place.parameter for place in verb.places}
+    if "json" not in written and not own & written:
+        yield _option(
+            "json", Annotated[bool, arg(help="Print the report as JSON on stdout.")], False
+        )
+    if verb.places and "overwrite" not in own:
+        yield _option("overwrite", Overwrite, False)
+    if verb.places:
+        yield _option("quiet", Quiet, False)
+
+
+def _option(name: str, kind: Any, *default: Any) -> Parameter:
+    """A parameter with its default, if it has one."""
+    value = default[0] if default else Parameter.empty
+    return Parameter(name, Parameter.KEYWORD_ONLY, annotation=kind, default=value)

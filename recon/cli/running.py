@@ -1,0 +1,149 @@
+"""The work of one verb: its function is called, its result written with a report, and told."""
+
+from collections.abc import Mapping, Sequence
+from importlib import import_module
+from inspect import Parameter, signature
+from pathlib import Path
+from typing import Any
+
+from recon.cli import console
+from recon.cli.errors import Failed
+from recon.cli.looks import look_at
+
+
+def run(place: str, written: Sequence[str], given: Mapping[str, Any]) -> None:
+    """Call the function of a verb with what a command line gave, write its result and tell of it.
+
+    Args:
+        place: of the function, "module:name".
+        written: names of arguments that name outputs. The first is the place of the result where
+            the function does not write it itself.
+        given: arguments by name; `settings` are options of fits, `json` asks for an answer.
+
+    Raises:
+        Failed: when a fit met nan or inf.
+        FileNotFoundError, ValueError: for bad input.
+    """
+    look_at(given)
+    module, _, name = place.partition(":")
+    function = getattr(import_module(module), name)
+    known = signature(function).parameters
+    how = {key: _VALUES.get(key, _same)(given[key]) for key in given if key in known}
+    if not written or written[0] in known:
+        _tell_own(function(**how), given)
+        return
+    from recon.reading.inputs import input_checksums
+
+    options = {key: one for key, one in how.items() if not _is_read(known[key], one)}
+    more = dict[str, Any]()
+    settings = given.get("settings")
+    if settings is not None:
+        options |= vars(settings)
+        more = settings.arguments()
+    # before anything is read: what changes from now on must not pass for what was used
+    inputs = input_checksums(how | options)
+    with console.fitting({}) as watch:
+        result = function(**how, **more, **({"callback": watch} if more else {}))
+    write_and_tell(result, given[written[0]], inputs, options, given)
+
+
+def write_and_tell(
+    result: Any,
+    out: Path | None,
+    inputs: Mapping[str, str],
+    options: Mapping[str, Any],
+    given: Mapping[str, Any],
+) -> None:
+    """Write a result with its report and tell of it; without a place, it is the answer.
+
+    Raises:
+        Failed: when a fit met nan or inf.
+        FileExistsError, ValueError, OSError: when it cannot be written.
+    """
+    written: Any = None
+    report = result.report(*([out] if hasattr(result, "noun") else []), inputs, options)
+    if out is not None:
+        written = result.save(out, overwrite=given["overwrite"], report=report)
+    tell(report, result.tables, ", ".join(map(str, written or [out])) if out else "")
+    if given["json"] is True:
+        console.answer({**report.get("conversion", {}), **report})
+    elif out is None:
+        console.answer(result)
+    if report.get("failed"):
+        reasons = "; ".join(stage["termination"] for stage in report.get("stages", ()))
+        raise Failed(f"{out}: {reasons or 'a fit met nan or inf'}")
+
+
+def tell(report: Mapping[str, Any], tables: Mapping[str, Any], place: str) -> None:
+    """Tell what a person at the terminal should know about a result that was written.
+
+    Args:
+        report: of the result.
+        tables: of numbers, by title.
+        place: of the result; empty where it was not written.
+    """
+    for line in report.get("read", ()):
+        console.note(line)
+    for line in report.get("decisions", ()):
+        console.say(f"  {line}")
+    for stage in report.get("stages", ()):
+        console.say(
+            f"{stage['name']:<9} {stage['iterations']:>4} iterations {stage['seconds']:>7.2f} s, "
+            f"total {sum(stage['energies'].values()):.4g}: {stage['termination']}"
+        )
+    if cycle := report.get("cycle"):
+        residuals = ", ".join(f"{mm:.0f}" for mm in cycle["residual_mm"] if mm is not None)
+        console.say(
+            f"one cycle of {cycle['seconds']:.2f} s, seen at {cycle['moments_seen']} moments, "
+            f"code distance {cycle['code_distance']:.2f}, "
+            f"residual {residuals} mm"
+        )
+    for one in report.get("stretches", ()):
+        console.say(
+            f"{one['start']:7.2f} s to {one['stop']:7.2f} s: {one['prior']}, seen at "
+            f"{one['moments_seen']} moments"
+            + (f", {one['joined']} of {one['cycles']} cycles of gait" if one["cycles"] else "")
+        )
+    console.findings(report)
+    for title, rows in tables.items():
+        console.table(title, rows)
+    if place:
+        console.last(place)
+
+
+def _tell_own(found: Any, given: Mapping[str, Any]) -> None:
+    """Tell of what a function wrote itself, or of the facts that it found."""
+    if given.get("json"):
+        console.answer(found)
+    elif "json" in given:
+        console.facts(str(given["file"]), found)
+    elif found is not None:
+        for title, rows in found.tables.items():
+            console.table(title, rows)
+        console.last(found.place)
+
+
+def _is_read(parameter: Parameter, value: Any) -> bool:
+    """Whether an argument names what a verb is about, which is no setting."""
+    return parameter.default is Parameter.empty and isinstance(value, Path | tuple)
+
+
+def _same(value: Any) -> Any:
+    return value
+
+
+def _frames(text: str | None) -> tuple[int, int] | None:
+    if text is None:
+        return None
+    first, colon, last = text.partition(":")
+    if not (colon and first.isdigit() and last.isdigit() and int(first) < int(last)):
+        raise ValueError(f"--frames is A:B with A < B, for example 0:90; got {text!r}")
+    return int(first), int(last)
+
+
+def _box(corners: tuple[float, ...] | None) -> tuple[tuple[float, ...], ...] | None:
+    return None if corners is None else (corners[:3], corners[3:])
+
+
+_VALUES = {"frames": _frames, "hide_box": _box}
+"""Arguments that a command line writes in another way than a caller does."""

@@ -1,1 +1,0 @@
-"""Verbs that make motions of people who were not recorded."""

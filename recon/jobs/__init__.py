@@ -1,1 +1,0 @@
-"""Files in, files out: what each command does, without its command line."""

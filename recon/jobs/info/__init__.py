@@ -1,1 +1,0 @@
-"""What a file holds, and what was assumed in reading it."""
