@@ -17,7 +17,6 @@ from jaxtyping import Float
 from torch import Tensor
 
 from priors.humor.likely import LikelyStates, as_read, at_tempo, tempo
-from priors.humor.limbs import UnseenLimbs, unseen_limbs
 from priors.humor.prior import Humor
 from priors.humor.state import contact_probabilities, posed_states
 from priors.humor.steps import (
@@ -197,6 +196,9 @@ class Collocation:
         if seen_whole(data, self.humor.body):
             rough = replace(poses.minimiser, tolerance_decrease=1e-2)
             return root, replace(poses, minimiser=rough), feet
+        # where every joint is seen, no limbs are drawn from the networks
+        from priors.humor.limbs import UnseenLimbs, unseen_limbs
+
         unseen = unseen_limbs(data, self.humor.body)
         if unseen is None:
             return root, poses, steps, feet
