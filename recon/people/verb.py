@@ -46,14 +46,14 @@ def fit_all(
     if settings.shape is not None:
         raise ValueError("--shape is of one person; leave it out with --person all")
     from recon.body.model import BodyModel
-    from recon.people.everyone import load_people
+    from recon.people.everyone import people_in
     from recon.people.together import fit_people
     from recon.reading.inputs import input_checksums
 
     settings = replace(settings, person="all")
     inputs = input_checksums({"observations": observations, **vars(settings)})
     body = BodyModel.load(settings.body)
-    people, notes = load_people(observations, settings, body)
+    people, notes = people_in(observations, settings, body)
     how = {name: getattr(settings, name) for name in _OF_ALL}
     ground = settings.arguments()["ground"]
     how["ground"] = "auto" if isinstance(ground, tuple) else ground  # the reader knows the plane
