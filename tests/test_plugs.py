@@ -10,12 +10,12 @@ import pytest
 ROOT = Path(__file__).parents[1]
 LIBRARY = sorted((ROOT / "recon").rglob("*.py"))
 SENSORS = {"Joints3D", "Markers3D", "Keypoints2D", "PointCloud"}
-MAKERS = ("simulation/", "ingest/", "fitting/cycles/gait.py", "api/bench/sensors.py")
+MAKERS = ("simulation/", "ingest/", "fitting/gait.py", "benchmark/protocols.py")
 """Places that make observations, from motions or recordings, and so call their classes."""
 VERBS = {
     "recon/api/generate.py",
     "recon/api/interpolate.py", "recon/api/retarget.py",
-    "recon/cli/making.py", "recon/cli/listing.py",
+    "recon/cli/making.py",
     "recon/fitting/recording.py", "recon/fitting/interpolation.py",
     "recon/fitting/retargeting.py", "recon/demo.py",
     "training/labels/shards.py",
@@ -28,8 +28,7 @@ TOOLS = {
 }  # fmt: skip
 """Files that use the pose prior for a step of their own, not for the fit that was asked for."""
 BENCH = {
-    "recon/benchmark/methods.py", "recon/benchmark/protocols.py", "recon/benchmark/sources.py",
-    "recon/benchmark/windows.py",
+    "recon/benchmark/methods.py",
 }  # fmt: skip
 """Files that judge priors by name, on windows of people from whom none of them learned."""
 DEFAULTS = {
