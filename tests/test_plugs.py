@@ -15,7 +15,7 @@ MAKERS = ("simulation/", "ingest/", "fitting/gait.py", "benchmark/protocols.py")
 VERBS = {
     "recon/api/generate.py",
     "recon/api/interpolate.py", "recon/api/retarget.py",
-    "recon/cli/making.py", "recon/cli/listing.py",
+    "recon/cli/making.py",
     "recon/fitting/recording.py", "recon/fitting/interpolation.py",
     "recon/fitting/retargeting.py", "recon/demo.py",
     "training/labels/shards.py",

@@ -25,15 +25,7 @@ def failures() -> dict[str, dict[str, str]]:
     return json.loads(done.stdout)
 
 
-NOT_YET = {("people", "fit"), ("people", "modules")}
-"""Sheds that `ignore_imports` of pyproject.toml lets the rest import; it goes with this set."""
-WHERE = [
-    pytest.param(
-        shed, part, marks=pytest.mark.xfail(strict=True) if (shed, part) in NOT_YET else ()
-    )
-    for shed in SHEDS
-    for part in ("fit", "help", "modules")
-]
+WHERE = [(shed, part) for shed in SHEDS for part in ("fit", "help", "modules")]
 
 
 @pytest.mark.parametrize(("shed", "part"), WHERE)

@@ -10,13 +10,14 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from recon.api.given import BodyLike, MotionLike, body_given, motion_given
-from recon.api.results import Evaluation
+from recon.api.results import Tables, one_line, told
 from recon.body.model import BodyModel
 from recon.core.arrays import Numbers, bool_tensor, float_tensor, require_shape
 from recon.core.errors import ReconError
 from recon.core.motion import Motion
 from recon.formats.motions import MotionFile
 from recon.formats.observations import ObservationFile, PositionsFile, load_observation
+from recon.formats.writing import write_report
 from recon.method.protocols import Estimate
 from recon.metrics import evaluation
 from recon.metrics.evaluation import ObservedPoints, ground_errors, nearest_labels
@@ -24,6 +25,65 @@ from recon.reading.points import positions_of
 
 _ON_ITS_GROUND = ("penetration", "sole_penetration", "contact", "slip_speed")
 """How metrics that judge a result by the ground it stands on begin."""
+
+
+_SHOWN = {
+    "joints_all": ("joints, all", 100, "cm"),
+    "joints_visible": ("joints that were seen", 100, "cm"),
+    "joints_hidden": ("joints that were hidden", 100, "cm"),
+    "pa_joints": ("joints after a similarity", 100, "cm"),
+    "vertices": ("skin", 100, "cm"),
+    "accel_error": ("acceleration", 1, "m/s²"),
+    "slip_speed": ("slip of feet in contact", 1, "m/s"),
+    "sole_penetration_dist": ("depth of soles below the ground", 100, "cm"),
+}
+"""Metrics that are printed: words, factor and unit."""
+
+
+class Evaluation(dict[str, float | None]):
+    """Metrics by name, in SI units; None where a value cannot be computed.
+
+    It is a dictionary; printed, it says the most important ones in at most ten lines.
+    """
+
+    @property
+    def tables(self) -> Tables:
+        """All metrics."""
+        return {"metrics, SI units": {key: {"value": value} for key, value in self.items()}}
+
+    def report(
+        self, inputs: Mapping[str, str] | None = None, _: Mapping[str, Any] | None = None
+    ) -> dict[str, Any]:
+        """The metrics and what they were computed from, in plain values."""
+        return {**self, **told(inputs, None)}
+
+    def save(
+        self,
+        path: Path | str,
+        *,
+        overwrite: bool = False,
+        report: Mapping[str, Any] | None = None,
+    ) -> None:
+        """Write the metrics as JSON.
+
+        Args:
+            path: file to write.
+            overwrite: replace a file that is there and recon did not write.
+            report: what to write beside the metrics instead of `report()`.
+
+        Raises:
+            FileExistsError: when it is there and recon did not write it, unless `overwrite`.
+        """
+        about = self.report() if report is None else report
+        write_report(Path(path), {**self, **about}, overwrite=overwrite)
+
+    def __repr__(self) -> str:
+        """The most important metrics in at most ten lines."""
+        values = ((self.get(key), *words) for key, words in _SHOWN.items())
+        lines = [f"{w}: {factor * v:.2f} {unit}" for v, w, factor, unit in values if v is not None]
+        told = sum(value is not None for value in self.values())
+        first = f"Evaluation: {told} of {len(self)} metrics could be told, among them errors of"
+        return "\n".join([first, *map(one_line, lines)])
 
 
 def evaluate(

@@ -77,7 +77,9 @@ def sample(
     if prior != "humor" and not isinstance(prior, Humor):
         raise WeightsError(f"prior: expected 'humor', 'humos' or one of them, got {prior!r:.60}")
     if shape is not None or fps is not None:
-        raise ReconError("shape and fps are of the prior humos: HuMoR draws bodies, at 30 Hz")
+        raise ReconError(
+            "shape and fps are of the prior humos (--prior humos): HuMoR draws bodies, at 30 Hz"
+        )
     frames = _frames(seconds)
     humor = _humor(prior, weights, body, device)
     random = torch.Generator().manual_seed(seed)

@@ -20,7 +20,7 @@ from recon.formats.joint_table import JointCertainty, write_joint_table
 from recon.formats.motions import MotionFile, save_motion
 from recon.formats.outputs import Kind, Output
 from recon.formats.reports import versions
-from recon.formats.writing import write_report, writing, writing_file
+from recon.formats.writing import writing, writing_file
 
 Tables = Mapping[str, Mapping[str, Mapping[str, Any]]]
 """Numbers for the person at the terminal: rows of columns, by title and by name."""
@@ -362,62 +362,3 @@ def file_names(out: Path, count: int, noun: str) -> list[str]:
     if count > 1:
         raise ReconError(f"{out} is one file, but {count} motions were asked for; give a folder")
     return [out.name]
-
-
-_SHOWN = {
-    "joints_all": ("joints, all", 100, "cm"),
-    "joints_visible": ("joints that were seen", 100, "cm"),
-    "joints_hidden": ("joints that were hidden", 100, "cm"),
-    "pa_joints": ("joints after a similarity", 100, "cm"),
-    "vertices": ("skin", 100, "cm"),
-    "accel_error": ("acceleration", 1, "m/s²"),
-    "slip_speed": ("slip of feet in contact", 1, "m/s"),
-    "sole_penetration_dist": ("depth of soles below the ground", 100, "cm"),
-}
-"""Metrics that are printed: words, factor and unit."""
-
-
-class Evaluation(dict[str, float | None]):
-    """Metrics by name, in SI units; None where a value cannot be computed.
-
-    It is a dictionary; printed, it says the most important ones in at most ten lines.
-    """
-
-    @property
-    def tables(self) -> Tables:
-        """All metrics."""
-        return {"metrics, SI units": {key: {"value": value} for key, value in self.items()}}
-
-    def report(
-        self, inputs: Mapping[str, str] | None = None, _: Mapping[str, Any] | None = None
-    ) -> dict[str, Any]:
-        """The metrics and what they were computed from, in plain values."""
-        return {**self, **told(inputs, None)}
-
-    def save(
-        self,
-        path: Path | str,
-        *,
-        overwrite: bool = False,
-        report: Mapping[str, Any] | None = None,
-    ) -> None:
-        """Write the metrics as JSON.
-
-        Args:
-            path: file to write.
-            overwrite: replace a file that is there and recon did not write.
-            report: what to write beside the metrics instead of `report()`.
-
-        Raises:
-            FileExistsError: when it is there and recon did not write it, unless `overwrite`.
-        """
-        about = self.report() if report is None else report
-        write_report(Path(path), {**self, **about}, overwrite=overwrite)
-
-    def __repr__(self) -> str:
-        """The most important metrics in at most ten lines."""
-        values = ((self.get(key), *words) for key, words in _SHOWN.items())
-        lines = [f"{w}: {factor * v:.2f} {unit}" for v, w, factor, unit in values if v is not None]
-        told = sum(value is not None for value in self.values())
-        first = f"Evaluation: {told} of {len(self)} metrics could be told, among them errors of"
-        return "\n".join([first, *map(one_line, lines)])

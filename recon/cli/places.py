@@ -45,8 +45,15 @@ def folder(path: Path, _: Arguments) -> tuple[Output, ...]:
     return (Output(path, Kind.FOLDER),)
 
 
-def several_or_npz(path: Path, _: Arguments) -> tuple[Output, ...]:
-    """One motion file where its name ends in .npz, else a folder of them."""
+def several_or_npz(path: Path, given: Arguments) -> tuple[Output, ...]:
+    """One motion file where its name ends in .npz, else a folder of them.
+
+    Raises:
+        ValueError: when several motions are asked for in one file.
+    """
+    count = given.get("count", given.get("samples"))
+    if path.suffix == ".npz" and count > 1:
+        raise ValueError(f"{path} is one file, but {count} motions were asked for; give a folder")
     return (Output(path, Kind.FILE if path.suffix == ".npz" else Kind.FOLDER),)
 
 

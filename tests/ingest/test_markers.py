@@ -1,6 +1,7 @@
 """Recordings of markers with what goes wrong in practice: gaps, jumps, exchanged labels."""
 
 import dataclasses
+import json
 from importlib import resources
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+import recon
 from observations.markers3d import Markers3D
 from recon.body.landmarks import landmark
 from recon.body.model import BodyModel
@@ -30,7 +32,6 @@ from recon.ingest.markers.gaps import bridged, gap_findings, observed_joints, pl
 from recon.ingest.markers.observation import seen_markers
 from recon.ingest.markers.poses import natural_pose
 from tests.ingest.walker import LABELS
-from tests.verbs import report_of
 
 ARM = [LABELS.index(label) for label in ("LELB", "LWRA", "LWRB")]
 
@@ -116,7 +117,8 @@ def test_the_report_beside_the_motion_holds_the_lists(
     monkeypatch.setattr("recon.ingest.single.convert", lambda *_, **__: with_gaps)
     (tmp_path / "raw.trc").write_bytes(b"markers")
     out = tmp_path / "m.npz"
-    report = report_of("convert", out, recording=tmp_path / "raw.trc")
+    recon.convert(tmp_path / "raw.trc").save(out)
+    report = json.loads((tmp_path / "m.npz.json").read_bytes())
     assert {entry["code"] for entry in report["warnings"]} == {"gap", "unseen"}
     assert report["repairs"] == []
     assert {entry["code"] for entry in report["diagnosis"]} == {"residual"}
