@@ -11,8 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from observations import kinds
-from observations.depth import PointCloud
-from observations.keypoints2d import Keypoints2D
+from observations.kinds import Keypoints2D, PointCloud
 from observations.timing import at_observation_times
 from recon.body.model import BodyModel
 from recon.core import rotations as so3

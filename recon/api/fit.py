@@ -29,7 +29,6 @@ from recon.core.errors import ObservationError, ReconError
 from recon.core.limits import FRAME_RATE
 from recon.core.motion import Motion
 from recon.core.units import Axis
-from recon.diagnosis.estimates import believed
 from recon.diagnosis.findings import Finding
 from recon.fitting.methods import FitOptions, PriorObject, traits
 from recon.fitting.observed import Clip
@@ -252,6 +251,7 @@ def refine(
         raise ReconError(f"ground: expected known or unknown, got {ground!r}")
     # reading estimates loads scipy, which other fits need not wait for
     from recon.api.estimates import LEAST_FRAMES, estimate_given
+    from recon.diagnosis.estimates import believed
 
     model = body_given(body)
     own = body is not None
