@@ -6,6 +6,7 @@ are what a reader needs to go on: what was expected, what came, which argument o
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ SEEN = np.ones((8, 22), bool)
 NAMES = [f"point {k}" for k in range(22)]
 
 
-def joints(values: np.ndarray = JOINTS, seen: np.ndarray = SEEN, **more: object) -> recon.Joints3D:
+def joints(values: np.ndarray = JOINTS, seen: np.ndarray = SEEN, **more: Any) -> recon.Joints3D:
     return recon.Joints3D(values, seen, **{"joints": range(22), "fps": 30.0} | more)
 
 
@@ -37,28 +38,28 @@ def lost() -> recon.Keypoints2D:
     return recon.Keypoints2D(seen.pixels[0], seen.confidence[0], seen.points, camera, fps=30.0)
 
 
-def stored(**change: object) -> Callable[[Path], object]:
+def stored(**change: Any) -> Callable[[Path], object]:
     """An observation file with other arrays."""
 
     def call(folder: Path) -> object:
         arrays = {"kind": "joints3d", "positions": JOINTS, "visible": SEEN, "fps": 30.0,
                   "up_axis": "z", "names": np.array(NAMES)}  # fmt: skip
-        np.savez(folder / "o.npz", **(arrays | change))  # type: ignore[arg-type]
+        np.savez(folder / "o.npz", **(arrays | change))
         return recon.load_observation(folder / "o.npz")
 
     return call
 
 
-def fitted(**arguments: object) -> Callable[[Path], object]:
-    return lambda _: recon.fit(joints(), **({"prior": "pose"} | arguments))  # type: ignore[arg-type]
+def fitted(**arguments: Any) -> Callable[[Path], object]:
+    return lambda _: recon.fit(joints(), **({"prior": "pose"} | arguments))
 
 
-def loaded(name: str, data: bytes = b"nothing", **arguments: object) -> Callable[[Path], object]:
+def loaded(name: str, data: bytes = b"nothing", **arguments: Any) -> Callable[[Path], object]:
     """A file of these bytes, read as an observation."""
 
     def call(folder: Path) -> object:
         (folder / name).write_bytes(data)
-        return recon.load_observation(folder / name, **arguments)  # type: ignore[arg-type]
+        return recon.load_observation(folder / name, **arguments)
 
     return call
 
