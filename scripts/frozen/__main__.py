@@ -180,6 +180,7 @@ def report(old: Path, new: Path, before: Seconds, after: Seconds, tolerance: flo
     print(f"{'case':24}{'joints mm':>10}{'objective':>10}{'CPU s':>8}{'now':>8}{'ratio':>7}")
     differ: list[str] = []
     ratios: list[float] = []
+    sums = [0.0, 0.0]
     for name in dict.fromkeys((*before, *after)):
         was, now = before.get(name, "no reference"), after.get(name, "the case is gone")
         if isinstance(was, str) or isinstance(now, str):
@@ -192,6 +193,7 @@ def report(old: Path, new: Path, before: Seconds, after: Seconds, tolerance: flo
         else:
             ratio = median(now) / max(median(was), 1e-9)
         ratios.append(ratio)
+        sums = [sums[0] + median(was), sums[1] + median(now)]
         found: Difference = differences(_file(old, name), _file(new, name), tolerance)
         print(
             f"{name:24}{found.joints:>10}{found.objective:>10}{median(was):8.2f}{median(now):8.2f}"
@@ -200,7 +202,7 @@ def report(old: Path, new: Path, before: Seconds, after: Seconds, tolerance: flo
         if found.words:
             differ.append(name)
     if ratios:
-        print(f"median ratio of CPU seconds: {median(ratios):.2f}")
+        print(f"{'sum; median of ratios':44}{sums[0]:8.1f}{sums[1]:8.1f}{median(ratios):7.2f}")
     print(f"{len(differ)} differ: {', '.join(differ)}" if differ else "nothing differs")
     return int(len(differ) > 0)
 

@@ -59,7 +59,7 @@ def differences(old: Path, new: Path, tolerance: float) -> Difference:
                 share = (apart > 0.5).mean()
                 words += [] if share <= LABELS else [f"{share:.1%} of {name} changed"]
             else:
-                most = OTHERS * tolerance * np.maximum(1.0, np.abs(was[name]))
+                most = OTHERS * tolerance * np.maximum(1.0, np.nan_to_num(np.abs(was[name])))
                 if not (apart <= most).all():
                     words.append(f"{name} moved by up to {apart.max():.4g}")
     return Difference(joints, objective, tuple(words))

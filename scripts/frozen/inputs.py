@@ -39,8 +39,8 @@ def make_inputs(folder: Path) -> None:
     for markers in ("pig", "halpe26"):
         export(folder / "clip.npz", "--trc", folder / f"{markers}.trc", "--markers", markers)
     export(folder / "clip.npz", "--bvh", folder / "clip.bvh")
-    _write_c3d(folder / "pig.c3d", folder / "pig.trc")
-    _write_openpose(folder / "openpose")
+    write_c3d(folder / "pig.c3d", folder / "pig.trc")
+    write_openpose(folder / "openpose")
     _write_smpl(folder / "SMPLX_NEUTRAL.npz")
 
 
@@ -60,7 +60,7 @@ OBSERVATIONS: dict[str, tuple[Any, dict[str, Any]]] = {
 """Sensor and options by the name of the file."""
 
 
-def _write_c3d(path: Path, trc: Path) -> None:
+def write_c3d(path: Path, trc: Path) -> None:
     """The markers of a TRC file (millimetres, y up) as C3D with z up."""
     import ezc3d
 
@@ -70,7 +70,7 @@ def _write_c3d(path: Path, trc: Path) -> None:
     rows = [
         [float(word) for word in line.split("\t") if word] for line in lines[5:] if line.strip()
     ]
-    values = np.array(rows)[:, 2:].reshape(len(rows), -1, 3)[..., [2, 0, 1]]
+    values = np.array(rows)[:, 2:].reshape(len(rows), -1, 3)[..., [0, 2, 1]] * (1.0, -1.0, 1.0)
     file = ezc3d.c3d()
     point = file["parameters"]["POINT"]
     point["RATE"]["value"], point["UNITS"]["value"] = [30.0], ["mm"]
@@ -80,7 +80,7 @@ def _write_c3d(path: Path, trc: Path) -> None:
     file.write(str(path))
 
 
-def _write_openpose(folder: Path) -> None:
+def write_openpose(folder: Path) -> None:
     """Detections of two people before one camera, a file per frame."""
     folder.mkdir(exist_ok=True)
     people = []
