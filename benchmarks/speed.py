@@ -3,12 +3,12 @@
     python -m benchmarks.speed CORPUS --out FOLDER
     python -m benchmarks.speed CORPUS --parts batch --clips 32 --out FOLDER
 
-All on one thread. `speed` fits one clip of two seconds, and sixteen together. `long` fits the
+All on one thread. `speed` fits one clip of two seconds, and sixteen. `long` fits the
 longest clip, run there and back until it lasts so long, each length in a process of its own whose
 peak memory is told: where it turns round, every joint's velocity changes sign at once. The largest
 change of a joint's velocity from one frame to the next shows seams. `live` pushes the longest
 clips of subjects moment by moment, beside fits at once; a step is the 99th percentile of how far a
-joint moves in a frame. `batch` runs `recon batch` on the listed windows, one by one and together,
+joint moves in a frame. `batch` runs `recon batch` on the listed windows,
 and counts CPU seconds of all processes. Joints have 4 cm of noise per coordinate in all of them.
 """
 
@@ -83,14 +83,14 @@ def longest_clips(files: Mapping[str, Path], splits: Splits, part: str) -> list[
 
 
 def fitting() -> Table:
-    """CPU seconds of fits of one clip, and of sixteen together, medians."""
+    """CPU seconds of fits of one clip, and of sixteen, medians."""
     motion = demo_clip(FRAMES)
     one = recon.simulate(motion, "joints3d", noise=NOISE, seed=SEED)
     many = [recon.simulate(motion, "joints3d", noise=NOISE, seed=k) for k in range(16)]
     calls: dict[str, tuple[Callable[[], object], int]] = {
         "fit of one clip of 2 s, pose prior, s": (lambda: recon.fit(one, "pose"), 3),
         "fit of one clip of 2 s, HuMoR, s": (lambda: recon.fit(one), 3),
-        "fits of sixteen such clips together, pose prior, s":
+        "fits of sixteen such clips, pose prior, s":
             (lambda: recon.fit_clips(many, "pose"), 1),
     }  # fmt: skip
     rows: list[list[Cell]] = []
@@ -218,23 +218,20 @@ def cost_of(*words: str, folder: Path) -> tuple[float, float]:
 
 
 def batches(truth: Motion, count: int, processes: int) -> dict[str, Table]:
-    """`recon batch` under both priors, clips one by one and together."""
+    """`recon batch` under both priors."""
     rows: list[list[Cell]] = []
     million: list[list[Cell]] = []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         manifest(folder, truth, count)
         for prior in PRIORS[::-1]:
-            for label, more in (("one by one", ("--together", "1")), ("together", ())):
-                how = ("--prior", prior, "--processes", str(processes), *more)
-                out = f"{prior} {label}"
-                cpu, mb = cost_of("all.jsonl", "--out", out, *how, folder=folder)
-                found = fitted_joints(folder / out, count)
-                true = BodyModel.load().pose(truth).joints.double().numpy()
-                known = true[np.arange(count) % len(true)]
-                error = float(np.linalg.norm(found - known, axis=-1).mean())
-                rows.append([f"`{prior}`, {label}", number(cpu / count), number(mb),
-                             number(error, 100)])  # fmt: skip
+            how = ("--prior", prior, "--processes", str(processes))
+            cpu, mb = cost_of("all.jsonl", "--out", prior, *how, folder=folder)
+            found = fitted_joints(folder / prior, count)
+            true = BodyModel.load().pose(truth).joints.double().numpy()
+            known = true[np.arange(count) % len(true)]
+            error = float(np.linalg.norm(found - known, axis=-1).mean())
+            rows.append([f"`{prior}`", number(cpu / count), number(mb), number(error, 100)])
             frame = cpu / count / FRAMES
             hours = [MILLION * FPS * seconds * frame / 3600 for seconds in CLIP_SECONDS]
             told = (f"{round(one, -2):,.0f}" for one in hours)

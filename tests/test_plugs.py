@@ -10,7 +10,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 LIBRARY = sorted((ROOT / "recon").rglob("*.py"))
 SENSORS = {"Joints3D", "Markers3D", "Keypoints2D", "PointCloud"}
-MAKERS = ("simulation/", "ingest/", "fitting/gait.py", "benchmark/protocols.py")
+MAKERS = ("simulation/", "ingest/", "reading/", "fitting/gait.py", "benchmark/protocols.py")
 """Places that make observations, from motions or recordings, and so call their classes."""
 VERBS = {
     "recon/api/generate.py",

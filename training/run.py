@@ -117,10 +117,10 @@ def _plain(value: Any) -> Any:
 
 @contextmanager
 def logged_to(path: Path, mode: Literal["a", "w"]) -> Iterator[None]:
-    """A context in which messages of `priors` also go to a file, each line with its time."""
+    """A context in which messages of `training` also go to a file, each line with its time."""
     log = logging.FileHandler(path, mode=mode)
     log.setFormatter(logging.Formatter("%(asctime)s %(message)s"))
-    package = logging.getLogger("priors")
+    package = logging.getLogger("training")
     before = package.level
     package.addHandler(log)
     package.setLevel(logging.INFO)

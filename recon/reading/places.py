@@ -13,8 +13,8 @@ from recon.core.skeleton import keypoint_names
 from recon.formats.depth_images import read_png
 from recon.formats.detections.records import Detections
 from recon.formats.json_files import frame_numbers
-from recon.formats.masks import PackedMask, read_packed_masks
 from recon.formats.observations import KeypointsFile
+from recon.reading.masks import PackedMask, read_packed_masks
 
 FEWEST_KEYPOINTS = 4
 """Detections with fewer are no people."""

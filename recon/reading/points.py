@@ -66,10 +66,8 @@ def positions_of(
             points, visible, BodyPoints.of_names(file.names, body), file.fps, file.start_time,
             kernel, file.ground_known, std=std, level=file.level, placed=file.placed,
         )  # fmt: skip
-    adapter = Joints3D if file.kind == "joints3d" else Markers3D
-    return adapter(
-        points, visible, places, file.fps, file.start_time, kernel, file.ground_known, std=std
-    )
+    given = (points, visible, places, file.fps, file.start_time, kernel, file.ground_known)
+    return Joints3D(*given, std=std) if file.kind == "joints3d" else Markers3D(*given, std=std)
 
 
 def _places(

@@ -177,7 +177,6 @@ CASES: dict[str, Case] = {
     "anchor": _fit("cycle.npz", prior="anchor"),
     "whole recording": _fit("sparse.npz", prior="recording"),
     "roll-out": _fit("joints.npz", method="rollout", between=(1.0, 1.5)),
-    "shooting": _fit("joints.npz", method="shooting", between=(1.0, 1.5)),
     "stream pose": _stream("pose"),
     "stream humor": _stream("humor"),
     "refine": refine,

@@ -142,7 +142,6 @@ def test_a_motion_is_continued_from_any_moment(forms):
         (lambda: recon.retarget(walk(4), "tall"), "motion: lasts 0.13 s"),
         (lambda: recon.retarget(walk(40), [[1.0]]), "shape: expected 1 to 16 coefficients"),
         (lambda: recon.retarget(walk(40), "tall", fps=0.0), "fps: expected"),
-        (lambda: recon.retarget(walk(40), "tall", method="copy"), "method: expected one of"),
         (lambda: recon.retarget(walk(40), "tall", weights="nc"), "weights: 'nc' are of the net"),
         (lambda: recon.convert("nothing.xyz", fps=-1.0), "fps: expected"),
         (lambda: recon.simulate(walk(4), "joints3d", frames=(2, 9)), "has 4 frames"),

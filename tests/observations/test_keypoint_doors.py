@@ -17,9 +17,9 @@ from recon.fitting.settings import FitSettings
 from recon.formats.keypoints3d.labels import are_keypoints, meant_keypoints
 from recon.formats.mocap.recording import MarkerRecording
 from recon.formats.mocap.trc import write_trc
-from recon.formats.mocap.trc import write_trc as write_pose2sim_trc
 from recon.reading.clip import load_clip
 from tests.filmed import bundled, joint_error, walk
+from tests.formats.pose2sim_files import write_trc as write_pose2sim_trc
 
 FRAMES = 12
 

@@ -146,10 +146,9 @@ def test_windows_that_hold_a_frame_exist():
     assert existing_windows(count, 40).sum(-1).tolist() == [6, 3, 2]
 
 
-@pytest.mark.parametrize("codes", [pytest.param("windows", marks=pytest.mark.slow), "clip"])
-def test_a_run_that_was_cut_goes_on_as_if_it_had_not_been(folder, tmp_path, monkeypatch, codes):
+def test_a_run_that_was_cut_goes_on_as_if_it_had_not_been(folder, tmp_path, monkeypatch):
     corpus, checked = corpus_of(folder), corpus_of(folder, part="validation")
-    whole = settings_of(folder, tmp_path / "whole", codes=codes)
+    whole = settings_of(folder, tmp_path / "whole")
     cut = replace(whole, out=tmp_path / "cut")
     for settings in (whole, cut):
         settings.out.mkdir()

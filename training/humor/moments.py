@@ -90,6 +90,9 @@ def forward_of(roots: Float[Tensor, "*shape 3 3"]) -> Float[Tensor, "*shape 3"]:
     return ahead / ahead.norm(dim=-1, keepdim=True).clamp(min=1e-6)
 
 
+NAMES = ("hip flexion", "hip abduction", "knee flexion", "ankle dorsiflexion", "elbow flexion")
+"""Angles of `angles`, for the left and the right side each."""
+
 LOWEST = tuple(math.radians(a) for a in (-35, -40, -8, -65, -10))
 HIGHEST = tuple(math.radians(a) for a in (135, 85, 150, 45, 150))
 """Radians. Dancers raise a straight leg sideways to about 85 degrees."""
