@@ -34,7 +34,7 @@ from recon.body.sampled import spread_vertices
 from recon.core.motion import Motion
 from recon.core.raster import rasterise, vertex_normals
 from recon.core.skeleton import PARENTS
-from recon.view.drawing.marks import join, label, save_picture
+from recon.view.lettering import join, label, save_picture
 from recon.view.scene import Figure
 from recon.view.viewpoint import follow
 

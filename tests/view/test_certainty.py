@@ -11,8 +11,8 @@ from recon.core.skeleton import joint_index
 from recon.formats.motions import MotionFile, save_motion
 from recon.jobs.view import shown, view_files
 from recon.view import Figure, Show
-from recon.view.drawing.painter import paint
 from recon.view.html import write_html
+from recon.view.painter import paint
 from recon.view.scene import CERTAINTY
 from recon.view.viewpoint import viewpoints
 from tests.view.test_view import embedded, walk
