@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Literal
+from typing import Literal, cast
 
 from recon.body.angles import OpenSimModel
 from recon.body.model import BodyModel
@@ -57,28 +57,16 @@ def export_file(
         FileExistsError: when a file to write is there and recon did not write it, unless
             `overwrite`.
     """
+    if robot is not None and smplx is None:
+        raise ReconError("a file for robots needs `smplx`, the SMPL-X body that is posed there")
+    if smpl is not None and onto is None:
+        raise ReconError("a file for SMPL needs `onto`, the body file that is posed there")
     own = BodyModel.load(body)
     file = load_motion_of(source, own)
-    motion = file.motion
-    name = source.stem
+    motion, name = file.motion, source.stem
 
     def tracks(path: Path) -> None:
         write_trc(path, markers_of(motion, own, markers, name), unit=unit, up=up)
-
-    def positions(path: Path) -> None:
-        write_joint_table(path, file, own.pose(motion).joints)
-
-    def for_robots(path: Path) -> None:
-        if smplx is None:
-            raise ReconError(
-                "a file for robots needs `smplx`, the SMPL-X body that is posed there"
-            )
-        write_robot(path, motion, own, smplx)
-
-    def for_smpl(path: Path) -> None:
-        if onto is None:
-            raise ReconError("a file for SMPL needs `onto`, the body file that is posed there")
-        write_smpl(path, motion, own, onto)
 
     def meshes(folder: Path) -> None:
         write_ply_sequence(folder, own.pose(motion).vertices.numpy(), own.faces.numpy())
@@ -90,9 +78,9 @@ def export_file(
         (trc, Kind.FILE, tracks),
         (mot, Kind.FILE, lambda path: write_mot(path, motion, own, model)),
         (angles, Kind.FILE, lambda path: write_angles(path, motion, own, file.angle_std)),
-        (joints, Kind.FILE, positions),
-        (robot, Kind.FILE, for_robots),
-        (smpl, Kind.FILE, for_smpl),
+        (joints, Kind.FILE, lambda path: write_joint_table(path, file, own.pose(motion).joints)),
+        (robot, Kind.FILE, lambda path: write_robot(path, motion, own, cast(Path, smplx))),
+        (smpl, Kind.FILE, lambda path: write_smpl(path, motion, own, cast(Path, onto))),
         (ply, Kind.FOLDER, meshes),
         (html, Kind.FILE, lambda path: draw_html(path, shown(source, body=body))),
     ]
