@@ -34,7 +34,7 @@ from observations.curvature import Surfels
 from observations.depth import PointCloud
 from observations.files.points import positions_of
 from observations.kinds import InSpace
-from priors.anchor.fit import AnchorFit, PublishedAnchorFit
+from priors.anchor.fit import AnchorFit
 from priors.pose.prior import PosePrior, PoseWeights
 from recon.benchmark.dataset import Part, Splits
 from recon.body.model import BodyModel
@@ -213,7 +213,7 @@ def _show(title: str, table: dict[str, dict[str, float]]) -> None:
 def _main() -> None:
     parser = over_windows(__doc__)
     parser.add_argument("--weights", default="nc", help="of the anchor prior: open, nc or a file")
-    methods = ("complete", "published", "frames", "smooth", "pose", "humor")
+    methods = ("complete", "frames", "smooth", "pose", "humor")
     parser.add_argument("--method", choices=methods, default="complete")
     parser.add_argument("--like", type=Path, help="complete the cycles that a result file lists")
     parser.add_argument("--each", type=int, default=4, help="cycles of every subject")
@@ -229,7 +229,6 @@ def _main() -> None:
     scanned = [scanned_cycle(called(c), c.subject, c.motion, body) for c in cycles]
     fitter = {
         "complete": lambda: completed(given.weights, body),
-        "published": lambda: completed(given.weights, body, PublishedAnchorFit),
         "frames": lambda: frame_by_frame(body, smooth=False),
         "smooth": lambda: frame_by_frame(body, smooth=True),
         "pose": lambda: fitted(FitOptions(prior="pose"), body),

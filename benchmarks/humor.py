@@ -2,14 +2,14 @@
 
     python -m benchmarks.humor CORPUS --json humor.json
     python -m benchmarks.humor CORPUS --part validation --only 6 --shooting 3
-    python -m benchmarks.humor CORPUS --ablations FOLDER --nc WEIGHTS --json humor.json
+    python -m benchmarks.humor CORPUS --nc WEIGHTS --json humor.json
 
 Windows of 60 and of 90 frames. Noisy joints: 22 with 4 cm of noise per coordinate. Occluded
 points: 43 of the skin, those below 0.9 m hidden. In-betweening: 22 joints with 1 cm of noise,
 nothing seen for one second in the middle; errors are those inside the gap. Upper body: the joints
 from the pelvis up with 1 cm of noise, no legs. Smoothers, and all weights but published ones, were
 chosen on the validation windows. `CPU s` is the time of one processor for one clip, sixteen clips
-at once. FOLDER is what `benchmarks.ablations` wrote.
+at once.
 """
 
 import sys
@@ -22,7 +22,6 @@ from jaxtyping import Float
 from rich.console import Console
 from torch import Tensor
 
-from benchmarks.ablations import ABLATIONS, load_ablations
 from benchmarks.arguments import over_windows
 from benchmarks.humor_recipes import (
     GAP_COLUMNS,
@@ -82,7 +81,6 @@ def main() -> None:
     parser.add_argument("--frames", type=int, nargs="+", default=[FRAMES, 90])
     parser.add_argument("--weights", type=Path, default=None, help="HuMoR's; default: bundled")
     parser.add_argument("--nc", type=Path, default=None, help="weights of more data, a row more")
-    parser.add_argument("--ablations", type=Path, default=None, help="folder of their weights")
     parser.add_argument(
         "--shooting", type=int, default=None, help="fit so many windows by it; 0: none"
     )
@@ -91,7 +89,7 @@ def main() -> None:
     arguments = parser.parse_args()
 
     body, splits = BodyModel.load(), Splits.load(arguments.splits)
-    networks = Networks.load(arguments.weights, arguments.nc, arguments.ablations)
+    networks = Networks.load(arguments.weights, arguments.nc)
     console = Console(width=None if sys.stdout.isatty() else 180)
     about: dict[str, dict[str, object]] = {}
     found: dict[str, dict[str, dict[str, Rows]]] = {}
@@ -123,15 +121,13 @@ class Networks:
 
     default: Humor
     nc: Humor | None
-    ablations: dict[str, Humor]
 
     @classmethod
-    def load(cls, default: Path | None, nc: Path | None, ablations: Path | None) -> "Networks":
+    def load(cls, default: Path | None, nc: Path | None) -> "Networks":
         """Networks of files; without `default` the bundled ones, without the others none."""
         return cls(
             default=Humor.load(default),
             nc=None if nc is None else Humor.load(nc),
-            ablations={} if ablations is None else load_ablations(ablations),
         )
 
     @property
@@ -177,8 +173,6 @@ def entries(
         Entry(name, Collocation.for_noise(humor, noise))
         for name, humor in networks.trained.items()
     ]
-    for name, humor in networks.ablations.items():
-        found.append(Entry(f"short: {name}", ABLATIONS[name].method(humor, noise)))
     return found
 
 

@@ -1,15 +1,9 @@
 """Fits under the anchor-frame prior: place, then the code, then the body, then details."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 
-import torch
-
-from priors.anchor.frames import Alignment
 from priors.anchor.prior import AnchorFrames, AnchorVariables
-from recon.method.protocols import Estimate
-from recon.method.stages import Reweighting, Stage
+from recon.method.stages import Stage
 from recon.method.terms import Term, prior_energy
 from recon.solver.lbfgs import LBFGS
 
@@ -44,21 +38,14 @@ class AnchorFit:
 
     @property
     def terms(self) -> tuple[Term, ...]:
-        """The terms of the prior: densities of codes, shapes and the ends of the cycle."""
+        """Densities of codes and shapes, and of the ends and the height of the cycle."""
         variance = self.noise**2
-        terms = [
+        return (
             Term("latent", prior_energy("latent"), variance),
             Term("shape", prior_energy("shape"), variance),
             Term("ends", prior_energy("ends"), variance / self.ends**2),
-        ]
-        if self.prior.alignment is Alignment.YAW:
-            terms.append(Term("sink", prior_energy("sink"), variance))
-        return tuple(terms)
-
-    def reweighting(self, data: tuple[Term, ...]) -> Reweighting | None:
-        """None: weights follow from the noise and stay."""
-        del data
-        return None
+            Term("sink", prior_energy("sink"), variance),
+        )
 
     def search(self, data: tuple[Term, ...]) -> tuple[Stage, ...]:
         """A quick fit that tells good beginnings from bad ones."""
@@ -90,59 +77,4 @@ class AnchorFit:
     def _stage(
         self, name: str, data: tuple[Term, ...], free: frozenset[str], minimiser: LBFGS
     ) -> Stage[AnchorVariables]:
-        terms, reweighting = (*data, *self.terms), self.reweighting(data)
-        return Stage(name, self.prior, terms, free, minimiser, reweighting=reweighting)
-
-
-@dataclass(frozen=True)
-class PublishedAnchorFit(AnchorFit):
-    """The published fit (section 5.3): no density of codes and shapes, weights that adapt.
-
-    GradNorm with codes as the shared variables and equal rates (alpha = 0): at the start of every
-    stage each residual gets the weight that makes all pull on the codes alike; then it stays, so
-    that a line search sees one objective. Clips of one batch share these weights.
-    """
-
-    @property
-    def terms(self) -> tuple[Term, ...]:
-        """The ends of the cycle, and a thousandth of the shape density as a bound."""
-        variance = self.noise**2
-        return (
-            Term("shape", prior_energy("shape"), 1e-3 * variance),
-            Term("ends", prior_energy("ends"), variance / self.ends**2),
-        )
-
-    def reweighting(self, data: tuple[Term, ...]) -> Reweighting | None:
-        """Weights that make the gradients of all residuals on the codes equally long."""
-        return partial(balanced, residuals=frozenset(term.name for term in data) | {"ends"})
-
-
-def balanced(
-    stage: Stage[AnchorVariables],
-    decoded: Callable[[AnchorVariables], Estimate],
-    variables: AnchorVariables,
-    *,
-    residuals: frozenset[str],
-) -> tuple[Term, ...]:
-    """Terms of a stage, some weighted so that their gradients on the codes are equally long.
-
-    Args:
-        stage: to be minimised.
-        decoded: the estimate of variables.
-        variables: where it begins.
-        residuals: names of the terms that are weighted; the others are left as they are.
-    """
-    latent = variables.latent.detach().requires_grad_()
-    estimate = decoded(variables.replace(latent=latent))
-    pulls: dict[str, float] = {}
-    for term in stage.matched(estimate).terms:
-        if term.name in residuals:
-            (pull,) = torch.autograd.grad(
-                term.energy(estimate).sum(), latent, retain_graph=True, allow_unused=True
-            )
-            pulls[term.name] = 0.0 if pull is None else float(pull.norm(dim=-1).mean())
-    mean = sum(pulls.values()) / len(pulls)
-    return tuple(
-        replace(term, weight=mean / pulls[term.name]) if pulls.get(term.name) else term
-        for term in stage.terms
-    )
+        return Stage(name, self.prior, (*data, *self.terms), free, minimiser)

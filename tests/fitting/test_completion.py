@@ -9,7 +9,7 @@ from observations import Joints3D, Markers3D
 from observations.curvature import Surfels
 from observations.depth import PointCloud
 from observations.keypoints2d import Keypoints2D
-from priors.anchor.fit import AnchorFit, PublishedAnchorFit
+from priors.anchor.fit import AnchorFit
 from priors.anchor.networks import save_weights
 from recon.body.landmarks import LANDMARKS_16, landmark
 from recon.body.model import BodyModel
@@ -123,16 +123,6 @@ def test_a_batch_is_its_clips(settings):
         alone = complete([one], settings, BODY).result.clip(0)
         assert together.result.clip(k).frames == alone.frames
         assert vertex_error(together.result.clip(k), alone) < 0.003
-
-
-@pytest.mark.slow
-def test_published_weights_fit_as_well(settings):
-    walk = truth(1, 2.5)
-    found = complete([landmarks(walk), cloud(walk, 40)], settings, BODY, kind=PublishedAnchorFit)
-    assert vertex_error(found.result.clip(0), walk) < 0.04
-    pulls = {term.name: term.weight for term in found.result.reports[-1].stage.terms}
-    assert pulls["data 1"] != pulls["data 2"]
-    assert "latent" not in pulls
 
 
 def test_joints_are_enough(settings):

@@ -1,1 +1,0 @@
-"""HUMOS judged alone: what its network adds to a scaled copy, to physics and to fits."""
