@@ -34,7 +34,7 @@ from observations.curvature import Surfels
 from observations.depth import PointCloud
 from observations.files.points import positions_of
 from observations.kinds import InSpace
-from priors.anchor.fit import AnchorFit
+from priors.anchor.prior import AnchorFit
 from priors.pose.prior import PosePrior, PoseWeights
 from recon.benchmark.dataset import Part, Splits
 from recon.body.model import BodyModel

@@ -17,7 +17,7 @@ from recon.benchmark.dataset import Splits, clip_files
 from recon.benchmark.judged import bench
 from recon.benchmark.methods import method_named
 from recon.benchmark.protocols import PROTOCOLS, SeenWindow, seen_windows
-from recon.benchmark.sources import bench_source
+from recon.benchmark.windows import bench_source
 from recon.body.model import BodyModel
 from recon.formats.motions import MotionFile
 from recon.view.frames import write_png

@@ -3,7 +3,7 @@
     python -m benchmarks.refine CORPUS --json refine.json
     python -m benchmarks.refine CORPUS --part validation --clips 8
 
-Estimates have the errors of `recon.simulation.regressor`: biased and wandering joints, jitter, a
+Estimates have the errors of `benchmarks.regressor`: biased and wandering joints, jitter, a
 limb hidden for a second, legs exchanged for moments, a path that drifts. Columns: mean error of
 joints in the world and about the pelvis, of accelerations; speed of feet that stand along the
 ground; and, of hands and toes that are faster than 3 m/s in truth, the ratio of their highest
@@ -20,6 +20,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from benchmarks.regressor import RegressorErrors, estimated
 from benchmarks.results import corpus_source, write
 from benchmarks.slips.recordings import evenly, windows_of
 from observations.joints3d import Joints3D
@@ -29,7 +30,6 @@ from recon.benchmark.windows import FPS
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.skeleton import FEET, JOINTS, TOES
-from recon.simulation.regressor import RegressorErrors, estimated
 
 FAST = 3.0
 """Speed above which a hand or toe counts as fast, metres per second."""

@@ -18,14 +18,12 @@ from recon.benchmark.answers import (
     WINDOWS,
     Row,
     Rows,
-    acceleration_ratio,
     by_subject,
     clip_row,
     feet_balanced,
 )
 from recon.benchmark.answers import mean_of as mean_of
 from recon.benchmark.answers import rounded as rounded
-from recon.benchmark.answers import subject_mean as subject_mean
 from recon.benchmark.windows import FPS
 from recon.benchmark.windows import TrueWindows as Windows
 from recon.body.contacts import contact_labels, rest_heights
@@ -39,6 +37,18 @@ from recon.metrics.evaluation import ObservedPoints, smoothness
 
 Columns = dict[str, tuple[str, float]]
 """The heading of every metric, and what turns metres into centimetres or shares into per cent."""
+
+
+def subject_mean(windows: Windows, values: Tensor) -> float:
+    """Mean over each subject's windows, then over the subjects who count."""
+    means = [values[windows.of(s)].mean() for s in windows.counted]
+    return torch.stack(means).mean().item()
+
+
+def acceleration_ratio(row: Row) -> float | None:
+    """Own over true size of accelerations; None where either is not known."""
+    own, true = row.get("accel"), row.get("accel_truth")
+    return own / true if own is not None and true else None
 
 
 @dataclass(frozen=True)

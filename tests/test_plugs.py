@@ -10,7 +10,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 LIBRARY = sorted((ROOT / "recon").rglob("*.py"))
 SENSORS = {"Joints3D", "Markers3D", "Keypoints2D", "PointCloud"}
-MAKERS = ("simulation/", "ingest/", "fitting/cycles/gait.py", "api/bench/sensors.py")
+MAKERS = ("simulation/", "ingest/", "fitting/gait.py", "benchmark/protocols.py")
 """Places that make observations, from motions or recordings, and so call their classes."""
 VERBS = {
     "recon/api/generate.py",
@@ -28,10 +28,7 @@ TOOLS = {
     "recon/ingest/markers/poses.py",
 }  # fmt: skip
 """Files that use the pose prior for a step of their own, not for the fit that was asked for."""
-BENCH = {
-    "recon/benchmark/methods.py", "recon/benchmark/protocols.py", "recon/benchmark/sources.py",
-    "recon/benchmark/windows.py",
-}  # fmt: skip
+BENCH = {"recon/benchmark/methods.py"}
 """Files that judge priors by name, on windows of people from whom none of them learned."""
 DEFAULTS = {
     "recon/api/fit.py", "recon/batch/clips.py", "recon/people/together.py",

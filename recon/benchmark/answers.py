@@ -115,18 +115,6 @@ def mean_of(rows: list[Row]) -> Row:
     return found
 
 
-def subject_mean(windows: TrueWindows, values: Tensor) -> float:
-    """Mean over each subject's windows, then over the subjects who count."""
-    means = [values[windows.of(s)].mean() for s in windows.counted]
-    return torch.stack(means).mean().item()
-
-
-def acceleration_ratio(row: Row) -> float | None:
-    """Own over true size of accelerations; None where either is not known."""
-    own, true = row.get("accel"), row.get("accel_truth")
-    return own / true if own is not None and true else None
-
-
 ARRAYS = ("joints", "points", "contacts")
 """Keys of an answer in arrays: joints (time, 22, 3), points as they were seen (time, points, 3),
 both in metres, and probabilities of contact (time, 22). Joints are needed."""

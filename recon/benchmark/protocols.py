@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -11,7 +11,6 @@ from torch import Tensor
 
 from observations.joints3d import Joints3D
 from observations.markers3d import Markers3D
-from recon.benchmark.dataset import Part, Splits
 from recon.benchmark.windows import FPS, FRAMES, TrueWindows
 from recon.body.landmarks import KEYPOINTS_43, landmark
 from recon.body.model import BodyModel
@@ -233,15 +232,6 @@ def _seen_window(
 
 def _seed(name: str) -> int:
     return int.from_bytes(hashlib.sha256(name.encode()).digest()[:4])
-
-
-def free_windows(splits: Splits, part: Part) -> Splits:
-    """The splits with those windows of a part alone whose clips are freely licensed."""
-    lengths = {
-        frames: tuple((clip, first) for clip, first in rows if splits.is_open(clip))
-        for frames, rows in splits.windows.get(part, {}).items()
-    }
-    return replace(splits, windows={part: lengths})
 
 
 def noise_of(seen: PositionsFile) -> float:

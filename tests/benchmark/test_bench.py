@@ -14,13 +14,11 @@ from recon.benchmark.methods import BUILT_IN, method_named
 from recon.benchmark.protocols import (
     GAP,
     PROTOCOLS,
-    free_windows,
     noise_of,
     protocol_named,
     seen_windows,
 )
-from recon.benchmark.sources import bench_source
-from recon.benchmark.windows import FRAMES
+from recon.benchmark.windows import FRAMES, bench_source, free_windows
 from recon.core.errors import ReconError
 from recon.formats.motions import save_motion
 from recon.formats.observations import load_observation

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from observations.files.clouds import cloud_of
-from priors.anchor.fit import AnchorFit
+from priors.anchor.prior import AnchorFit
 from recon import cli
 from recon.body.cycles import find_cycles
 from recon.body.landmarks import LANDMARKS_16

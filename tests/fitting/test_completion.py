@@ -9,8 +9,8 @@ from observations import Joints3D, Markers3D
 from observations.curvature import Surfels
 from observations.depth import PointCloud
 from observations.keypoints2d import Keypoints2D
-from priors.anchor.fit import AnchorFit
 from priors.anchor.networks import save_weights
+from priors.anchor.prior import AnchorFit
 from recon.body.landmarks import LANDMARKS_16, landmark
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
