@@ -43,8 +43,6 @@ def read_recording(
     if inside is not None and not name.endswith((".mat", ".tar", ".tar.gz", ".tgz", ".tar.xz")):
         raise FormatError(f"{path}: only archives and .mat files hold several recordings (::)")
     if name.endswith((".tar", ".tar.gz", ".tgz", ".tar.xz")):
-        pass  # IMPORT GONE
-
         return read_member(file, inside, unit=unit, up=up)
     name = name.removesuffix(".xz")
     if name.endswith(".bvh"):
