@@ -1,6 +1,7 @@
 """The command line of a function, made from its source: torch is not loaded to show its help."""
 
 import ast
+import builtins
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
 from inspect import Parameter, Signature, unwrap
@@ -104,9 +105,8 @@ def _parameters(node: ast.FunctionDef) -> list[Parameter]:
 
 def _parameter(node: ast.arg, default: ast.expr | None) -> Parameter:
     assert node.annotation is not None
-    text = ast.unparse(node.annotation).replace('"', "'")
     try:
-        kind = TYPES[text] if text in TYPES else eval(text, {**TYPES})
+        kind = _kind(node.annotation)
     except NameError:
         return Parameter(node.arg, Parameter.KEYWORD_ONLY)
     if default is None:
@@ -114,6 +114,32 @@ def _parameter(node: ast.arg, default: ast.expr | None) -> Parameter:
         return _option(node.arg, Positional[kind] if read else kind)
     value = ast.literal_eval(default)
     return _option(node.arg, kind, Path(value) if kind is Path else value)
+
+
+def _kind(node: ast.expr) -> Any:
+    """The type that an annotation names.
+
+    Raises:
+        NameError: when it is of something that no command line can give.
+    """
+    text = ast.unparse(node).replace('"', "'")
+    if text in TYPES:
+        return TYPES[text]
+    match node:
+        case ast.Constant(value=None | builtins.Ellipsis):
+            return node.value
+        case ast.Name(id="int" | "float" | "str" | "bool" | "tuple" as name):
+            return getattr(builtins, name)
+        case ast.BinOp(left=left, op=ast.BitOr(), right=right):
+            return _kind(left) | _kind(right)
+        case ast.Subscript(value=ast.Name(id="Literal"), slice=values):
+            return Literal[ast.literal_eval(values)]
+        case ast.Subscript(value=value, slice=ast.Tuple(elts=parts)):
+            return _kind(value)[tuple(_kind(part) for part in parts)]
+        case ast.Subscript(value=value, slice=part):
+            return _kind(value)[_kind(part)]
+        case _:
+            raise NameError(text)
 
 
 def _added(verb: Verb, own: set[str]) -> Iterator[Parameter]:
