@@ -1,7 +1,7 @@
 """`recon.fit`, `complete` and `refine`: what was observed of one clip in, its motion out."""
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -121,6 +121,8 @@ def fit(
         ReconError: for what cannot be fitted or understood; the message says what to do.
         FileNotFoundError: when there is no such file, body, weights or start.
     """
+    if isinstance(observations, Iterator):
+        observations = tuple(observations)
     paths = paths_given(observations)
     how_read = ReadOptions.of(reading)
     if is_estimate(paths):

@@ -48,9 +48,9 @@ def paths_given(given: Any) -> tuple[Path, ...]:
     """Files and folders of one clip, where the caller gave nothing else; else none."""
     if isinstance(given, Path | str):
         return (Path(given),)
-    if isinstance(given, list | tuple) and all(isinstance(one, Path | str) for one in given):
-        return tuple(Path(one) for one in given)
-    return ()
+    several = given if isinstance(given, list | tuple | set | frozenset) else ()
+    every = all(isinstance(one, Path | str) for one in several)
+    return tuple(Path(one) for one in several) if every else ()
 
 
 def body_given(given: BodyLike) -> BodyModel:

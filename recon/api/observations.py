@@ -14,7 +14,6 @@ from recon.body.model import BodyModel
 from recon.core.errors import ObservationError, ReconError
 from recon.fitting.ground import LEVEL_CAMERA, camera_above, world_above
 from recon.fitting.observed import Clip
-from recon.fitting.settings import DEFAULTS
 from recon.method.protocols import Sensor
 
 Plane = tuple[float, float, float, float]
@@ -39,24 +38,15 @@ def clip_of(given: Any, body: BodyModel) -> Clip:
     """One clip of the caller's observations, in the precision and on the device of the body.
 
     Args:
-        given: an observation, several, files or folders of them, or a `Clip`.
+        given: an observation, several, or a `Clip`; files are read before.
         body: that is to be fitted.
 
     Raises:
         ObservationError: when there is none, something is no observation, or there are several
             clips.
-        FileNotFoundError: when there is no such file.
     """
-    given = [given] if isinstance(given, Path | str) else given
-    if not isinstance(given, Sensor | Clip):
-        if not isinstance(given, Iterable):
-            raise _no_observation(given)
-        given = tuple(given)
-        if len(given) > 0 and all(isinstance(one, Path | str) for one in given):
-            # observations that are in memory need no reader
-            from recon.reading.clip import load_clip
-
-            given = load_clip([Path(one) for one in given], DEFAULTS, body)
+    if not isinstance(given, Sensor | Clip | Iterable):
+        raise _no_observation(given)
     if isinstance(given, Clip):
         seen, names = given.observations, given.names
     else:

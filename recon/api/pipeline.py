@@ -34,21 +34,29 @@ def observed(
     between: tuple[float, float] | None = None,
     robust: float | str = "auto",
 ) -> Sighting:
-    """Read: the observations of one clip in one frame, and what the caller says about them.
+    """Read the observations of one clip into one frame, with what the caller knows of the ground.
 
-    Arguments and errors as of `recon.fit`.
+    Args:
+        given: as `recon.fit` takes it.
+        body: that is to be fitted; observations get its precision and device.
+        how_read: options of reading files; none may be set for observations in memory.
+        ground: as `recon.fit` takes it.
+        between: as `recon.fit` takes it.
+        robust: as `recon.fit` takes it.
+
+    Raises:
+        ReconError, FileNotFoundError: as `recon.fit`.
     """
     beyond = None if robust == "auto" else finite(robust, "robust")
     if paths := paths_given(given):
         # observations that are in memory need no reader
         from recon.reading.clip import load_clip
 
-        how = replace(FitSettings(**vars(how_read)), robust=beyond)
+        plane = None if isinstance(ground, str) else ground
+        how = replace(FitSettings(**vars(how_read)), robust=beyond, ground=plane)
         given = load_clip(paths, how, body)
-        is_plane = ground is not None and not isinstance(ground, str)
-        if is_plane and given.T_recording_camera is not None:
-            # a plane below a camera without pose says how its images are carried into the world
-            given, ground = load_clip(paths, replace(how, ground=ground), body), "auto"
+        if given.ground_given:
+            ground = "auto"  # the reader carried the images of a camera without pose above it
     elif names := how_read.given():
         raise ReconError(
             f"{', '.join(names)}: how to read files, but the observations are read already"

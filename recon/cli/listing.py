@@ -50,7 +50,8 @@ CORE = {
 }
 """Verbs of the core, in the order of `recon --help`; those of other rooms are registered."""
 WHOLE = {"convert": ("--all",), "fit": ("--person", "all")}
-"""Options with which a verb is about many clips or people: another room's verb VERB-all."""
+"""Options that make a verb one of many clips or people: `convert --all` runs the verb
+`convert-all`, which another room registers."""
 
 
 def names() -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""Files that nobody can fit or convert, refused at a look, before torch is loaded."""
+"""Files that cannot be fitted or converted, refused before torch is loaded."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path

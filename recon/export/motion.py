@@ -4,7 +4,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
 
-from recon.body.angles import OpenSimModel
 from recon.body.model import BodyModel
 from recon.body.motion_files import load_motion_of
 from recon.core.errors import ReconError
@@ -12,7 +11,7 @@ from recon.core.units import Axis
 from recon.export.bvh import skeleton_of, write_bvh
 from recon.export.gltf import write_glb
 from recon.export.robots import write_robot, write_smpl
-from recon.export.tables import MarkerSetName, markers_of, write_angles, write_mot
+from recon.export.tables import markers_of, write_angles, write_mot
 from recon.export.usd import write_usd
 from recon.formats.joint_table import write_joint_table
 from recon.formats.mocap.trc import write_trc
@@ -24,7 +23,7 @@ from recon.view.files import draw_html, shown
 
 
 def export_file(
-    source: Path,
+    motion: Path,
     *,
     glb: Path | None = None,
     usd: Path | None = None,
@@ -37,8 +36,8 @@ def export_file(
     smpl: Path | None = None,
     ply: Path | None = None,
     html: Path | None = None,
-    markers: MarkerSetName = "joints",
-    model: OpenSimModel = "rajagopal2016",
+    markers: Literal["joints", "halpe26", "opencap", "pig", "bsm"] = "joints",
+    model: Literal["rajagopal2016", "gait2392"] = "rajagopal2016",
     unit: Literal["m", "cm", "mm"] = "mm",
     up: Axis = "y",
     smplx: Path | None = None,
@@ -46,63 +45,107 @@ def export_file(
     body: Path | None = None,
     overwrite: bool = False,
 ) -> None:
-    """Write a motion in any of these formats, all or none; `ply` is a folder.
+    """Write a motion for Blender, game engines, biomechanics tools or mesh viewers.
 
-    Beside every file is a report, in the folder `report.json`. `markers`, `unit` and `up` are of
-    the TRC file, `model` is the OpenSim model of the MOT file, `smplx` the body of `robot`, `onto`
-    that of `smpl`; `body` is the motion's own.
+    Args:
+        motion: motion file.
+        glb: glTF 2.0 with skinned mesh and animation.
+        usd: USD with skinned mesh and animation (.usd, .usda, .usdc); needs usd-core.
+        bvh: skeleton animation.
+        trc: markers for OpenSim and others; which of them says --markers.
+        mot: coordinates of an OpenSim model, degrees and metres.
+        angles: joint angles after the ISB as CSV, degrees.
+        joints: positions of the 22 joints as CSV, metres, with their standard deviations.
+        robot: SMPL-X .npz for GMR and like loaders, 30 Hz, soles on z = 0; needs --smplx.
+        smpl: AMASS .npz on the SMPL-family body of --onto, with betas that are its own.
+        ply: folder for one mesh per frame.
+        html: self-contained page, as `recon view` writes.
+        markers: labels of --trc: the 22 joints, keypoints as Pose2Sim names them, OpenCap's 43
+            markers, Plug-in Gait or the 105 markers of BSM (SKEL).
+        model: whose coordinates --mot has.
+        unit: of --trc.
+        up: axis that points up in --trc; y is OpenSim's.
+        smplx: the SMPL-X body that the loader of --robot poses, SMPLX_NEUTRAL.npz or .pkl.
+        onto: the body file of --smpl (SMPL, SMPL-H, SMPL-X; .npz or .pkl).
+        body: the SMPL-family file of the motion's body; default: the bundled body.
+        overwrite: replace files that are there and recon did not write.
 
     Raises:
         FileNotFoundError: when there is no such motion.
-        ValueError: when the motion is damaged or of another body.
+        ValueError: when nothing is asked for, options do not go together, or the motion is damaged
+            or of another body.
         FileExistsError: when a file to write is there and recon did not write it, unless
             `overwrite`.
     """
+    targets = {
+        "glb": glb, "usd": usd, "bvh": bvh, "trc": trc, "mot": mot, "angles": angles,
+        "joints": joints, "robot": robot, "smpl": smpl, "html": html,
+    }  # fmt: skip
+    if ply is None and all(target is None for target in targets.values()):
+        options = ", ".join(f"--{name}" for name in targets)
+        raise ReconError(f"nothing to write: give {options} FILE or --ply FOLDER")
+    _refuse_alone({"markers": markers != "joints", "unit": unit != "mm", "up": up != "y"}, trc)
+    if (robot is None) != (smplx is None):
+        raise ReconError(
+            "--robot and --smplx go together: the first is the file to write, the second the "
+            "SMPL-X body (SMPLX_NEUTRAL.npz or .pkl) that its loader poses, as betas of our body "
+            "mean nothing there"
+        )
+    if (smpl is None) != (onto is None):
+        raise ReconError(
+            "--smpl and --onto go together: the first is the file to write, the second the body "
+            "file (SMPL, SMPL-H or SMPL-X; .npz or .pkl) whose poses and betas it has"
+        )
     own = BodyModel.load(body)
-    file = load_motion_of(source, own)
-    motion = file.motion
-    name = source.stem
+    file = load_motion_of(motion, own)
+    moved, name = file.motion, motion.stem
 
     def tracks(path: Path) -> None:
-        write_trc(path, markers_of(motion, own, markers, name), unit=unit, up=up)
+        write_trc(path, markers_of(moved, own, markers, name), unit=unit, up=up)
 
     def positions(path: Path) -> None:
-        write_joint_table(path, file, own.pose(motion).joints)
+        write_joint_table(path, file, own.pose(moved).joints)
 
     def for_robots(path: Path) -> None:
-        if smplx is None:
-            raise ReconError(
-                "a file for robots needs `smplx`, the SMPL-X body that is posed there"
-            )
-        write_robot(path, motion, own, smplx)
+        assert smplx is not None
+        write_robot(path, moved, own, smplx)
 
     def for_smpl(path: Path) -> None:
-        if onto is None:
-            raise ReconError("a file for SMPL needs `onto`, the body file that is posed there")
-        write_smpl(path, motion, own, onto)
+        assert onto is not None
+        write_smpl(path, moved, own, onto)
 
     def meshes(folder: Path) -> None:
-        write_ply_sequence(folder, own.pose(motion).vertices.numpy(), own.faces.numpy())
+        write_ply_sequence(folder, own.pose(moved).vertices.numpy(), own.faces.numpy())
 
     every: list[tuple[Path | None, Kind, Callable[[Path], object]]] = [
-        (glb, Kind.FILE, lambda path: write_glb(path, motion, own)),
-        (usd, Kind.FILE, lambda path: write_usd(path, motion, own)),
-        (bvh, Kind.FILE, lambda path: write_bvh(path, skeleton_of(motion, own, name))),
+        (glb, Kind.FILE, lambda path: write_glb(path, moved, own)),
+        (usd, Kind.FILE, lambda path: write_usd(path, moved, own)),
+        (bvh, Kind.FILE, lambda path: write_bvh(path, skeleton_of(moved, own, name))),
         (trc, Kind.FILE, tracks),
-        (mot, Kind.FILE, lambda path: write_mot(path, motion, own, model)),
-        (angles, Kind.FILE, lambda path: write_angles(path, motion, own, file.angle_std)),
+        (mot, Kind.FILE, lambda path: write_mot(path, moved, own, model)),
+        (angles, Kind.FILE, lambda path: write_angles(path, moved, own, file.angle_std)),
         (joints, Kind.FILE, positions),
         (robot, Kind.FILE, for_robots),
         (smpl, Kind.FILE, for_smpl),
         (ply, Kind.FOLDER, meshes),
-        (html, Kind.FILE, lambda path: draw_html(path, shown(source, body=body))),
+        (html, Kind.FILE, lambda path: draw_html(path, shown(motion, body=body))),
     ]
     asked = [(Output(path, kind), write) for path, kind, write in every if path is not None]
     report = {
-        "inputs": checksums([one for one in (source, body, smplx, onto) if one is not None]),
+        "inputs": checksums([one for one in (motion, body, smplx, onto) if one is not None]),
         "versions": versions(),
     }
     outputs = [output for output, _ in asked]
     with writing(*outputs, report=report, overwrite=overwrite) as staged:
         for path, (_, write) in zip(staged, asked, strict=True):
             write(path)
+
+
+def _refuse_alone(given: dict[str, bool], trc: Path | None) -> None:
+    """Refuse options of the TRC file where none is written: they would do nothing.
+
+    Raises:
+        ReconError: naming the option.
+    """
+    if trc is None and (said := [name for name, by_user in given.items() if by_user]):
+        raise ReconError(f"--{said[0]} is an option of --trc FILE, which is not asked for")

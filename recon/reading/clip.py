@@ -75,7 +75,7 @@ def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> 
                 files.append((str(path), found[0]))
                 notes += [f"{path}: {decision}" for decision in found[1]]
         if not detections:
-            return together(files, notes, settings, body)
+            return _of_one(files, notes, settings, body)
         if settings.person == "all":
             raise ObservationError(
                 "one clip is of one person; `recon fit --person all`, in Python recon.load_people "
@@ -92,7 +92,7 @@ def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> 
             mask = load_silhouettes(settings.masks)
             shown = (masked(shown[0], mask, first_frame=views.first_frame),)
         files += zip(views.names, shown, strict=True)
-        clip = together(files, [*notes, *views.decisions], settings, body)
+        clip = _of_one(files, [*notes, *views.decisions], settings, body)
         if len(projects) != 1 or projects[0].frames is None:
             return clip
         first, end = (k - views.first_frame for k in projects[0].frames)
@@ -280,6 +280,18 @@ def together(
     observations = tuple(found[k] for k in range(len(files)))
     names = tuple(name for name, _ in files)
     return Clip(observations, names, tuple(notes), T, plane is not None)
+
+
+def _of_one(
+    files: Sequence[tuple[str, Content]],
+    notes: Sequence[str],
+    settings: FitSettings,
+    body: BodyModel,
+) -> Clip:
+    """As `together`; a plane says nothing of how sensors are carried whose poses are all known."""
+    if all(_has_pose(file) for _, file in files):
+        settings = replace(settings, ground=None)
+    return together(files, notes, settings, body)
 
 
 def _has_pose(file: Content) -> bool:
