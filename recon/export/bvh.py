@@ -10,6 +10,7 @@ from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS, PARENTS
 from recon.core.units import METRES, to_z_up
+from recon.export.skeleton import rest_offsets
 from recon.formats.mocap.recording import SkeletonRecording
 from recon.formats.opening import replacing
 
@@ -26,7 +27,6 @@ def skeleton_of(motion: Motion, body: BodyModel, name: str) -> SkeletonRecording
     rest = body.rest_joints(motion.shape).detach().double().cpu().numpy()
     last = [joint for joint in range(len(JOINTS)) if joint not in PARENTS]
     tips = np.stack([_tip(joint, rest[joint], motion, body) for joint in last])
-    above = np.where(np.array(PARENTS)[:, None] < 0, 0.0, rest[list(PARENTS)])
     positions = posed.joints.detach().double().cpu().numpy()
     orientations = posed.orientations.detach().double().cpu().numpy()
     ends = positions[:, last] + (orientations[:, last] @ tips[..., None])[..., 0]
@@ -34,7 +34,7 @@ def skeleton_of(motion: Motion, body: BodyModel, name: str) -> SkeletonRecording
         name=name,
         joint_names=(*JOINTS, *(f"{JOINTS[joint]}_end" for joint in last)),
         parents=(*PARENTS, *last),
-        rest_offsets=np.concatenate((rest - above, tips)),
+        rest_offsets=np.concatenate((rest_offsets(rest), tips)),
         positions=np.concatenate((positions, ends), axis=1),
         orientations=np.concatenate((orientations, orientations[:, last]), axis=1),
         fps=motion.fps,
