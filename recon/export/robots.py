@@ -1,11 +1,10 @@
 """Motions for robots and for people of SMPL: files with the poses of a SMPL-family body."""
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
 from recon.body.contacts import contact_labels, rest_heights
@@ -46,17 +45,6 @@ _SPANS = (
 """Distances between joints of the unposed body that shapes are fitted to."""
 
 
-@dataclass(frozen=True)
-class RobotMotion:
-    """A motion on a SMPL-X body, at the loader's rate, its soles on z = 0."""
-
-    motion: Motion
-    contacts: Bool[Tensor, "time 22"]
-    """Joints on the ground."""
-    joints: Float[Tensor, "time 22 3"]
-    """World, z up, metres."""
-
-
 def write_robot(path: Path, motion: Motion, body: BodyModel, smplx: Path) -> None:
     """Write a motion for GMR's loader: 30 Hz, z up, soles on z = 0, contacts beside.
 
@@ -84,21 +72,23 @@ def write_robot(path: Path, motion: Motion, body: BodyModel, smplx: Path) -> Non
             "loaders of robots pose SMPL-X"
         )
     target = BodyModel.load(smplx)
-    found = on_body(motion, body, target)
-    standing = target.rest_vertices(found.motion.shape)[:, 1]
-    arrays = _arrays(found.motion, target, _SMPLX_JOINTS, gender)
+    moved = on_body(motion, body, target)
+    joints = target.pose(moved).joints
+    contacts = contact_labels(joints, rest_heights(target, moved.shape), FPS)
+    standing = target.rest_vertices(moved.shape)[:, 1]
+    arrays = _arrays(moved, target, _SMPLX_JOINTS, gender)
     hands = arrays["poses"][:, 3 * len(JOINTS) :]  # jaw, eyes and hands are at rest
     arrays |= {
         "surface_model_type": np.array("smplx"),
         "mocap_frame_rate": np.array(FPS),
-        "num_betas": np.array(len(found.motion.shape)),
+        "num_betas": np.array(len(moved.shape)),
         "pose_jaw": hands[:, :3],
         "pose_eye": hands[:, :6],
         "pose_hand": hands[:, :90],
-        "global_joint_positions": found.joints.numpy(),
+        "global_joint_positions": joints.numpy(),
         "height": np.array(float(standing.max() - standing.min())),
-        "contacts": found.contacts.numpy(),
-        "joints": found.joints.numpy(),
+        "contacts": contacts.numpy(),
+        "joints": joints.numpy(),
         "joint_names": np.array(JOINTS),
     }
     save_arrays(path, arrays)
@@ -128,7 +118,7 @@ def _gender(path: Path) -> str | None:
     return next((one for one in _GENDERS if one in path.stem.lower()), None)
 
 
-def on_body(motion: Motion, body: BodyModel, target: BodyModel) -> RobotMotion:
+def on_body(motion: Motion, body: BodyModel, target: BodyModel) -> Motion:
     """The motion on another body of the family: its limbs point where ours do, soles on z = 0.
 
     Args:
@@ -144,10 +134,7 @@ def on_body(motion: Motion, body: BodyModel, target: BodyModel) -> RobotMotion:
         moved = _carried_over(motion, body, target, count)
     height = Stance.of(moved, target, Soles.of(target)).height()
     down = moved.translation.new_tensor([0.0, 0.0, height])
-    moved = moved.replace(translation=moved.translation - down)
-    joints = target.pose(moved).joints
-    contacts = contact_labels(joints, rest_heights(target, moved.shape), FPS)
-    return RobotMotion(moved, contacts, joints)
+    return moved.replace(translation=moved.translation - down)
 
 
 def _carried_over(motion: Motion, body: BodyModel, target: BodyModel, count: int) -> Motion:

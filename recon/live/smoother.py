@@ -133,11 +133,10 @@ class Smoothed:
     def _stepped(self, equations: Equations) -> tuple["Smoothed", float] | None:
         """After one step that lowers the energy, and by how much; None where none does."""
         objective, shape = self.objective, self.objective.shape
-        before = equations.value
+        before = equations.value + self._value_of_shape(shape)
         damping, slope = _MIN_DAMPING, equations.gradient_shape.sum(0)
         held = slope.new_zeros(len(slope), len(slope))
         if self.learning:
-            before += self._value_of_shape(shape)
             weight = 2 * objective.weights.shape * objective.rate * self.active
             held = self.knowledge.information + weight * torch.eye(len(shape)).to(shape)
             slope = slope + self.knowledge.gradient(shape) + weight * shape
@@ -146,20 +145,20 @@ class Smoothed:
             with suppress(NotPositiveDefinite):
                 factor = Factor(replace(system, corner=system.corner + held))
                 steps, reshape = factor.up(*factor.down(-equations.gradient, -slope))
-                window = self.window.moved(steps)
-                tried = objective
+                window, tried = self.window.moved(steps), objective
                 if self.learning:
                     tried = reshaped(objective, shape + reshape, self.seen)
-                value = tried.value(window, self.seen)
-                if self.learning:
-                    value += self._value_of_shape(tried.shape)
+                value = tried.value(window, self.seen) + self._value_of_shape(tried.shape)
                 if value <= before:
                     return replace(self, window=window, objective=tried), before - value
             damping = max(100 * damping, _REFUSED_DAMPING)
         return None
 
     def _value_of_shape(self, shape: Float[Tensor, " shape"]) -> float:
+        """Energy of the shape while it is learned."""
         objective = self.objective
+        if not self.learning:
+            return 0.0
         weight = objective.weights.shape * objective.rate * self.active
         return self.knowledge.value(shape) + weight * float(shape.square().sum())
 

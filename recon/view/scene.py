@@ -249,12 +249,10 @@ class Show:
     def __post_init__(self) -> None:
         if len(self.figures) == 0:
             raise ValueError("a show needs at least one figure")
-        names = [figure.name for figure in self.figures]
-        if len(set(names)) != len(names):
-            raise ValueError(f"figures of one show need different names, got {names}")
-        views = [view.name for view in self.cameras]
-        if len(set(views)) != len(views):
-            raise ValueError(f"cameras of one show need different names, got {views}")
+        for what, shown in (("figures", self.figures), ("cameras", self.cameras)):
+            names = [one.name for one in shown]
+            if len(set(names)) != len(names):
+                raise ValueError(f"{what} of one show need different names, got {names}")
         rates = {figure.motion.fps for figure in self.figures}
         if len(rates) != 1:
             raise ValueError(f"figures of one show need one rate, got {rates}; resample them")

@@ -38,13 +38,8 @@ class Viewpoint:
     """Pixels."""
     size: tuple[int, int]
     """Width and height, pixels."""
-    middle: tuple[float, float] | None = None
-    """Pixel that the viewing axis goes through; None: the middle of the picture."""
-
-    @property
-    def centre(self) -> tuple[float, float]:
-        """Pixel that the viewing axis goes through."""
-        return (self.size[0] / 2, self.size[1] / 2) if self.middle is None else self.middle
+    centre: tuple[float, float]
+    """Pixel that the viewing axis goes through."""
 
     def scaled(self, factor: int) -> "Viewpoint":
         """The view with `factor` times as many pixels along each side."""
@@ -53,14 +48,14 @@ class Viewpoint:
             self,
             focal=self.focal * factor,
             size=(self.size[0] * factor, self.size[1] * factor),
-            middle=(x * factor, y * factor),
+            centre=(x * factor, y * factor),
         )
 
     def part(self, left: int, top: int, right: int, bottom: int) -> "Viewpoint":
         """A rectangle of the picture; `right` and `bottom` are the first column and row beyond."""
         x, y = self.centre
-        size, middle = (right - left, bottom - top), (x - left, y - top)
-        return dataclasses.replace(self, size=size, middle=middle)
+        size, centre = (right - left, bottom - top), (x - left, y - top)
+        return dataclasses.replace(self, size=size, centre=centre)
 
     def project(
         self, points: Float[np.ndarray, "points 3"]
@@ -113,9 +108,8 @@ def follow(figures: Sequence[Figure], size: tuple[int, int]) -> tuple[Viewpoint,
     R_camera_world = _three_quarter(figures[0], ELEVATION)
     needed = _needed((surface - target[:, None]) @ R_camera_world.T, size)
     back = float(np.quantile(needed.max(1), 0.98)) * R_camera_world[2]
-    return tuple(
-        Viewpoint(R_camera_world, place - back, place, _focal(size), size) for place in target
-    )
+    lens = _focal(size), size, (size[0] / 2, size[1] / 2)
+    return tuple(Viewpoint(R_camera_world, place - back, place, *lens) for place in target)
 
 
 def overview(
@@ -137,7 +131,8 @@ def overview(
     target = (local.min(0) + local.max(0)) / 2 @ R_camera_world
     needed = _needed((points - target) @ R_camera_world.T, size)
     place = target - float(needed.max()) * R_camera_world[2]
-    view = Viewpoint(R_camera_world, place, target, _focal(size), size)
+    middle = (size[0] / 2, size[1] / 2)
+    view = Viewpoint(R_camera_world, place, target, _focal(size), size, middle)
     return (view,) * figures[0].motion.frames
 
 
