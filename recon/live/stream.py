@@ -138,7 +138,8 @@ class Stream:
             steps = math.floor((moment.time - last) * door.fps + 0.5)
         self._other_clock = None
         if steps < 1:
-            return self._late(moment, -steps)
+            self._late(moment, -steps)
+            return None
         before = moment.time if last is None else last
         gap = moment.time - before
         between = [Moment(before + gap * k / steps, door.nothing) for k in range(1, steps)]
@@ -161,17 +162,11 @@ class Stream:
             done += self._ended(keep_clock=True)
         return self._told(done)
 
-    def _late(self, moment: Moment, back: int) -> LiveEstimate | None:
+    def _late(self, moment: Moment, back: int) -> None:
         """A moment at or before the last one."""
-        tracking = self._tracking
-        if tracking is not None and tracking.insert(moment, back):
-            self._tell("frame order", f"the moment {moment.time:.3f} s came late and was put in")
-        else:
-            self._tell(
-                "frame order",
-                f"the moment {moment.time:.3f} s came after {self._last:.3f} s and was left out",
-            )
-        return None
+        put_in = self._tracking is not None and self._tracking.insert(moment, back)
+        late = "late and was put in" if put_in else f"after {self._last:.3f} s and was left out"
+        self._tell("frame order", f"the moment {moment.time:.3f} s came {late}")
 
     def _jumped(self, moment: Moment, last: float, door: Door) -> LiveEstimate | None:
         """A moment far from the last; one alone is taken for an error of its clock."""

@@ -35,7 +35,7 @@ from recon.view.scene import (
     thinned,
 )
 from recon.view.stage import Plane
-from recon.view.viewpoint import Viewpoint, follow, viewpoints
+from recon.view.viewpoint import follow, viewpoints
 
 logger = logging.getLogger(__name__)
 
@@ -51,6 +51,8 @@ SEE_THROUGH = 0.62
 """Opacity of solid bodies while points or contacts, which lie inside, are shown."""
 TETRAHEDRON = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / 3**0.5
 """Directions of four bones with which a sphere can grow; three radii away they hold it inside."""
+SUNK_M = 0.004
+"""Depth of the drawn ground below the true one, metres: soles may sink a little."""
 HIDDEN_M = -1e4
 """Height at which spheres are that are not shown, metres."""
 HALO_OPACITY = 0.35
@@ -135,12 +137,13 @@ def _stage(server: ViserServer, show: Show) -> Layer:
 
     Where cameras are shown, the world stands still until the page is told to follow.
     """
-    views = viewpoints([show], (1280, 800))
+    view, plane = viewpoints([show], (1280, 800))[0], Plane.of(show.ground)
     path = follow(show.figures, (1280, 800))
-    glide = np.stack([path[0].target - view.target for view in path])
+    glide = np.stack([path[0].target - place.target for place in path])
     world = server.scene.add_frame("/world", show_axes=False)
     reach = float(np.abs(glide).max())
-    wxyz, position = _floor(show, views[0])
+    axes = torch.from_numpy(np.column_stack([plane.tiles, plane.normal]))
+    depth = view.target @ plane.normal - plane.offset + SUNK_M
     server.scene.add_grid(
         "/world/ground",
         width=2 * reach + 16,
@@ -152,10 +155,10 @@ def _stage(server: ViserServer, show: Show) -> Layer:
         plane_color=(244, 245, 248),
         plane_opacity=1.0,
         shadow_opacity=0.25,
-        wxyz=wxyz,
-        position=position,
+        wxyz=so3.to_quaternion(axes).roll(1, -1).numpy(),
+        position=view.target - depth * plane.normal,
     )
-    camera, view = server.initial_camera, views[0]
+    camera = server.initial_camera
     camera.position, camera.look_at = view.position, view.target
     camera.fov = float(2 * np.arctan(view.size[1] / 2 / view.focal))
 
@@ -163,15 +166,6 @@ def _stage(server: ViserServer, show: Show) -> Layer:
         world.position = glide[frame]
 
     return show_frame
-
-
-def _floor(show: Show, view: Viewpoint) -> tuple[np.ndarray, np.ndarray]:
-    """The ground's turn (w, x, y, z), and a point of it, a little sunk, near what is looked at."""
-    plane = Plane.of(show.ground)
-    depth = view.target @ plane.normal - plane.offset + 0.004
-    axes = torch.from_numpy(np.column_stack([plane.tiles, plane.normal]))
-    wxyz = so3.to_quaternion(axes).roll(1, -1).numpy()
-    return wxyz, view.target - depth * plane.normal
 
 
 def _body(scene: SceneApi, figure: Figure, opacity: float) -> Layer:
