@@ -11,7 +11,6 @@ from recon.core.errors import ReconError
 from recon.live.moments import MomentLike
 from recon.live.stream import Stream
 from recon.live.tracking import LiveEstimate
-from recon.reading.door import load_observation
 
 DIGITS = 6
 """Decimals of numbers in lines: micrometres and microradians."""

@@ -40,9 +40,9 @@ def stream(
     import sys
     from typing import Any, cast
 
-    from recon.api.observations import load_observation
     from recon.cli import console
     from recon.cli.inputs import check_inputs
+    from recon.reading.door import load_observation
 
     check_inputs({"observations": observations, "camera": camera, "body": body})
     from recon.live.lines import stream_lines
