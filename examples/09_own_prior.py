@@ -25,7 +25,8 @@ from recon.core import rotations as so3
 from recon.method.free import FreeMotion, FreeVariables
 from recon.method.priors import Traits
 from recon.method.protocols import Decoded
-from recon.method.terms import joint_acceleration, prior_energy, shape
+from recon.method.stages import Stage
+from recon.method.terms import Term, joint_acceleration, prior_energy, shape
 from recon.simulation.points import Corruption, joints3d
 from recon.solver.lbfgs import LBFGS
 
@@ -79,15 +80,15 @@ class NearPosesFit:
     prior: NearPoses
     noise: float
 
-    def stages(self, data: tuple[recon.Term, ...]) -> tuple[recon.Stage, ...]:
-        near = recon.Term("pose", prior_energy("pose"), 0.6 * self.noise**2)
-        smooth = recon.Term("acceleration", joint_acceleration, 9400 * self.noise**2)
-        usual = recon.Term("shape", shape, 1e-5)
+    def stages(self, data: tuple[Term, ...]) -> tuple[Stage, ...]:
+        near = Term("pose", prior_energy("pose"), 0.6 * self.noise**2)
+        smooth = Term("acceleration", joint_acceleration, 9400 * self.noise**2)
+        usual = Term("shape", shape, 1e-5)
         place = frozenset({"translation", "root"})
         everything = place | {"pose", "shape"}
         return (
-            recon.Stage("root", FreeMotion(), data, place, LBFGS(30)),
-            recon.Stage("all", self.prior, (*data, near, smooth, usual), everything, LBFGS(80)),
+            Stage("root", FreeMotion(), data, place, LBFGS(30)),
+            Stage("all", self.prior, (*data, near, smooth, usual), everything, LBFGS(80)),
         )
 
 

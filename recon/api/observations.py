@@ -150,7 +150,7 @@ def _one_clip(one: Sensor) -> Sensor:
     if one.clips != (1,):
         raise ObservationError(
             f"expected the observations of one clip, got leading axes {one.clips}; "
-            "recon.fit_clips takes several, recon.solve a batch"
+            "recon.fit_clips takes several, recon.method.reconstruction.solve a batch"
         )
     return one
 

@@ -225,7 +225,7 @@ class Result(MotionResult):
 
     @property
     def reconstruction(self) -> Reconstruction:
-        """The stages with their energies, as `recon.solve` returns them."""
+        """The stages with their energies, as `recon.method.reconstruction.solve` returns them."""
         return self.examined.fit.result
 
     def report(

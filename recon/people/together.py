@@ -1,4 +1,4 @@
-"""`recon.load_people` and `recon.fit_people`: everybody in a recording, in one world."""
+"""`load_people` and `recon.fit_people`: everybody in a recording, in one world."""
 
 import logging
 from collections.abc import Sequence
@@ -91,7 +91,7 @@ def fit_people(
     a carried camera everybody's ground is found for itself.
 
     Args:
-        people: of one recording, as `recon.load_people` returns them.
+        people: of one recording, as `load_people` returns them.
         prior: as of `recon.fit`.
         body: as of `recon.fit`.
         notes: what was decided before, for the report.

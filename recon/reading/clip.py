@@ -78,8 +78,8 @@ def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> 
             return _of_one(files, notes, settings, body)
         if settings.person == "all":
             raise ObservationError(
-                "one clip is of one person; `recon fit --person all`, in Python recon.load_people "
-                "and recon.fit_people, fit everybody"
+                "one clip is of one person; `recon fit --person all`, in Python "
+                "recon.people.together.load_people and recon.fit_people, fit everybody"
             )
         views = seen_in(detections, settings).person(settings.person)
         shown = views.files

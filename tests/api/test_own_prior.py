@@ -9,6 +9,7 @@ import recon
 from recon import cli
 from recon.core.errors import WeightsError
 from recon.core.skeleton import JOINTS
+from recon.fitting.long import LongReconstruction
 from recon.fitting.methods import FitOptions, class_of, method_of, traits
 from recon.formats.motions import save_motion
 from recon.formats.observations import PositionsFile, save_observation
@@ -65,7 +66,7 @@ def test_long_recordings_and_unknown_ground():
     slow = slow.replace(translation=slow.translation + torch.tensor([0.0, 0.0, 0.5]))
     seen = joints3d(slow, bundled(), Corruption(noise=0.02), 0)
     result = recon.fit(seen, PRIOR, ground="unknown")
-    assert isinstance(result.reconstruction, recon.LongReconstruction)
+    assert isinstance(result.reconstruction, LongReconstruction)
     assert joint_error(result.motion, slow) < 0.05
     assert float(result.ground[3]) == pytest.approx(0.5, abs=0.04)
 

@@ -11,6 +11,7 @@ from recon import cli
 from recon.core.errors import ObservationError, ReconError
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS
+from recon.fitting.long import LongReconstruction
 from recon.formats.observations import PositionsFile, save_observation
 from recon.simulation.points import Corruption, joints3d
 from tests.filmed import bundled, cameras, joint_error, view, walk
@@ -72,7 +73,7 @@ def test_long_recordings_are_cut_into_windows():
     slow = walk(43).replace(fps=4.0)
     every = joints3d(slow, bundled(), Corruption(noise=0.02), 0)
     result = recon.fit([units(slow, bundled()), every], "pose")
-    assert isinstance(result.reconstruction, recon.LongReconstruction)
+    assert isinstance(result.reconstruction, LongReconstruction)
     assert joint_error(result.motion, slow) < 0.04
 
 

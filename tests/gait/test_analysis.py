@@ -11,6 +11,7 @@ import torch
 
 import recon
 from recon.body.model import BodyModel
+from recon.body.motion_files import load_motion_of
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS, joint_index
@@ -28,7 +29,7 @@ def body() -> BodyModel:
 @pytest.fixture(scope="module")
 def walk(body) -> Motion:
     """Someone who stands, then walks for 4 s."""
-    return recon.load_motion_of(DEMO, body).motion
+    return load_motion_of(DEMO, body).motion
 
 
 @pytest.fixture(scope="module")

@@ -12,14 +12,16 @@ import torch
 import recon
 from recon import cli
 from recon.api.result import described
+from recon.body.motion_files import load_motion_of
 from recon.core.skeleton import JOINTS
 from recon.gait.analysis import CURVES
+from recon.gait.laboratory import LaboratoryReport
 
 DEMO = Path(recon.__file__).parent / "assets" / "demo.npz"
 
 
 @pytest.fixture(scope="module")
-def found() -> recon.LaboratoryReport:
+def found() -> LaboratoryReport:
     return recon.report(DEMO)
 
 
@@ -67,7 +69,7 @@ def test_it_prints_in_ten_lines(found):
 def test_standard_deviations_of_a_fit_are_bands():
     pytest.importorskip("matplotlib")
     body = recon.BodyModel.load()
-    motion = recon.load_motion_of(DEMO, body).motion
+    motion = load_motion_of(DEMO, body).motion
     file = described(motion, body, joint_std=torch.full((motion.frames, len(JOINTS)), 0.02))
     sure = recon.report(file)
     assert 1 < sure.gait.angle_std["knee_flexion_l"].mean() < 15
@@ -81,7 +83,7 @@ def test_a_motion_without_steps_has_angles_along_time():
     """Arrays of no cycles once could not be shaped."""
     pytest.importorskip("matplotlib")
     body = recon.BodyModel.load()
-    still = recon.load_motion_of(DEMO, body).motion.window(0, 20)
+    still = load_motion_of(DEMO, body).motion.window(0, 20)
     shown = recon.report(still)
     assert shown.gait.cycles == ()
     assert "There is no complete cycle of gait" in shown.page()
@@ -91,7 +93,7 @@ def test_a_motion_without_steps_has_angles_along_time():
 def test_what_a_conversion_said_stands_on_the_page(tmp_path):
     pytest.importorskip("matplotlib")
     body = recon.BodyModel.load()
-    motion = recon.load_motion_of(DEMO, body)
+    motion = load_motion_of(DEMO, body)
     recon.save_motion(tmp_path / "walk.npz", motion.motion)
     beside = tmp_path / "walk.npz.json"
     beside.write_text(
