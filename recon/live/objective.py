@@ -86,21 +86,6 @@ _BEND = (1.0, -2.0, 1.0)
 
 
 @runtime_checkable
-class Judged(Protocol):
-    """What is said of the steps of a window."""
-
-    @property
-    def energy(self) -> Float[Tensor, ""]:
-        """The weighted energy."""
-        ...
-
-    @property
-    def contacts(self) -> Float[Tensor, "time 22"]:
-        """Probability that a joint touches the ground."""
-        ...
-
-
-@runtime_checkable
 class StepEnergies(Protocol):
     """Energies of a prior over steps between frames, such as `priors.humor.live`."""
 
@@ -112,8 +97,8 @@ class StepEnergies(Protocol):
         """Weights of the density of poses and of smoothness beside them."""
         ...
 
-    def judged(self, motion: Motion, joints: Float[Tensor, "1 time 22 3"], held: int) -> Judged:
-        """The energy, with a gradient by what the motion was made of."""
+    def judged(self, motion: Motion, joints: Float[Tensor, "1 time 22 3"], held: int) -> Any:
+        """A record whose `energy` has a gradient by what the motion was made of."""
         ...
 
     def add_curvature(
@@ -219,10 +204,8 @@ class Objective:
             places = points.of(orientations[held:], joints[held:])
             total = total + scale * energy_of(sensor, places)
         if self.steps is not None:
-            total = (
-                total
-                + self.steps.judged(self.motion(window, rotations), joints[None], held).energy
-            )
+            motion = self.motion(window, rotations)
+            total = total + self.steps.judged(motion, joints[None], held).energy
         return float(total)
 
     def motion(self, window: Window, rotations: Float[Tensor, "time 22 3 3"]) -> Motion:
@@ -262,7 +245,8 @@ class Objective:
                 gradient_shape = gradient_shape + (down @ by_shape)[:, 0]
         gradient_alone = gradient
         bend = joints.diff(n=2, dim=0)[max(held - 2, 0) :]
-        second = _second_differences(window.frames, held).to(bend)
+        # rows p_(t+1) - 2 p_t + p_(t-1) that a frame that is not held takes part in
+        second = torch.eye(window.frames).to(bend).diff(n=2, dim=0)[max(held - 2, 0) :]
         column = _by_variables(self.joints.by_rotations(*own), turns).flatten(1, 2)
         force = self.stiffness * (second[:, held:].mT @ bend.flatten(1))
         gradient = gradient + (force[:, None] @ column)[:, 0]
@@ -289,7 +273,7 @@ class Objective:
             gradient_shape=gradient_shape,
         )
 
-    def _judged(self, window: Window, held: int) -> tuple[Judged, Float[Tensor, "active 69"]]:
+    def _judged(self, window: Window, held: int) -> tuple[Any, Float[Tensor, "active 69"]]:
         """What a prior says of the steps, and its slope by the variables of the active frames."""
         assert self.steps is not None
         with torch.enable_grad():
@@ -308,8 +292,3 @@ def _by_variables(
     moved = torch.eye(3).to(jacobian).expand(*jacobian.shape[:2], 3, 3)
     posed = (jacobian[..., 3:].flatten(1, 2) @ turns).unflatten(1, (-1, 3))
     return torch.cat((moved, jacobian[..., :3], posed), -1)
-
-
-def _second_differences(frames: int, held: int) -> Float[Tensor, "rows frames"]:
-    """Rows p_(t+1) - 2 p_t + p_(t-1) that a frame that is not held takes part in."""
-    return torch.eye(frames).diff(n=2, dim=0)[max(held - 2, 0) :]

@@ -3,4 +3,4 @@
 from recon.view.scene import Figure as Figure
 from recon.view.scene import Points as Points
 from recon.view.scene import Show as Show
-from recon.view.views import View as View
+from recon.view.scene import View as View

@@ -7,20 +7,19 @@ from pathlib import Path
 import numpy as np
 
 from recon.formats.opening import replacing
-from recon.view.drawing.marks import (
-    BOLD,
+from recon.view.lettering import (
     Picture,
+    head,
     join,
     label,
-    legend_strip,
     line_width,
     save_picture,
     text_size,
+    with_legend,
     write_line,
 )
-from recon.view.drawing.painter import paint
-from recon.view.drawing.stage import frustum
-from recon.view.scene import CAMERA, INK, Show
+from recon.view.painter import frustum, paint
+from recon.view.scene import CAMERA, Colour, Show
 from recon.view.viewpoint import Viewpoint, viewpoints
 
 
@@ -75,26 +74,12 @@ def write_png(
     lengths = {(show.frames, show.fps) for show in shows}
     if len(lengths) != 1:
         raise ValueError(f"rows of a sheet need one (frames, fps), got {sorted(lengths)}")
-    _check_size(size)
-    count = shows[0].frames
-    frames = evenly(count, 5) if frames is None else frames
-    if len(frames) == 0 or not all(0 <= frame < count for frame in frames):
-        raise ValueError(f"frames must be among 0, ..., {count - 1}, got {list(frames)}")
-
+    chosen = evenly(shows[0].frames, 5) if frames is None else frames
+    _check(size, chosen, shows[0].frames)
     views = viewpoints(shows, size)
-    text = text_size(size)
-    rows: list[Picture] = []
-    for show in shows:
-        pictures = [paint_scene(show, frame, views[frame]) for frame in frames]
-        for frame, picture in zip(frames, pictures, strict=True):
-            label(picture, seconds(show, frame))
-        row = join(pictures, axis=1)
-        write_line(row, show.title, (text // 2, 3 * text // 2), text * 5 // 4, BOLD, INK)
-        rows.append(row)
-    sheet = join(rows, axis=0)
-    entries = dict.fromkeys(entry for show in shows for entry in show.legend)
-    sheet = np.concatenate([sheet, legend_strip(tuple(entries), sheet.shape[1], text)])
-    save_picture(Path(path), sheet)
+    rows = [scene_row(show, chosen, views) for show in shows]
+    entries = [entry for show in shows for entry in show.legend]
+    save_sheet(Path(path), rows, entries, text_size(size))
 
 
 def write_mp4(
@@ -110,43 +95,52 @@ def write_mp4(
             legend, or a frame does not exist.
         FileNotFoundError: when the folder of `path` does not exist.
     """
-    _check_size(size)
+    chosen = range(show.frames) if frames is None else frames
+    _check(size, chosen, show.frames)
     if size[0] % 2 or size[1] % 2:
         raise ValueError(f"a film needs an even width and height, got {size}")
-    frames = range(show.frames) if frames is None else frames
-    if len(frames) == 0 or not all(0 <= frame < show.frames for frame in frames):
-        raise ValueError(f"frames must be among 0, ..., {show.frames - 1}, got {list(frames)}")
     text = text_size(size)
-    legend = legend_strip(show.legend, size[0], text)
+    legend = with_legend(np.empty((0, size[0], 3), np.uint8), show.legend, text)
     height = size[1] - len(legend)
     if 2 * height < size[1]:
         raise ValueError(f"a film of {size} has no room beside its legend; make it larger")
     views = viewpoints([show], (size[0], height))
-
-    def picture(frame: int) -> Picture:
-        picture = paint_scene(show, frame, views[frame])
-        write_line(picture, show.title, (text, 2 * text), text * 5 // 4, BOLD, INK)
-        write_line(picture, seconds(show, frame), (size[0] - text, 2 * text), text, right=True)
-        return np.concatenate([picture, legend])
-
-    write_film(Path(path), map(picture, frames), show.fps)
+    pictures = (scene_row(show, [frame], views)[0] for frame in chosen)
+    write_film(Path(path), (np.concatenate([one, legend]) for one in pictures), show.fps)
 
 
-def paint_scene(show: Show, frame: int, view: Viewpoint) -> Picture:
-    """The scene at one frame, with the names of its cameras."""
-    picture = paint(show, frame, view)
-    text = text_size(view.size)
-    width, height = view.size
+def scene_row(show: Show, frames: Sequence[int], views: Sequence[Viewpoint]) -> list[Picture]:
+    """Pictures of the scene with the names of its cameras and the time; the first has a title."""
+    row: list[Picture] = []
+    for frame in frames:
+        view = views[frame]
+        picture = paint(show, frame, view)
+        _name_cameras(picture, show, frame, view)
+        label(picture, f"{show.figures[0].motion.start_time + frame / show.fps:.2f} s")
+        row.append(picture)
+    head(row[0], show.title)
+    return row
+
+
+def _name_cameras(picture: Picture, show: Show, frame: int, view: Viewpoint) -> None:
+    """Write the name of every camera above its pyramid."""
+    text, (width, height) = text_size(view.size), view.size
     for camera in show.cameras:
-        corners = frustum(camera.at(frame)).reshape(-1, 3)
-        pixels, depth = view.project(corners)
+        pixels, depth = view.project(frustum(camera.at(frame)).reshape(-1, 3))
         middle, top = pixels.mean(0), pixels.min(0)[1]
         if depth.min() > 0 and 0 <= middle[0] < width and text < top < height:
             half = line_width(camera.name, text) / 2
             x = np.clip(middle[0] - half, text / 2, max(width - 2 * half - text / 2, text / 2))
             place = (round(float(x)), round(float(top)) - text // 2)
             write_line(picture, camera.name, place, text, colour=CAMERA)
-    return picture
+
+
+def save_sheet(
+    path: Path, rows: list[list[Picture]], entries: Iterable[tuple[str, Colour]], text: int
+) -> None:
+    """Write rows of pictures and a legend below them as a PNG."""
+    sheet = join([join(row, axis=1) for row in rows], axis=0)
+    save_picture(path, with_legend(sheet, entries, text))
 
 
 def evenly(count: int, wanted: int) -> list[int]:
@@ -154,11 +148,8 @@ def evenly(count: int, wanted: int) -> list[int]:
     return sorted({round(place) for place in np.linspace(0, count - 1, wanted)})
 
 
-def seconds(show: Show, frame: int) -> str:
-    """The time of a frame, in words."""
-    return f"{show.figures[0].motion.start_time + frame / show.fps:.2f} s"
-
-
-def _check_size(size: tuple[int, int]) -> None:
+def _check(size: tuple[int, int], frames: Sequence[int], count: int) -> None:
     if min(size) < 64 or max(size) > 4096:
         raise ValueError(f"a picture is 64 to 4096 pixels wide and high, got {size}")
+    if len(frames) == 0 or not all(0 <= frame < count for frame in frames):
+        raise ValueError(f"frames must be among 0, ..., {count - 1}, got {list(frames)}")

@@ -5,24 +5,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from recon.view.drawing.marks import (
-    BOLD,
-    FRAME,
-    PAPER,
-    Picture,
-    join,
-    label,
-    legend_strip,
-    paint_view,
-    save_picture,
-    text_size,
-    write_line,
-)
-from recon.view.frames import evenly, paint_scene, seconds, write_film
-from recon.view.regions import Region, clip_region, close_ups
-from recon.view.scene import FAINT, INK, Show
+from recon.view.frames import evenly, save_sheet, scene_row, write_film
+from recon.view.images import FRAME, Region, clip_region, close_ups, paint_view
+from recon.view.lettering import PAPER, Picture, head, join, label, text_size, with_legend
+from recon.view.scene import FAINT, WHITE, Show, View
 from recon.view.viewpoint import viewpoints
-from recon.view.views import View
 
 MAP_SHARE = 0.13
 """Width of the little map as a share of the picture's."""
@@ -41,22 +28,19 @@ def write_views_png(path: str | Path, show: Show, frames: int = 6, width: int = 
     _check(show, width)
     if frames < 1:
         raise ValueError(f"a sheet needs at least one frame, got {frames}")
-    chosen = evenly(show.frames, frames)
-    stands = viewpoints([show], (width, 3 * width // 4))
-    rows = [[paint_scene(show, frame, stands[frame]) for frame in chosen]]
-    _head(rows[0][0], show.title)
-    for picture, frame in zip(rows[0], chosen, strict=True):
-        label(picture, seconds(show, frame))
+    chosen, size = evenly(show.frames, frames), (width, 3 * width // 4)
+    rows = [scene_row(show, chosen, viewpoints([show], size))]
     for view in show.cameras:
-        row: list[Picture] = []
-        for frame, part in zip(chosen, close_ups(show, view, chosen), strict=True):
-            row.append(paint_view(show, view, frame, part, width))
-            _map(row[-1], view, part)
-        _head(row[0], view.name)
-        label(row[0], _account(view))
+        parts = close_ups(show, view, chosen)
+        row = [
+            paint_view(show, view, frame, part, width)
+            for frame, part in zip(chosen, parts, strict=True)
+        ]
+        for picture, part in zip(row, parts, strict=True):
+            _map(picture, view, part)
+        _name(row[0], view)
         rows.append(row)
-    sheet = join([join(row, axis=1) for row in rows], axis=0)
-    save_picture(Path(path), np.concatenate([sheet, _legend(show, sheet.shape[1], _text(width))]))
+    save_sheet(Path(path), rows, (*show.legend, *show.image_legend), text_size(size))
 
 
 def write_views_mp4(path: str | Path, show: Show, width: int = 480) -> None:
@@ -73,49 +57,24 @@ def write_views_mp4(path: str | Path, show: Show, width: int = 480) -> None:
     columns = int(np.ceil(np.sqrt(len(parts) + 1)))
 
     def picture(frame: int) -> Picture:
-        scene = paint_scene(show, frame, stands[frame])
-        _head(scene, show.title)
-        label(scene, seconds(show, frame))
-        tiles = [scene, *_images(show, frame, parts, width)]
-        rows = [_row(tiles[k : k + columns], columns) for k in range(0, len(tiles), columns)]
-        sheet = join(rows, axis=0)
-        strip = _legend(show, sheet.shape[1], _text(width))
-        whole = np.concatenate([sheet, strip])
+        tiles = scene_row(show, [frame], stands)
+        for view, part in zip(show.cameras, parts, strict=True):
+            tiles.append(paint_view(show, view, frame, part, width))
+            _name(tiles[-1], view)
+        rows = [join(tiles[k : k + columns], axis=1) for k in range(0, len(tiles), columns)]
+        entries = (*show.legend, *show.image_legend)
+        whole = with_legend(join(rows, axis=0), entries, text_size((width, 3 * width // 4)))
         even = [(0, side % 2) for side in whole.shape[:2]]
         return np.pad(whole, (*even, (0, 0)), constant_values=PAPER)
 
     write_film(Path(path), map(picture, range(show.frames)), show.fps)
 
 
-def _images(show: Show, frame: int, parts: list[Region], width: int) -> list[Picture]:
-    pictures: list[Picture] = []
-    for view, part in zip(show.cameras, parts, strict=True):
-        pictures.append(paint_view(show, view, frame, part, width))
-        _head(pictures[-1], view.name)
-        label(pictures[-1], _account(view))
-    return pictures
-
-
-def _row(tiles: list[Picture], columns: int) -> Picture:
-    """Pictures of one width side by side, filled up with paper."""
-    height = max(len(tile) for tile in tiles)
-    empty = np.full((height, tiles[0].shape[1], 3), PAPER, np.uint8)
-    filled = [
-        np.pad(tile, ((0, height - len(tile)), (0, 0), (0, 0)), constant_values=PAPER)
-        for tile in tiles
-    ]
-    return join([*filled, *[empty] * (columns - len(tiles))], axis=1)
-
-
-def _head(picture: Picture, title: str) -> None:
-    """A title in the upper left corner."""
-    text = _text(picture.shape[1])
-    write_line(picture, title, (text // 2, 3 * text // 2), text * 5 // 4, BOLD, INK)
-
-
-def _text(width: int) -> int:
-    """Height of the letters on pictures of this width, pixels."""
-    return text_size((width, 3 * width // 4))
+def _name(picture: Picture, view: View) -> None:
+    """The camera's name, and how well its points are met."""
+    head(picture, view.name)
+    if (error := view.median_error) is not None:
+        label(picture, f"median error {error:.1f} px")
 
 
 def _map(picture: Picture, view: View, part: Region) -> None:
@@ -127,25 +86,13 @@ def _map(picture: Picture, view: View, part: Region) -> None:
     low = np.clip((part.left, part.top), 0, size)
     high = np.clip((part.left + part.width, part.top + part.height), 0, size)
     for first, last, colour, thickness in (
-        (np.zeros(2), size, (255, 255, 255), -1),
+        (np.zeros(2), size, WHITE, -1),
         (low, high, FRAME, -1),
         (np.zeros(2), size, FAINT, 1),
     ):
-        start, end = (
-            (corner + scale * place).round().astype(int).tolist() for place in (first, last)
-        )
+        ends = np.stack([corner + scale * first, corner + scale * last])
+        start, end = ends.round().astype(int).tolist()
         cv2.rectangle(picture, start, end, colour, thickness)
-
-
-def _account(view: View) -> str:
-    """How well the points of a camera are met."""
-    error = view.median_error
-    return "" if error is None else f"median error {error:.1f} px"
-
-
-def _legend(show: Show, width: int, text: int) -> Picture:
-    entries = dict.fromkeys((*show.legend, *show.image_legend))
-    return legend_strip(tuple(entries), width, text)
 
 
 def _check(show: Show, width: int) -> None:

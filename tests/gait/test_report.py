@@ -102,8 +102,8 @@ def test_what_a_conversion_said_stands_on_the_page(tmp_path):
         '[{"code": "residual", "message": "LASI: 12.5 mm on average"}]}'
     )
     shown = recon.report(tmp_path / "walk.npz")
-    assert shown.contents.residuals[0].values == {"LASI": 12.5}
-    assert shown.contents.notes == ()
+    assert shown.residuals[0].values == {"LASI": 12.5}
+    assert shown.notes == ()
     page = shown.page()
     assert "labels &lt;exchanged&gt;" in page
     assert "unit mm" in page

@@ -15,14 +15,12 @@ from recon.core.skeleton import JOINTS, joint_index
 from recon.formats.motions import MotionFile, load_motion, save_motion
 from recon.formats.observations import CameraArrays, KeypointsFile, PointsFile, save_observation
 from recon.view import Figure, Show, View
-from recon.view.drawing.marks import paint_view
-from recon.view.drawing.painter import paint
-from recon.view.drawing.stage import frustum
 from recon.view.files import view
 from recon.view.html import write_html
+from recon.view.images import clip_region, close_ups, paint_view, whole
 from recon.view.observed import observed
+from recon.view.painter import frustum, paint
 from recon.view.panels import write_views_mp4, write_views_png
-from recon.view.regions import clip_region, close_ups, whole
 from recon.view.scene import CAMERA, MISSING, REPROJECTED, VISIBLE
 from recon.view.viewpoint import viewpoints
 from tests.view.test_view import embedded, walk

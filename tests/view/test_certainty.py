@@ -10,9 +10,9 @@ from recon.body.model import BodyModel
 from recon.core.skeleton import joint_index
 from recon.formats.motions import MotionFile, save_motion
 from recon.view import Figure, Show
-from recon.view.drawing.painter import paint
 from recon.view.files import shown, view
 from recon.view.html import write_html
+from recon.view.painter import paint
 from recon.view.scene import CERTAINTY
 from recon.view.viewpoint import viewpoints
 from tests.view.test_view import embedded, walk
