@@ -27,7 +27,7 @@ from recon.view.scene import (
     Show,
     thinned,
 )
-from recon.view.stage import SUPERSAMPLING, Lamp, Mesh, Plane, floor
+from recon.view.stage import NEAREST_M, SUPERSAMPLING, Mesh, Plane, floor, lamp, shadow
 from recon.view.viewpoint import Viewpoint
 
 DIRECT = 0.95
@@ -36,8 +36,6 @@ DARKEST = 1e-6
 """Light that shows as black; OpenCV takes ten times as long over the power of zero."""
 FLOOR_SLACK_M = 0.004
 """Depth, metres, up to which a sole may sink before the floor hides it."""
-CLOSEST_M = 0.05
-"""Depth, metres, from which on things are drawn."""
 CLOUD_LIMIT = 3000
 """Points of a scan drawn per frame."""
 GRAIN_M = 0.006
@@ -73,11 +71,9 @@ def paint(show: Show, frame: int, view: Viewpoint) -> UInt8[np.ndarray, "height 
         (figure.posed.vertices[frame].double().numpy(), figure.body.faces.cpu().numpy())
         for figure in show.figures
     ]
-    lamp = Lamp.over(bodies, plane, view)
-    picture = floor(plane, view, lamp)
+    picture = floor(plane, view, shadow(bodies, plane, view))
     surfaces = [
-        _lit(figure, mesh, frame, view, lamp)
-        for figure, mesh in zip(show.figures, bodies, strict=True)
+        _lit(figure, mesh, frame, view) for figure, mesh in zip(show.figures, bodies, strict=True)
     ]
     surfaces.sort(key=lambda surface: -surface.front)
     surfaces += [*_spheres(show, frame, view), *_pyramids(show, frame, view)]
@@ -133,21 +129,21 @@ def frustum(camera: Camera) -> Float[np.ndarray, "8 2 3"]:
     return np.concatenate([rays, rim])
 
 
-def _lit(figure: Figure, mesh: Mesh, frame: int, view: Viewpoint, lamp: Lamp) -> LitSurface:
+def _lit(figure: Figure, mesh: Mesh, frame: int, view: Viewpoint) -> LitSurface:
     """A body in the light of the sky, of the floor and of the lamp, with a little gloss."""
     vertices, faces = mesh
     normals = vertex_normals(vertices, faces)
     eye = view.position - vertices
     eye /= np.linalg.norm(eye, axis=1, keepdims=True)
-    halfway = eye + lamp.axes[2]
+    toward = lamp(view)
+    halfway = eye + toward
     halfway /= np.linalg.norm(halfway, axis=1, keepdims=True)
     rim = 0.10 * (1 - np.clip((normals * eye).sum(1), 0, 1)) ** 3
     ambient = 0.37 + 0.15 * normals[:, 2] + rim
-    facing = np.clip(normals @ lamp.axes[2], 0, 1)
+    facing = np.clip(normals @ toward, 0, 1)
     gloss = 0.10 * np.clip((normals * halfway).sum(1), 0, 1) ** 28
-    reached = lamp.reached(vertices, facing)
-    amount = ambient + DIRECT * facing * reached
-    light = base_light(figure, frame) * amount[:, None] + (gloss * reached)[:, None]
+    amount = ambient + DIRECT * facing
+    light = base_light(figure, frame) * amount[:, None] + gloss[:, None]
     return LitSurface(vertices, faces, light, front=figure.opacity)
 
 
@@ -224,7 +220,7 @@ def _around(points: Float[np.ndarray, "points 3"], view: Viewpoint) -> tuple[int
     It is the whole picture where one is not well before the viewer.
     """
     pixels, depth = view.project(points)
-    if depth.min() <= CLOSEST_M:
+    if depth.min() <= NEAREST_M:
         return 0, 0, *view.size
     left, top = np.clip(np.floor(pixels.min(0)) - 2, 0, view.size).astype(int).tolist()
     right, bottom = np.clip(np.ceil(pixels.max(0)) + 2, 0, view.size).astype(int).tolist()
@@ -239,7 +235,7 @@ def _draw(
 ) -> None:
     """Paint a surface over a picture whose pixels have a depth, which solid bodies change."""
     pixels, away = view.project(surface.vertices)
-    faces = surface.faces[(away > CLOSEST_M)[surface.faces].all(1)]
+    faces = surface.faces[(away > NEAREST_M)[surface.faces].all(1)]
     raster = rasterise(pixels, away, faces, view.size, surface.light)
     front = raster.depth < depth
     opacity = np.where(front, surface.front, surface.through) * raster.covered
