@@ -10,8 +10,7 @@ from torch import Tensor
 from observations import kinds
 from observations.first_guess import FirstGuess
 from observations.noise import weights_of
-from observations.records.tracked import OFFSET_UNIT
-from observations.timing import at_observation_times
+from observations.points import OFFSET_UNIT
 from priors.checkpoints import FIRST
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
@@ -23,11 +22,12 @@ from recon.fitting.fitted import ClipFit
 from recon.fitting.ground import ground_below, pelvis_path, sole_heights, upright_ground
 from recon.fitting.guess import guessed
 from recon.fitting.methods import FitOptions, WithoutRoot, WithScene, WithSizeHeld, method_of
-from recon.method.protocols import Sensor
 from recon.method.reconstruction import Method, Reconstruction, solve
+from recon.method.sensor import Sensor
 from recon.method.shape_prior import WithShape
 from recon.method.stages import Compared, Watch
 from recon.method.terms import Term, ground_moved, lens_changed, offsets
+from recon.method.timing import at_observation_times
 
 _BALLS = tuple(joint_index(f"{side}_foot") for side in ("left", "right"))
 LONG = 10.0

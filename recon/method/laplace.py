@@ -34,7 +34,8 @@ from recon.method.derivatives import (
     add_stance,
     deviation,
 )
-from recon.method.protocols import REFERENCE_FPS, Density, Estimate, Sensor
+from recon.method.protocols import REFERENCE_FPS, Density, Estimate
+from recon.method.sensor import Sensor
 from recon.solver.blocks import Inverse, inverse
 
 _DISBELIEVED = 4.0

@@ -70,7 +70,7 @@ def _points(seen: PositionsFile, path: Path, motion: Motion, body: BodyModel) ->
     observation = positions_of(seen, path, body)
     at = _times(observation.positions.shape[1], observation.start_time, observation.fps)
     points = Points(observation.positions[0], observation.visible[0]).on(motion.times, at)
-    predicted = observation.predict(Estimate.of_clip(motion, body))[0]
+    predicted = observation.predicted(Estimate.of_clip(motion, body))[0]
     return Points(points.positions, points.visible, predicted)
 
 
