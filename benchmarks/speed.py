@@ -1,4 +1,4 @@
-"""Speed: fits, long recordings, streams and batches, and what a million clips cost.
+"""Speed: fits, long recordings, streams and batches.
 
     python -m benchmarks.speed CORPUS --out FOLDER
     python -m benchmarks.speed CORPUS --parts batch --clips 32 --out FOLDER
@@ -37,7 +37,7 @@ from recon.core.skeleton import JOINTS
 from recon.formats.observations import PositionsFile, save_observation
 
 SEED, NOISE, PRIORS, LAGS = 0, 0.04, ("pose", "humor"), (0, 5, 15)
-SECONDS, CLIP_SECONDS, CORES, MILLION = (10, 20, 40, 60), (2, 10, 60), 64, 1_000_000
+SECONDS = (10, 20, 40, 60)
 Row = dict[str, float]
 
 
@@ -220,7 +220,6 @@ def cost_of(*words: str, folder: Path) -> tuple[float, float]:
 def batches(truth: Motion, count: int, processes: int) -> dict[str, Table]:
     """`recon batch` under both priors."""
     rows: list[list[Cell]] = []
-    million: list[list[Cell]] = []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         manifest(folder, truth, count)
@@ -232,21 +231,9 @@ def batches(truth: Motion, count: int, processes: int) -> dict[str, Table]:
             known = true[np.arange(count) % len(true)]
             error = float(np.linalg.norm(found - known, axis=-1).mean())
             rows.append([f"`{prior}`", number(cpu / count), number(mb), number(error, 100)])
-            frame = cpu / count / FRAMES
-            hours = [MILLION * FPS * seconds * frame / 3600 for seconds in CLIP_SECONDS]
-            told = (f"{round(one, -2):,.0f}" for one in hours)
-            million.append([f"`{prior}`", number(frame, 1000), *told,
-                            number(hours[0] / CORES / 24), number(CORES * mb / 1024)])  # fmt: skip
     heads = (("CPU s a clip", 2), ("MB a process", 0), ("error cm", 2))
-    hours_of = [(f"core hours, clips of {seconds} s", None) for seconds in CLIP_SECONDS]
-    return {
-        "batch": Table([(f"{count} clips, {processes} processes", None), *heads], rows),
-        "million": Table(
-            [("a million clips at 30 Hz", None), ("CPU ms a frame", 1), *hours_of,
-             (f"days of {CORES} cores, {CLIP_SECONDS[0]} s", 1), (f"GB of {CORES} processes", 0)],
-            million,
-        ),
-    }  # fmt: skip
+    title = (f"{count} clips, {processes} processes", None)
+    return {"batch": Table([title, *heads], rows)}
 
 
 def manifest(folder: Path, truth: Motion, count: int) -> None:
