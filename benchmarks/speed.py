@@ -8,7 +8,7 @@ longest clip, run there and back until it lasts so long, each length in a proces
 peak memory is told: where it turns round, every joint's velocity changes sign at once. The largest
 change of a joint's velocity from one frame to the next shows seams. `live` pushes the longest
 clips of subjects moment by moment, beside fits at once. `batch` runs `recon batch` on the listed
-windows, and counts CPU seconds of all processes. Joints have 4 cm of noise per coordinate in all of them.
+windows, and counts CPU seconds of all processes. Joints have 4 cm of noise per coordinate.
 """
 
 import json
