@@ -101,28 +101,22 @@ def method_named(name: str, body: BodyModel) -> BenchMethod:
     return _BUILT_IN[name](body)
 
 
-class _Fitted:
-    """A fit under a prior with the weights for the noise that the record tells."""
+def _fitted(body: BodyModel, method: Callable[[float], Method]) -> BenchMethod:
+    """A fit by the method that suits the noise that the record tells."""
 
-    def __init__(self, body: BodyModel, method: Callable[[float], Method]) -> None:
-        self.body, self.method = body, method
-
-    def __call__(self, seen: PositionsFile) -> MotionFile:
-        sensor = sensor_of(seen)
-        found = solve([sensor], self.method(noise_of(seen)), self.body)
+    def given_back(seen: PositionsFile) -> MotionFile:
+        found = solve([sensor_of(seen)], method(noise_of(seen)), body)
         return MotionFile(found.motion[0].detach())
 
-
-def _all_joints(seen: PositionsFile, name: str) -> None:
-    if seen.names != tuple(JOINTS):
-        raise ReconError(
-            f"{name} knows no body: it takes protocols that see all 22 joints (noisy-joints, gap)"
-        )
+    return given_back
 
 
 def _linear(seen: PositionsFile) -> np.ndarray:
     """Joints as they were seen, on straight lines across what was not seen."""
-    _all_joints(seen, "linear")
+    if seen.names != tuple(JOINTS):
+        raise ReconError(
+            "linear knows no body: it takes protocols that see all 22 joints (noisy-joints, gap)"
+        )
     filled, times = seen.positions.copy(), np.arange(len(seen.positions))
     for point, shown in enumerate(seen.visible.T):
         if not shown.any():
@@ -145,14 +139,14 @@ def _smoothed(smooth: Callable[[torch.Tensor, float], torch.Tensor]) -> BenchMet
 def _humor(way: str) -> Callable[[BodyModel], BenchMethod]:
     def made(body: BodyModel) -> BenchMethod:
         humor = Humor.load(body=body)
-        return _Fitted(body, lambda noise: humor.method(noise, body, way))
+        return _fitted(body, lambda noise: humor.method(noise, body, way))
 
     return made
 
 
 def _pose(body: BodyModel) -> BenchMethod:
     prior = PosePrior.load(body=body)
-    return _Fitted(body, lambda noise: prior.method(noise, body))
+    return _fitted(body, lambda noise: prior.method(noise, body))
 
 
 _BUILT_IN: Mapping[str, Callable[[BodyModel], BenchMethod]] = {

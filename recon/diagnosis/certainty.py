@@ -92,7 +92,10 @@ def certainty(found: ClipFit) -> Deviations | None:
             known = deviations(
                 estimate, seen, noises, prior.belief(least), _ground(found), angles_of(body)
             )
-        except RuntimeError:  # a Hessian that is singular to rounding has no inverse
+        except (
+            ArithmeticError,
+            RuntimeError,
+        ):  # a Hessian that is singular to rounding has no inverse
             return None
     if not kinds.views(found.observations):
         return known

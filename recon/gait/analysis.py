@@ -155,7 +155,7 @@ class GaitFigure:
     """Cycles that it was told from."""
 
 
-_KINDS: tuple[tuple[str, str, float, Callable[[GaitCycle], float | None]], ...] = (
+FIGURES: tuple[tuple[str, str, float, Callable[[GaitCycle], float | None]], ...] = (
     ("cadence", "steps/min", 120, lambda cycle: 1 / cycle.seconds),
     ("speed", "m/s", 1, lambda cycle: cycle.speed),
     ("stride time", "s", 1, lambda cycle: cycle.seconds),
@@ -172,7 +172,7 @@ _KINDS: tuple[tuple[str, str, float, Callable[[GaitCycle], float | None]], ...] 
 def spatio_temporal(cycles: Sequence[GaitCycle]) -> tuple[GaitFigure, ...]:
     """Means and standard deviations of every figure, over both sides and over each."""
     found: list[GaitFigure] = []
-    for name, unit, factor, value in _KINDS:
+    for name, unit, factor, value in FIGURES:
         for side in ("both", *SIDES):
             own = [value(one) for one in cycles if side in ("both", one.side)]
             finite = [one for one in own if one is not None and math.isfinite(one)]
@@ -231,41 +231,6 @@ CURVES: tuple[GaitCurve, ...] = (
 )  # fmt: skip
 """What the page shows, row by row: pelvis, hip, knee and ankle, trunk."""
 
-_CHAINS: Mapping[str, tuple[str, str, str]] = {
-    "knee_flexion": ("hip", "knee", "ankle"),
-    "ankle_dorsiflexion": ("knee", "ankle", "foot"),
-    "elbow_flexion": ("shoulder", "elbow", "wrist"),
-}
-"""Angles between two bones whose three joints tell them."""
-
-
-def flexion_std(
-    joints: Float[np.ndarray, "time 22 3"], std: Float[np.ndarray, "time 22"]
-) -> dict[str, Float[np.ndarray, " time"]]:
-    """Standard deviations of the angles of knees, ankles and elbows, degrees, by name.
-
-    First-order propagation of the standard deviations of the three joints in the plane of the two
-    bones, taken as independent of each other. Errors that neighbouring joints have in common
-    would make it smaller, so it is rather too large. Other angles depend on turns about bones or
-    on the trunk, of which positions of joints say too little.
-
-    Args:
-        joints: positions in the world, metres.
-        std: standard deviation of a coordinate of every joint, metres.
-    """
-    found: dict[str, np.ndarray] = {}
-    for name, chain in _CHAINS.items():
-        for side in SIDES:
-            a, b, c = (joint_index(f"{side}_{joint}") for joint in chain)
-            upper, lower = joints[:, a] - joints[:, b], joints[:, c] - joints[:, b]
-            long, short = np.linalg.norm(upper, axis=-1), np.linalg.norm(lower, axis=-1)
-            cosine = ((upper * lower).sum(-1) / (long * short)).clip(-1, 1)
-            # the middle joint moves both lines, in opposite senses where the limb is straight
-            middle = 1 / long**2 + 1 / short**2 - 2 * cosine / (long * short)
-            variance = (std[:, a] / long) ** 2 + (std[:, c] / short) ** 2 + std[:, b] ** 2 * middle
-            found[f"{name}_{side[0]}"] = np.rad2deg(np.sqrt(variance))
-    return found
-
 
 @dataclass(frozen=True)
 class Gait:
@@ -282,8 +247,7 @@ class Gait:
     angles: Mapping[str, Float[np.ndarray, " time"]]
     """Joint angles after the ISB, degrees, as `recon.body.angles.isb_angles` names them."""
     angle_std: Mapping[str, Float[np.ndarray, " time"]]
-    """Standard deviations of some of the angles, degrees; empty where those of joints are not
-    known."""
+    """Standard deviations of the angles, degrees; empty where they are not known."""
     unseen: Mapping[str, float]
     """Share of the frames in which an angle was inferred rather than seen, where there are any."""
     belt: float | None
@@ -324,7 +288,6 @@ def analyse(
     *,
     ground: float | None = 0.0,
     belt: Float[Tensor, " 2"] | None = None,
-    joint_std: Float[Tensor, "time 22"] | None = None,
     angle_std: Float[Tensor, "time 42"] | None = None,
     observed: Bool[Tensor, "time 22"] | None = None,
 ) -> Gait:
@@ -335,9 +298,7 @@ def analyse(
         body: whose motion it is; the bundled one, whose landmarks are known.
         ground: height of the ground, metres; None where there is none.
         belt: velocity of a treadmill's belt, m/s; None where the ground rests.
-        joint_std: standard deviation of a coordinate of every joint, metres; None where unknown.
-        angle_std: standard deviations of the ISB's angles, degrees; without them, those of
-            flexions follow from `joint_std`.
+        angle_std: standard deviations of the ISB's angles, degrees; None where unknown.
         observed: false where a joint was inferred; None means that all were seen.
 
     Raises:
@@ -349,9 +310,6 @@ def analyse(
     deviations: dict[str, np.ndarray] = {}
     if angle_std is not None:
         deviations = dict(zip(ISB_ANGLES, angle_std.double().cpu().numpy().T, strict=True))
-    elif joint_std is not None:
-        joints = body.pose(motion.detach()).joints.double().cpu().numpy()
-        deviations = flexion_std(joints, joint_std.double().cpu().numpy())
     return Gait(
         times=feet.times,
         stances=stances,

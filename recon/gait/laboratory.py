@@ -286,11 +286,7 @@ def _methods(gait: Gait) -> str:
         "the stride.",
     ]
     if gait.angle_std:
-        told.append(
-            "Dotted lines are one standard deviation of the fit, propagated from those of the "
-            "joints for knees and ankles only; joints are taken as independent, so it is rather "
-            "too large."
-        )
+        told.append("Dotted lines are one standard deviation of the angle in the fit.")
     if gait.belt is not None:
         told.append(
             f"The person walks on a treadmill, whose belt runs at {gait.belt:.2f} m/s; lengths "

@@ -86,7 +86,6 @@ def _report(
         body,
         ground=None if file.ground is None else float(file.ground[3] / file.ground[2]),
         belt=belt,
-        joint_std=file.joint_std,
         angle_std=file.angle_std,
         observed=file.observed,
     )

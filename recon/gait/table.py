@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from recon.gait.analysis import CURVES, Gait
+from recon.gait.analysis import CURVES, FIGURES, Gait
 from recon.gait.feet import SIDES
 
 HEADER = ("kind", "name", "side", "cycle", "percent", "time_s", "value", "std", "unit")
@@ -47,16 +47,10 @@ def _events(gait: Gait) -> Iterator[Row]:
 def _cycles(gait: Gait) -> Iterator[Row]:
     numbered = [(side, *row) for side in SIDES for row in enumerate(gait.cycles_of(side), 1)]
     for side, number, cycle in numbered:
-        for name, value, unit in (
-            ("stride time", cycle.seconds, "s"),
-            ("stride length", cycle.length, "m"),
-            ("step length", cycle.step_length, "m"),
-            ("step width", cycle.step_width, "m"),
-            ("speed", cycle.speed, "m/s"),
-            ("stance", 100 * cycle.stance, "% of cycle"),
-            ("turn", float(np.rad2deg(cycle.turn)), "deg"),
-        ):
-            yield "cycle", name, side, number, None, cycle.strike, value, None, unit
+        values = [(name, unit, factor, value(cycle)) for name, unit, factor, value in FIGURES]
+        for name, unit, factor, value in (*values, ("turn", "deg", 180 / np.pi, cycle.turn)):
+            told = None if value is None else factor * value
+            yield "cycle", name, side, number, None, cycle.strike, told, None, unit
 
 
 def _angles(gait: Gait) -> Iterator[Row]:

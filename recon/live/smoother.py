@@ -1,7 +1,6 @@
 """Fixed-lag smoothing: a window of the newest frames, moved a little with every moment."""
 
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import torch
@@ -11,7 +10,7 @@ from torch import Tensor
 from observations.moments import Tracker, joined, moments
 from recon.body.derivatives import CarriedPoints
 from recon.live.objective import Equations, Objective, Window
-from recon.solver.banded import Factor, NotPositiveDefinite
+from recon.solver.banded import Factor
 
 
 @dataclass(frozen=True)
@@ -142,9 +141,12 @@ class Smoothed:
             slope = slope + self.knowledge.gradient(shape) + weight * shape
         while damping < _MAX_DAMPING:
             system = equations.damped(damping)
-            with suppress(NotPositiveDefinite):
-                factor = Factor(replace(system, corner=system.corner + held))
-                steps, reshape = factor.up(*factor.down(-equations.gradient, -slope))
+            factor = Factor(replace(system, corner=system.corner + held))
+            if factor.definite:
+                down = -torch.cat((equations.gradient.flatten(), slope))
+                found = factor.solve(down)
+                steps = found[: equations.gradient.numel()].view_as(equations.gradient)
+                reshape = found[equations.gradient.numel() :]
                 window, tried = self.window.moved(steps), objective
                 if self.learning:
                     tried = reshaped(objective, shape + reshape, self.seen)

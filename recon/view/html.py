@@ -137,7 +137,7 @@ def _stage(server: ViserServer, show: Show) -> Layer:
 
     Where cameras are shown, the world stands still until the page is told to follow.
     """
-    view, plane = viewpoints([show], (1280, 800))[0], Plane.of(show.ground)
+    view, plane = viewpoints(show, (1280, 800))[0], Plane.of(show.ground)
     path = follow(show.figures, (1280, 800))
     glide = np.stack([path[0].target - place.target for place in path])
     world = server.scene.add_frame("/world", show_axes=False)

@@ -1,7 +1,6 @@
 """Observation files as what a scene shows of them: points, clouds and cameras on its frames."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -27,24 +26,19 @@ from recon.view.scene import Points, View, nearest_samples
 Cloud = tuple[Float[Tensor, "_ 3"], ...]
 
 
-@dataclass(frozen=True)
-class Observed:
-    """What sensors saw, at the frames of a motion."""
+def observed(
+    paths: Sequence[Path], file: MotionFile, body: BodyModel
+) -> tuple[Points | None, Cloud | None, tuple[View, ...]]:
+    """Points, scan and cameras of observation files at the frames of a motion.
 
-    points: Points | None = None
-    cloud: Cloud | None = None
-    cameras: tuple[View, ...] = ()
-
-
-def observed(paths: Sequence[Path], file: MotionFile, body: BodyModel) -> Observed:
-    """Observations of one motion; those from cameras of unknown pose take the motion file's.
+    Cameras of unknown pose take that of the motion file.
 
     Raises:
         FileNotFoundError: when a file does not exist.
         ValueError: when one is damaged, of unknown keypoints, or its camera has no pose and the
             motion file has none either.
     """
-    points: list[Points] = []
+    points: list[tuple[Tensor, Tensor, Tensor]] = []
     clouds: list[Cloud] = []
     cameras: list[View] = []
     stems = [path.stem for path in paths]
@@ -63,15 +57,23 @@ def observed(paths: Sequence[Path], file: MotionFile, body: BodyModel) -> Observ
         if camera is not None:
             cameras.append(View(name, camera))
     merged = tuple(torch.cat(parts) for parts in zip(*clouds, strict=True))
-    return Observed(_together(points), merged or None, tuple(cameras))
+    together = None
+    if points:
+        places, visible, predicted = (torch.cat(part, 1) for part in zip(*points, strict=True))
+        together = Points(places, visible, predicted)
+    return together, merged or None, tuple(cameras)
 
 
-def _points(seen: PositionsFile, path: Path, motion: Motion, body: BodyModel) -> Points:
+def _points(
+    seen: PositionsFile, path: Path, motion: Motion, body: BodyModel
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Points where they were seen, whether they were, and where they are on the body."""
     observation = positions_of(seen, path, body)
     at = _times(observation.positions.shape[1], observation.start_time, observation.fps)
-    points = Points(observation.positions[0], observation.visible[0]).on(motion.times, at)
+    nearest, close = nearest_samples(motion.times, at)
+    visible = observation.visible[0, nearest] & close[:, None]
     predicted = observation.predicted(Estimate.of_clip(motion, body))[0]
-    return Points(points.positions, points.visible, predicted)
+    return observation.positions[0, nearest], visible, predicted
 
 
 def _keypoints(
@@ -151,13 +153,3 @@ def _known_poses(file: MotionFile, path: Path) -> Float[Tensor, "poses 4 4"]:
 def _times(count: int, start_time: float, fps: float) -> Float[Tensor, " count"]:
     """Times of samples, seconds."""
     return start_time + torch.arange(count, dtype=torch.float64) / fps
-
-
-def _together(points: list[Points]) -> Points | None:
-    """The points of all files, side by side."""
-    if len(points) == 0:
-        return None
-    positions = torch.cat([one.positions for one in points], 1)
-    visible = torch.cat([one.visible for one in points], 1)
-    estimated = [one.estimated for one in points if one.estimated is not None]
-    return Points(positions, visible, torch.cat(estimated, 1))

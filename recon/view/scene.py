@@ -1,6 +1,5 @@
 """What is shown: bodies, points and contacts as values; `html` and `frames` draw them."""
 
-import dataclasses
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -114,21 +113,6 @@ class Points:
             shapes.add(tuple(self.estimated.shape[:2]))
         if len(shapes) != 1:
             raise ValueError(f"points need one (time, points) everywhere, got {sorted(shapes)}")
-
-    def on(self, times: Float[Tensor, " frames"], observed_at: Float[Tensor, " time"]) -> "Points":
-        """The points at other moments: the nearest sample, missing beyond half a sample.
-
-        `estimated` must already be given at `times`, and is set by the caller afterwards.
-        """
-        if self.estimated is not None:
-            raise ValueError("move points to other times before giving them an estimate")
-        if len(observed_at) != len(self.positions) or len(observed_at) == 0:
-            raise ValueError(
-                f"{len(self.positions)} samples need as many times, got {len(observed_at)}"
-            )
-        nearest, close = nearest_samples(times, observed_at)
-        seen = self.visible[nearest] & close[:, None]
-        return dataclasses.replace(self, positions=self.positions[nearest], visible=seen)
 
 
 @dataclass(frozen=True)
@@ -299,12 +283,7 @@ class Show:
     def legend(self) -> tuple[tuple[str, Colour], ...]:
         """Words for the colours that occur in pictures; the ground needs none."""
         shown = [layer for layer in self.layers if layer.shown and layer.word != "ground"]
-        return tuple((layer.word, layer.colour) for layer in shown)
-
-    @property
-    def image_legend(self) -> tuple[tuple[str, Colour], ...]:
-        """Words for the colours that occur in the images of the cameras."""
-        entries = [(figure.name, figure.colour) for figure in self.figures]
+        entries = [(layer.word, layer.colour) for layer in shown]
         if any(view.pixels is not None for view in self.cameras):
             entries.append(("detected (ring: unsure)", VISIBLE))
         fitted = [view for view in self.cameras if view.reprojected is not None]

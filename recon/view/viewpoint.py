@@ -82,16 +82,16 @@ class Viewpoint:
         return np.stack(along)
 
 
-def viewpoints(shows: Sequence[Show], size: tuple[int, int]) -> tuple[Viewpoint, ...]:
-    """One camera per frame for all shows: following, or standing where cameras are shown too."""
-    figures = [figure for show in shows for figure in show.figures]
+def viewpoints(show: Show, size: tuple[int, int]) -> tuple[Viewpoint, ...]:
+    """One camera per frame: following, or standing where cameras are shown too."""
     centres = [
         view.at(frame).T_world_camera[:3, 3].numpy()
-        for show in shows
         for view in show.cameras
         for frame in (range(show.frames) if view.camera.T_camera_world.ndim == 3 else (0,))
     ]
-    return overview(figures, np.stack(centres), size) if centres else follow(figures, size)
+    if centres:
+        return overview(show.figures, np.stack(centres), size)
+    return follow(show.figures, size)
 
 
 def follow(figures: Sequence[Figure], size: tuple[int, int]) -> tuple[Viewpoint, ...]:

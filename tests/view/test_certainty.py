@@ -31,7 +31,7 @@ def unsure(body: BodyModel, radius: float = 0.15) -> Show:
 
 def test_a_sphere_of_one_standard_deviation_is_drawn_around_its_joint(body: BodyModel) -> None:
     show = unsure(body)
-    (view,) = viewpoints([show], (300, 360))[:1]
+    (view,) = viewpoints(show, (300, 360))[:1]
     plain = paint(replace(show, certainty=False), 0, view).astype(int)
     changed = np.abs(paint(show, 0, view).astype(int) - plain).max(-1) > 1
     centre, depth = view.project(show.figures[0].posed.joints[0, [WRIST]].double().numpy())
