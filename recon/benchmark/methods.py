@@ -1,6 +1,7 @@
 """Methods that are judged: built-in ones by name, and anybody's own class."""
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -17,7 +18,8 @@ from recon.core.skeleton import JOINTS
 from recon.formats.motions import MotionFile
 from recon.formats.observations import PositionsFile
 from recon.method.plugins import imported
-from recon.method.reconstruction import Method, solve
+from recon.method.priors import Prior
+from recon.method.reconstruction import solve
 
 
 def butterworth(
@@ -104,12 +106,12 @@ def method_named(name: str, body: BodyModel) -> BenchMethod:
 class _Fitted:
     """A fit under a prior with the weights for the noise that the record tells."""
 
-    def __init__(self, body: BodyModel, method: Callable[[float], Method]) -> None:
-        self.body, self.method = body, method
+    def __init__(self, body: BodyModel, prior: Prior[Any], method: str | None = None) -> None:
+        self.body, self.stages = body, partial(prior.stages, body=body, method=method)
 
     def __call__(self, seen: PositionsFile) -> MotionFile:
         sensor = sensor_of(seen)
-        found = solve([sensor], self.method(noise_of(seen)), self.body)
+        found = solve([sensor], partial(self.stages, noise=noise_of(seen)), self.body)
         return MotionFile(found.motion[0].detach())
 
 
@@ -143,16 +145,11 @@ def _smoothed(smooth: Callable[[torch.Tensor, float], torch.Tensor]) -> BenchMet
 
 
 def _humor(way: str) -> Callable[[BodyModel], BenchMethod]:
-    def made(body: BodyModel) -> BenchMethod:
-        humor = Humor.load(body=body)
-        return _Fitted(body, lambda noise: humor.method(noise, body, way))
-
-    return made
+    return lambda body: _Fitted(body, Humor.load(body=body), way)
 
 
 def _pose(body: BodyModel) -> BenchMethod:
-    prior = PosePrior.load(body=body)
-    return _Fitted(body, lambda noise: prior.method(noise, body))
+    return _Fitted(body, PosePrior.load(body=body))
 
 
 _BUILT_IN: Mapping[str, Callable[[BodyModel], BenchMethod]] = {

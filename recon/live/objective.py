@@ -7,7 +7,7 @@ added (`StepEnergies`).
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Protocol, runtime_checkable
+from typing import Any, ClassVar, Protocol
 
 import torch
 from jaxtyping import Float
@@ -85,24 +85,8 @@ _BEND = (1.0, -2.0, 1.0)
 """Second difference of three neighbours."""
 
 
-@runtime_checkable
-class Judged(Protocol):
-    """What is said of the steps of a window."""
-
-    @property
-    def energy(self) -> Float[Tensor, ""]:
-        """The weighted energy."""
-        ...
-
-    @property
-    def contacts(self) -> Float[Tensor, "time 22"]:
-        """Probability that a joint touches the ground."""
-        ...
-
-
-@runtime_checkable
 class StepEnergies(Protocol):
-    """Energies of a prior over steps between frames, such as `priors.humor.live`."""
+    """What a prior's `live(noise)` gives, energies for steps of frames: `priors.humor.live`."""
 
     reach: ClassVar[int]
     """Frames so far apart are in one energy."""
@@ -112,8 +96,8 @@ class StepEnergies(Protocol):
         """Weights of the density of poses and of smoothness beside them."""
         ...
 
-    def judged(self, motion: Motion, joints: Float[Tensor, "1 time 22 3"], held: int) -> Judged:
-        """The energy, with a gradient by what the motion was made of."""
+    def judged(self, motion: Motion, joints: Float[Tensor, "1 time 22 3"], held: int) -> Any:
+        """What has the weighted `energy`, with a gradient by what the motion was made of."""
         ...
 
     def add_curvature(
@@ -124,15 +108,6 @@ class StepEnergies(Protocol):
         of_joints: Float[Tensor, "time some 66"],
     ) -> None:
         """Add the Hessian by the variables of all frames, and by the joints' coordinates."""
-        ...
-
-
-@runtime_checkable
-class LivePrior(Protocol):
-    """A prior that a stream can have beside the density of poses."""
-
-    def live(self, noise: float) -> StepEnergies:
-        """Its energies beside points of a standard deviation of `noise` metres a coordinate."""
         ...
 
 
@@ -289,7 +264,7 @@ class Objective:
             gradient_shape=gradient_shape,
         )
 
-    def _judged(self, window: Window, held: int) -> tuple[Judged, Float[Tensor, "active 69"]]:
+    def _judged(self, window: Window, held: int) -> tuple[Any, Float[Tensor, "active 69"]]:
         """What a prior says of the steps, and its slope by the variables of the active frames."""
         assert self.steps is not None
         with torch.enable_grad():

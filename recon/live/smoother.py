@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -13,7 +14,8 @@ from priors.pose.density import PoseDensity
 from priors.pose.prior import PoseWeights
 from recon.body.derivatives import CarriedPoints
 from recon.body.model import BodyModel
-from recon.live.objective import Equations, LivePrior, Objective, Window
+from recon.live.objective import Equations, Objective, Window
+from recon.method.priors import Prior
 from recon.solver.banded import Factor, NotPositiveDefinite
 
 
@@ -177,7 +179,7 @@ def begun(
     body: BodyModel,
     density: PoseDensity,
     knowledge: ShapeKnowledge | None,
-    prior: LivePrior | None,
+    prior: Prior[Any] | None,
 ) -> Smoothed:
     """A window from a first motion.
 

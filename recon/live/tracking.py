@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import torch
@@ -20,9 +20,9 @@ from recon.diagnosis.findings import Finding
 from recon.fitting.clip import fit_clip
 from recon.fitting.methods import FitOptions
 from recon.live.moments import Door, Moment
-from recon.live.objective import LivePrior, Window
+from recon.live.objective import Window
 from recon.live.smoother import ShapeKnowledge, Smoothed, begun
-from recon.method.priors import Traits
+from recon.method.priors import USUAL_NOISE, Prior
 from recon.method.stages import Stage
 from recon.method.terms import Term
 
@@ -62,22 +62,20 @@ class LiveEstimate:
         return (*self.earlier, self)
 
 
-@dataclass(frozen=True)
-class _FirstPoses:
+class _FirstPoses(PosePrior):
     """The pose prior, minimised for a short while."""
 
-    traits: ClassVar[Traits] = PosePrior.traits
-    poses: PosePrior
-
-    def method(self, noise: float, body: BodyModel) -> "_FirstPoses":
-        """A copy of the prior whose weights suit this noise."""
-        return _FirstPoses(self.poses.method(noise, body))
-
-    def stages(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
+    def stages(
+        self,
+        data: tuple[Term, ...],
+        noise: float = USUAL_NOISE,
+        body: BodyModel | None = None,
+        method: str | None = None,
+    ) -> tuple[Stage[Any], ...]:
         """The root first, then all."""
         return tuple(
             replace(stage, minimiser=replace(stage.minimiser, max_iterations=_ITERATIONS))
-            for stage in self.poses.stages(data)
+            for stage in super().stages(data, noise, body, method)
         )
 
 
@@ -97,7 +95,7 @@ def begin(
     person: Person,
     body: BodyModel,
     poses: PosePrior,
-    prior: LivePrior | None,
+    prior: Prior[Any] | None,
 ) -> Smoothed:
     """A window of these moments, each one frame after the other, fitted under the pose prior.
 
@@ -108,7 +106,7 @@ def begin(
     for moment in moments[1:]:
         seen = [joined(a, b) for a, b in zip(seen, moment.seen, strict=True)]
     seen = [one.derived(start_time=0.0) for one in seen]
-    options = FitOptions(prior=_FirstPoses(poses), noise=noise, shape=person.shape)
+    options = FitOptions(prior=_FirstPoses(poses.density), noise=noise, shape=person.shape)
     batch: Any = [one[None] for one in seen]
     with torch.enable_grad():
         fit = fit_clip(batch, options, body)
@@ -163,7 +161,7 @@ class Tracking:
     person: Person
     body: BodyModel
     poses: PosePrior
-    prior: LivePrior | None = None
+    prior: Prior[Any] | None = None
     """The prior over steps, beside the density of poses."""
     gathered: list[Moment] = field(default_factory=list)
     """Moments before the first motion, or those that lie astray."""
