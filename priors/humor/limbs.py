@@ -144,7 +144,7 @@ _SEED = 0
 
 @dataclass(frozen=True)
 class ParticleFilter:
-    """Settings of the filter: first guesses, whose neighbours were no better (docs/humor.md)."""
+    """Settings of the filter: first guesses, whose neighbours were no better (docs/priors.md)."""
 
     hypotheses: int = 4
     """Filters, each of which gives one motion."""

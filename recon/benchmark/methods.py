@@ -103,28 +103,23 @@ def method_named(name: str, body: BodyModel) -> BenchMethod:
     return _BUILT_IN[name](body)
 
 
-class _Fitted:
+def _fitted(body: BodyModel, prior: Prior[Any], method: str | None = None) -> BenchMethod:
     """A fit under a prior with the weights for the noise that the record tells."""
 
-    def __init__(self, body: BodyModel, prior: Prior[Any], method: str | None = None) -> None:
-        self.body, self.stages = body, partial(prior.stages, body=body, method=method)
-
-    def __call__(self, seen: PositionsFile) -> MotionFile:
-        sensor = sensor_of(seen)
-        found = solve([sensor], partial(self.stages, noise=noise_of(seen)), self.body)
+    def given_back(seen: PositionsFile) -> MotionFile:
+        stages = partial(prior.stages, noise=noise_of(seen), body=body, method=method)
+        found = solve([sensor_of(seen)], stages, body)
         return MotionFile(found.motion[0].detach())
 
-
-def _all_joints(seen: PositionsFile, name: str) -> None:
-    if seen.names != tuple(JOINTS):
-        raise ReconError(
-            f"{name} knows no body: it takes protocols that see all 22 joints (noisy-joints, gap)"
-        )
+    return given_back
 
 
 def _linear(seen: PositionsFile) -> np.ndarray:
     """Joints as they were seen, on straight lines across what was not seen."""
-    _all_joints(seen, "linear")
+    if seen.names != tuple(JOINTS):
+        raise ReconError(
+            "linear knows no body: it takes protocols that see all 22 joints (noisy-joints, gap)"
+        )
     filled, times = seen.positions.copy(), np.arange(len(seen.positions))
     for point, shown in enumerate(seen.visible.T):
         if not shown.any():
@@ -145,11 +140,11 @@ def _smoothed(smooth: Callable[[torch.Tensor, float], torch.Tensor]) -> BenchMet
 
 
 def _humor(way: str) -> Callable[[BodyModel], BenchMethod]:
-    return lambda body: _Fitted(body, Humor.load(body=body), way)
+    return lambda body: _fitted(body, Humor.load(body=body), way)
 
 
 def _pose(body: BodyModel) -> BenchMethod:
-    return _Fitted(body, PosePrior.load(body=body))
+    return _fitted(body, PosePrior.load(body=body))
 
 
 _BUILT_IN: Mapping[str, Callable[[BodyModel], BenchMethod]] = {

@@ -88,7 +88,7 @@ def certainty(found: ClipFit) -> Deviations | None:
         try:
             body = estimate.body.model.to(device="cpu", dtype=torch.float64)
             known = deviations(estimate, seen, noises, density, _ground(found), angles_of(body))
-        except RuntimeError:  # a Hessian that is singular to rounding has no inverse
+        except (ArithmeticError, RuntimeError):  # a Hessian that is singular has no inverse
             return None
     if not kinds.views(found.observations):
         return known

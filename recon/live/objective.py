@@ -97,7 +97,7 @@ class StepEnergies(Protocol):
         ...
 
     def judged(self, motion: Motion, joints: Float[Tensor, "1 time 22 3"], held: int) -> Any:
-        """What has the weighted `energy`, with a gradient by what the motion was made of."""
+        """A record whose `energy` has a gradient by what the motion was made of."""
         ...
 
     def add_curvature(
@@ -194,10 +194,8 @@ class Objective:
             places = points.of(orientations[held:], joints[held:])
             total = total + scale * energy_of(sensor, places)
         if self.steps is not None:
-            total = (
-                total
-                + self.steps.judged(self.motion(window, rotations), joints[None], held).energy
-            )
+            motion = self.motion(window, rotations)
+            total = total + self.steps.judged(motion, joints[None], held).energy
         return float(total)
 
     def motion(self, window: Window, rotations: Float[Tensor, "time 22 3 3"]) -> Motion:
@@ -237,7 +235,8 @@ class Objective:
                 gradient_shape = gradient_shape + (down @ by_shape)[:, 0]
         gradient_alone = gradient
         bend = joints.diff(n=2, dim=0)[max(held - 2, 0) :]
-        second = _second_differences(window.frames, held).to(bend)
+        # rows p_(t+1) - 2 p_t + p_(t-1) that a frame that is not held takes part in
+        second = torch.eye(window.frames).to(bend).diff(n=2, dim=0)[max(held - 2, 0) :]
         column = _by_variables(self.joints.by_rotations(*own), turns).flatten(1, 2)
         force = self.stiffness * (second[:, held:].mT @ bend.flatten(1))
         gradient = gradient + (force[:, None] @ column)[:, 0]
@@ -283,8 +282,3 @@ def _by_variables(
     moved = torch.eye(3).to(jacobian).expand(*jacobian.shape[:2], 3, 3)
     posed = (jacobian[..., 3:].flatten(1, 2) @ turns).unflatten(1, (-1, 3))
     return torch.cat((moved, jacobian[..., :3], posed), -1)
-
-
-def _second_differences(frames: int, held: int) -> Float[Tensor, "rows frames"]:
-    """Rows p_(t+1) - 2 p_t + p_(t-1) that a frame that is not held takes part in."""
-    return torch.eye(frames).diff(n=2, dim=0)[max(held - 2, 0) :]

@@ -1,22 +1,16 @@
 """Fixed-lag smoothing: a window of the newest frames, moved a little with every moment."""
 
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from observations.moments import Tracker, joined, moments
-from priors.pose.density import PoseDensity
-from priors.pose.prior import PoseWeights
 from recon.body.derivatives import CarriedPoints
-from recon.body.model import BodyModel
 from recon.live.objective import Equations, Objective, Window
-from recon.method.priors import Prior
-from recon.solver.banded import Factor, NotPositiveDefinite
+from recon.solver.banded import Factor
 
 
 @dataclass(frozen=True)
@@ -71,9 +65,9 @@ class ShapeKnowledge:
 _MIN_DAMPING, _MAX_DAMPING = 1e-6, 1e3
 """Least share that the diagonal is raised by in an accepted step, and the share at which a frame
 is taken to be as good as it gets."""
-_REFUSED = 1e-2
+_REFUSED_DAMPING = 1e-2
 """Share after the first step that gained nothing."""
-_ENOUGH = 1e-4
+_MIN_DECREASE = 1e-4
 """Relative decrease of the energy below which no further step is taken."""
 _SLOWED = 0.9
 """Share of the last step with which a new frame begins."""
@@ -131,83 +125,44 @@ class Smoothed:
             if after is None:
                 return now
             now, gained = after
-            if gained <= _ENOUGH * abs(equations.value):
+            if gained <= _MIN_DECREASE * abs(equations.value):
                 return now
         return now
 
     def _stepped(self, equations: Equations) -> tuple["Smoothed", float] | None:
         """After one step that lowers the energy, and by how much; None where none does."""
         objective, shape = self.objective, self.objective.shape
-        before = equations.value
+        before = equations.value + self._value_of_shape(shape)
         damping, slope = _MIN_DAMPING, equations.gradient_shape.sum(0)
         held = slope.new_zeros(len(slope), len(slope))
         if self.learning:
-            before += self._value_of_shape(shape)
             weight = 2 * objective.weights.shape * objective.rate * self.active
             held = self.knowledge.information + weight * torch.eye(len(shape)).to(shape)
             slope = slope + self.knowledge.gradient(shape) + weight * shape
         while damping < _MAX_DAMPING:
             system = equations.damped(damping)
-            with suppress(NotPositiveDefinite):
-                factor = Factor(replace(system, corner=system.corner + held))
-                steps, reshape = factor.up(*factor.down(-equations.gradient, -slope))
-                window = self.window.moved(steps)
-                tried = objective
+            factor = Factor(replace(system, corner=system.corner + held))
+            if factor.definite:
+                down = -torch.cat((equations.gradient.flatten(), slope))
+                found = factor.solve(down)
+                steps = found[: equations.gradient.numel()].view_as(equations.gradient)
+                reshape = found[equations.gradient.numel() :]
+                window, tried = self.window.moved(steps), objective
                 if self.learning:
                     tried = reshaped(objective, shape + reshape, self.seen)
-                value = tried.value(window, self.seen)
-                if self.learning:
-                    value += self._value_of_shape(tried.shape)
+                value = tried.value(window, self.seen) + self._value_of_shape(tried.shape)
                 if value <= before:
                     return replace(self, window=window, objective=tried), before - value
-            damping = max(100 * damping, _REFUSED)
+            damping = max(100 * damping, _REFUSED_DAMPING)
         return None
 
     def _value_of_shape(self, shape: Float[Tensor, " shape"]) -> float:
+        """Energy of the shape while it is learned."""
         objective = self.objective
+        if not self.learning:
+            return 0.0
         weight = objective.weights.shape * objective.rate * self.active
         return self.knowledge.value(shape) + weight * float(shape.square().sum())
-
-
-def begun(
-    window: Window,
-    shape: Float[Tensor, " shape"],
-    seen: Sequence[Tracker],
-    scales: Sequence[float],
-    noise: float,
-    offsets: Float[Tensor, "rows 3"],
-    body: BodyModel,
-    density: PoseDensity,
-    knowledge: ShapeKnowledge | None,
-    prior: Prior[Any] | None,
-) -> Smoothed:
-    """A window from a first motion.
-
-    Args:
-        window: the first motion.
-        shape: of the body.
-        seen: data of all its frames.
-        scales: weights of the sensors' energies.
-        noise: standard deviation of the least noisy one's coordinates, metres.
-        offsets: of the sensors' points from their place on the model, as in `Scene.offsets`.
-        body: whose motion it is.
-        density: of poses.
-        knowledge: of the shape from before; None holds the shape that is given.
-        prior: over steps, beside the density of poses.
-    """
-    steps = None if prior is None else prior.live(noise)
-    objective = Objective(
-        body, density, PoseWeights.for_noise(noise) if steps is None else steps.poses,
-        tuple(scales), (), CarriedPoints.joints(body, shape), shape, body.rest_joints(shape),
-        seen[0].fps, offsets, steps,
-    )  # fmt: skip
-    return Smoothed(
-        window,
-        reshaped(objective, shape, seen),
-        tuple(seen),
-        ShapeKnowledge.none(shape) if knowledge is None else knowledge,
-        learning=knowledge is not None,
-    )
 
 
 def reshaped(

@@ -7,7 +7,7 @@ the covariance of the motion is H⁻¹ and that of a joint G H⁻¹ Gᵀ, with G
 Every frame has 69 coordinates: the translation in metres and the rotation steps of 22 joints in
 radians, R_j Exp(w_j). The shape is shared by all. A residual of a sensor depends on one frame, a
 pose's coordinates likewise, a joint's acceleration on three; so H is banded in time, with the
-shape as a border (`recon.solver.blocks`). Where the ground is unknown, its height and tilt are in
+shape as a border (`recon.solver.banded`). Where the ground is unknown, its height and tilt are in
 the border, too.
 """
 
@@ -26,7 +26,6 @@ from recon.core.scene import Scene
 from recon.method.derivatives import (
     FRAME,
     STEP,
-    Accumulated,
     GroundBelief,
     GroundDeviation,
     Neighbourhood,
@@ -35,8 +34,11 @@ from recon.method.derivatives import (
 )
 from recon.method.priors import Density
 from recon.method.protocols import REFERENCE_FPS, Estimate, Sensor
-from recon.solver.blocks import Inverse, inverse
+from recon.solver.banded import Banded, Factor, Inverse, add_differences
 
+_LEAST = 0.1
+"""Curvature that every coordinate has at least, 1 / metres² or 1 / radians²: what nothing holds is
+unknown by no more than three metres and half a turn."""
 _DISBELIEVED = 4.0
 """Standard deviations beyond which residuals say ever less: the fit does not believe them."""
 _PEOPLE = 1.0
@@ -86,6 +88,9 @@ def deviations(
         density: how likely poses, shapes and accelerations are, without the data.
         ground: what is believed of an unknown ground; None where it is known or not asked for.
         measure: numbers of every frame's pose whose standard deviations are asked for, too.
+
+    Raises:
+        ArithmeticError: when the Hessian is not positive definite, and so has no inverse.
     """
     body = estimate.body.model.to(dtype=torch.float64)
     motion = estimate.motion.detach().to(dtype=torch.float64)
@@ -138,21 +143,31 @@ def _of_window(
     measure: Measure | None,
 ) -> Deviations:
     near = Neighbourhood(motion, scene, body, ground)
-    h = Accumulated.zero(motion.frames, near.joints.shape[-1], like=motion.translation)
+    moved, shaped = near.joints[..., :FRAME], near.joints[..., FRAME:]
+    h = Banded.zero(motion.frames, 2, FRAME, shaped.shape[-1], motion.translation)
+    h.inner[:, 0].diagonal(dim1=-2, dim2=-1).add_(_LEAST)
+    h.corner.diagonal().add_(_LEAST)
     for one, noise in zip(sensors, noises, strict=True):
         frame = _clock(one, motion)
-        h.add_sensor(frame, *_whitened(one, noise, near, frame))
-    h.add_poses(density.by_rotations(motion)[0] * (REFERENCE_FPS / motion.fps) ** 0.5)
-    rate = (motion.fps / REFERENCE_FPS) ** 3
-    h.add_accelerations(near.joints, density.acceleration * rate)
+        jacobian, weight = _whitened(one, noise, near, frame)
+        h.add_frames(frame, jacobian.mT @ (jacobian * weight[..., None]))
+    poses = density.by_rotations(motion)[0] * (REFERENCE_FPS / motion.fps) ** 0.5
+    h.inner[:, 0, -poses.shape[-1] :, -poses.shape[-1] :] += poses.mT @ poses
+    bends = moved.new_zeros(motion.frames, 3, moved.shape[1])
+    weight = density.acceleration * (motion.fps / REFERENCE_FPS) ** 3
+    add_differences(bends, (1.0, -2.0, 1.0), bends.new_tensor([[weight]]))
+    h.add_products(bends, moved, shaped)
     shapes = motion.shape.shape[-1]
-    shape = h.shape.diagonal()[:shapes]
+    shape = h.corner.diagonal()[:shapes]
     shape += min(density.shape * motion.frames * REFERENCE_FPS / motion.fps, _PEOPLE)
     told = ground is not None and add_stance(h, near.translated, near.joints, ground)
-    found = inverse(h.bordered())
+    factor = Factor(h)
+    if not factor.definite:
+        raise ArithmeticError("the Hessian of the fit is not positive definite")
+    found = factor.inverse()
     marginals = _marginals(found, near.seen(), shapes)
     if measure is not None:
-        variance = _variances(found, _by_rotations(measure, motion, h.shape.shape[-1]))
+        variance = _variances(found, _by_rotations(measure, motion, len(h.corner)))
         marginals = replace(marginals, measures=variance.sqrt())
     if ground is None or ground.coordinates == 0 or not told:
         return marginals
@@ -187,7 +202,7 @@ def _marginals(
 
     Those of the root are given the ground.
     """
-    own, onto = _own_frames(found, len(joints))
+    own, onto = found.within, found.onto
     variance = _variances(found, joints)
     given, onto_shape = _given_rest(found.border, shapes), onto[..., :shapes]
     turned = own + onto_shape @ given @ onto_shape.mT
@@ -214,23 +229,13 @@ def _by_rotations(
     return torch.nn.functional.pad(slopes, (3, border))
 
 
-def _own_frames(
-    found: Inverse, count: int
-) -> tuple[Float[Tensor, "time n n"], Float[Tensor, "time n m"]]:
-    """Covariance of every frame's coordinates given the border, and how the border moves them."""
-    blocks = found.within.unflatten(-1, (2, FRAME)).unflatten(-3, (2, FRAME))
-    own = torch.stack((blocks[:, 0, :, 0], blocks[:, 1, :, 1]), 1).flatten(0, 1)[:count]
-    return own, found.onto.unflatten(1, (2, FRAME)).flatten(0, 1)[:count]
-
-
 def _variances(
     found: Inverse, slopes: Float[Tensor, "time values coordinates"]
 ) -> Float[Tensor, "time values"]:
     """Variances of values of every frame, from their derivatives by its coordinates."""
-    own, onto = _own_frames(found, len(slopes))
     moved, shaped = slopes[..., :FRAME], slopes[..., FRAME:]
-    rest = shaped - moved @ onto
-    return ((moved @ own) * moved).sum(-1) + ((rest @ found.border) * rest).sum(-1)
+    rest = shaped - moved @ found.onto
+    return ((moved @ found.within) * moved).sum(-1) + ((rest @ found.border) * rest).sum(-1)
 
 
 def _given_rest(covariance: Float[Tensor, "m m"], count: int) -> Float[Tensor, "count count"]:

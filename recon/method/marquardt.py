@@ -10,10 +10,10 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from recon.body.model import BodyModel
-from recon.method.newton import Local, mapped
+from recon.method.newton import Local
 from recon.method.stages import Stage
 from recon.method.unknowns import Layout, Unknowns
-from recon.solver.banded import Banded, Factor, NotPositiveDefinite
+from recon.solver.banded import Banded, Factor
 from recon.solver.solution import Progress, Solution, Termination
 
 
@@ -172,7 +172,7 @@ class Marquardt:
         while waiting:
             rows = torch.tensor(waiting)
             tried = torch.stack([
-                _newton(local, local.curvature[k], point.gradient[k], float(damping[k]))
+                _newton(local.curvature[k], point.gradient[k], float(damping[k]))
                 for k in waiting
             ])  # fmt: skip
             with torch.no_grad():
@@ -229,15 +229,11 @@ class _Point:
 
 
 def _newton(
-    local: Local, curvature: Banded, gradient: Float[Tensor, " n"], damping: float
+    curvature: Banded, gradient: Float[Tensor, " n"], damping: float
 ) -> Float[Tensor, " n"]:
     """A damped step; none where the damped Hessian is not positive definite."""
-    try:
-        factor = Factor(curvature, damping)
-    except NotPositiveDefinite:
-        return torch.zeros_like(gradient)
-    solve = [lambda inner, border: factor.up(*factor.down(inner, border))]
-    return -mapped(solve, gradient[None], local.frames, local.bordered)[0]
+    factor = Factor(curvature, damping)
+    return -factor.solve(gradient) if factor.definite else torch.zeros_like(gradient)
 
 
 def _as_they_are(steps: Tensor, active: Tensor) -> Tensor:
@@ -292,9 +288,8 @@ class Preconditioned:
 def factorised(curvature: Banded) -> Factor:
     """The factor of a Hessian; where rounding or numbers that are not finite forbid it, of 1."""
     for damping in _DAMPINGS:
-        try:
-            return Factor(curvature, damping)
-        except NotPositiveDefinite:
-            continue
+        factor = Factor(curvature, damping)
+        if factor.definite:
+            return factor
     time, _, n, _ = curvature.inner.shape
     return Factor(Banded.zero(time, curvature.reach, n, len(curvature.corner), curvature.inner))

@@ -244,38 +244,26 @@ class Local:
 
         def steps_of(u: Tensor, active: Tensor) -> Tensor:
             some = [factors[k] for k in active.tolist()]
-            return _Up.apply(u, some, self.frames, self.bordered)
+            return _Up.apply(u, some, self.bordered)
 
         return steps_of
 
 
 class _Up(torch.autograd.Function):
     @staticmethod
-    def forward(
-        ctx: Any, u: Tensor, factors: Sequence[Factor], frames: int, bordered: int
-    ) -> Tensor:
-        ctx.map = factors, frames, bordered
-        return mapped([one.up for one in factors], u, frames, bordered)
+    def forward(ctx: Any, u: Tensor, factors: Sequence[Factor], bordered: int) -> Tensor:
+        ctx.map = factors, bordered
+        return _mapped([one.up for one in factors], u, bordered)
 
     @staticmethod
-    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, None, None, None]:
-        factors, frames, bordered = ctx.map
-        down = [one.down for one in factors]
-        return mapped(down, gradients[0], frames, bordered), None, None, None
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, None, None]:
+        factors, bordered = ctx.map
+        return _mapped([one.down for one in factors], gradients[0], bordered), None, None
 
 
-Substitution = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
-
-
-def mapped(
-    functions: Sequence[Substitution],
-    flat: Float[Tensor, "rows n"],
-    frames: int,
-    bordered: int,
+def _mapped(
+    functions: Sequence[Callable[[Tensor], Tensor]], flat: Float[Tensor, "rows n"], bordered: int
 ) -> Float[Tensor, "rows n"]:
     """Each row through the function of its clip; what is of neither frames nor shape stays."""
-    rows: list[Tensor] = []
-    for function, row in zip(functions, flat, strict=True):
-        moved, border = function(row[:frames].view(-1, FRAME), row[frames:bordered])
-        rows.append(torch.cat((moved.flatten(), border, row[bordered:])))
-    return torch.stack(rows)
+    rows = [f(row[:bordered]) for f, row in zip(functions, flat, strict=True)]
+    return torch.cat((torch.stack(rows), flat[:, bordered:]), 1)

@@ -4,7 +4,7 @@ import logging
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from observations import kinds
 from observations.keypoints2d import Keypoints2D
@@ -27,17 +27,7 @@ _QUICK = ("body", "noise", "robust", "ground", "between", "device", "callback", 
 
 
 def load_people(
-    path: Path | str | Sequence[Path | str],
-    *,
-    frame_rate: float,
-    body: BodyModel | None = None,
-    layout: str | None = None,
-    camera: Path | str | None = None,
-    camera_unit: Literal["m", "mm"] | None = None,
-    camera_up: Literal["x", "y", "z"] | None = None,
-    image_size: tuple[int, int] | None = None,
-    camera_track: Path | str | None = None,
-    ground: tuple[float, float, float, float] | Literal["none"] | None = None,
+    path: Path | str | Sequence[Path | str], *, body: BodyModel | None = None, **reading: Any
 ) -> list[PersonClip]:
     """Everybody in 2D detections of one or several views, as `recon.fit_people` takes them.
 
@@ -47,28 +37,18 @@ def load_people(
 
     Args:
         path: files and folders of one recording.
-        frame_rate: frames per second.
         body: that is to be fitted; default: the bundled one.
-        layout: as of `recon.load_observation`, and so are the others.
-        camera: calibration of the cameras; default, for one view: a phone's.
-        camera_unit: unit of the calibration, where it does not tell.
-        camera_up: axis of the calibration's world that points up.
-        image_size: width and height, pixels, where no calibration tells.
-        camera_track: how the one camera was carried.
-        ground: plane n·x = d below a camera without pose, in its frame, metres.
+        reading: how to read files, by the names of `recon.fitting.settings.ReadOptions`:
+            `frame_rate`, `camera`, `layout`, ...
 
     Raises:
         FileNotFoundError: when there is no such file.
-        FormatError: when something cannot be read, or arguments are missing; says what to do.
+        FormatError: when something cannot be read, or options are missing; says what to do.
+        TypeError: when there is no option of a name.
     """
     paths = [path] if isinstance(path, Path | str) else path
-    settings = FitSettings(
-        frame_rate=frame_rate, layout=layout, camera=None if camera is None else Path(camera),
-        camera_unit=camera_unit, camera_up=camera_up, image_size=image_size,
-        camera_track=None if camera_track is None else Path(camera_track), ground=ground,
-    )  # fmt: skip
     model = BodyModel.load() if body is None else body
-    people, notes = people_in([Path(one) for one in paths], settings, model)
+    people, notes = people_in([Path(one) for one in paths], FitSettings.of(reading), model)
     for note in notes:
         _LOG.info("%s", note)
     return list(people)
