@@ -7,7 +7,7 @@ added (`StepEnergies`).
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
@@ -85,6 +85,7 @@ _BEND = (1.0, -2.0, 1.0)
 """Second difference of three neighbours."""
 
 
+@runtime_checkable
 class StepEnergies(Protocol):
     """What a prior's `live(noise)` gives, energies for steps of frames: `priors.humor.live`."""
 
