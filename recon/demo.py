@@ -1,4 +1,4 @@
-"""The demo: a real recording, spoiled in two ways, given back without and with HuMoR."""
+"""The demo: a real recording with added noise or hidden points, reconstructed with two priors."""
 
 import json
 from collections.abc import Mapping
@@ -77,7 +77,7 @@ class Demo(dict[str, dict[str, Metrics]]):
 
 
 def demo(out: Path | str = "demo", *, overwrite: bool = False) -> Demo:
-    """Spoil a real recording in two ways and give it back.
+    """Add noise to a real recording, hide parts of it, and reconstruct it.
 
     Writes demo.json (all metrics), demo.html and noisy.html (pages to play), demo.png and the
     motions.
@@ -136,7 +136,7 @@ def _metrics(
 
 
 def _observed(seen: Joints3D | Markers3D, truth: Motion, body: BodyModel) -> Metrics:
-    """The data as it is, without any reconstruction; None where it says nothing."""
+    """Errors of the data themselves; None where they tell no joints."""
     exact = simulate.exact(seen, truth, body)
     errors = observed_errors(ObservedPoints(seen.positions, exact, seen.visible))
     metrics: Metrics = {"observed_visible": errors["observed_visible"]}

@@ -252,7 +252,7 @@ def refine(
     """
     if ground not in ("known", "unknown"):
         raise ReconError(f"ground: expected known or unknown, got {ground!r}")
-    # reading estimates loads scipy, which other fits need not wait for
+    # only estimates need scipy
     from recon.api.estimates import LEAST_FRAMES, estimate_given
     from recon.diagnosis.estimates import believed
 
@@ -272,7 +272,7 @@ def refine(
 
 
 def _refuse_others(path: Path, options: ReadOptions, start: object) -> None:
-    """Refuse options that an estimate of a motion does not heed."""
+    """Refuse options that have no effect on an estimate of a motion."""
     heeded = ("frame_rate", "up", "person")
     given = [name for name in options.given() if name not in heeded]
     given += [] if start is None else ["start"]
@@ -285,7 +285,7 @@ def _refuse_others(path: Path, options: ReadOptions, start: object) -> None:
 def _noises(
     given: float | Sequence[float | None] | Mapping[str, float | None] | None, clip: Clip
 ) -> tuple[float | None, ...]:
-    """One for every observation; empty where all are estimated."""
+    """A standard deviation for every observation; empty where all are estimated."""
     if given is None:
         return ()
     if isinstance(given, Mapping):
@@ -337,7 +337,7 @@ def _stopped(stopper: Stopper | None) -> Finding | None:
 
 
 def _plain(options: FitOptions) -> dict[str, Any]:
-    """Options as a report holds them."""
+    """Options in plain values, for a report."""
     prior, shape, expected = options.prior, options.shape, options.shape_prior
     return {
         "prior": prior if isinstance(prior, str) else type(prior).__name__,

@@ -1,4 +1,4 @@
-"""Motions and bodies as callers give them: records, results, files, arrays."""
+"""Arguments that name a motion, body, shape or prior: records, results, files or arrays."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -166,7 +166,7 @@ class Shape:
 def shape_known(
     given: "ShapeLike | Shape | float | None", body: BodyModel
 ) -> tuple[Float[Tensor, " shape"] | None, ShapePrior | None]:
-    """What a fit holds, or what it heeds beside the data; one of them at most.
+    """Shape coefficients that a fit holds, or a prior over them; one of the two at most.
 
     Raises:
         FileNotFoundError: when there is no such motion file.
@@ -182,7 +182,7 @@ def shape_known(
 
 
 def shape_given(given: ShapeLike, body: BodyModel) -> Float[Tensor, " shape"]:
-    """Shape coefficients of the body, those that are missing at the end zero.
+    """Shape coefficients of the body; missing trailing ones are zero.
 
     Raises:
         FileNotFoundError: when there is no such motion file.
@@ -208,7 +208,7 @@ def shape_name(given: ShapeLike) -> str:
 
 
 def prior_of(given: Any, weights: str, method: str | None = None) -> str | PriorLike:
-    """A name or place whose class is there, or a prior that is loaded.
+    """The prior that an argument names, checked: a name or place whose class exists, or an object.
 
     Args:
         given: a registered name (ours are humor, pose, anchor and recording), a place
