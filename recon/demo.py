@@ -19,7 +19,8 @@ from recon.formats.motions import load_motion, save_motion
 from recon.formats.outputs import Kind, Output
 from recon.formats.reports import versions
 from recon.formats.writing import writing, writing_file
-from recon.method.reconstruction import Method, Reconstruction, solve
+from recon.method.priors import Prior
+from recon.method.reconstruction import Reconstruction, solve
 from recon.metrics.evaluation import (
     ObservedPoints,
     evaluate,
@@ -106,7 +107,7 @@ def _demo(out: Path) -> dict[str, dict[str, Metrics]]:
         see = simulate.joints3d if case.sensor == "joints3d" else simulate.markers3d
         seen = see(truth, body, case.corruption, SEED)
         noise = estimate_noise(seen.positions, seen.visible)
-        methods: dict[str, Method] = {
+        methods: dict[str, Prior] = {
             "pose prior": PosePrior.load(weights=PoseWeights.for_noise(noise)),
             "HuMoR": Collocation.for_noise(humor, noise),
         }

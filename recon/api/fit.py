@@ -30,10 +30,11 @@ from recon.core.limits import FRAME_RATE
 from recon.core.motion import Motion
 from recon.core.units import Axis
 from recon.diagnosis.findings import Finding
-from recon.fitting.methods import FitOptions, PriorObject, traits
+from recon.fitting.methods import FitOptions, asked
 from recon.fitting.observed import Clip
 from recon.fitting.settings import ReadOptions
 from recon.formats.foreign import is_estimate
+from recon.method.priors import PriorLike
 from recon.method.stages import Watch
 from recon.method.terms import Term
 
@@ -42,7 +43,7 @@ _LOG = logging.getLogger("recon")
 
 def fit(
     observations: ObservationsLike,
-    prior: str | PriorObject = "humor",
+    prior: str | PriorLike = "humor",
     *,
     weights: str = "open",
     method: str | None = None,
@@ -176,7 +177,7 @@ def fit(
 
 
 def complete(
-    observations: ObservationsLike, prior: str | PriorObject = "recording", **how: Any
+    observations: ObservationsLike, prior: str | PriorLike = "recording", **how: Any
 ) -> Result:
     """Complete a recording of which little was seen, of any length and any motion.
 
@@ -203,7 +204,7 @@ def complete(
             for one cycle, what was seen does not last as long as one.
         FileNotFoundError: when there is no such file, body or weights.
     """
-    if not traits(prior).completes:
+    if not asked(prior, "completes"):
         raise ReconError(
             f"`complete` is `fit` with the priors recording and anchor; for {prior}, run "
             f"`recon fit --prior {prior}`"
@@ -213,7 +214,7 @@ def complete(
 
 def refine(
     motion: MotionLike,
-    prior: str | PriorObject = "humor",
+    prior: str | PriorLike = "humor",
     *,
     body: BodyLike = None,
     shape: ShapeLike | None = None,
