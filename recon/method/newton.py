@@ -13,7 +13,7 @@ from recon.core import rotations as so3
 from recon.core.camera import transform
 from recon.core.motion import Motion
 from recon.method.protocols import REFERENCE_FPS, Estimate
-from recon.method.quadratic import FRAME, ClipModel, Framewise, OfScene, PointSensor
+from recon.method.quadratic import FRAME, ClipModel, OfScene, PointSensor
 from recon.method.stages import Stage
 from recon.method.terms import (
     Term,
@@ -44,7 +44,7 @@ def hessians(
     """
     prior = stage.prior
     known = any(is_pointwise(term.energy) for term in stage.terms)
-    if not isinstance(prior, Framewise) or not known or estimate.motion.frames < 2:
+    if prior.reach == 0 or not known or estimate.motion.frames < 2:
         return None
     found: list[Banded] = []
     for clip in range(len(estimate.motion.translation)):
@@ -162,7 +162,7 @@ class Local:
     @classmethod
     def about(cls, stage: Stage[Any], body: BodyModel, unknowns: Unknowns[Any]) -> "Local | None":
         """The stage about unknowns; None where no Hessian of it is known."""
-        if not isinstance(stage.prior, Framewise) or not stage.free >= _FRAMED:
+        if stage.prior.reach == 0 or not stage.free >= _FRAMED:
             return None
         if stage.portion is not None:
             return None

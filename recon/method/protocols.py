@@ -1,8 +1,9 @@
-"""The seams: what a prior and an energy are to the rest of the library; see `sensor` as well."""
+"""The seams: what an estimate, an energy and an observation are to the rest of the library."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol, runtime_checkable
+from importlib import import_module
+from typing import Any
 
 from jaxtyping import Float
 from torch import Tensor
@@ -10,7 +11,6 @@ from torch import Tensor
 from recon.body.model import BodyModel, PosedBody
 from recon.core.motion import Motion
 from recon.core.scene import Scene
-from recon.core.struct import S
 
 REFERENCE_FPS = 30.0
 """Published weights multiply sums over frames at this rate; sums at other rates are scaled."""
@@ -61,49 +61,17 @@ Energy = Callable[[Estimate], Float[Tensor, "*batch"]]
 """One unweighted number per clip, in physical units; depends on no other clip of the batch."""
 
 
-@runtime_checkable
-class Prior(Protocol[S]):
-    """A change of variables with a density over them."""
-
-    def encode(self, motion: Motion) -> S:
-        """Variables of the motion nearest to the given one; axes (clips, ...)."""
-        ...
-
-    def decode(self, variables: S) -> Decoded:
-        """The motion of the variables, and the parts of -log p of the variables."""
-        ...
-
-
-@runtime_checkable
-class Density(Protocol):
-    """What a method believes of a motion without data, as residuals of unit variance.
-
-    -log p = ½ Σ |z|² + ½ acceleration Σ |second difference of a joint|² + ½ shape |betas|²,
-    sums over frames at 30 Hz.
-    """
-
-    @property
-    def acceleration(self) -> float:
-        """Inverse variance of a joint coordinate's second differences at 30 Hz, 1 / metres²."""
-        ...
-
-    @property
-    def shape(self) -> float:
-        """Inverse variance of a shape coefficient, for every frame."""
-        ...
-
-    def by_rotations(self, motion: Motion) -> Float[Tensor, "*batch time coordinates 63"]:
-        """Derivatives of a pose's coordinates of unit variance by the joints' rotation steps.
-
-        The steps are those of all joints but the root, R_j Exp(w_j), radians.
-        """
-        ...
+_FORMER = {
+    "Prior": "recon.method.priors",
+    "Sensor": "recon.method.sensor",
+    "Observation": "recon.method.sensor",
+}
+"""Names that were here in version 0.2, with the modules where they are now."""
 
 
 def __getattr__(name: str) -> Any:
-    """Sensors' class under the names that plug-ins of 0.2.0 import from here."""
-    if name in ("Sensor", "Observation"):
-        from recon.method.sensor import Sensor
-
-        return Sensor
+    """Names that plug-ins of version 0.2 import from here; an `Observation` is a `Sensor`."""
+    if name in _FORMER:
+        found = "Sensor" if name == "Observation" else name
+        return getattr(import_module(_FORMER[name]), found)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
