@@ -6,7 +6,7 @@ what the duration of the cycle is, they tell as well.
 """
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any
 
 import torch
 from jaxtyping import Bool, Float
@@ -21,8 +21,10 @@ from recon.core.errors import ReconError
 from recon.core.motion import Motion
 from recon.core.struct import TensorStruct, stack
 from recon.method.plugins import imported
-from recon.method.priors import CycleMethod, Traits
+from recon.method.priors import CyclePrior
 from recon.method.protocols import Decoded
+from recon.method.stages import Stage
+from recon.method.terms import Term
 
 MODES = 16
 """Cosines of time that details may have."""
@@ -67,10 +69,9 @@ class AnchorVariables(TensorStruct):
 
 
 @dataclass(frozen=True)
-class AnchorFrames:
+class AnchorFrames(CyclePrior[AnchorVariables]):
     """The prior of whole gait cycles: a normal distribution of codes, and small, slow details."""
 
-    traits: ClassVar[Traits] = Traits(completes=True)
     weights: AnchorWeights
     body: BodyModel
 
@@ -112,9 +113,20 @@ class AnchorFrames:
         rows = self.weights.networks.decode(self.typical, shape.expand(len(self.typical), -1))
         return rows[..., -4:-1] + rest_pelvis(self.body, shape)
 
-    def cycle_method(self, noise: float, *, detailed: bool) -> CycleMethod:
-        """A method for observations whose coordinates are off by about `noise` metres."""
-        return imported("priors.anchor.fit:AnchorFit", "method")(self, noise, detailed=detailed)
+    def search(self, data: tuple[Term, ...], noise: float) -> tuple[Stage[Any], ...]:
+        """A quick fit that tells good beginnings from bad ones."""
+        return self._fit(noise).search(data)
+
+    def coded(self, data: tuple[Term, ...], noise: float) -> tuple[Stage[Any], ...]:
+        """The code, then the body as well."""
+        return self._fit(noise).coded(data)
+
+    def details(self, data: tuple[Term, ...], noise: float) -> tuple[Stage[Any], ...]:
+        """The last stage, where data are dense: details that codes cannot express."""
+        return self._fit(noise).details(data)
+
+    def _fit(self, noise: float) -> Any:
+        return imported("priors.anchor.fit:AnchorFit", "method")(self, noise)
 
     def encode(self, motion: Motion) -> AnchorVariables:
         """The code of each clip, taken as one cycle from its first to its last frame.

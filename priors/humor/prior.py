@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import torch
 from jaxtyping import Bool, Float
@@ -35,8 +35,10 @@ from recon.core import rotations as so3
 from recon.core.motion import Motion, carried_translation
 from recon.core.struct import TensorStruct
 from recon.method.plugins import imported
+from recon.method.priors import USUAL_NOISE, Prior
 from recon.method.protocols import REFERENCE_FPS, Decoded
-from recon.method.reconstruction import Method
+from recon.method.stages import Stage
+from recon.method.terms import Term
 
 if TYPE_CHECKING:
     from priors.humor.live import LiveSteps
@@ -95,7 +97,7 @@ class HumorVariables(TensorStruct):
 
 
 @dataclass(frozen=True, eq=False)
-class Humor:
+class Humor(Prior[HumorVariables]):
     """Rempe et al., ICCV 2021: p(x_0) Π p(z_t | x_(t-1)), x_t = decoder(z_t, x_(t-1)).
 
     `decode(encode(m))` is near m but not m: the posterior's means say what the network can say.
@@ -152,13 +154,17 @@ class Humor:
         assert whitening is not None
         return cls(networks.requires_grad_(False), initial, body, whitening)
 
-    def method(self, noise: float, body: BodyModel, name: str | None = None) -> Method:
-        """One of the `methods`, for observations whose coordinates are off by `noise` metres.
-
-        None is `collocation`, all frames at once; `rollout` moves a first state and latents.
-        """
-        kind = imported(_METHODS[self.methods[0] if name is None else name], "method")
-        return kind.for_noise(self.like(body.template), noise)
+    def stages(
+        self,
+        data: tuple[Term, ...],
+        noise: float = USUAL_NOISE,
+        body: BodyModel | None = None,
+        method: str | None = None,
+    ) -> tuple[Stage[Any], ...]:
+        """All frames at once by `collocation`; `rollout` moves a first state and latents."""
+        kind = imported(_METHODS[self.methods[0] if method is None else method], "method")
+        humor = self if body is None else self.like(body.template)
+        return kind.for_noise(humor, noise).stages(data)
 
     def live(self, noise: float) -> "LiveSteps":
         """The energies of steps for a stream whose points are off by `noise` metres."""

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from jaxtyping import Float
@@ -18,8 +18,10 @@ from priors.humor.terms import (
     joint_consistency,
 )
 from priors.pose.prior import PosePrior, PoseWeights
-from recon.method.protocols import Energy, Estimate
-from recon.method.reconstruction import Method
+from recon.body.model import BodyModel
+from recon.core.motion import Motion
+from recon.method.priors import USUAL_NOISE, Prior
+from recon.method.protocols import Decoded, Energy, Estimate
 from recon.method.stages import Stage
 from recon.method.terms import Term, ground_moved, prior_energy, shape
 from recon.solver.lbfgs import LBFGS
@@ -111,7 +113,7 @@ _AS_PUBLISHED = MappingProxyType({"metres": 1.0, "pixels": 0.002})
 
 
 @dataclass(frozen=True, eq=False)
-class Shooting:
+class Shooting(Prior[HumorVariables]):
     """The motion is what the decoder makes of a first state and latents, which are moved.
 
     The shape is moved with them, and so is the ground where it is not known. The first state has
@@ -120,10 +122,11 @@ class Shooting:
     (section 6.8).
     """
 
-    prior: Humor
+    level: ClassVar[bool] = True
+    humor: Humor
     weights: HumorWeights = field(default_factory=HumorWeights.published_joints)
     schedule: Schedule = field(default_factory=Schedule)
-    start: Method = field(default_factory=PosePrior.load)
+    start: Prior[Any] = field(default_factory=PosePrior.load)
     """Finds the motion from which first state and latents are encoded."""
     data_weights: Mapping[str, float] | None = None
     """Weights of observations by their unit, instead of those of the fit."""
@@ -159,11 +162,26 @@ class Shooting:
         """The publication's fit to the keypoints and the depth of one camera."""
         return _published(humor, HumorWeights.published_depth(), PoseWeights.published_depth())
 
-    def stages(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
+    def encode(self, motion: Motion) -> HumorVariables:
+        """First state and latents; see `Humor.encode`."""
+        return self.humor.encode(motion)
+
+    def decode(self, variables: HumorVariables) -> Decoded:
+        """The motion of a first state and latents; see `Humor.decode`."""
+        return self.humor.decode(variables)
+
+    def stages(
+        self,
+        data: tuple[Term, ...],
+        noise: float = USUAL_NOISE,
+        body: BodyModel | None = None,
+        method: str | None = None,
+    ) -> tuple[Stage[Any], ...]:
         """The start, the first 15 frames, all latents (the first state held), and then all.
 
         Contacts count in the first and the last phase. Phases without iterations are left out.
         """
+        del noise, body, method  # its weights are chosen
         if self.data_weights is not None:
             data = tuple(_weighted(term, self.data_weights) for term in data)
         return (*self.start.stages(data), *self._phases(data))
@@ -198,7 +216,7 @@ class Shooting:
                 tolerance_decrease=schedule.tolerance,
                 scale=schedule.scale,
             )
-            found: Stage[Any] = Stage(name, self.prior, terms, free, minimiser, portion)
+            found: Stage[Any] = Stage(name, self.humor, terms, free, minimiser, portion)
             return (found,) if iterations > 0 else ()
 
         return (

@@ -17,6 +17,7 @@ from priors.humos.frames import BodyFrames
 from priors.humos.prior import FPS, Humos, HumosVariables, frames_at_rate
 from priors.pose.prior import PosePrior, PoseVariables, PoseWeights
 from recon.core.motion import Motion
+from recon.method.priors import Prior
 from recon.method.protocols import Decoded
 from recon.method.stages import Stage
 from recon.method.terms import Term, joint_acceleration, prior_energy, shape
@@ -61,7 +62,7 @@ class WholeWeights:
 
 
 @dataclass(frozen=True, eq=False)
-class CollocatedHumos:
+class CollocatedHumos(Prior[PoseVariables]):
     """The HUMOS density of a whole motion, over the variables of the pose prior."""
 
     humos: Humos
@@ -154,7 +155,7 @@ _DETAILS = _CODES | {"bend", "shift"}
 
 
 @dataclass(frozen=True, eq=False)
-class HumosCodes:
+class HumosCodes(Prior[HumosVariables]):
     """The prior where a first guess is noisy: it gives codes, and no details."""
 
     humos: Humos

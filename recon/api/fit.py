@@ -30,10 +30,11 @@ from recon.core.limits import FRAME_RATE
 from recon.core.motion import Motion
 from recon.core.units import Axis
 from recon.diagnosis.findings import Finding
-from recon.fitting.methods import FitOptions, PriorObject, traits
+from recon.fitting.methods import FitOptions, asked
 from recon.fitting.observed import Clip
 from recon.fitting.settings import ReadOptions
 from recon.formats.foreign import is_estimate
+from recon.method.priors import PriorLike
 from recon.method.stages import Watch
 from recon.method.terms import Term
 
@@ -42,7 +43,7 @@ _LOG = logging.getLogger("recon")
 
 def fit(
     observations: ObservationsLike,
-    prior: str | PriorObject = "humor",
+    prior: str | PriorLike = "humor",
     *,
     weights: str = "open",
     method: str | None = None,
@@ -176,7 +177,7 @@ def fit(
 
 
 def complete(
-    observations: ObservationsLike, prior: str | PriorObject = "recording", **how: Any
+    observations: ObservationsLike, prior: str | PriorLike = "recording", **how: Any
 ) -> Result:
     """Complete a recording of which little was seen, of any length and any motion.
 
@@ -203,7 +204,7 @@ def complete(
             for one cycle, what was seen does not last as long as one.
         FileNotFoundError: when there is no such file, body or weights.
     """
-    if not traits(prior).completes:
+    if not asked(prior, "completes"):
         raise ReconError(
             f"`complete` is `fit` with the priors recording and anchor; for {prior}, run "
             f"`recon fit --prior {prior}`"
@@ -213,7 +214,7 @@ def complete(
 
 def refine(
     motion: MotionLike,
-    prior: str | PriorObject = "humor",
+    prior: str | PriorLike = "humor",
     *,
     body: BodyLike = None,
     shape: ShapeLike | None = None,
@@ -251,7 +252,7 @@ def refine(
     """
     if ground not in ("known", "unknown"):
         raise ReconError(f"ground: expected known or unknown, got {ground!r}")
-    # reading estimates loads scipy, which other fits need not wait for
+    # only estimates need scipy
     from recon.api.estimates import LEAST_FRAMES, estimate_given
     from recon.diagnosis.estimates import believed
 
@@ -271,7 +272,7 @@ def refine(
 
 
 def _refuse_others(path: Path, options: ReadOptions, start: object) -> None:
-    """Refuse options that an estimate of a motion does not heed."""
+    """Refuse options that have no effect on an estimate of a motion."""
     heeded = ("frame_rate", "up", "person")
     given = [name for name in options.given() if name not in heeded]
     given += [] if start is None else ["start"]
@@ -284,7 +285,7 @@ def _refuse_others(path: Path, options: ReadOptions, start: object) -> None:
 def _noises(
     given: float | Sequence[float | None] | Mapping[str, float | None] | None, clip: Clip
 ) -> tuple[float | None, ...]:
-    """One for every observation; empty where all are estimated."""
+    """A standard deviation for every observation; empty where all are estimated."""
     if given is None:
         return ()
     if isinstance(given, Mapping):
@@ -336,7 +337,7 @@ def _stopped(stopper: Stopper | None) -> Finding | None:
 
 
 def _plain(options: FitOptions) -> dict[str, Any]:
-    """Options as a report holds them."""
+    """Options in plain values, for a report."""
     prior, shape, expected = options.prior, options.shape, options.shape_prior
     return {
         "prior": prior if isinstance(prior, str) else type(prior).__name__,

@@ -1,4 +1,4 @@
-"""What the caller observed as one clip: one leading axis, one precision, one frame, names."""
+"""Observations of a caller as one clip: one batch axis, one precision, one frame, with names."""
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -26,7 +26,7 @@ GroundChoice = Literal["auto", "known", "unknown"] | Plane | None
 
 @dataclass(frozen=True)
 class Sighting:
-    """A clip as it is fitted."""
+    """A clip in the frame in which it is fitted."""
 
     clip: Clip
     T_recording_given: Float[np.ndarray, "4 4"] | None = None
@@ -62,7 +62,7 @@ def clip_of(given: Any, body: BodyModel) -> Clip:
 
 
 def on_ground(clip: Clip, ground: Any) -> Sighting:
-    """The clip with what the caller knows about the ground.
+    """The clip in a frame that agrees with what the caller knows about the ground.
 
     A camera whose pose is the identity has none: the recording's frame is its own, and the ground
     is searched from that of a level camera, whose frame is kept where there is no ground.

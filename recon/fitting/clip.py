@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -22,11 +23,18 @@ from recon.core.struct import concatenate
 from recon.fitting.fitted import ClipFit
 from recon.fitting.ground import ground_below, pelvis_path, sole_heights, upright_ground
 from recon.fitting.guess import guessed
-from recon.fitting.methods import FitOptions, WithoutRoot, WithScene, WithSizeHeld, method_of
+from recon.fitting.methods import FitOptions
+from recon.fitting.stages import (
+    prior_stages,
+    shape_found_once,
+    shape_held,
+    with_scene,
+    with_shape_terms,
+    without_root,
+)
 from recon.method.protocols import Sensor
-from recon.method.reconstruction import Method, Reconstruction, solve
-from recon.method.shape_prior import WithShape
-from recon.method.stages import Compared, Watch
+from recon.method.reconstruction import Reconstruction, solve
+from recon.method.stages import Compared, Stage, Stages, Watch
 from recon.method.terms import Term, ground_moved, lens_changed, offsets
 
 _BALLS = tuple(joint_index(f"{side}_foot") for side in ("left", "right"))
@@ -203,19 +211,12 @@ class ClipProblem:
         known = self.options
         return replace(ROUGH, shape=known.shape, shape_prior=known.shape_prior)
 
-    def method(self, options: FitOptions, moved: frozenset[str]) -> Method:
+    def stages(self, options: FitOptions, moved: frozenset[str]) -> Stages:
         """The prior's stages with what is known of the shape, the scene and further terms."""
         noise = min(noise.metres for noise in self.noises)
-        method = method_of(options, noise, self.body)
-        if options.shape is not None:
-            # the windows of long recordings hold a shape, too
-            from recon.fitting.long import OneShape
-
-            method = OneShape(method)
-        elif options.shape_prior is not None:
-            method = WithShape(method, options.shape_prior.terms(self.body, noise))
-        elif self.one_view:
-            method = WithSizeHeld(method)
+        prior = prior_stages(options, noise, self.body)
+        known = options.shape_prior
+        of_shape = () if known is None else known.terms(self.body, noise)
         terms = options.terms
         if moved >= OFFSETS:
             weight = (noise * OFFSET_UNIT / KEYPOINT_OFFSET_DEVIATION) ** 2
@@ -224,8 +225,19 @@ class ClipProblem:
             terms = (*terms, Term("lens", lens_changed, (noise / LENS_DEVIATION) ** 2))
         if moved >= GROUND and self.ground_seen:
             terms = (*terms, Term("ground", ground_moved, (noise / GROUND_DEVIATION) ** 2))
-        method = WithScene(method, moved, terms) if moved or terms else method
-        return method if self.guess.distance_known else WithoutRoot(method)
+
+        def rewritten(data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
+            stages = prior(data)
+            if options.shape is not None:
+                stages = shape_held(stages)
+            elif known is not None:
+                stages = with_shape_terms(stages, of_shape)
+            elif self.one_view:
+                stages = shape_found_once(stages)
+            stages = with_scene(stages, moved, terms)
+            return stages if self.guess.distance_known else without_root(stages)
+
+        return rewritten
 
     def fit(
         self, options: FitOptions, scene: Scene, start: Motion, moved: frozenset[str]
@@ -246,7 +258,7 @@ class ClipProblem:
             scene, moved = first.fit(options, scene, shorter, moved).estimate.scene, frozenset()
         return run(
             self.observations,
-            self.method(options, moved),
+            self.stages(options, moved),
             self.body,
             scene=scene,
             start=start,
@@ -269,7 +281,7 @@ class ClipProblem:
         starts = [one.resample(one.fps / 2) for one in (shown.guess.motion, *shown.guess.others)]
         found = solve(
             rough,
-            self.method(self.rough, frozenset()),
+            self.stages(self.rough, frozenset()),
             self.body,
             start=starts[0],
             others=starts[1:],

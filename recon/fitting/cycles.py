@@ -24,7 +24,7 @@ from recon.core.scene import OFFSETS, Scene
 from recon.core.struct import concatenate
 from recon.fitting.fitted import ClipFit
 from recon.fitting.methods import FitOptions, loaded
-from recon.method.priors import CycleMethod, CyclePrior
+from recon.method.priors import CyclePrior
 from recon.method.protocols import REFERENCE_FPS, Sensor
 from recon.method.reconstruction import Reconstruction
 from recon.method.running import Hypotheses, rank, run_hypotheses
@@ -114,7 +114,7 @@ def seen_from_to(one: InSpace) -> tuple[Float[Tensor, " clips"], Float[Tensor, "
 
 
 def typical_cycles(
-    prior: CyclePrior,
+    prior: CyclePrior[Any],
     observations: Sequence[InSpace],
     clock: CycleClock,
     shape: Float[Tensor, " shape"],
@@ -238,9 +238,7 @@ def complete(
     seen, rows = _with_offsets(tuple(o.thinned(FITTED) for o in seen))
     noises = tuple(cycle_noise(o, options.noise_of(row)) for row, o in enumerate(seen))
     dense = any(_fullest(o) >= DENSE for o in kinds.clouds(seen))
-    noise = min(one.metres for one in noises)
-    method = prior.cycle_method(noise, detailed=dense)
-    return _Completion(seen, noises, method, CycleClock.of(seen), rows).fitted(body, watch)
+    return _Completion(seen, noises, prior, dense, CycleClock.of(seen), rows).fitted(body, watch)
 
 
 @dataclass(frozen=True)
@@ -249,19 +247,21 @@ class _Completion:
 
     observations: tuple[InSpace, ...]
     noises: tuple[Noise, ...]
-    method: CycleMethod
+    prior: CyclePrior[Any]
+    dense: bool
+    """Whether data are dense enough to tell what no code has."""
     clock: CycleClock
     offsets: int
     """Tracked points whose offset from the model is unknown."""
 
     def fitted(self, body: BodyModel, watch: Watch | None) -> ClipFit:
         """The best fit of every clip."""
-        prior, step = self.method.prior, self._rough_step
+        prior, step, noise = self.prior, self._rough_step, self.noise
         seen = [
             _rough(o, max(round(o.fps / self.clock.fps * step), 1), body)
             for o in self.observations
         ]
-        search = self.method.search(self._data(seen))
+        search = prior.search(self._data(seen), noise)
         ranking, portion = search[0].terms, partial(_thinned, step=step)
         search = [replace(stage, portion=portion, ranking=ranking) for stage in search]
         shape = prior.typical.new_zeros(body.shape_size)
@@ -269,7 +269,8 @@ class _Completion:
         every = torch.arange(len(began.unknowns.variables.latent)).split(_AT_ONCE)
         value = torch.cat([rank(search[0], began.rows(some), body) for some in every])
         data = self._data(self.observations)
-        coded, details = self.method.coded(data), self.method.details(data)
+        coded = prior.coded(data, noise)
+        details = prior.details(data, noise) if self.dense else ()
         stages = (
             *_keeping(search, KEPT),
             *_keeping([replace(stage, ranking=ranking) for stage in self._moving(coded)], 1),
@@ -279,6 +280,11 @@ class _Completion:
         T = torch.eye(4).expand(len(self.clock.valid), 4, 4)
         result = Reconstruction(found.estimate(body), tuple(reports))
         return ClipFit(result, self.noises, True, T, self.observations)
+
+    @property
+    def noise(self) -> float:
+        """Metres by which the least noisy observation is off."""
+        return min(one.metres for one in self.noises)
 
     @property
     def _rough_step(self) -> int:
@@ -296,7 +302,7 @@ class _Completion:
         """The stages with offsets of markers, from the one in which they are near the body."""
         if self.offsets == 0:
             return list(stages)
-        held = Term("offsets", offsets, (self.method.noise / MARKER_OFFSET_DEVIATION) ** 2)
+        held = Term("offsets", offsets, (self.noise / MARKER_OFFSET_DEVIATION) ** 2)
         return [
             replace(stage, terms=(*stage.terms, held), free=stage.free | OFFSETS)
             if "shape" in stage.free

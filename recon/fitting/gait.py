@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -68,7 +69,7 @@ def stretches(cycles: Sequence[Cycle]) -> tuple[tuple[Cycle, ...], ...]:
 class CycleData:
     """What cycles of a first fit are completed from."""
 
-    prior: CyclePrior
+    prior: CyclePrior[Any]
     observations: Sequence[InSpace]
     noises: Sequence[Noise]
     body: BodyModel
@@ -87,7 +88,7 @@ class CycleData:
         frames = max(round(cycle.duration * motion.fps), 2) + 1
         part = cycle.of(motion, frames).replace(start_time=0.0).map(lambda tensor: tensor[None])
         scene = Scene.create(1, like=motion.translation)
-        stage = self.prior.cycle_method(noise, detailed=False).coded(data)[-1]
+        stage = self.prior.coded(data, noise)[-1]
         with torch.no_grad():
             began = Hypotheses(self.prior, Unknowns(self.prior.encode(part), scene))
         found, _ = run_hypotheses([replace(stage, free=stage.free - {"shape"})], self.body, began)

@@ -35,9 +35,8 @@ from recon.fitting.cycles import (
 from recon.fitting.fitted import ClipFit, Stretch
 from recon.fitting.gait import CompletedCycle, CycleData, stretches, told_by_cycles
 from recon.fitting.methods import FitOptions, loaded
-from recon.method.priors import CyclePrior, NoisyPrior, Traits
+from recon.method.priors import CyclePrior
 from recon.method.protocols import Sensor
-from recon.method.reconstruction import Method
 from recon.method.stages import Watch
 
 FEW = 12.0
@@ -56,7 +55,7 @@ _LEAST = 0.05
 class WholeRecording:
     """What completes a recording: a prior of any motion, and one of cycles of gait."""
 
-    traits: ClassVar[Traits] = Traits(completes=True)
+    completes: ClassVar[bool] = True
     steps: str = "humor"
     """Prior of any motion, by its name."""
     cycles: str | None = "anchor"
@@ -80,12 +79,6 @@ class WholeRecording:
                 f"{weights}; give a file with --prior anchor, or a WholeRecording"
             )
         return cls(weights=weights, cycle_weights=weights)
-
-    def method(self, noise: float, body: BodyModel) -> Method:
-        """How any motion is fitted."""
-        prior = loaded(self.steps, self.weights, body)
-        assert isinstance(prior, NoisyPrior)
-        return prior.method(noise, body)
 
 
 def complete_recording(

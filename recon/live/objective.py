@@ -87,7 +87,7 @@ _BEND = (1.0, -2.0, 1.0)
 
 @runtime_checkable
 class StepEnergies(Protocol):
-    """Energies of a prior over steps between frames, such as `priors.humor.live`."""
+    """What a prior's `live(noise)` gives, energies for steps of frames: `priors.humor.live`."""
 
     reach: ClassVar[int]
     """Frames so far apart are in one energy."""
@@ -109,15 +109,6 @@ class StepEnergies(Protocol):
         of_joints: Float[Tensor, "time some 66"],
     ) -> None:
         """Add the Hessian by the variables of all frames, and by the joints' coordinates."""
-        ...
-
-
-@runtime_checkable
-class LivePrior(Protocol):
-    """A prior that a stream can have beside the density of poses."""
-
-    def live(self, noise: float) -> StepEnergies:
-        """Its energies beside points of a standard deviation of `noise` metres a coordinate."""
         ...
 
 

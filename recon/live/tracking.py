@@ -21,8 +21,9 @@ from recon.diagnosis.findings import Finding
 from recon.fitting.clip import fit_clip
 from recon.fitting.methods import FitOptions
 from recon.live.moments import Door, Moment
-from recon.live.objective import LivePrior, Objective, Window
+from recon.live.objective import Objective, Window
 from recon.live.smoother import ShapeKnowledge, Smoothed
+from recon.method.priors import USUAL_NOISE, Prior
 from recon.method.stages import Stage
 from recon.method.terms import Term
 
@@ -65,11 +66,17 @@ class LiveEstimate:
 class _FirstPoses(PosePrior):
     """The pose prior, minimised for a short while."""
 
-    def stages(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
+    def stages(
+        self,
+        data: tuple[Term, ...],
+        noise: float = USUAL_NOISE,
+        body: BodyModel | None = None,
+        method: str | None = None,
+    ) -> tuple[Stage[Any], ...]:
         """The root first, then all."""
         return tuple(
             replace(stage, minimiser=replace(stage.minimiser, max_iterations=_ITERATIONS))
-            for stage in super().stages(data)
+            for stage in super().stages(data, noise, body, method)
         )
 
 
@@ -89,7 +96,7 @@ def begin(
     person: Person,
     body: BodyModel,
     poses: PosePrior,
-    prior: LivePrior | None,
+    prior: Prior[Any] | None,
 ) -> Smoothed:
     """A window of these moments, each one frame after the other, fitted under the pose prior.
 
@@ -100,7 +107,7 @@ def begin(
     for moment in moments[1:]:
         seen = [joined(a, b) for a, b in zip(seen, moment.seen, strict=True)]
     seen = [one.derived(start_time=0.0) for one in seen]
-    first = _FirstPoses(poses.density, poses.weights)
+    first = _FirstPoses(poses.density, poses.weighed)
     options = FitOptions(prior=first, noise=noise, shape=person.shape)
     batch: Any = [one[None] for one in seen]
     with torch.enable_grad():
@@ -164,7 +171,7 @@ class Tracking:
     person: Person
     body: BodyModel
     poses: PosePrior
-    prior: LivePrior | None = None
+    prior: Prior[Any] | None = None
     """The prior over steps, beside the density of poses."""
     gathered: list[Moment] = field(default_factory=list)
     """Moments before the first motion, or those that lie astray."""

@@ -13,7 +13,6 @@ the border, too.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float, Int
@@ -33,7 +32,8 @@ from recon.method.derivatives import (
     add_stance,
     deviation,
 )
-from recon.method.protocols import REFERENCE_FPS, Density, Estimate, Sensor
+from recon.method.priors import Density
+from recon.method.protocols import REFERENCE_FPS, Estimate, Sensor
 from recon.solver.banded import Banded, Factor, Inverse, add_differences
 
 _LEAST = 0.1
@@ -47,15 +47,6 @@ that counts for every frame would be ever surer."""
 _CHUNK_FRAMES = 150
 """Frames that are looked at together; longer motions are cut, and cuts overlap."""
 _OVERLAP = 15
-
-
-@runtime_checkable
-class Believing(Protocol):
-    """A prior that says how likely motions are, as a density that has a curvature."""
-
-    def belief(self, noise: float) -> Density:
-        """The density that the prior's weights stand for beside data of this noise, metres."""
-        ...
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from recon.core import rotations as so3
 from recon.core.camera import transform
 from recon.core.motion import Motion
 from recon.method.protocols import REFERENCE_FPS, Estimate
-from recon.method.quadratic import FRAME, ClipModel, Framewise, OfScene, PointSensor
+from recon.method.quadratic import FRAME, ClipModel, OfScene, PointSensor
 from recon.method.stages import Stage
 from recon.method.terms import (
     Term,
@@ -46,7 +46,7 @@ def hessians(
     Raises:
         NoHessian: when nothing is known of the data, or a term's curvature is not known.
     """
-    prior: Any = stage.prior
+    prior = stage.prior
     known = any(is_pointwise(term.energy) for term in stage.terms)
     if not known or estimate.motion.frames < 2:
         raise NoHessian(stage.name)
@@ -173,7 +173,7 @@ class Local(Problem[Unknowns[Any]]):
         Raises:
             NoHessian: when the prior's variables are no steps of frames, or not all are moved.
         """
-        framed = isinstance(stage.prior, Framewise) and stage.free >= _FRAMED
+        framed = stage.prior.reach > 0 and stage.free >= _FRAMED
         if not framed or stage.portion is not None:
             raise NoHessian(stage.name)
         with torch.no_grad():

@@ -1,7 +1,8 @@
-"""The seams: what a prior, an observation and an energy are to the rest of the library."""
+"""The seams: what an estimate, an energy and an observation are to the rest of the library."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from importlib import import_module
 from typing import Any, ClassVar, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
@@ -12,7 +13,6 @@ from recon.body.model import BodyModel, PosedBody
 from recon.core.motion import Motion
 from recon.core.residuals import Noise, Residuals, Unit
 from recon.core.scene import Scene
-from recon.core.struct import S
 
 REFERENCE_FPS = 30.0
 """Published weights multiply sums over frames at this rate; sums at other rates are scaled."""
@@ -66,19 +66,6 @@ Observed = TypeVar("Observed", bound="Sensor")
 
 
 @runtime_checkable
-class Prior(Protocol[S]):
-    """A change of variables with a density over them."""
-
-    def encode(self, motion: Motion) -> S:
-        """Variables of the motion nearest to the given one; axes (clips, ...)."""
-        ...
-
-    def decode(self, variables: S) -> Decoded:
-        """The motion of the variables, and the parts of -log p of the variables."""
-        ...
-
-
-@runtime_checkable
 class Observation(Protocol):
     """Data of one sensor, and the energy that compares them with an estimate."""
 
@@ -104,32 +91,6 @@ class TrackedJoints(Protocol):
 
     def told_joints(self, body: BodyModel) -> Float[Tensor, "*batch 22"]:
         """Share of the moments in which the place of each joint is told."""
-        ...
-
-
-@runtime_checkable
-class Density(Protocol):
-    """What a method believes of a motion without data, as residuals of unit variance.
-
-    -log p = ½ Σ |z|² + ½ acceleration Σ |second difference of a joint|² + ½ shape |betas|²,
-    sums over frames at 30 Hz.
-    """
-
-    @property
-    def acceleration(self) -> float:
-        """Inverse variance of a joint coordinate's second differences at 30 Hz, 1 / metres²."""
-        ...
-
-    @property
-    def shape(self) -> float:
-        """Inverse variance of a shape coefficient, for every frame."""
-        ...
-
-    def by_rotations(self, motion: Motion) -> Float[Tensor, "*batch time coordinates 63"]:
-        """Derivatives of a pose's coordinates of unit variance by the joints' rotation steps.
-
-        The steps are those of all joints but the root, R_j Exp(w_j), radians.
-        """
         ...
 
 
@@ -232,3 +193,10 @@ class Sensor(Observation, Protocol):
     def detach(self: Observed) -> Observed:
         """Cut from the graph that computed it."""
         ...
+
+
+def __getattr__(name: str) -> Any:
+    """`Prior`, which lived here in version 0.2."""
+    if name == "Prior":
+        return import_module("recon.method.priors").Prior
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

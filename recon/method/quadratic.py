@@ -6,7 +6,7 @@ radians, and 63 numbers for the other joints, which the prior chooses.
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, ClassVar, Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
@@ -18,7 +18,6 @@ from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.scene import Scene
 from recon.method.protocols import Estimate
-from recon.method.terms import Term
 from recon.solver.banded import Banded
 
 FRAME = 69
@@ -76,26 +75,6 @@ class OfScene(Protocol):
         ...
 
 
-@runtime_checkable
-class Framewise(Protocol):
-    """A prior whose variables are linear in steps of frames, near the motion they begin at."""
-
-    reach: ClassVar[int]
-    """Frames up to so far apart couple in its terms; at least two, for accelerations."""
-
-    def from_steps(self, variables: Any, steps: Float[Tensor, "clips time 69"]) -> Any:
-        """Variables that differ from the given ones, which are steps of zero, by these steps."""
-        ...
-
-    def turns(self, variables: Any, clip: int) -> Float[Tensor, "time 63 63"]:
-        """Derivatives of the 21 joints' rotations, R Exp(w), by a clip's last 63 steps."""
-        ...
-
-    def add_curvature(self, term: Term, clip: "ClipModel") -> bool:
-        """Add the Gauss-Newton Hessian of a term of the prior; False where it knows of none."""
-        ...
-
-
 @dataclass(frozen=True)
 class ClipModel:
     """One clip of an estimate, its derivatives by steps of frames, and the Hessian so far."""
@@ -105,7 +84,7 @@ class ClipModel:
     clip: int
     """Number of the clip."""
     turn: Float[Tensor, "time 63 63"]
-    """See `Framewise.turns`."""
+    """See `recon.method.priors.Prior.turns`."""
     reach: int
     with_shape: bool
     """Whether the shape is moved as well."""

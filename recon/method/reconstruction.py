@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol, cast, runtime_checkable
+from typing import cast
 
 import torch
 from jaxtyping import Float
@@ -15,21 +15,13 @@ from recon.core.errors import ReconError
 from recon.core.motion import Motion
 from recon.core.scene import Scene
 from recon.core.struct import TensorStruct
+from recon.method.priors import PriorLike, stages_of
 from recon.method.protocols import Estimate, Observation
 from recon.method.running import Hypotheses, run_hypotheses
-from recon.method.stages import Stage, StageReport, Watch
+from recon.method.stages import StageReport, Stages, Watch
 from recon.method.start import Recorded, checked_start
 from recon.method.terms import Term
 from recon.solver.lbfgs import Termination
-
-
-@runtime_checkable
-class Method(Protocol):
-    """How to fit: a prior with the schedule it is fitted by."""
-
-    def stages(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
-        """The minimisations that bring a first guess to the reconstruction."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -100,7 +92,7 @@ class Reconstruction:
 
 def solve(
     observations: Sequence[Observation],
-    prior: Method,
+    prior: PriorLike | Stages,
     body: BodyModel | None = None,
     *,
     start: Motion | None = None,
@@ -109,7 +101,7 @@ def solve(
     weights: Sequence[float] | None = None,
     watch: Watch | None = None,
 ) -> Reconstruction:
-    """The raw core of a fit: the stages of a method, from a start, with the weights given.
+    """The raw core of a fit: the stages of a prior, from a start, with the weights given.
 
     `recon.fit` estimates noise, weights, the first guess and the ground and then calls this; here
     they are the caller's: residuals in pixels and in metres are added as they are weighted.
@@ -119,7 +111,8 @@ def solve(
 
     Args:
         observations: adapters with data inside; the first one gives the first guess.
-        prior: what is likely, and by which stages it is fitted.
+        prior: what is likely, and by which stages it is fitted; or a function that gives the
+            stages for data.
         body: whose motion it is; None is the bundled body.
         start: a first guess to continue from instead, for example the previous chunk's motion; it
             covers the time of an observation.
@@ -137,7 +130,7 @@ def solve(
     recorded = tuple(one for one in data if isinstance(one, Recorded))
     hypotheses = [checked_start(other, recorded, body) for other in others]
     return reconstruct(
-        data, prior, body, start=start, others=hypotheses, scene=scene, weights=weights,
+        data, stages_of(prior), body, start=start, others=hypotheses, scene=scene, weights=weights,
         watch=watch,
     )  # fmt: skip
 
@@ -189,7 +182,7 @@ def admitted(
 
 def reconstruct(
     observations: Sequence[Observation],
-    prior: Method,
+    stages_for: Stages,
     body: BodyModel,
     *,
     start: Motion | None = None,
@@ -210,7 +203,7 @@ def reconstruct(
         Term(f"data {k + 1}" if many else "data", observation, weight)
         for k, (observation, weight) in enumerate(zip(observations, weights, strict=True))
     )
-    stages = prior.stages(data)
+    stages = stages_for(data)
     if others and stages[-1].kept is None:
         stages = (*stages[:-1], replace(stages[-1], kept=1))
     began = Hypotheses.of_motions(stages[0].prior, [start, *others], scene, body)

@@ -15,7 +15,8 @@ from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.scene import Scene
 from recon.core.struct import S, concatenate
-from recon.method.protocols import Estimate, Prior
+from recon.method.priors import Prior
+from recon.method.protocols import Estimate
 from recon.method.stages import Compared, Proposals, Stage, StageReport, Watch
 from recon.method.unknowns import Layout, Unknowns, objective
 from recon.solver.solution import Solution, in_turn

@@ -1,8 +1,8 @@
-"""A method is a tuple of stages: one minimisation each, and what happens around it."""
+"""A fit is a tuple of stages: one minimisation each, and what happens around it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Generic, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Generic, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -11,9 +11,12 @@ from torch import Tensor
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.struct import S
-from recon.method.protocols import Energy, Estimate, Prior
+from recon.method.protocols import Energy, Estimate
 from recon.method.terms import Term
 from recon.solver.lbfgs import LBFGS, Progress, Solution
+
+if TYPE_CHECKING:
+    from recon.method.priors import Prior
 
 
 @runtime_checkable
@@ -48,7 +51,7 @@ class Stage(Generic[S]):
     """One minimisation: a prior's variables, the terms of the objective, and the minimiser."""
 
     name: str
-    prior: Prior[S]
+    prior: "Prior[S]"
     terms: tuple[Term, ...]
     free: frozenset[str]
     """Names of the optimised tensors, the prior's (`pose`) or the scene's (`scene.offsets`)."""
@@ -102,6 +105,10 @@ class Stage(Generic[S]):
     def rows(self, clip: Int[Tensor, " rows"]) -> "Stage[S]":
         """The stage for some clips, or for hypotheses of clips: a row for each."""
         return replace(self, terms=tuple(term.rows(clip) for term in self.terms))
+
+
+Stages = Callable[[tuple[Term, ...]], tuple[Stage[Any], ...]]
+"""Gives the stages by which data are fitted: what a prior has as its method `stages`."""
 
 
 @dataclass(frozen=True)

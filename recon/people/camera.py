@@ -118,7 +118,7 @@ def shared_camera(results: Sequence[Result]) -> SharedCamera:
 def _plane(
     places: Sequence[Float[np.ndarray, "places 3"]], ups: Sequence[Float[np.ndarray, "3"]]
 ) -> tuple[Float[np.ndarray, "3"], float, Float[np.ndarray, " people"]]:
-    """Normal, height of the camera above the ground, and everybody's factor of distance."""
+    """Ground normal, height of the camera above the ground, and a distance factor per person."""
     from scipy.optimize import least_squares
 
     mean = np.mean(ups, axis=0)

@@ -14,9 +14,9 @@ from recon.api.result import Result
 from recon.body.model import BodyModel
 from recon.core.errors import ReconError
 from recon.core.motion import Motion
-from recon.fitting.methods import PriorObject
 from recon.fitting.observed import Clip
 from recon.fitting.settings import FitSettings
+from recon.method.priors import PriorLike
 from recon.people.camera import SharedCamera, shared_camera
 from recon.people.everyone import PersonClip, people_in
 from recon.people.results import People
@@ -56,7 +56,7 @@ def load_people(
 
 def fit_people(
     people: Sequence[PersonClip],
-    prior: str | PriorObject = "humor",
+    prior: str | PriorLike = "humor",
     *,
     body: BodyLike = None,
     notes: Sequence[str] = (),
@@ -152,7 +152,7 @@ def _before(clip: Clip, shared: SharedCamera) -> Clip:
 def _fitted(
     numbers: Sequence[int],
     clips: Sequence[Clip],
-    prior: str | PriorObject,
+    prior: str | PriorLike,
     arguments: Sequence[dict[str, Any]],
 ) -> list[Result]:
     results: list[Result] = []

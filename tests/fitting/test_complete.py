@@ -14,9 +14,10 @@ from recon.body.landmarks import LANDMARKS_16
 from recon.body.model import BodyModel
 from recon.diagnosis.domain import swing_difference
 from recon.fitting import cycles as completion
-from recon.fitting.methods import FitOptions, method_of
+from recon.fitting.methods import FitOptions
 from recon.fitting.recording import SWING
 from recon.fitting.settings import FitSettings
+from recon.fitting.stages import prior_stages
 from recon.formats.motions import load_motion
 from recon.formats.observations import (
     PointsFile,
@@ -237,7 +238,7 @@ def test_hips_tell_cycles_of_gait():
 
 def test_the_prior_has_a_way_of_its_own():
     with pytest.raises(ValueError, match="recon complete"):
-        method_of(FitOptions(prior="anchor"), 0.01, BodyModel.load())
+        prior_stages(FitOptions(prior="anchor"), 0.01, BodyModel.load())
 
 
 def test_physics_is_refused_rather_than_left_out():

@@ -16,7 +16,7 @@ from recon.core import rotations as so3
 from recon.core.scene import Scene, UnknownGround
 from recon.method.free import FreeMotion
 from recon.method.protocols import Estimate
-from recon.method.reconstruction import Method, solve
+from recon.method.reconstruction import solve
 from recon.method.running import run_stages
 from recon.method.stages import Stage
 from recon.method.terms import Term
@@ -34,7 +34,6 @@ def zero(estimate: Estimate) -> torch.Tensor:
 
 def test_the_phases_are_the_published_ones(body: BodyModel) -> None:
     method = Shooting.published_joints(humor(body))
-    assert isinstance(method, Method)
     _, _, first, latents, everything = method.stages((Term("data", zero, 1.0),))
     start = humor(body).encode(motions(20))
     assert first.portion is not None
