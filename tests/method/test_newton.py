@@ -184,8 +184,8 @@ def test_without_a_known_hessian_first_order_goes_on(body: BodyModel) -> None:
     stage = pose_stage([seen_by(body)], body)
     stage = replace(stage, terms=(Term("own", energy, 1.0), *stage.terms[1:]))
     start = start_of(stage, swinging(6, 0)[None], body)
+    local, base = Local.about(stage, body, start)
     with pytest.raises(NoHessian):
-        local, base = Local.about(stage, body, start)
         local.model(base, torch.arange(1))
     variables, _, _ = laws.minimised(stage, body, start.variables, start.scene)
     assert stage.prior.decode(variables).motion.translation.abs().max() < 1e-2
