@@ -19,6 +19,7 @@ from recon.fitting.stages import shape_held, until_shape
 from recon.method.priors import PriorLike, stages_of
 from recon.method.protocols import Decoded, Estimate
 from recon.method.reconstruction import Reconstruction, admitted, reconstruct
+from recon.method.sensor import Sensor
 from recon.method.stages import Stage, StageReport, Stages, Watch
 from recon.method.terms import Term
 from recon.method.windows import join
