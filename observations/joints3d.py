@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from jaxtyping import Float
 from torch import Tensor
 
-from observations.points import Points
+from observations.points import TrackedPoints
 from recon.body.derivatives import CarriedPoints
 from recon.body.model import BodyModel, PosedBody
 from recon.core.arrays import Numbers
@@ -16,7 +16,7 @@ from recon.core.skeleton import JOINTS
 
 
 @dataclass(frozen=True, init=False)
-class Joints3D(Points):
+class Joints3D(TrackedPoints):
     """Measured 3D positions of body joints.
 
     The energy is half the squared distance of every visible joint from the body's joint, in

@@ -12,7 +12,7 @@ from observations.checks import checked_clock, checked_pixels, checked_places, c
 from observations.correspondences import BodyPoints, told_joints
 from observations.curvature import of_pixels
 from observations.noise import LIMITS, estimate_noise
-from observations.points import OFFSET_UNIT, NamedPoints
+from observations.points import OFFSET_UNIT, PointsOfBody
 from observations.start.images import image_start
 from recon.body.model import BodyModel
 from recon.core.arrays import Numbers, positive
@@ -31,7 +31,7 @@ FAINT = 0.2
 
 
 @dataclass(frozen=True, init=False)
-class Keypoints2D(NamedPoints):
+class Keypoints2D(PointsOfBody):
     """2D keypoints that one calibrated camera saw.
 
     The energy is half the robust squared distance of every keypoint from the projection of the

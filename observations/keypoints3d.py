@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from observations.correspondences import TRUNK, BodyPoints
-from observations.points import Points
+from observations.points import TrackedPoints
 from observations.start.rigid import rigid_start
 from observations.start.standing import planted_path
 from recon.body.model import BodyModel
@@ -19,7 +19,7 @@ from recon.core.robust import squared
 
 
 @dataclass(frozen=True, init=False)
-class Keypoints3D(Points):
+class Keypoints3D(TrackedPoints):
     """Measured 3D positions of a detector's keypoints, which lie in the body or on its skin.
 
     The energy is half the squared distance of every visible keypoint from the same point of the

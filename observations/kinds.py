@@ -9,21 +9,21 @@ from recon.method.sensor import unposed_camera as unposed_camera
 if TYPE_CHECKING:
     from observations.depth import PointCloud
     from observations.keypoints2d import Keypoints2D
-    from observations.points import Points
+    from observations.points import TrackedPoints
 
-    Tracked = Points
-    InSpace = Points | PointCloud
+    Tracked = TrackedPoints
+    InSpace = TrackedPoints | PointCloud
 else:
     # a clip loads the code of those sensors alone that it has
-    Points = Tracked = InSpace = Keypoints2D = PointCloud = Sensor
+    TrackedPoints = Tracked = InSpace = Keypoints2D = PointCloud = Sensor
 
 
-def tracked(observations: Sequence[Sensor]) -> list[Points]:
+def tracked(observations: Sequence[Sensor]) -> list[TrackedPoints]:
     """Joints, markers and keypoints: points in space with names."""
     return [named for one in observations if (named := one.named)]
 
 
-def markers(observations: Sequence[Sensor]) -> list[Points]:
+def markers(observations: Sequence[Sensor]) -> list[TrackedPoints]:
     """Markers on the skin."""
     return [one for one in tracked(observations) if one.on_skin]
 

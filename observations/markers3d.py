@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from observations.checks import checked_offsets
-from observations.points import Points
+from observations.points import TrackedPoints
 from recon.body.derivatives import CarriedPoints
 from recon.body.landmarks import landmarks
 from recon.body.model import BodyModel, PosedBody
@@ -22,7 +22,7 @@ Offset = tuple[float, float, float]
 
 
 @dataclass(frozen=True, init=False)
-class Markers3D(Points):
+class Markers3D(TrackedPoints):
     """Measured 3D positions of markers on the skin.
 
     The energy is half the squared distance of every visible marker from its vertex of the body,

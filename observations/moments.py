@@ -7,14 +7,14 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from observations.keypoints2d import Keypoints2D
-from observations.points import Points
+from observations.points import TrackedPoints
 from recon.core.arrays import Numbers, float_tensor
 from recon.core.camera import NEAREST
 from recon.core.errors import ObservationError
 from recon.core.robust import geman_mcclure
 from recon.method.protocols import REFERENCE_FPS
 
-Tracker = Points | Keypoints2D
+Tracker = TrackedPoints | Keypoints2D
 """A sensor whose points have names: in space, or in the image of a calibrated camera."""
 
 
@@ -25,7 +25,7 @@ def followed(given: Any) -> Tracker:
         ObservationError: when it has no named points, its camera moves or has no pose, or the
             ground is not known.
     """
-    if not isinstance(given, Points | Keypoints2D):
+    if not isinstance(given, TrackedPoints | Keypoints2D):
         raise ObservationError(
             "a stream follows recon.Joints3D, Markers3D and Keypoints2D, got "
             f"{type(given).__name__}; fit other sensors with recon.fit"

@@ -29,7 +29,7 @@ OFFSET_UNIT = 0.05
 at once, so that a variable in metres would be stiff."""
 
 
-class NamedPoints(Sensor):
+class PointsOfBody(Sensor):
     """What measures points of the body that have names, in space or in an image."""
 
     points: BodyPoints
@@ -98,11 +98,11 @@ class NamedPoints(Sensor):
         return joints_shown(self.bones(body), rest, body)
 
 
-P = TypeVar("P", bound="Points")
+P = TypeVar("P", bound="TrackedPoints")
 
 
 @dataclass(frozen=True)
-class Points(NamedPoints):
+class TrackedPoints(PointsOfBody):
     """Positions of points whose places on the body are known; an energy in metres²."""
 
     sees = "points"

@@ -24,11 +24,11 @@ from recon.method.timing import at_observation_times, between_moments, moment_nu
 if TYPE_CHECKING:
     from observations.depth import PointCloud
     from observations.keypoints2d import Keypoints2D
-    from observations.points import Points
+    from observations.points import TrackedPoints
 else:  # the code of a sensor is loaded with its data
     from typing import Any as Keypoints2D
     from typing import Any as PointCloud
-    from typing import Any as Points
+    from typing import Any as TrackedPoints
 
 R = TypeVar("R", bound="Sensor")
 UPRIGHT = (math.pi / 2, 0.0, 0.0)
@@ -134,7 +134,7 @@ class Sensor(TensorStruct):
         return self.shown.shape[-2]
 
     @property
-    def named(self) -> Points | None:
+    def named(self) -> TrackedPoints | None:
         """The sensor, if it measures named points in space."""
         return self._if("points")
 
