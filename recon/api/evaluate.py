@@ -195,6 +195,7 @@ def _of_joints(
     return {
         **evaluation.joint_errors(joints, truth, visible),
         **evaluation.smoothness(joints, truth, motion.fps),
+        **evaluation.world_errors(joints, truth, motion.fps),
     }
 
 
