@@ -4,19 +4,23 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from observations import kinds
-from observations.kinds import Keypoints2D, PointCloud
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion
-from recon.method.sensor import Sensor
+from recon.method.sensor import Sensor, views_of
 from recon.method.timing import at_observation_times
+
+if TYPE_CHECKING:
+    from observations.depth import PointCloud
+    from observations.keypoints2d import Keypoints2D
+else:
+    Keypoints2D = PointCloud = Sensor  # the code of a sensor is loaded with its data
 
 _OTHER_HEADINGS = (math.pi / 2, math.pi, 3 * math.pi / 2)
 
@@ -43,8 +47,9 @@ def first_guess(observations: Sequence[Sensor], body: BodyModel) -> FirstGuess:
     sees, at the distance and in the posture of the depth where there is depth, and depth alone
     last. Where there is none of these, the first sensor's own guess is taken.
     """
-    named, views = kinds.tracked(observations), kinds.views(observations)
-    clouds = kinds.clouds(observations)
+    named = [named for one in observations if (named := one.named)]
+    views = views_of(observations)
+    clouds = [cloud for one in observations if (cloud := one.cloud)]
     if not named and not views and not clouds:
         return FirstGuess(observations[0].start(body), True)
     if named:
@@ -131,11 +136,9 @@ def labelled(observations: Sequence[Sensor]) -> tuple[Sensor, ...]:
 
     Those tell the posture better than labels do.
     """
-    if kinds.tracked(observations):
+    if any(one.named for one in observations):
         return tuple(observations)
-    return tuple(
-        with_labels(*cloud) if (cloud := kinds.clouds([one])) else one for one in observations
-    )
+    return tuple(with_labels(one.cloud) if one.cloud else one for one in observations)
 
 
 def with_labels(cloud: PointCloud) -> PointCloud:
