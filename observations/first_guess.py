@@ -14,7 +14,6 @@ from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.method.sensor import Sensor, views_of
-from recon.method.timing import at_observation_times
 
 if TYPE_CHECKING:
     from observations.depth import PointCloud
@@ -101,9 +100,7 @@ def _at_cloud(motion: Motion, cloud: PointCloud, body: BodyModel) -> Motion:
     points = cloud.points.where(cloud.present[..., None], torch.nan)
     middle = points.nanmedian(-2).values
     pelvis = body.pose(motion).joints[..., :1, :]
-    there, seen = at_observation_times(
-        pelvis, motion, fps=cloud.fps, start_time=cloud.start_time, moments=cloud.points.shape[-3]
-    )
+    there, seen = cloud.at_own_times(pelvis, motion)
     away = middle[..., seen, :] - there[..., 0, :]
     return motion.replace(translation=motion.translation + _typical(away))
 
@@ -145,9 +142,7 @@ def with_labels(cloud: PointCloud) -> PointCloud:
     """The cloud with what the bundled network believes of its points, unless it has labels."""
     if cloud.labels is not None:
         return cloud
-    eyes = None
-    if cloud.camera is not None:
-        eyes = cloud.camera.at(range(cloud.moments)).T_world_camera[..., :3, 3]
+    eyes = cloud.eye(range(cloud.moments))
     level = cloud.ground_known or cloud.ground_seen
     found = _labeller()(cloud.points, cloud.present, cloud.fps, eyes, level=level)
     return cloud.derived(labels=found.to(dtype=cloud.points.dtype))

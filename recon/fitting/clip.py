@@ -34,7 +34,6 @@ from recon.method.reconstruction import Reconstruction, solve
 from recon.method.sensor import Sensor, views_of
 from recon.method.stages import Compared, Stage, Stages, Watch
 from recon.method.terms import Term, ground_moved, lens_changed, offsets
-from recon.method.timing import at_observation_times
 
 _BALLS = tuple(joint_index(f"{side}_foot") for side in ("left", "right"))
 LONG = 10.0
@@ -329,9 +328,7 @@ class ClipProblem:
         (view,) = views
         motion = self.free()
         feet = self.body.pose(motion).joints[..., list(_BALLS), :]
-        there, _ = at_observation_times(
-            feet, motion, fps=view.fps, start_time=view.start_time, moments=view.moments
-        )
+        there, _ = view.at_own_times(feet, motion)
         if there.shape[-3] < view.moments:
             return self
         # a carried camera alone has a path

@@ -19,7 +19,7 @@ from recon.core.robust import squared
 from recon.core.scene import Scene
 from recon.core.struct import TensorStruct
 from recon.method.protocols import REFERENCE_FPS, Estimate
-from recon.method.timing import at_observation_times, moment_numbers, padded
+from recon.method.timing import at_observation_times, between_moments, moment_numbers, padded
 
 if TYPE_CHECKING:
     from observations.depth import PointCloud
