@@ -9,7 +9,7 @@ import torch
 from observations.joints3d import Joints3D
 from priors.humor.collocation import Collocation
 from priors.humor.prior import HumorVariables
-from priors.humor.shooting import HumorWeights, Schedule, Shooting
+from priors.humor.shooting import PUBLISHED, HumorWeights, Schedule, Shooting
 from priors.pose.prior import PosePrior
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
@@ -33,7 +33,7 @@ def zero(estimate: Estimate) -> torch.Tensor:
 
 
 def test_the_phases_are_the_published_ones(body: BodyModel) -> None:
-    method = Shooting.published_joints(humor(body))
+    method = Shooting.published(humor(body), "joints")
     _, _, first, latents, everything = method.stages((Term("data", zero, 1.0),))
     start = humor(body).encode(motions(20))
     assert first.portion is not None
@@ -44,7 +44,7 @@ def test_the_phases_are_the_published_ones(body: BodyModel) -> None:
     assert latents.free == {"latents", "shape"}
     assert "contact height" not in {term.name for term in latents.terms}
     weights = {term.name: term.weight for term in everything.terms}
-    published = HumorWeights.published_joints()
+    published = PUBLISHED["joints"][0]
     assert weights["transition"] == published.transition == 1e-3
     assert weights["bones"] == 10.0
 
@@ -67,7 +67,7 @@ def test_presets_have_the_published_weights_whatever_the_fit_gives(
 
     seen = Seen()
     seen.unit = unit  # type: ignore[attr-defined]
-    method = getattr(Shooting, f"published_{case}")(humor(body))
+    method = Shooting.published(humor(body), case)
     *_, last = method.stages((Term("data", seen, 17.0),))
     weights = {term.name: term.weight for term in last.terms}
     assert weights["data"] == weight
@@ -97,7 +97,7 @@ def test_it_begins_where_collocation_ends(body: BodyModel) -> None:
 
 def test_a_phase_of_some_frames_sees_only_them(body: BodyModel) -> None:
     prior = humor(body)
-    stage = Shooting.published_joints(prior).stages((Term("data", zero, 1.0),))[2]
+    stage = Shooting.published(prior, "joints").stages((Term("data", zero, 1.0),))[2]
     stage = replace(
         stage, portion=lambda x: x.first(4), minimiser=replace(stage.minimiser, max_iterations=2)
     )
