@@ -12,11 +12,11 @@ from torch import Tensor
 
 from observations import kinds
 from observations.kinds import Keypoints2D, PointCloud
-from observations.timing import at_observation_times
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion
-from recon.method.protocols import Sensor
+from recon.method.sensor import Sensor
+from recon.method.timing import at_observation_times
 
 _OTHER_HEADINGS = (math.pi / 2, math.pi, 3 * math.pi / 2)
 

@@ -2,16 +2,12 @@
 
 from typing import Any
 
-import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from observations.correspondences import joints_shown
 from observations.keypoints2d import Keypoints2D
-from observations.kinds import camera_frame_is_recording
-from observations.records.tracked import TrackedPoints
-from recon.body.model import BodyModel
+from observations.points import TrackedPoints
 from recon.core.arrays import Numbers, float_tensor
 from recon.core.camera import NEAREST
 from recon.core.errors import ObservationError
@@ -38,7 +34,7 @@ def followed(given: Any) -> Tracker:
         raise ObservationError(f"expected one person, got leading axes {given.clips}")
     one = given[0] if given.clips else given
     if isinstance(one, Keypoints2D):
-        if camera_frame_is_recording(one):
+        if one.unposed:
             raise ObservationError(
                 "a stream needs cameras whose pose is known: give Camera.T_camera_world; fit a "
                 "camera of unknown pose with recon.fit, which finds the ground"
@@ -139,16 +135,6 @@ def distances(
     focal = sensor.camera.camera_matrix[..., [0, 1], [0, 1]].mean()
     pixels = (projected.pixels - sensor.pixels).norm(dim=-1)
     return pixels * projected.depth.clamp(min=NEAREST) / focal
-
-
-def shows(sensor: Tracker, body: BodyModel) -> Bool[np.ndarray, "points 22"]:
-    """Joints whose place each point of a sensor tells."""
-    if isinstance(sensor, Keypoints2D):
-        bones = sensor.points.bones
-        rest = sensor.points.at_rest(body, body.template.new_zeros(body.shape_size))
-    else:
-        bones, rest = sensor.bones(body), sensor.at_rest(body)
-    return joints_shown(bones, rest.double().numpy(), body)
 
 
 def energy_of(sensor: Tracker, points: Float[Tensor, "moments points 3"]) -> Float[Tensor, ""]:

@@ -129,7 +129,7 @@ def _demo(out: Path) -> dict[str, dict[str, Metrics]]:
 def _metrics(
     result: Reconstruction, seen: Joints3D | Markers3D, truth: Motion, body: BodyModel
 ) -> Metrics:
-    predicted = seen[None].predict(result.estimate)[0].detach()
+    predicted = seen[None].predicted(result.estimate)[0].detach()
     exact = simulate.exact(seen, truth, body)
     points = ObservedPoints(predicted.double(), exact.double(), seen.visible)
     return evaluate(result.clip(0).detach(), truth, body, observed=points)
@@ -147,7 +147,7 @@ def _observed(seen: Joints3D | Markers3D, truth: Motion, body: BodyModel) -> Met
 
 
 def _show(title: str, seen: Joints3D | Markers3D, result: Reconstruction, truth: Motion) -> Show:
-    predicted = seen[None].predict(result.estimate)[0].detach()
+    predicted = seen[None].predicted(result.estimate)[0].detach()
     model = result.body.model
     figures = (
         Figure(model, result.clip(0).detach(), "reconstruction"),

@@ -133,7 +133,7 @@ def fit_windows(observed: Joints3D | Markers3D, method: Prior[Any], body: BodyMo
         some = observed[first : first + AT_ONCE]
         result = solve([some], method, body)
         motions.append(result.motion.detach())
-        points.append(some.predict(result.estimate).detach())
+        points.append(some.predicted(result.estimate).detach())
         said = result.estimate.decoded.contacts
         if said is not None:
             network.append(said.detach())

@@ -10,7 +10,6 @@ from torch import Tensor
 
 from observations.start.images import smooth_path
 from observations.start.rigid import nearest_placed
-from observations.start.standing import UPRIGHT
 from observations.surfels import Surfels
 from priors.labels.networks import squared_distances
 from recon.body.model import BodyModel
@@ -18,6 +17,7 @@ from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.raster import facing
 from recon.core.skeleton import joint_index
+from recon.method.sensor import UPRIGHT
 
 HEADINGS = 24
 """Directions the body may face, evenly spread."""

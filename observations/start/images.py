@@ -10,12 +10,12 @@ from torch import Tensor
 
 from observations.correspondences import BodyPoints
 from observations.start.rigid import TORSO, nearest_placed
-from observations.start.standing import UPRIGHT
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.camera import Camera
 from recon.core.motion import Motion
 from recon.core.skeleton import joint_index
+from recon.method.sensor import UPRIGHT
 
 HEADINGS = 36
 """Directions the body may face, evenly spread."""

@@ -35,8 +35,9 @@ from recon.core.motion import Motion
 from recon.core.skeleton import KNEES
 from recon.method.marquardt import Preconditioned
 from recon.method.priors import USUAL_NOISE, Density, Prior
-from recon.method.protocols import Decoded, TrackedJoints
+from recon.method.protocols import Decoded
 from recon.method.quadratic import ClipModel
+from recon.method.sensor import Sensor
 from recon.method.stages import Stage
 from recon.method.terms import PriorEnergy, Term, joint_acceleration, prior_energy, shape
 from recon.solver.banded import add_differences
@@ -233,8 +234,9 @@ class Collocation(Prior[PoseVariables]):
 def seen_whole(data: tuple[Term, ...], body: BodyModel) -> bool:
     """Whether one sensor tells the place in space of every joint in most moments of every clip."""
     return any(
-        isinstance(term.energy, TrackedJoints)
+        isinstance(term.energy, Sensor)
         and term.energy.unit == "metres"
-        and bool((term.energy.told_joints(body) >= _MIN_SEEN_SHARE).all())
+        and (told := term.energy.told_joints(body)) is not None
+        and bool((told >= _MIN_SEEN_SHARE).all())
         for term in data
     )

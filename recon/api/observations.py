@@ -14,7 +14,7 @@ from recon.body.model import BodyModel
 from recon.core.errors import ObservationError, ReconError
 from recon.fitting.ground import LEVEL_CAMERA, camera_above, world_above
 from recon.fitting.observed import Clip
-from recon.method.protocols import Sensor
+from recon.method.sensor import Sensor
 
 Plane = tuple[float, float, float, float]
 """(nx, ny, nz, d): the points x of the ground have n·x = d in the observations' frame, metres."""

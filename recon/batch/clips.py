@@ -12,7 +12,7 @@ from recon.api.observations import ObservationsLike
 from recon.api.result import Result
 from recon.core.errors import ReconError
 from recon.method.priors import PriorLike
-from recon.method.protocols import Sensor
+from recon.method.sensor import Sensor
 
 _FIRST = ("weights", "method", "physics", "terms", "shape", "start")
 """Arguments of a fit that do not concern the first look at shapes."""

@@ -8,11 +8,11 @@ from jaxtyping import Bool, Float
 
 from observations.depth import PointCloud
 from observations.first_guess import with_labels
-from observations.timing import at_observation_times
 from recon.core.camera import Camera
 from recon.core.raster import facing
 from recon.diagnosis.findings import Finding
 from recon.method.protocols import Estimate
+from recon.method.timing import at_observation_times
 
 _MOMENTS = 12
 """Moments that are looked at."""

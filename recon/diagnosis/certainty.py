@@ -20,7 +20,8 @@ from recon.fitting.fitted import ClipFit
 from recon.formats.joint_table import JointCertainty
 from recon.method.derivatives import GroundBelief, GroundDeviation
 from recon.method.laplace import Deviations, Measure, deviations
-from recon.method.protocols import Estimate, Sensor
+from recon.method.protocols import Estimate
+from recon.method.sensor import Sensor
 
 MOST = 360 / 12**0.5
 """Degrees: the standard deviation of an angle of which nothing is known."""

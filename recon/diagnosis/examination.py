@@ -34,7 +34,8 @@ from recon.diagnosis.points.screening import screen_points
 from recon.fitting.fitted import ClipFit
 from recon.fitting.methods import FitOptions
 from recon.method.laplace import Deviations
-from recon.method.protocols import Estimate, Sensor
+from recon.method.protocols import Estimate
+from recon.method.sensor import Sensor
 
 _NO_SPEED = frozenset({"identity change", "frame order"})
 """Findings after which the speed of the motion says nothing about its rate."""

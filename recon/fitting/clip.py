@@ -11,8 +11,7 @@ from torch import Tensor
 from observations import kinds
 from observations.first_guess import FirstGuess
 from observations.noise import weights_of
-from observations.records.tracked import OFFSET_UNIT
-from observations.timing import at_observation_times
+from observations.points import OFFSET_UNIT
 from priors.checkpoints import FIRST
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
@@ -32,10 +31,11 @@ from recon.fitting.stages import (
     with_shape_terms,
     without_root,
 )
-from recon.method.protocols import Sensor
 from recon.method.reconstruction import Reconstruction, solve
+from recon.method.sensor import Sensor
 from recon.method.stages import Compared, Stage, Stages, Watch
 from recon.method.terms import Term, ground_moved, lens_changed, offsets
+from recon.method.timing import at_observation_times
 
 _BALLS = tuple(joint_index(f"{side}_foot") for side in ("left", "right"))
 LONG = 10.0

@@ -7,8 +7,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from recon.core.residuals import Noise
-from recon.method.protocols import Sensor
 from recon.method.reconstruction import Reconstruction
+from recon.method.sensor import Sensor
 from recon.method.stages import Compared
 
 

@@ -9,7 +9,6 @@ from jaxtyping import Float
 from torch import Tensor
 
 from observations.joints3d import Joints3D
-from observations.kinds import InSpace
 from observations.noise import weights_of
 from recon.body.cycles import Cycle
 from recon.body.model import BodyModel
@@ -20,6 +19,7 @@ from recon.core.skeleton import JOINTS
 from recon.method.priors import CyclePrior
 from recon.method.protocols import Decoded, Estimate
 from recon.method.running import Hypotheses, run_hypotheses
+from recon.method.sensor import Sensor
 from recon.method.terms import Term
 from recon.method.unknowns import Unknowns
 
@@ -70,7 +70,7 @@ class CycleData:
     """What cycles of a first fit are completed from."""
 
     prior: CyclePrior[Any]
-    observations: Sequence[InSpace]
+    observations: Sequence[Sensor]
     noises: Sequence[Noise]
     body: BodyModel
 
@@ -117,7 +117,7 @@ class CycleData:
         total = 0.0
         for one, noise in zip(self.observations, self.noises, strict=True):
             part = one.window(cycle.start, cycle.stop)
-            coordinates = 1 if not part.point_names(self.body) else part.places.shape[-1]
+            coordinates = 1 if not part.point_names(self.body) else part.values.shape[-1]
             share = (noise.metres / noise.own) ** 2 * 30.0 / one.fps
             total += _COUNTED * coordinates * share * int(part.shown.sum())
         return total

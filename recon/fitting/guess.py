@@ -8,7 +8,7 @@ from recon.body.model import BodyModel
 from recon.core.errors import ObservationError
 from recon.core.motion import Motion
 from recon.fitting.methods import FitOptions
-from recon.method.protocols import Sensor
+from recon.method.sensor import Sensor
 from recon.method.start import checked_start
 
 

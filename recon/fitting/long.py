@@ -14,11 +14,12 @@ from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.scene import Scene
 from recon.core.struct import concatenate, stack
-from recon.fitting.long_recording import AT_ONCE, LongRecording, TimedObservation
+from recon.fitting.long_recording import AT_ONCE, LongRecording
 from recon.fitting.stages import shape_held, until_shape
 from recon.method.priors import PriorLike, stages_of
 from recon.method.protocols import Decoded, Estimate
 from recon.method.reconstruction import Reconstruction, admitted, reconstruct
+from recon.method.sensor import Sensor
 from recon.method.stages import Stage, StageReport, Stages, Watch
 from recon.method.terms import Term
 from recon.method.windows import join
@@ -45,7 +46,7 @@ class LongReconstruction(Reconstruction):
 
 
 def fit_long(
-    observations: Sequence[TimedObservation],
+    observations: Sequence[Sensor],
     prior: PriorLike | Stages,
     body: BodyModel | None = None,
     *,
@@ -81,8 +82,7 @@ def fit_long(
             cut, or the overlap is none or more than 40 % of a window.
     """
     ready, body, start, scene, weights = admitted(observations, body, start, scene, weights)
-    timed = cast(Sequence[TimedObservation], ready)  # `cut` refuses others
-    recording = LongRecording.cut(timed, body, window, overlap, start)
+    recording = LongRecording.cut(ready, body, window, overlap, start)
     if scene is None:
         scene = Scene.create(1, like=recording.guess.translation)
     job = _Job(recording, body, scene, weights, watch)

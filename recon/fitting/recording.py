@@ -16,7 +16,6 @@ import torch
 
 from observations import kinds
 from observations.depth import CLOUD_NOISE
-from observations.kinds import InSpace
 from recon.body.cycles import LONGEST_CYCLE, SHORTEST_CYCLE, find_cycles
 from recon.body.model import BodyModel
 from recon.core.errors import ObservationError, WeightsError
@@ -36,7 +35,7 @@ from recon.fitting.fitted import ClipFit, Stretch
 from recon.fitting.gait import CompletedCycle, CycleData, stretches, told_by_cycles
 from recon.fitting.methods import FitOptions, loaded
 from recon.method.priors import CyclePrior
-from recon.method.protocols import Sensor
+from recon.method.sensor import Sensor
 from recon.method.stages import Watch
 
 FEW = 12.0
@@ -106,8 +105,7 @@ def complete_recording(
             "at most one moment shows anything, which tells no motion; give two or more"
         )
     seen = [
-        on_fast_clock(one.thinned(FITTED)) if kinds.is_in_space(one) else one
-        for one in observations
+        one if one.places is None else on_fast_clock(one.thinned(FITTED)) for one in observations
     ]
     few = bool(placed) and moments_per_second(placed) < FEW
     if few and (one := _one_cycle(observations, prior, options, body, watch)) is not None:
@@ -172,9 +170,9 @@ def noise_told(one: Sensor, given: float | None, few: bool) -> float | None:
     30 Hz whatever the clock: where few moments lie on a fast one, each would count for less than
     a moment, which a smaller noise makes up for.
     """
-    if not few or not kinds.is_in_space(one):
+    if not few or one.places is None:
         return given
-    usual = NAMED_NOISE if kinds.tracked([one]) else CLOUD_NOISE
+    usual = NAMED_NOISE if one.named else CLOUD_NOISE
     often = max(moments_per_second([one]), RATES[0])
     return (usual if given is None else given) * (often / max(one.fps, often)) ** 0.5
 
@@ -201,7 +199,7 @@ def _gait(
 
 def _stretches(
     gait: Sequence[Sequence[CompletedCycle]],
-    seen: Sequence[InSpace],
+    seen: Sequence[Sensor],
     motion: Motion,
     prior: WholeRecording,
 ) -> tuple[Stretch, ...]:

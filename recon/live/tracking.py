@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from observations.moments import Tracker, distances, joined, shows, with_moment, without
+from observations.moments import Tracker, distances, joined, with_moment, without
 from observations.noise import weights_of
 from priors.pose.prior import PosePrior, PoseWeights
 from recon.body.contacts import contact_probabilities, rest_heights
@@ -185,7 +185,7 @@ class Tracking:
 
     @cached_property
     def _shown(self) -> list[Bool[np.ndarray, "points 22"]]:
-        return [shows(one, self.body) for one in self.door.sensors]
+        return [one.shows(self.body) for one in self.door.sensors]
 
     @property
     def _now(self) -> Smoothed:

@@ -25,7 +25,8 @@ from recon.core.residuals import Residuals
 from recon.core.scene import TILT, Scene, UnknownGround
 from recon.core.skeleton import FEET, joint_index
 from recon.method.newton import is_pointwise
-from recon.method.protocols import Decoded, Estimate, Sensor
+from recon.method.protocols import Decoded, Estimate
+from recon.method.sensor import Sensor
 from recon.method.stages import Matched
 from recon.solver.banded import Banded
 

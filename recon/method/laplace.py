@@ -33,7 +33,8 @@ from recon.method.derivatives import (
     deviation,
 )
 from recon.method.priors import Density
-from recon.method.protocols import REFERENCE_FPS, Estimate, Sensor
+from recon.method.protocols import REFERENCE_FPS, Estimate
+from recon.method.sensor import Sensor
 from recon.solver.banded import Banded, Factor, Inverse, add_differences
 
 _LEAST = 0.1

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Generic, Protocol, runtime_checkable
 
+import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
@@ -96,6 +97,10 @@ class Stage(Generic[S]):
             for term in self.terms
         )
         return replace(self, terms=terms)
+
+    def values(self, estimate: Estimate) -> Float[Tensor, "rows terms"]:
+        """Weighted energies of its terms."""
+        return torch.stack([term.weight * term.energy(estimate) for term in self.terms], -1)
 
     def rows(self, clip: Int[Tensor, " rows"]) -> "Stage[S]":
         """The stage for some clips, or for hypotheses of clips: a row for each."""

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any, Generic
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from recon.body.model import BodyModel
@@ -15,6 +15,8 @@ from recon.core.scene import Scene
 from recon.core.struct import S, TensorStruct
 from recon.method.priors import Prior
 from recon.method.protocols import Estimate
+from recon.method.stages import Stage
+from recon.solver.solution import Objective
 
 
 @dataclass(frozen=True)
@@ -114,3 +116,39 @@ class Layout:
         }
         paths = iter(unknowns.tensors())
         return unknowns.map(lambda tensor: freed.get(next(paths), tensor))
+
+
+def rows_of(
+    stage: Stage[S], unknowns: Unknowns[S], rows: Int[Tensor, " rows"]
+) -> tuple[Stage[S], Unknowns[S]]:
+    """The data and unknowns of some clips, in ascending order."""
+    if len(rows) == len(unknowns.scene.offsets):
+        return stage, unknowns
+    return stage.rows(rows), unknowns[rows]
+
+
+def objective(
+    stage: Stage[S],
+    body: BodyModel,
+    start: Unknowns[S],
+    moved: Callable[[Unknowns[S], Tensor, Tensor], Unknowns[S]],
+) -> Objective:
+    """Weighted terms as a function of a solver's variables and of the clips they are of.
+
+    Args:
+        stage: with the data of all clips.
+        body: whose motion it is.
+        start: unknowns of all clips.
+        moved: unknowns of some clips at the solver's variables: called with those of `start`,
+            these variables and the numbers of the clips.
+    """
+    bound, bound_to = (stage, start), torch.arange(len(start.scene.offsets))
+
+    def terms(x: Float[Tensor, "active n"], active: Int[Tensor, " active"]) -> Tensor:
+        nonlocal bound, bound_to
+        if active is not bound_to:  # the solver hands the same tensor until the rows change
+            bound, bound_to = rows_of(stage, start, active), active
+        some, base = bound
+        return some.values(moved(base, x, active).estimate(some.prior, body, some.portion))
+
+    return terms

@@ -136,7 +136,7 @@ def exact(
     seen: Joints3D | Markers3D, truth: Motion, body: BodyModel
 ) -> Float[Tensor, "time points 3"]:
     """True positions of the tracked points, metres."""
-    return seen.on(body.pose(truth))
+    return seen.predict(body.pose(truth))
 
 
 def visible_joints(

@@ -89,7 +89,7 @@ def test_files_are_read_by_its_class(tmp_path, capsys):
     both = recon.load_observation([points, file], reader=SENSOR)
     assert isinstance(both, list)
     assert [one.kind for one in both] == ["joints3d", "imus"]
-    torch.testing.assert_close(both[1].axes[0], units(truth, bundled()).axes)
+    torch.testing.assert_close(both[1].values[0], units(truth, bundled()).values)
     words = f"fit {points} {file} --reader {SENSOR} --prior pose --json --out {out}"
     assert cli.run(words.split()) == cli.OK
     report = json.loads(capsys.readouterr().out)
