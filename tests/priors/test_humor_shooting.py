@@ -141,11 +141,12 @@ def test_the_last_phase_brings_the_motion_nearer_to_the_data(body: BodyModel) ->
     assert (error(found) < 0.3 * error(start)).all()
 
 
-class Hurried:
+class Hurried(PosePrior):
     """The pose prior with two iterations a stage, as a start."""
 
-    def stages(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
-        return tuple(replace(stage, minimiser=LBFGS(2)) for stage in PosePrior.load().stages(data))
+    def stages(self, data: tuple[Term, ...], *how: Any) -> tuple[Stage[Any], ...]:
+        stages = super().stages(data, *how)
+        return tuple(replace(stage, minimiser=LBFGS(2)) for stage in stages)
 
 
 def test_a_clip_alone_is_the_clip_in_its_batch_and_hidden_points_say_nothing(
@@ -153,7 +154,7 @@ def test_a_clip_alone_is_the_clip_in_its_batch_and_hidden_points_say_nothing(
 ) -> None:
     prior = humor(body)
     joints = body.pose(motions(6)).joints
-    method = Shooting(prior, schedule=Schedule(first=2, latents=2, all=3), start=Hurried())
+    method = Shooting(prior, schedule=Schedule(first=2, latents=2, all=3), start=Hurried.load())
     visible = seen_of(joints).visible.clone()
     visible[:, 2:4, :8] = False
     hidden = seen_of(joints.where(visible[..., None], 0.0)).replace(visible=visible)
@@ -176,7 +177,7 @@ def test_a_motion_on_an_unknown_ground_is_encoded_and_rolled_out_in_the_world(
     """Latents were encoded in the frame of the recording, where up is elsewhere."""
     prior = humor(body)
     motion = motions(6)
-    method = Shooting(prior, schedule=Schedule(all=1), start=Hurried())
+    method = Shooting(prior, schedule=Schedule(all=1), start=Hurried.load())
     *_, stage = method.stages((Term("data", zero, 1.0),))
     stage = replace(stage, terms=stage.terms[:1], minimiser=LBFGS(0))
     known, _ = run_stages([stage], body, motion, Scene.create(2, like=motion.translation))
