@@ -134,13 +134,6 @@ class Equations:
     gradient_shape: Float[Tensor, "active shape"]
     """h, frame by frame."""
 
-    def damped(self, damping: float) -> Banded:
-        """The matrix of a damped step."""
-        inner = self.inner.clone()
-        diagonal = inner[:, 0].diagonal(dim1=1, dim2=2)
-        diagonal.add_(damping * self.alone.diagonal(dim1=1, dim2=2))
-        return Banded(inner, self.border, self.corner.sum(0))
-
 
 @dataclass(frozen=True)
 class Objective:

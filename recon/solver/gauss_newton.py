@@ -26,7 +26,6 @@ X = TypeVar("X")
 """The state of all problems of a batch."""
 
 _RAISE, _LOWER = 10.0, 0.1
-_MIN_DAMPING = 1e-6
 _FIRST_RAISE = 1e-3
 """Damping after the first step that was refused, at least."""
 
@@ -186,7 +185,7 @@ class _Run:
         few = options.tolerance * max(abs(before), options.scale)
         if gain >= 0:  # false for nan
             self.trace.append(terms)
-            self.damping = max(_LOWER * self.damping, _MIN_DAMPING)
+            self.damping *= _LOWER
             self.end = Termination.CONVERGED if gain <= few else None
             return True
         if promise <= few:
