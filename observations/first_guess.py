@@ -11,10 +11,9 @@ from recon.core.motion import Motion
 from recon.method.sensor import Sensor, views_of
 
 if TYPE_CHECKING:
-    from observations.depth import PointCloud
     from observations.keypoints2d import Keypoints2D
 else:
-    Keypoints2D = PointCloud = Sensor  # the code of a sensor is loaded with its data
+    Keypoints2D = Sensor  # the code of a sensor is loaded with its data
 
 
 @dataclass(frozen=True)
