@@ -84,8 +84,8 @@ def fit(
         observations: files and folders of one clip; in Python also one or several of `Joints3D`,
             `Markers3D`, `Keypoints2D`, `PointCloud`, without a leading axis or with one of length
             one, and what `recon.simulate` returned.
-        prior: a name (`humor`, `pose`, `anchor` for one gait cycle), a loaded prior, a
-            method with `stages(data)`, or "package.module:Class".
+        prior: a name (`humor`, `pose`, `anchor` for one gait cycle), a loaded prior, or
+            "package.module:Class".
         weights: of a prior given by its name: `open`, `nc` (not for commercial use) or a file.
         method: the way in which the prior is fitted, one of its `methods`; None is the usual one.
         body: a body, a SMPL-family file, or None for the bundled body.
