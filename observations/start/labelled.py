@@ -208,7 +208,7 @@ class _Tracker:
             place.new_zeros(len(place), 63),
             self.solver,
         )
-        return self.solver.minimised(start, targets, _POSED, None)
+        return self.solver.minimised(start, lambda _: targets, _POSED, None)
 
     def _path(
         self, moments: _Moments, posed: BonePoses, found: BoneTargets

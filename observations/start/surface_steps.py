@@ -111,10 +111,11 @@ class SeenSurface:
             sigmas: scales, metres.
             springs: between neighbouring moments; None leaves them independent.
         """
-        for sigma in sigmas:
-            both = concatenate([labelled, self._targets(state)], dim=1)
-            state = solver.minimised(state, both, (sigma,), springs)
-        return state
+
+        def targets(now: BonePoses) -> BoneTargets:
+            return concatenate([labelled, self._targets(now)], dim=1)
+
+        return solver.minimised(state, targets, sigmas, springs)
 
     def _targets(self, state: BonePoses) -> BoneTargets:
         """The nearest surfels of the points, on the bones that move them most."""

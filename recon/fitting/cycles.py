@@ -10,7 +10,6 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from observations import kinds
 from observations.depth import CLOUD_NOISE, PointCloud
 from observations.noise import weights_of
 from observations.surfels import bounded
@@ -52,6 +51,11 @@ def on_fast_clock(one: Sensor) -> Sensor:
     """
     times = math.ceil(RATES[0] / one.fps - 1e-6)
     return one if times <= 1 else one.on_faster_clock(times)
+
+
+def in_space(observations: Sequence[Sensor]) -> tuple[Sensor, ...]:
+    """Those that give places in space, metres."""
+    return tuple(one for one in observations if one.places is not None)
 
 
 def moments_per_second(observations: Sequence[Sensor]) -> float:
@@ -226,7 +230,7 @@ def complete(
             "terms out, or fit by another prior"
         )
     device = body.template.device
-    seen = tuple(o.to(device=device) for o in kinds.in_space(observations))
+    seen = tuple(o.to(device=device) for o in in_space(observations))
     if len(seen) < len(observations):
         raise ObservationError(
             "completing a cycle takes scans, landmarks or joints, got 2D keypoints as well; fit "
@@ -237,7 +241,7 @@ def complete(
         raise ReconError(f"expected a prior of cycles, got a {type(prior).__name__}")
     seen, rows = _with_offsets(tuple(o.thinned(FITTED) for o in seen))
     noises = tuple(cycle_noise(o, options.noise_of(row)) for row, o in enumerate(seen))
-    dense = any(_fullest(o) >= DENSE for o in kinds.clouds(seen))
+    dense = any(o.cloud and _fullest(o.cloud) >= DENSE for o in seen)
     return _Completion(seen, noises, prior, dense, CycleClock.of(seen), rows).fitted(body, watch)
 
 
