@@ -79,7 +79,7 @@ def _told(value: Any) -> Cell:
     return value if isinstance(value, int | float) else str(value)
 
 
-def trait_of(*command: str | Path) -> dict[str, Any]:
+def asked(*command: str | Path) -> dict[str, Any]:
     """What a client says: JSON in the last line that it writes."""
     words = [str(word) for word in command]
     done = subprocess.run(words, capture_output=True, text=True, check=False)
@@ -98,7 +98,7 @@ def farthest(found: np.ndarray, truth: np.ndarray) -> float:
 
 
 def three(node: Path, files: dict[str, Path], motion: Motion, body: BodyModel) -> dict[str, Any]:
-    said = trait_of(
+    said = asked(
         "node", HERE / "in_three.mjs", node.resolve(), files["bvh"], files["glb"],
         str(motion.frames), str(motion.fps),
     )  # fmt: skip
@@ -119,7 +119,7 @@ def three(node: Path, files: dict[str, Path], motion: Motion, body: BodyModel) -
 
 
 def validated(node: Path, glb: Path) -> dict[str, Any]:
-    said = trait_of("node", HERE / "in_validator.mjs", node.resolve(), glb)
+    said = asked("node", HERE / "in_validator.mjs", node.resolve(), glb)
     return {
         "gltf_validator": said["version"],
         "gltf_issues": len(said["issues"]["messages"]),
@@ -130,7 +130,7 @@ def validated(node: Path, glb: Path) -> dict[str, Any]:
 def blender(
     python: Path, files: dict[str, Path], out: Path, motion: Motion, body: BodyModel
 ) -> dict[str, Any]:
-    said = trait_of(
+    said = asked(
         python, HERE / "in_blender.py", files["bvh"], files["glb"], out / "blender.npz",
         out / "m.fbx", str(motion.frames), str(motion.fps),
     )  # fmt: skip
@@ -156,7 +156,7 @@ def blender(
 
 
 def usd(python: Path, path: Path, out: Path, motion: Motion, body: BodyModel) -> dict[str, Any]:
-    said = trait_of(python, HERE / "in_usd.py", path, out / "usd.npz", str(motion.frames))
+    said = asked(python, HERE / "in_usd.py", path, out / "usd.npz", str(motion.frames))
     with np.load(out / "usd.npz") as arrays:
         joints, skin = arrays["joints"], arrays["skin"]
     return {
@@ -179,7 +179,7 @@ def opensim(
         "markers": marker_sizes(motion, body),
     }
     (out / "sizes.json").write_text(json.dumps(sizes))
-    said = trait_of(
+    said = asked(
         python, HERE / "in_opensim.py", files["mot"], files["trc"], out / "sizes.json",
         out / "opensim.npz",
     )  # fmt: skip

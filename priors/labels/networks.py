@@ -253,7 +253,7 @@ class Layer(nn.Module):
             tokens: of every row.
             squared: squared distances between them, which every head divides by its radius².
         """
-        heads = self.trait_of(self.before(tokens)).unflatten(-1, (3, _HEADS, -1))
+        heads = self.asked(self.before(tokens)).unflatten(-1, (3, _HEADS, -1))
         q, k, v = heads.movedim(-3, 0).transpose(-2, -3)
         far = squared[:, None] * (-2 * self.radii).exp()[:, None, None]
         found = scaled_dot_product_attention(q, k, v, attn_mask=-0.5 * far)
