@@ -24,7 +24,7 @@ from recon.fitting.fitted import ClipFit
 from recon.fitting.methods import FitOptions, loaded
 from recon.method.priors import CyclePrior
 from recon.method.protocols import REFERENCE_FPS
-from recon.method.reconstruction import Reconstruction
+from recon.method.reconstruction import Reconstruction, data_terms
 from recon.method.running import Hypotheses, rank, run_hypotheses
 from recon.method.sensor import Sensor
 from recon.method.stages import Stage, Watch
@@ -265,14 +265,15 @@ class _Completion:
             _rough(o, max(round(o.fps / self.clock.fps * step), 1), body)
             for o in self.observations
         ]
-        search = prior.search(self._data(seen), noise)
+        weights = weights_of(self.noises)
+        search = prior.search(data_terms(seen, weights), noise)
         ranking, portion = search[0].terms, partial(_thinned, step=step)
         search = [replace(stage, portion=portion, ranking=ranking) for stage in search]
         shape = prior.typical.new_zeros(body.shape_size)
         began = typical_cycles(prior, self.observations, self.clock, shape, self.offsets)
         every = torch.arange(len(began.unknowns.variables.latent)).split(_AT_ONCE)
         value = torch.cat([rank(search[0], began.rows(some), body) for some in every])
-        data = self._data(self.observations)
+        data = data_terms(self.observations, weights)
         coded = prior.coded(data, noise)
         details = prior.details(data, noise) if self.dense else ()
         stages = (
@@ -294,13 +295,6 @@ class _Completion:
     def _rough_step(self) -> int:
         """Moments of the clock from one to the next while first guesses are compared."""
         return max(round(self.clock.fps / ROUGH_RATE), 1)
-
-    def _data(self, seen: Sequence[Sensor]) -> tuple[Term, ...]:
-        """Observations of the clips as weighted terms."""
-        return tuple(
-            Term("data" if len(seen) == 1 else f"data {k + 1}", one, weight)
-            for k, (one, weight) in enumerate(zip(seen, weights_of(self.noises), strict=True))
-        )
 
     def _moving(self, stages: Sequence[Stage[Any]]) -> list[Stage[Any]]:
         """The stages with offsets of markers, from the one in which they are near the body."""
