@@ -114,7 +114,8 @@ class Sensor(TensorStruct):
         Raises:
             ObservationError: naming what is missing, or the shapes.
         """
-        name, fields = type(self).__name__, {field.name for field in dataclasses.fields(self)}
+        me: Any = self
+        name, fields = type(self).__name__, {field.name for field in dataclasses.fields(me)}
         if missing := {"fps", "start_time", "ground_known", *self.timed} - fields:
             raise ObservationError(
                 f"{name}: expected a dataclass with the fields {', '.join(sorted(missing))}, "
