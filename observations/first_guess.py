@@ -4,19 +4,22 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from observations import kinds
-from observations.kinds import Keypoints2D, PointCloud
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion
-from recon.method.sensor import Sensor
-from recon.method.timing import at_observation_times
+from recon.method.sensor import Sensor, views_of
+
+if TYPE_CHECKING:
+    from observations.depth import PointCloud
+    from observations.keypoints2d import Keypoints2D
+else:
+    Keypoints2D = PointCloud = Sensor  # the code of a sensor is loaded with its data
 
 _OTHER_HEADINGS = (math.pi / 2, math.pi, 3 * math.pi / 2)
 
@@ -43,8 +46,9 @@ def first_guess(observations: Sequence[Sensor], body: BodyModel) -> FirstGuess:
     sees, at the distance and in the posture of the depth where there is depth, and depth alone
     last. Where there is none of these, the first sensor's own guess is taken.
     """
-    named, views = kinds.tracked(observations), kinds.views(observations)
-    clouds = kinds.clouds(observations)
+    named = [named for one in observations if (named := one.named)]
+    views = views_of(observations)
+    clouds = [cloud for one in observations if (cloud := one.cloud)]
     if not named and not views and not clouds:
         return FirstGuess(observations[0].start(body), True)
     if named:
@@ -96,9 +100,7 @@ def _at_cloud(motion: Motion, cloud: PointCloud, body: BodyModel) -> Motion:
     points = cloud.points.where(cloud.present[..., None], torch.nan)
     middle = points.nanmedian(-2).values
     pelvis = body.pose(motion).joints[..., :1, :]
-    there, seen = at_observation_times(
-        pelvis, motion, fps=cloud.fps, start_time=cloud.start_time, moments=cloud.points.shape[-3]
-    )
+    there, seen = cloud.at_own_times(pelvis, motion)
     away = middle[..., seen, :] - there[..., 0, :]
     return motion.replace(translation=motion.translation + _typical(away))
 
@@ -131,20 +133,16 @@ def labelled(observations: Sequence[Sensor]) -> tuple[Sensor, ...]:
 
     Those tell the posture better than labels do.
     """
-    if kinds.tracked(observations):
+    if any(one.named for one in observations):
         return tuple(observations)
-    return tuple(
-        with_labels(*cloud) if (cloud := kinds.clouds([one])) else one for one in observations
-    )
+    return tuple(with_labels(one.cloud) if one.cloud else one for one in observations)
 
 
 def with_labels(cloud: PointCloud) -> PointCloud:
     """The cloud with what the bundled network believes of its points, unless it has labels."""
     if cloud.labels is not None:
         return cloud
-    eyes = None
-    if cloud.camera is not None:
-        eyes = cloud.camera.at(range(cloud.moments)).T_world_camera[..., :3, 3]
+    eyes = cloud.eye(range(cloud.moments))
     level = cloud.ground_known or cloud.ground_seen
     found = _labeller()(cloud.points, cloud.present, cloud.fps, eyes, level=level)
     return cloud.derived(labels=found.to(dtype=cloud.points.dtype))

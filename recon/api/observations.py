@@ -9,12 +9,11 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 
-from observations.kinds import camera_frame_is_recording, unposed_camera
 from recon.body.model import BodyModel
 from recon.core.errors import ObservationError, ReconError
 from recon.fitting.ground import LEVEL_CAMERA, camera_above, world_above
 from recon.fitting.observed import Clip
-from recon.method.sensor import Sensor
+from recon.method.sensor import Sensor, unposed_camera
 
 Plane = tuple[float, float, float, float]
 """(nx, ny, nz, d): the points x of the ground have n·x = d in the observations' frame, metres."""
@@ -75,7 +74,7 @@ def on_ground(clip: Clip, ground: Any) -> Sighting:
         ReconError: when the choice is none, or a plane is not below the camera.
     """
     if ground is None:
-        if any(camera_frame_is_recording(one) for one in clip.observations):
+        if any(one.unposed for one in clip.observations):
             return _carried(clip, camera_above(LEVEL_CAMERA), known=False)
         ungrounded = tuple(one.derived(ground_known=False) for one in clip.observations)
         return Sighting(replace(clip, observations=ungrounded))
@@ -85,7 +84,7 @@ def on_ground(clip: Clip, ground: Any) -> Sighting:
                 "ground: expected 'auto', 'known', 'unknown', None or a plane (nx, ny, nz, d), "
                 f"got {ground!r}"
             )
-        if any(camera_frame_is_recording(one) for one in clip.observations):
+        if any(one.unposed for one in clip.observations):
             if ground == "known":
                 raise ReconError(
                     "ground: a camera has no pose (T_camera_world is the identity), so its ground "
@@ -96,7 +95,7 @@ def on_ground(clip: Clip, ground: Any) -> Sighting:
     plane = _checked_plane(ground)
     if clip.T_recording_camera is not None and clip.notes:
         raise ReconError("ground: the files were read with a ground; give the plane to the reader")
-    if any(camera_frame_is_recording(one) for one in clip.observations):
+    if any(one.unposed for one in clip.observations):
         found = _carried(clip, camera_above(plane), known=False)
     else:
         level = all(one.level for one in clip.observations)
