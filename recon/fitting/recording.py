@@ -129,7 +129,6 @@ def complete_recording(
         result=replace(second.result, reports=reports),
         noises=second.noises[:-1],
         observations=second.observations[:-1],
-        guesses=first.guesses,
         stretches=told,
     )
 
