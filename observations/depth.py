@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import torch
@@ -9,11 +10,10 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from observations.checks import checked_clock, checked_positions, checked_view
-from observations.start.depth import depth_start
 from observations.start.labelled import labelled_start
 from observations.start.surface_steps import costs_of_points, kinds_of_surfels
 from observations.surfels import Surfels, to_discs, tukey, tukey_scale, within
-from priors.labels.looking import PointLabels
+from priors.labels.looking import CloudLabeller, PointLabels
 from recon.body.model import BodyModel
 from recon.core.arrays import Numbers, float_tensor
 from recon.core.camera import Camera
@@ -310,9 +310,25 @@ class PointCloud(Sensor):
         return few.derived(surfels=Surfels.of(body, _FEW_SURFELS))
 
     def start(self, body: BodyModel) -> Motion:
-        """Poses that labels tell (`labelled_start`), or without any a posture (`depth_start`)."""
-        eye = self.eye(range(self.moments))
-        clock = {"fps": self.fps, "start_time": self.start_time}
+        """The average body in the poses that labels tell; see `labelled_start`."""
+        seen = self.labelled()
+        assert seen.labels is not None
+        return labelled_start(
+            body, seen.points, seen.present, seen.labels, self.eye(range(self.moments)),
+            fps=self.fps, start_time=self.start_time,
+        )  # fmt: skip
+
+    def labelled(self) -> "PointCloud":
+        """The cloud with what the bundled network believes of its points, unless it has labels."""
         if self.labels is not None:
-            return labelled_start(body, self.points, self.present, self.labels, eye, **clock)
-        return depth_start(body, self.surfels, self.points, self.present, eye, **clock)
+            return self
+        level = self.ground_known or self.ground_seen
+        eye = self.eye(range(self.moments))
+        found = _labeller()(self.points, self.present, self.fps, eye, level=level)
+        return self.derived(labels=found.to(dtype=self.points.dtype))
+
+
+@cache
+def _labeller() -> CloudLabeller:
+    """The bundled network, loaded once, and with the first cloud."""
+    return CloudLabeller.load()

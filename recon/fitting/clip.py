@@ -17,7 +17,6 @@ from recon.core.motion import Motion
 from recon.core.residuals import Noise
 from recon.core.scene import GROUND, HEIGHT, LENS, OFFSETS, Scene, UnknownGround, UnknownLens
 from recon.core.skeleton import joint_index
-from recon.core.struct import concatenate
 from recon.fitting.fitted import ClipFit
 from recon.fitting.ground import ground_below, pelvis_path, sole_heights, upright_ground
 from recon.fitting.guess import guessed
@@ -32,7 +31,7 @@ from recon.fitting.stages import (
 )
 from recon.method.reconstruction import Reconstruction, solve
 from recon.method.sensor import Sensor, views_of
-from recon.method.stages import Compared, Stage, Stages, Watch
+from recon.method.stages import Stage, Stages, Watch
 from recon.method.terms import Term, ground_moved, lens_changed, offsets
 
 _BALLS = tuple(joint_index(f"{side}_foot") for side in ("left", "right"))
@@ -96,7 +95,7 @@ def posed(
         for row, one in enumerate(observations)
     )
     seen, offsets = _with_offsets(observations)
-    return ClipProblem(seen, guess, noises, offsets, body, options, watch).decided()
+    return ClipProblem(seen, guess, noises, offsets, body, options, watch)
 
 
 def _with_offsets(observations: tuple[Sensor, ...]) -> tuple[tuple[Sensor, ...], int]:
@@ -121,8 +120,6 @@ class ClipProblem:
     body: BodyModel
     options: FitOptions
     watch: Watch | None
-    guesses: Compared | None = None
-    """The first guesses that the one was chosen from."""
 
     def solved(self) -> ClipFit:
         """The motion, and the ground where it is not known."""
@@ -157,7 +154,6 @@ class ClipProblem:
             self.settled(result),
             grounded=grounded,
             ground_seen=grounded and not ground_known and self.ground_seen,
-            guesses=self.guesses,
         )
 
     @property
@@ -262,34 +258,6 @@ class ClipProblem:
             watch=self.watch,
         )
 
-    def decided(self) -> "ClipProblem":
-        """The clips with the likeliest of their first guesses.
-
-        Which it is, a quick fit under the pose prior tells: half the moments, few of the points,
-        and of a long recording its first seconds.
-        """
-        if not self.guess.others:
-            return self
-        shown = self.first_seconds() if self.long else self
-        rough = tuple(
-            o.coarse(self.body) if not o.point_names(self.body) else o for o in shown.observations
-        )
-        starts = [one.resample(one.fps / 2) for one in (shown.guess.motion, *shown.guess.others)]
-        found = solve(
-            rough,
-            self.stages(self.rough, frozenset()),
-            self.body,
-            start=starts[0],
-            others=starts[1:],
-            scene=self.scene(starts[0]),
-            weights=weights_of(self.noises),
-            watch=self.watch,
-        )
-        every = (self.guess.motion, *self.guess.others)
-        rows = [every[number][[row]] for row, number in enumerate(found.chosen or ())]
-        guess = FirstGuess(concatenate(rows), self.guess.distance_known)
-        return replace(self, guess=guess, guesses=found.reports[-1].compared)
-
     def on_known_ground(self) -> Motion:
         """A first motion under the pose prior, as far from the one camera as its soles are low.
 
@@ -364,9 +332,5 @@ class ClipProblem:
         begin = self.guess.motion.start_time
         frames = round(WINDOW * self.guess.motion.fps) + 1  # the window has both its ends
         seen = tuple(o.window(begin, begin + WINDOW) for o in self.observations)
-        guess = FirstGuess(
-            self.guess.motion.window(0, frames),
-            self.guess.distance_known,
-            tuple(other.window(0, frames) for other in self.guess.others),
-        )
+        guess = FirstGuess(self.guess.motion.window(0, frames), self.guess.distance_known)
         return replace(self, observations=seen, guess=guess)

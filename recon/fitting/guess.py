@@ -39,8 +39,4 @@ def _of_shape(guess: FirstGuess, options: FitOptions) -> FirstGuess:
     if known is None:
         return guess
     shape = known.to(guess.motion.shape).expand_as(guess.motion.shape)
-    return FirstGuess(
-        guess.motion.replace(shape=shape),
-        guess.distance_known,
-        tuple(other.replace(shape=shape) for other in guess.others),
-    )
+    return FirstGuess(guess.motion.replace(shape=shape), guess.distance_known)

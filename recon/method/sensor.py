@@ -1,5 +1,6 @@
 """A sensor: its data, what it would have measured of a posed body, and what a fit asks of both."""
 
+import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeVar
@@ -107,11 +108,47 @@ class Sensor(TensorStruct):
             values, motion, fps=self.fps, start_time=self.start_time, moments=self.moments
         )
 
+    def check(self) -> None:
+        """Refuse a sensor of one's own whose fields do not fit each other.
+
+        Raises:
+            ObservationError: naming what is missing, or the shapes.
+        """
+        me: Any = self
+        name, fields = type(self).__name__, {field.name for field in dataclasses.fields(me)}
+        if missing := {"fps", "start_time", "ground_known", *self.timed} - fields:
+            raise ObservationError(
+                f"{name}: expected a dataclass with the fields {', '.join(sorted(missing))}, "
+                "which windows of long recordings change; write them as fields with annotations"
+            )
+        if self.shown.shape != self.values.shape[:-1] or self.shown.dtype != torch.bool:
+            raise ObservationError(
+                f"{name}.shown: expected booleans of {tuple(self.values.shape[:-1])}, values "
+                f"without their last axis, got {self.shown.dtype} of {tuple(self.shown.shape)}"
+            )
+        if self.vectors != "numbers" and self.values.shape[-1] != 3:
+            raise ObservationError(
+                f"{name}.values: expected three coordinates, got {self.values.shape[-1]}; say "
+                'vectors = "numbers" where they are none of the frame'
+            )
+        if not bool(self.values.isfinite().all()):
+            raise ObservationError(
+                f"{name}.values: expected finite numbers, got nan or inf; store zero where "
+                "nothing was measured, and False in shown"
+            )
+
     def residuals(self, estimate: Estimate) -> Residuals:
         """Measured minus predicted values, by frame and by point, in `unit`."""
         expected, seen = self.expected(estimate)
-        away = self.values[..., seen, :, :] - expected
-        return padded(away, self.weights[..., seen, :], seen, self.moments, self.unit)
+        measured = self.values[..., seen, :, :]
+        if expected.shape[-3:] != measured.shape[-3:]:
+            raise ObservationError(
+                f"{type(self).__name__}.predict: expected axes (..., frames, points, dims) of "
+                f"{tuple(measured.shape[-3:])}, those of values, got {tuple(expected.shape[-3:])}"
+            )
+        return padded(
+            measured - expected, self.weights[..., seen, :], seen, self.moments, self.unit
+        )
 
     def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
         """½ Σ kernel(w² |measured - predicted|²), taken at 30 Hz; `unit` squared."""
