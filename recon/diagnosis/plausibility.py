@@ -87,4 +87,8 @@ def _sizes(found: ClipFit) -> str:
 
 def _oddest(found: ClipFit) -> float:
     """Standard deviations from which on a shape is odd; markers beside the skin bend it."""
-    return _ODDEST_MARKERS if any(one.named and one.named.on_skin for one in found.observations) else _ODDEST
+    return (
+        _ODDEST_MARKERS
+        if any(one.named and one.named.on_skin for one in found.observations)
+        else _ODDEST
+    )
