@@ -20,7 +20,7 @@ from recon.fitting.guess import guessed
 from recon.fitting.methods import FitOptions, loaded
 from recon.fitting.observed import window
 from recon.fitting.settings import FitSettings, ReadOptions
-from recon.method.protocols import Sensor
+from recon.method.sensor import Sensor
 from recon.method.stages import Watch
 
 

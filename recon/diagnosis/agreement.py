@@ -10,7 +10,8 @@ from jaxtyping import Float
 
 from recon.core.residuals import Noise, Unit
 from recon.diagnosis.findings import Finding
-from recon.method.protocols import Estimate, Sensor
+from recon.method.protocols import Estimate
+from recon.method.sensor import Sensor
 
 _QUANTILES = (0.5, 0.9, 0.99)
 

@@ -10,7 +10,6 @@ found. `recon.fit(..., checks=...)` takes any of them, and functions of your own
 
 from dataclasses import replace
 
-from observations import kinds
 from recon.diagnosis.agreement import residual_warnings
 from recon.diagnosis.doubts import guessed_findings, undecided_findings, unseen_findings
 from recon.diagnosis.examination import (
@@ -29,37 +28,39 @@ from recon.diagnosis.plausibility import body_warnings, child_findings
 from recon.diagnosis.points.screening import screen_points
 
 
-@before_fit("image")
+@before_fit("view")
 def images(clip: CheckedClip) -> tuple[CheckedClip, Findings]:
     """Zeros, copies, outliers, exchanged names, and cameras that contradict each other."""
     from recon.diagnosis.views.screening import screen_views  # for clips with images alone
 
-    rows = [k for k, one in enumerate(clip.observations) if kinds.views([one])]
-    names = [clip.names[k] for k in rows]
-    checked, found = screen_views(kinds.views(clip.observations), names, clip.body)
-    kept = dict(enumerate(clip.observations)) | dict(zip(rows, checked, strict=True))
+    views = {k: one.view for k, one in enumerate(clip.observations) if one.view}
+    names = [clip.names[k] for k in views]
+    checked, found = screen_views(list(views.values()), names, clip.body)
+    kept = dict(enumerate(clip.observations)) | dict(zip(views, checked, strict=True))
     return replace(clip, observations=tuple(kept.values())), found
 
 
-@before_fit("points")
+@before_fit("named")
 def points(clip: CheckedClip) -> tuple[CheckedClip, Findings]:
     """Zeros, repeated values, exchanged and misplaced points, outliers, jumps, scale, ground."""
     kept, found, belt = list(clip.observations), NOTHING, None
     for row, one in enumerate(clip.observations):
-        for seen in kinds.tracked([one]):
-            grounded = clip.options.grounded
-            kept[row], more, own = screen_points(seen, clip.body, grounded=grounded)
-            found += more.of(clip.names[row])
-            belt = own if belt is None else belt
+        if one.named is None:
+            continue
+        grounded = clip.options.grounded
+        kept[row], more, own = screen_points(one.named, clip.body, grounded=grounded)
+        found += more.of(clip.names[row])
+        belt = own if belt is None else belt
     return replace(clip, observations=tuple(kept), belt=belt), found
 
 
-@before_fit("points")
+@before_fit("named")
 def treadmill(clip: CheckedClip) -> tuple[CheckedClip, Findings]:
     """Points on a treadmill are carried along with its belt, unless a sensor stays in the room."""
     if clip.belt is None:
         return clip, NOTHING
-    tracked, speed = kinds.tracked(clip.observations), float(clip.belt.norm())
+    tracked = [one.named for one in clip.observations if one.named]
+    speed = float(clip.belt.norm())
     if len(tracked) < len(clip.observations) or clip.options.completes:
         return replace(clip, belt=None), Findings(warnings=(treadmill_finding(clip.belt),))
     said = Finding(
@@ -72,7 +73,7 @@ def treadmill(clip: CheckedClip) -> tuple[CheckedClip, Findings]:
     return replace(clip, observations=carried), Findings((said,))
 
 
-@after_fit("image")
+@after_fit("view")
 def focal_length(clip: Examined) -> tuple[Examined, Findings]:
     """The focal length of the one camera that nobody calibrated, as it was found."""
     from recon.diagnosis.views.fitted import lens_doubtful, lens_finding
@@ -83,19 +84,20 @@ def focal_length(clip: Examined) -> tuple[Examined, Findings]:
     return clip, Findings(diagnosis=said)
 
 
-@after_fit("image")
+@after_fit("view")
 def camera_moves(clip: Examined) -> tuple[Examined, Findings]:
     """Whether a camera moved that alone has seen the clip, and that is declared fixed."""
-    views = kinds.views(clip.observations)
-    alone = len(clip.observations) == 1 and views[0].camera.T_camera_world.shape[-3] == 1
-    if not clip.fit.grounded or not alone:
+    view = clip.observations[0].view
+    if len(clip.observations) > 1 or view is None or not clip.fit.grounded:
+        return clip, NOTHING
+    if view.camera.T_camera_world.shape[-3] > 1:
         return clip, NOTHING
     from recon.diagnosis.motions.carried import carried_finding
     from recon.diagnosis.views.images import Images
     from recon.diagnosis.views.rest import moving_finding, rest_of
 
     body = clip.estimate.body.model.to(device="cpu")
-    seen = Images.of(views, clip.names, body)
+    seen = Images.of([view], clip.names, body)
     rest = rest_of(seen)
     if rest is not None and rest.moves:
         return clip, Findings(warnings=(moving_finding(clip.names[0], seen, rest),))
@@ -117,7 +119,7 @@ def residuals(clip: Examined) -> tuple[Examined, Findings]:
     return clip, Findings(warnings=residual_warnings(clip.residuals))
 
 
-@after_fit("image")
+@after_fit("view")
 def distance(clip: Examined) -> tuple[Examined, Findings]:
     """A wrong focal length moves a body to where nobody films."""
     from recon.diagnosis.views.fitted import distance_warnings
@@ -126,12 +128,12 @@ def distance(clip: Examined) -> tuple[Examined, Findings]:
     return clip, Findings(warnings=tuple(
         warning
         for name, one in sensors
-        for view in kinds.views([one])
-        for warning in distance_warnings(name, view, clip.estimate)
+        if one.view
+        for warning in distance_warnings(name, one.view, clip.estimate)
     ))  # fmt: skip
 
 
-@after_fit("surface")
+@after_fit("cloud")
 def basin(clip: Examined) -> tuple[Examined, Findings]:
     """Whether a fit to clouds has locked on to a wrong posture or heading."""
     from recon.diagnosis.basins import basin_findings
@@ -140,8 +142,8 @@ def basin(clip: Examined) -> tuple[Examined, Findings]:
     return clip, Findings(warnings=tuple(
         warning
         for own, one in sensors
-        for cloud in kinds.clouds([one])
-        for warning in basin_findings(own.name, cloud, own.quantiles, clip.estimate)
+        if one.cloud
+        for warning in basin_findings(own.name, one.cloud, own.quantiles, clip.estimate)
     ))  # fmt: skip
 
 
@@ -151,12 +153,14 @@ def size_and_soles(clip: Examined) -> tuple[Examined, Findings]:
     return clip, Findings(warnings=body_warnings(clip.fit))
 
 
-@after_fit("image")
+@after_fit("view")
 def mirrored(clip: Examined) -> tuple[Examined, Findings]:
     """Images that fit together better when mirrored."""
     from recon.diagnosis.views.fitted import mirror_warnings
 
-    return clip, Findings(warnings=mirror_warnings(kinds.views(clip.observations)))
+    return clip, Findings(
+        warnings=mirror_warnings([one.view for one in clip.observations if one.view])
+    )
 
 
 @after_fit()
@@ -164,7 +168,7 @@ def frame_rate(clip: Examined) -> tuple[Examined, Findings]:
     """Gait, falls and balance that contradict the frame rate."""
     # without a ground none of them tells anything; cameras whose ground and person do not fit
     # together measure in no metres
-    in_metres = not kinds.views(clip.observations) or all(
+    in_metres = not any(one.view for one in clip.observations) or all(
         one.code != "floor" for one in body_warnings(clip.fit)
     )
     if not clip.fit.grounded or _broken(clip) or not in_metres:

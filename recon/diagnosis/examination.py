@@ -19,7 +19,8 @@ from recon.diagnosis.findings import NOTHING, Finding, Findings, in_turn
 from recon.fitting.fitted import ClipFit
 from recon.fitting.methods import FitOptions
 from recon.method.laplace import Deviations
-from recon.method.protocols import Estimate, Sensor
+from recon.method.protocols import Estimate
+from recon.method.sensor import Sensor
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -156,23 +157,26 @@ def checked(clip: Clip, checks: Sequence[Callable[..., Any]]) -> Clip:
 
 
 def before_fit(*sees: str) -> Callable[[BeforeFit], BeforeFit]:
-    """A check of the data, which may put them right; it speaks of sensors that see one of these.
+    """A check of the data, which may put them right.
 
     Args:
-        sees: `points`, `image`, `surface`; the check is not asked about clips without such.
+        sees: properties of the sensors that it speaks of, `named`, `view` or `cloud`; the check is
+            not asked about clips without such. None of them: it speaks of any sensor.
     """
     return partial(_marked, sees=sees, comes_before_fit=True)
 
 
 def after_fit(*sees: str) -> Callable[[AfterFit], AfterFit]:
-    """A check of a fit, that speaks of sensors which see one of these; none: of any sensor."""
+    """A check of a fit; `sees` as of `before_fit`."""
     return partial(_marked, sees=sees, comes_before_fit=False)
 
 
 def _marked(check: Any, sees: tuple[str, ...], comes_before_fit: bool) -> Any:
     @wraps(check)
     def asked(clip: Any) -> tuple[Any, Findings]:
-        told = not sees or any(getattr(one, "sees", None) in sees for one in clip.observations)
+        told = not sees or any(
+            getattr(one, what, None) for one in clip.observations for what in sees
+        )
         return check(clip) if told else (clip, NOTHING)
 
     asked.__dict__.update(sees=sees, comes_before_fit=comes_before_fit)

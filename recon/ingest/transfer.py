@@ -15,7 +15,7 @@ from recon.core.nearest import closest_points
 from recon.core.raster import vertex_normals
 from recon.core.skeleton import JOINTS, PARENTS, joint_index
 from recon.ingest.markers.poses import PoseEnergies, Poses, SkinPoints
-from recon.solver.levenberg_marquardt import LevenbergMarquardt, minimise_frames
+from recon.ingest.markers.tied_frames import LevenbergMarquardt, minimise_frames
 
 ROUNDS = 20
 """Most rounds of finding nearest points and moving towards them."""

@@ -30,7 +30,7 @@ def seen():
 def test_every_check_says_what_it_does_and_of_which_sensors():
     for check in (*BEFORE, *AFTER):
         assert check.__doc__
-        assert set(check.sees) <= {"points", "image", "surface"}  # type: ignore[attr-defined]
+        assert set(check.sees) <= {"named", "view", "cloud"}  # type: ignore[attr-defined]
         assert check.comes_before_fit == (check in BEFORE)  # type: ignore[attr-defined]
 
 

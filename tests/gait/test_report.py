@@ -12,8 +12,8 @@ import torch
 import recon
 from recon import cli
 from recon.api.result import described
+from recon.body.angles import ISB_ANGLES
 from recon.body.motion_files import load_motion_of
-from recon.core.skeleton import JOINTS
 from recon.gait.analysis import CURVES
 from recon.gait.laboratory import LaboratoryReport
 
@@ -70,13 +70,13 @@ def test_standard_deviations_of_a_fit_are_bands():
     pytest.importorskip("matplotlib")
     body = recon.BodyModel.load()
     motion = load_motion_of(DEMO, body).motion
-    file = described(motion, body, joint_std=torch.full((motion.frames, len(JOINTS)), 0.02))
+    std = torch.full((motion.frames, len(ISB_ANGLES)), 2.0)
+    file = described(motion, body, angle_std=std)
     sure = recon.report(file)
-    assert 1 < sure.gait.angle_std["knee_flexion_l"].mean() < 15
+    assert sure.gait.angle_std["knee_flexion_l"].mean() == pytest.approx(2.0)
     assert "SD of the fit" in sure.page()
     rows = csv.DictReader(io.StringIO(sure.table()))
-    assert all((row["std"] != "") == (row["name"] in ("Knee flexion", "Ankle dorsiflexion"))
-               for row in rows if row["kind"] == "angle")  # fmt: skip
+    assert {row["std"] for row in rows if row["kind"] == "angle"} == {"2"}
 
 
 def test_a_motion_without_steps_has_angles_along_time():
@@ -102,8 +102,8 @@ def test_what_a_conversion_said_stands_on_the_page(tmp_path):
         '[{"code": "residual", "message": "LASI: 12.5 mm on average"}]}'
     )
     shown = recon.report(tmp_path / "walk.npz")
-    assert shown.contents.residuals[0].values == {"LASI": 12.5}
-    assert shown.contents.notes == ()
+    assert shown.residuals[0].values == {"LASI": 12.5}
+    assert shown.notes == ()
     page = shown.page()
     assert "labels &lt;exchanged&gt;" in page
     assert "unit mm" in page

@@ -7,10 +7,10 @@ import torch
 from jaxtyping import Bool, Float
 
 from observations.kinds import Tracked
-from observations.timing import at_observation_times
 from recon.body.model import BodyModel
 from recon.core.skeleton import MIRROR, PARENTS
 from recon.method.protocols import Estimate
+from recon.method.timing import at_observation_times
 
 Points = Tracked
 """Sensors that give the places of named points in space."""
@@ -151,7 +151,7 @@ class Predicted:
         moments = observed.positions.shape[-3]
         with torch.no_grad():
             there, seen = at_observation_times(
-                estimate.scene.to_recording(observed.predict(estimate)), estimate.motion,
+                estimate.scene.to_recording(observed.predicted(estimate)), estimate.motion,
                 fps=observed.fps, start_time=observed.start_time, moments=moments,
             )  # fmt: skip
         covered = np.clip(np.arange(moments) - seen.start, 0, seen.stop - seen.start - 1)
