@@ -6,13 +6,13 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float
 
-from observations.kinds import Tracked
+from observations.points import TrackedPoints
 from recon.body.model import BodyModel
 from recon.core.skeleton import MIRROR, PARENTS
 from recon.method.protocols import Estimate
 from recon.method.timing import at_observation_times
 
-Points = Tracked
+Points = TrackedPoints
 """Sensors that give the places of named points in space."""
 
 _MIRRORED_WITHIN = 0.04
