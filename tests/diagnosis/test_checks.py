@@ -3,11 +3,15 @@
 import subprocess
 import sys
 
+import numpy as np
+import torch
+
 import recon
 from recon.diagnosis.checks import AFTER, BEFORE, points, unseen
-from recon.diagnosis.examination import Examined
+from recon.diagnosis.examination import Examined, checked
 from recon.diagnosis.findings import Finding, Findings
 from recon.simulation.points import Corruption, joints3d
+from tests.diagnosis.test_views import SIDES, checked_clip, filmed, renamed
 from tests.filmed import bundled, walk
 
 WITHOUT = """
@@ -45,8 +49,6 @@ def test_a_caller_chooses_checks_and_adds_own():
 
 
 def test_a_fit_without_checks_loads_none(tmp_path):
-    import numpy as np
-
     np.save(tmp_path / "joints.npy", bundled().pose(walk(8)).joints.numpy())
     ran = subprocess.run(
         [sys.executable, "-c", WITHOUT, str(tmp_path / "joints.npy")],
@@ -57,3 +59,15 @@ def test_a_fit_without_checks_loads_none(tmp_path):
     rooms = ("checks", "points", "motions", "views", "basins", "plausibility")
     loaded = [name.removeprefix("recon.diagnosis.") for name in loaded.split()]
     assert [name for name in loaded if name.startswith(rooms)] == []
+
+
+def test_a_fit_screens_its_views_unless_told_not_to() -> None:
+    spoilt = renamed(filmed(1)[0], slice(8, 18), SIDES)
+    clip = checked_clip(spoilt)
+    found = checked(clip, BEFORE)
+    assert [f.code for f in found.repairs] == ["sides exchanged"]
+    assert found.repairs[0].sensors == ("one",)
+    assert torch.equal(found.observations[0].pixels, filmed(1)[0].pixels)  # type: ignore[union-attr]
+    for how in ({"repair": False}, {"checks": AFTER}):
+        result = recon.fit(spoilt, "pose", body=bundled(), **how)
+        assert result.repairs == ()

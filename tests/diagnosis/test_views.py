@@ -10,13 +10,11 @@ import numpy as np
 import pytest
 import torch
 
-import recon
 from observations.keypoints2d import Keypoints2D
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.skeleton import keypoint_names
-from recon.diagnosis.checks import AFTER, BEFORE
-from recon.diagnosis.examination import CheckedClip, checked
+from recon.diagnosis.examination import CheckedClip
 from recon.diagnosis.findings import Finding
 from recon.diagnosis.views.screening import screen_views
 from recon.fitting.methods import FitOptions
@@ -388,15 +386,3 @@ def test_views_in_which_nothing_is_seen_say_nothing() -> None:
         _, repairs, warnings = screened(some)
         assert repairs == []
         assert warnings == []
-
-
-def test_a_fit_screens_its_views_unless_told_not_to() -> None:
-    spoilt = renamed(filmed(1)[0], slice(8, 18), SIDES)
-    clip = checked_clip(spoilt)
-    found = checked(clip, BEFORE)
-    assert [f.code for f in found.repairs] == ["sides exchanged"]
-    assert found.repairs[0].sensors == ("one",)
-    assert torch.equal(found.observations[0].pixels, filmed(1)[0].pixels)  # type: ignore[union-attr]
-    for how in ({"repair": False}, {"checks": AFTER}):
-        result = recon.fit(spoilt, "pose", body=bundled(), **how)
-        assert result.repairs == ()
