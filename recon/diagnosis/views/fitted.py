@@ -27,7 +27,7 @@ _LEAST_PIXELS = 1.0
 
 
 def distance_warnings(name: str, seen: Keypoints2D, estimate: Estimate) -> list[Finding]:
-    """A wrong focal length moves a body to where nobody films, or off a ground that is known."""
+    """A wrong focal length moves a body to where nobody films."""
     pelvis = estimate.scene.to_recording(estimate.body.joints[..., :1, :])
     distance = float(seen.camera.to_camera(pelvis.mean(-3, keepdim=True))[..., 2].median())
     if _NEAR < distance < _FAR:
