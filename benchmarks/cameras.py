@@ -31,8 +31,6 @@ from benchmarks.protocol import (
     columns_of,
     corpus_source,
     evenly,
-    mean_of,
-    number,
     over_windows,
     tell,
 )
@@ -55,12 +53,10 @@ _ORBIT = 1.0
 
 COLUMNS: Metrics = {
     "root_visible": ("visible cm", 100, 1), "root_hidden": ("hidden cm", 100, 1),
-    "joints_all": ("world cm", 100, 1), "vertices": ("vertices cm", 100, 1),
-    "accel_error": ("accel. error m/s²", 1, 1), "penetration_freq": ("penetration %", 100, 1),
+    "joints_all": ("world cm", 100, 1),
     "normal": ("normal °", 1, 1), "height": ("height cm", 100, 1), "seconds": ("CPU s", 1, 1),
 }  # fmt: skip
-"""Joints about the pelvis, visible and hidden; then in the world. Penetration is that of the
-ground that was found."""
+"""Joints about the pelvis, visible and hidden; then in the world; errors of a found ground."""
 CASES: dict[str, tuple[int, bool, bool]] = {
     "one camera, ground not known": (1, False, False),
     "one camera of known pose": (1, True, False),
@@ -97,37 +93,12 @@ def main() -> None:
 
 
 def shown(found: Mapping[str, Mapping[str, list[Row]]], windows: TrueWindows) -> dict[str, Table]:
-    """All columns, and visible and hidden joints with and without the motion prior."""
+    """A row for every case and method."""
     rows: list[list[Cell]] = []
-    brief: list[list[Cell]] = []
     for case, methods in found.items():
         values = {m: {k: [row[k] for row in own] for k in COLUMNS} for m, own in methods.items()}
         rows.extend([f"{case}: {m}", *cells(v, windows, COLUMNS)] for m, v in values.items())
-        apart = [k for k, who in enumerate(windows.subjects) if who in windows.apart]
-        seen, hidden = (
-            _pair([_mean(values[m][key], windows) for m in (POSE, HUMOR)])
-            for key in ("root_visible", "root_hidden")
-        )
-        of_apart = ([values[m]["root_hidden"][k] for k in apart] for m in (POSE, HUMOR))
-        brief.append([case, seen, hidden, _pair([_mean_of_known(own) for own in of_apart])])
-    heads = ("visible", "hidden", "apart, hidden")
-    summary = [("stages 1-2 / collocation, cm", None), *((head, None) for head in heads)]
-    return {"cameras": Table(columns_of("case", COLUMNS), rows),
-            "cameras-summary": Table(summary, brief)}  # fmt: skip
-
-
-def _mean(values: list[float | None], windows: TrueWindows) -> float | None:
-    found = mean_of(values, windows)
-    return None if found is None else found.mean
-
-
-def _mean_of_known(values: list[float | None]) -> float | None:
-    known = [value for value in values if value is not None]
-    return sum(known) / len(known) if known else None
-
-
-def _pair(values: list[float | None]) -> str:
-    return " / ".join("–" if v is None else f"{number(v, 100):.1f}" for v in values)
+    return {"cameras": Table(columns_of("case", COLUMNS), rows)}
 
 
 def measured(
@@ -150,8 +121,7 @@ def measured(
     return {
         "root_visible": world["root_joints_visible"],
         "root_hidden": world["root_joints_hidden"],
-        **{key: world[key] for key in ("joints_all", "vertices", "accel_error")},
-        "penetration_freq": evaluate(result.motion, truth, body)["penetration_freq"],
+        "joints_all": world["joints_all"],
         **ground,
         "seconds": seconds,
     }

@@ -13,7 +13,7 @@ from torch import Tensor
 
 import recon
 from recon.core.skeleton import joint_index
-from recon.method.protocols import Estimate
+from recon.method import Estimate, Term
 from recon.simulation.points import Corruption, joints3d
 
 HEAD = joint_index("head")
@@ -31,9 +31,7 @@ def main() -> None:
         truth = recon.load_motion(path).motion.window(0, 30)
     seen = joints3d(truth, body, Corruption(noise=0.04), seed=0)
     for weight in (0.0, 10.0):
-        result = recon.fit(
-            seen, prior="pose", terms=[recon.Term("level head", level_head, weight)]
-        )
+        result = recon.fit(seen, prior="pose", terms=[Term("level head", level_head, weight)])
         estimate = Estimate.of_clip(result.motion, body)
         print(f"weight {weight}: tilt {float(level_head(estimate)):.3f}")
 

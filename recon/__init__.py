@@ -5,6 +5,7 @@ Names are loaded on first use, so that importing the package (and `recon --help`
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
+from warnings import warn
 
 __version__ = "0.2.0"
 __distribution__ = "motion-recon"
@@ -26,13 +27,11 @@ if TYPE_CHECKING:
     from recon.api.given import Shape as Shape
     from recon.api.interpolate import interpolate as interpolate
     from recon.api.result import Result as Result
-    from recon.api.results import MotionResult as MotionResult
     from recon.api.retarget import retarget as retarget
     from recon.api.simulate import simulate as simulate
     from recon.batch.clips import fit_clips as fit_clips
     from recon.benchmark.judged import bench as bench
     from recon.body.model import BodyModel as BodyModel
-    from recon.body.motion_files import load_motion_of as load_motion_of
     from recon.core.camera import Camera as Camera
     from recon.core.errors import FormatError as FormatError
     from recon.core.errors import ObservationError as ObservationError
@@ -40,22 +39,12 @@ if TYPE_CHECKING:
     from recon.core.errors import UnitsError as UnitsError
     from recon.core.errors import WeightsError as WeightsError
     from recon.core.motion import Motion as Motion
-    from recon.fitting.long import LongReconstruction as LongReconstruction
-    from recon.fitting.long import fit_long as fit_long
     from recon.formats.motions import load_motion as load_motion
     from recon.formats.motions import save_motion as save_motion
     from recon.gait.angles import joint_angles as joint_angles
-    from recon.gait.laboratory import LaboratoryReport as LaboratoryReport
     from recon.gait.report import report as report
     from recon.live.stream import Stream as Stream
-    from recon.live.tracking import LiveEstimate as LiveEstimate
-    from recon.method.reconstruction import Reconstruction as Reconstruction
-    from recon.method.reconstruction import solve as solve
-    from recon.method.stages import Stage as Stage
-    from recon.method.terms import Term as Term
-    from recon.people.results import People as People
     from recon.people.together import fit_people as fit_people
-    from recon.people.together import load_people as load_people
     from recon.reading.door import load_observation as load_observation
     from recon.reading.door import read as read
 
@@ -65,10 +54,7 @@ _HOMES = {
     "load_observation": "recon.reading.door",
     "fit_clips": "recon.batch.clips",
     "fit_people": "recon.people.together",
-    "load_people": "recon.people.together",
-    "People": "recon.people.results",
     "Stream": "recon.live.stream",
-    "LiveEstimate": "recon.live.tracking",
     "Result": "recon.api.result",
     "Shape": "recon.api.given",
     "joint_angles": "recon.gait.angles",
@@ -84,8 +70,6 @@ _HOMES = {
     "simulate": "recon.api.simulate",
     "report": "recon.gait.report",
     "to_body": "recon.api.convert",
-    "LaboratoryReport": "recon.gait.laboratory",
-    "MotionResult": "recon.api.results",
     "Joints3D": "observations.joints3d",
     "Markers3D": "observations.markers3d",
     "Keypoints2D": "observations.keypoints2d",
@@ -100,20 +84,33 @@ _HOMES = {
     "BodyModel": "recon.body.model",
     "load_motion": "recon.formats.motions",
     "save_motion": "recon.formats.motions",
-    "LongReconstruction": "recon.fitting.long",
-    "fit_long": "recon.fitting.long",
     "Motion": "recon.core.motion",
-    "load_motion_of": "recon.body.motion_files",
-    "Reconstruction": "recon.method.reconstruction",
-    "solve": "recon.method.reconstruction",
+}
+
+_FORMER = {
     "Stage": "recon.method.stages",
     "Term": "recon.method.terms",
+    "solve": "recon.method.reconstruction",
+    "Reconstruction": "recon.method.reconstruction",
+    "fit_long": "recon.fitting.long",
+    "LongReconstruction": "recon.fitting.long",
+    "LaboratoryReport": "recon.gait.laboratory",
+    "LiveEstimate": "recon.live.tracking",
+    "People": "recon.people.results",
+    "MotionResult": "recon.api.results",
+    "load_motion_of": "recon.body.motion_files",
+    "load_people": "recon.people.together",
 }
+"""Names that were here until 0.2.0, with the modules where they are now."""
 
 
 def __getattr__(name: str) -> Any:
     if name in _HOMES:
         return getattr(import_module(_HOMES[name]), name)
+    if name in _FORMER:
+        home = _FORMER[name]
+        warn(f"recon.{name} is now {home}.{name}", DeprecationWarning, stacklevel=2)
+        return getattr(import_module(home), name)
     raise AttributeError(f"module 'recon' has no attribute {name!r}")
 
 

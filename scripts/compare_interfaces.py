@@ -3,7 +3,7 @@
     python -m scripts.compare_interfaces ../v010 .
 
 Reads the sources of `recon`, `priors` and `observations` without importing them, and the table of
-moved modules in docs/modules.md of the new version. Written for docs/migration.md: every line is
+moved modules in docs/migration.md of the new version, for which it was written: every line is
 something that neither that table nor the same name in the same place tells, so it must stand
 there. Private names are left out, and so are names that are only new. Of a name that is elsewhere
 all places are given, of which some may be other things of the same name.
@@ -38,7 +38,8 @@ def main() -> None:
     parser.add_argument("old", type=Path)
     parser.add_argument("new", type=Path)
     arguments = parser.parse_args()
-    table = (arguments.new / "docs" / "modules.md").read_text(encoding="utf-8")
+    page = (arguments.new / "docs" / "migration.md").read_text(encoding="utf-8")
+    table = page.split("## Modules of version 0.1.0")[1]
     for line in differences(offers(arguments.old), offers(arguments.new), moved(table)):
         print(line)
 

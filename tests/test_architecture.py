@@ -62,7 +62,7 @@ FLAT = 25
 """Modules and packages that a room may list before it needs rooms of its own."""
 DEEPEST = 2
 """Levels of folders below a package."""
-TO_FLATTEN = frozenset({"recon/ingest", "recon/view"})
+TO_FLATTEN = frozenset({"recon/ingest"})
 """Rooms that were divided before they were full. No new ones."""
 
 

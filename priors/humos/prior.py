@@ -7,6 +7,7 @@ variables of a motion is the same motion as another body performs it.
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import torch
@@ -30,8 +31,10 @@ from recon.core.errors import ReconError, WeightsError
 from recon.core.motion import Motion
 from recon.core.struct import TensorStruct
 from recon.method.plugins import imported
+from recon.method.priors import USUAL_NOISE, Prior
 from recon.method.protocols import Decoded
-from recon.method.reconstruction import Method
+from recon.method.stages import Stage
+from recon.method.terms import Term
 
 FPS = 20.0
 """Frames per second of the codes."""
@@ -74,7 +77,7 @@ class HumosVariables(TensorStruct):
 
 
 @dataclass(frozen=True)
-class Humos:
+class Humos(Prior[HumosVariables]):
     """The HUMOS prior: codes of 0.8 s that follow each other as recorded ones do."""
 
     weights: HumosWeights
@@ -97,16 +100,23 @@ class Humos:
             )
         return cls(found, body)
 
-    def method(self, noise: float, body: BodyModel) -> Method:
-        """A method for observations whose coordinates are off by about `noise` metres.
+    def stages(
+        self,
+        data: tuple[Term, ...],
+        noise: float = USUAL_NOISE,
+        body: BodyModel | None = None,
+        method: str | None = None,
+    ) -> tuple[Stage[Any], ...]:
+        """Those of the whole motion (`priors.humos.collocation`).
 
         Raises:
             WeightsError: when the body is not on the processor.
         """
-        if body.template.device.type != "cpu":
+        del method
+        if body is not None and body.template.device.type != "cpu":
             raise WeightsError("the HUMOS prior runs on the processor: leave --device at cpu")
-        kind = imported("priors.humos.collocation:HumosFit", "method")
-        return kind.for_noise(self, noise)
+        fitted = imported("priors.humos.collocation:CollocatedHumos", "method")
+        return fitted(self).stages(data, noise)
 
     def encode(self, motion: Motion) -> HumosVariables:
         """Mean codes of each clip, and as details all that they leave out: exact.

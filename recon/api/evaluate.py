@@ -267,7 +267,7 @@ def _observed(
     adapter = positions_of(file, path, body.to(dtype=torch.float32))
     truth = theirs.motion.at(ours.motion.times, ours.motion.fps)
     predicted, actual = (
-        adapter.predict(Estimate.of_clip(motion, body))[0] for motion in (ours.motion, truth)
+        adapter.predicted(Estimate.of_clip(motion, body))[0] for motion in (ours.motion, truth)
     )
     seen = torch.from_numpy(file.visible)
     times = file.start_time + torch.arange(len(seen), dtype=torch.float64) / file.fps

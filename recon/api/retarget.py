@@ -59,7 +59,7 @@ def retarget(
     By `physics` the scaled copy is proposed (equal rotations, a path that grows with the legs),
     and by `network` what the HUMOS prior makes of the motion for that body; the nearest motion to
     the proposal that obeys physics is the result. It begins at the same place. Nothing is random,
-    and everything is computed on the processor. docs/retargeting.md compares the two.
+    and everything is computed on the processor. docs/start/motions.md compares the two.
 
     A shape is coefficients (0.5,-1,2; write --shape=-1,2 where the first is negative), measures
     (height=1.80,weight=75: metres and kilograms, one or both), words (man or woman, tall or
@@ -173,7 +173,7 @@ def raised(motion: Motion, metres: float) -> Motion:
 
 
 def _rate_warnings(name: str, source: Motion, body: BodyModel) -> Iterator[Finding]:
-    """Motions that are sampled too rarely, or move as nobody does."""
+    """Warnings about a low frame rate, or about speeds that nobody reaches."""
     if source.fps < RATE:
         yield Finding(
             "rate",
@@ -192,7 +192,7 @@ def _rate_warnings(name: str, source: Motion, body: BodyModel) -> Iterator[Findi
 
 
 def _ground_warnings(name: str, samples: PhysicsSamples, told: bool) -> Iterator[Finding]:
-    """What is wrong where a body never touches the ground z = 0.
+    """Warnings about a body that never touches the ground z = 0.
 
     Raises:
         ReconError: when nobody told where the ground is.

@@ -2,15 +2,22 @@
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from recon.batch.workers import Failure, Run, run_jobs
 from recon.batch.worklog import BatchClip, Record, open_log
-from recon.fitting.methods import traits
+from recon.fitting.methods import trait_of
 from recon.fitting.settings import FitSettings
-from recon.formats.outputs import paths_in
+from recon.formats.outputs import Output, check_outputs, paths_in
 from recon.formats.replacing import file_checksum, value_checksum
+
+if TYPE_CHECKING:
+    from recon.api.result import Result
+
+Shape = tuple[float, ...]
+"""Shape coefficients."""
 
 
 @dataclass(frozen=True)
@@ -28,31 +35,35 @@ class Job:
     """The last record of the clip, or nothing."""
     overwrite: bool = False
     """Whether a result that is there and recon did not write may be replaced."""
-    shape: tuple[float, ...] | None = None
+    shape: Shape | None = None
     """Coefficients that are held, those of the clip's subject; None estimates them."""
 
 
 def fit_one(job: Job) -> Record:
     """Fit a clip unless that was done; the record says what was done, to what, with what result.
 
+    Its status is `failed` when the fit met nan or inf; the last finite estimate is written then.
+
     Raises:
         ValueError, OSError: for bad input.
     """
-    from recon.reading.inputs import clip_checksum
+    from recon.reading.inputs import clip_checksum, input_checksums
 
     # before anything is read: what changes from now on is found out by the next run
-    key = clip_checksum(job.clip.observations, job.settings_checksum)
+    paths, settings = job.clip.observations, job.settings
+    key = clip_checksum(paths, job.settings_checksum)
     if job.shape is not None:
         key = value_checksum([key, *job.shape])
     record: Record = {"id": job.clip.name, "output": str(job.target)}
     if is_done(job, key):
         return record | {"status": "skipped"}
-    from recon.batch.files import fit_files
-
     began = time.perf_counter()
-    report = fit_files(
-        job.clip.observations, job.target, job.settings, shape=job.shape, overwrite=job.overwrite
-    )
+    check_outputs([Output(job.target)], paths_in((*paths, settings)), overwrite=job.overwrite)
+    inputs = input_checksums({"observations": paths, **vars(settings)})
+    held = {} if job.shape is None else {"shape": list(job.shape)}
+    result = _fitted(job.clip, settings.arguments() | held)
+    report = result.report(inputs, asdict(settings) | held)
+    result.save(job.target, overwrite=job.overwrite, report=report)
     return record | {
         "status": "failed" if report["failed"] else "ok",
         "seconds": round(time.perf_counter() - began, 3),
@@ -68,13 +79,26 @@ def is_done(job: Job, key: str) -> bool:
     return same and job.target.is_file() and known.get("checksum") == file_checksum(job.target)
 
 
-def target(out: Path, clip: BatchClip) -> Path:
-    """The file to which the motion of a clip is written."""
-    return out / f"{clip.name}.npz"
+def estimate_shape(job: Job) -> Record:
+    """The shape that one clip tells under the pose prior, unless its record has it already.
+
+    Raises:
+        ValueError, OSError: for bad input.
+    """
+    from recon.reading.inputs import clip_checksum
+
+    key = clip_checksum(job.clip.observations, job.settings_checksum)
+    if job.known.get("key") == key:
+        return job.known
+    first = replace(job.settings, prior="pose", weights="open", method=None, physics=0.0)
+    shape = _fitted(job.clip, first.arguments()).motion.shape
+    return {"id": job.clip.name, "key": key, "shape": shape.tolist()}
 
 
-Shape = tuple[float, ...]
-"""Shape coefficients."""
+def _fitted(clip: BatchClip, arguments: dict[str, Any]) -> "Result":
+    from recon.api.fit import fit
+
+    return fit(list(clip.observations), **arguments)
 
 
 def shapes_of_subjects(
@@ -105,74 +129,29 @@ def shapes_of_subjects(
     known = [clip for clip in clips if clip.subject is not None]
     if not known:
         return {}
-    if traits(settings.prior).completes:
+    if trait_of(settings.prior, "completes"):
         raise ValueError(
             "subject: cycles are completed with shapes of their own; leave `subject` out of the "
             "manifest, or fit with another prior"
         )
-    found: dict[str, list[Shape]] = {}
-    names = {clip.name: str(clip.subject) for clip in known}
-    for record in _shapes(known, settings, processes, log, checksum, run):
-        found.setdefault(names[record["id"]], []).append(tuple(record["shape"]))
-    shared = {subject: _shared(shapes) for subject, shapes in found.items()}
-    return {name: shared[subject] for name, subject in names.items() if subject in shared}
-
-
-def _shapes(
-    clips: Sequence[BatchClip],
-    settings: FitSettings,
-    processes: int,
-    log: Path,
-    checksum: str,
-    run: Run,
-) -> Iterator[Record]:
-    """A record with the shape of every clip that can be fitted."""
-    with open_log(log.with_name(f"shapes-{log.name}")) as lines:
-        jobs = (
-            (ShapeJob(one, settings, checksum, lines.records.get(one.name, {})),)
-            for one in large_first(clips)
-        )
-        for _, result in run(estimate_shape, jobs, processes):
-            if not isinstance(result, Failure):
-                lines.append(result)
-                yield result
-
-
-@dataclass(frozen=True)
-class ShapeJob:
-    """All that a process needs to find the shape that one clip tells."""
-
-    clip: BatchClip
-    settings: FitSettings
-    settings_checksum: str
-    known: Record
-    """The last record of the clip's shape, or nothing."""
-
-
-def estimate_shape(job: ShapeJob) -> Record:
-    """The shape that one clip tells, unless the log has it already; done in a process.
-
-    Raises:
-        ValueError, OSError: for bad input.
-    """
-    from recon.reading.inputs import clip_checksum
-
-    key = clip_checksum(job.clip.observations, job.settings_checksum)
-    if job.known.get("key") == key:
-        return job.known
-    from recon.batch.files import fitted
-
-    first = replace(job.settings, prior="pose", weights="open", method=None, physics=0.0)
-    result = fitted(job.clip.observations, first)
-    return {"id": job.clip.name, "key": key, "shape": result.motion.shape.tolist()}
-
-
-def _shared(shapes: Sequence[Shape]) -> Shape:
     import torch
 
     from recon.batch.clips import shared_shape
 
-    return tuple(shared_shape([torch.tensor(shape) for shape in shapes]).tolist())
+    found: dict[str, list[torch.Tensor]] = {}
+    names = {clip.name: str(clip.subject) for clip in known}
+    with open_log(log.with_name(f"shapes-{log.name}")) as lines:
+        jobs = (
+            (Job(clip, log, settings, checksum, lines.records.get(clip.name, {})),)
+            for clip in large_first(known)
+        )
+        for _, record in run(estimate_shape, jobs, processes):
+            if not isinstance(record, Failure):
+                lines.append(record)
+                shape = torch.tensor(record["shape"])
+                found.setdefault(names[record["id"]], []).append(shape)
+    shared = {subject: tuple(shared_shape(own).tolist()) for subject, own in found.items()}
+    return {name: shared[subject] for name, subject in names.items() if subject in shared}
 
 
 FIT_VERSION = 12
@@ -225,10 +204,13 @@ def fit_all(
 
         def job(clip: BatchClip) -> tuple[Job]:
             known, shape = lines.records.get(clip.name, {}), shapes.get(clip.name)
-            return (Job(clip, target(out, clip), settings, common, known, overwrite, shape),)
+            target = out / f"{clip.name}.npz"
+            return (Job(clip, target, settings, common, known, overwrite, shape),)
 
         for (done,), result in run(work, map(job, large_first(clips)), processes):
-            record = _failed(done, result) if isinstance(result, Failure) else result
+            record = result
+            if isinstance(result, Failure):
+                record = {"id": done.clip.name, "output": str(done.target), **result.record}
             if record["status"] != "skipped":
                 lines.append(record)
             yield record
@@ -255,20 +237,12 @@ def _size(clip: BatchClip) -> tuple[str, int]:
         return "", 0
 
 
-def _failed(job: Job, failure: Failure) -> Record:
-    record: Record = {
-        "id": job.clip.name, "output": str(job.target), "status": failure.kind,
-        "error": failure.reason,
-    }  # fmt: skip
-    return record | ({"traceback": failure.traceback} if failure.traceback else {})
-
-
 def _check_targets(clips: Sequence[BatchClip], out: Path, settings: FitSettings) -> None:
     """Refuse to write a result of any clip over what any clip is made from."""
     inputs = {file.resolve() for clip in clips for file in clip.observations}
     inputs |= {path.resolve() for path in paths_in(settings)}
     for clip in clips:
-        result = target(out, clip)
+        result = out / f"{clip.name}.npz"
         for path in (result, result.with_name(result.name + ".json")):
             if path.resolve() in inputs or path.resolve().parent in inputs:
                 raise ValueError(

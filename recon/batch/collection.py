@@ -174,18 +174,22 @@ class Content:
             files.append(find_skeleton(self.clip.path))
         return value_checksum([file_checksum(file) for file in files])
 
-    def read(self) -> SkeletonRecording | str:
-        """The recording without the T-pose before it, or why there is none."""
+    def read(self) -> SkeletonRecording:
+        """The recording without the T-pose before it.
+
+        Raises:
+            ValueError: when there is none, with the reason.
+        """
         if self.missing:
-            return self.missing
+            raise ValueError(self.missing)
         try:
             if self.text is not None:
                 return drop_lead_in(parse_bvh(self.text, self.inside))
             recording = read_recording(self.clip.path)
         except (FileNotFoundError, ValueError) as error:
-            return str(error)
+            raise ValueError(str(error)) from error
         if not isinstance(recording, SkeletonRecording):
-            return f"{self.clip.path}: expected a skeleton, got markers"
+            raise ValueError(f"{self.clip.path}: expected a skeleton, got markers")
         return drop_lead_in(recording)
 
 
@@ -216,14 +220,6 @@ def contents(clips: Sequence[SourceClip]) -> Iterator[Content]:
             missing = str(error)
         for clip in members.values():
             yield Content(clip, missing=missing)
-
-
-def read_clips(
-    clips: Sequence[SourceClip],
-) -> Iterator[tuple[SourceClip, SkeletonRecording | str]]:
-    """Clips with their recordings, T-pose cut, or with why there is none; archives once each."""
-    for content in contents(clips):
-        yield content.clip, content.read()
 
 
 def skeleton_key(recording: SkeletonRecording) -> str:

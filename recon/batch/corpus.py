@@ -9,21 +9,17 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from recon.batch.collection import SourceClip, collections
+from recon.batch.collection import SourceClip, collections, contents
 from recon.batch.corpus_jobs import (
-    Converted,
     Row,
-    Survey,
     Task,
     calibrate_group,
-    convert_tasks,
-    converted_record,
-    failed_record,
-    rejected_record,
+    convert_task,
+    rejection,
     survey,
     write_report,
 )
-from recon.batch.workers import Failure, run_items, run_jobs
+from recon.batch.workers import Failure, run_jobs
 from recon.batch.worklog import Record, WorkLog, open_log
 from recon.body.model import BodyModel
 from recon.formats.replacing import file_checksum, value_checksum
@@ -35,11 +31,6 @@ logger = logging.getLogger(__name__)
 
 CONVERSION_VERSION = 6
 """Raised when the conversion gives other results, so that old outputs are made anew."""
-_SURVEYED_TOGETHER = 20
-"""Files that a process looks at in a row."""
-_CHUNK_FRAMES = 30000
-"""Frames of an archive that a process converts in a row, so that it is read seldom."""
-_CHUNK_CLIPS = 400
 _CALIBRATION_CLIPS = 200
 _CALIBRATED_TOGETHER = 4
 """Skeletons for each process."""
@@ -115,49 +106,50 @@ class _Corpus:
 
     def convert(self, clips: Sequence[SourceClip]) -> None:
         """Survey, calibrate and convert one collection."""
-        surveyed: dict[str, Survey] = {}
-        for clip, found in run_items(survey, _in_rows(clips, _SURVEYED_TOGETHER), self.processes):
+        surveyed: dict[str, tuple[str, str]] = {}
+        jobs = ((content,) for content in contents(clips))
+        for (content,), found in run_jobs(survey, jobs, self.processes):
             if isinstance(found, Failure):
-                self._end(clip, failed_record(clip, found))
-            elif found.reason:
-                self._end(clip, failed_record(clip, Failure("bad input", found.reason)))
+                self._fail(content.clip, found)
             else:
-                surveyed[clip.id] = found
+                surveyed[content.clip.id] = found
         groups: dict[str, list[SourceClip]] = {}
         for clip in clips:
             # a clip that was found twice may have been surveyed and then failed
             if clip.id in surveyed and clip.id not in self.ended:
-                groups.setdefault(surveyed[clip.id].skeleton, []).append(clip)
-        waiting = [job for group in groups.values() for job in self._waiting(group, surveyed)]
+                groups.setdefault(surveyed[clip.id][1], []).append(clip)
+        checksums = {id_: checksum for id_, (checksum, _) in surveyed.items()}
+        waiting = [job for group in groups.values() for job in self._waiting(group, checksums)]
         # some at a time, so that a run that is killed has not calibrated many for nothing
         for k in range(0, len(waiting), _CALIBRATED_TOGETHER * self.processes):
-            self._convert(waiting[k : k + _CALIBRATED_TOGETHER * self.processes], surveyed)
+            self._convert(waiting[k : k + _CALIBRATED_TOGETHER * self.processes], checksums)
 
-    def _convert(self, waiting: Sequence["_Waiting"], surveyed: Mapping[str, Survey]) -> None:
+    def _convert(self, waiting: Sequence["_Waiting"], checksums: Mapping[str, str]) -> None:
         """Calibrate skeletons and convert clips of them."""
-        tasks: list[Task] = []
-        keys: dict[str, str] = {}
-        for job, subject in run_jobs(self.calibrate, [one.job for one in waiting], self.processes):
-            own = next(one for one in waiting if one.job == job)
-            found = self._without_culprits(own) if isinstance(subject, Failure) else subject
-            for clip, key in own.left:
-                keys[clip.id] = key
+        tasks: dict[str, Task] = {}
+        jobs = [(group.some, self.body) for group in waiting]
+        for (some, _), subject in run_jobs(self.calibrate, jobs, self.processes):
+            group = next(one for one in waiting if one.some == some)
+            found = self._without_culprits(some) if isinstance(subject, Failure) else subject
+            for clip, key in group.left:
                 if isinstance(found, SubjectModel):
-                    tasks.append(self._task(clip, surveyed[clip.id], found))
+                    tasks[clip.id] = self._task(clip, key, checksums[clip.id], found)
                 elif isinstance(found, str):
-                    self._end(clip, rejected_record(clip, found, key))
+                    self._end(clip, {"outputs": {}, "rows": [rejection(clip, found)]}, key)
                 else:
                     reason = f"the shape of its subject could not be found: {found.reason}"
-                    self._end(clip, failed_record(clip, replace(found, reason=reason)))
-        for task, found in run_items(convert_tasks, _chunks(tasks), self.processes):
-            if isinstance(found, Converted):
-                self._end(task.clip, converted_record(task.clip, found, keys[task.clip.id]))
+                    self._fail(clip, replace(found, reason=reason))
+        clips = [task.clip for task in tasks.values()]
+        work = ((tasks[content.clip.id], content) for content in contents(clips))
+        for (task, _), found in run_jobs(convert_task, work, self.processes):
+            if isinstance(found, Failure):
+                self._fail(task.clip, found)
             else:
-                self._end(task.clip, failed_record(task.clip, found))
+                self._end(task.clip, found, task.key)
 
-    def _without_culprits(self, group: "_Waiting") -> SubjectModel | str | Failure:
+    def _without_culprits(self, some: list[SourceClip]) -> SubjectModel | str | Failure:
         """A calibration without the clips that make it fail, which are found by halving."""
-        good, suspected = list[SourceClip](), [group.some]
+        good, suspected = list[SourceClip](), [some]
         result: SubjectModel | str | Failure = Failure("error", "every clip of it makes it fail")
         while suspected:
             halves = [half for clips in suspected for half in _halves(clips)]
@@ -171,29 +163,29 @@ class _Corpus:
                 else:
                     result = found
         # in their order, since a calibration depends on it
-        kept = [clip for clip in group.some if clip in good]
+        kept = [clip for clip in some if clip in good]
         if kept:
             for _, found in run_jobs(self.calibrate, [(kept, self.body)], 1):
                 result = found
         return result
 
     def _waiting(
-        self, group: Sequence[SourceClip], surveyed: Mapping[str, Survey]
+        self, group: Sequence[SourceClip], checksums: Mapping[str, str]
     ) -> Iterator["_Waiting"]:
         """The group of a skeleton, where some of its clips are to be converted."""
         some = list(group[:: max(1, -(-len(group) // _CALIBRATION_CLIPS))])
-        subject = value_checksum([surveyed[clip.id].checksum for clip in some])
+        subject = value_checksum([checksums[clip.id] for clip in some])
         left: list[tuple[SourceClip, str]] = []
         for clip in group:
             notes = [clip.id, clip.subject, clip.action, clip.flat, clip.contacts]
-            key = value_checksum([self.settings, subject, surveyed[clip.id].checksum, notes])
+            key = value_checksum([self.settings, subject, checksums[clip.id], notes])
             known = self.log.records.get(clip.id, {})
             if known.get("key") == key and self._is_whole(clip, known):
                 self.ended[clip.id] = known
             else:
                 left.append((clip, key))
         if left:
-            yield _Waiting(some, left, self.body)
+            yield _Waiting(some, left)
 
     def _is_whole(self, clip: SourceClip, known: Record) -> bool:
         """Whether all outputs of a former run are as they were written."""
@@ -203,11 +195,12 @@ class _Corpus:
             for name, checksum in known["outputs"].items()
         )
 
-    def _task(self, clip: SourceClip, surveyed: Survey, subject: SubjectModel) -> Task:
+    def _task(self, clip: SourceClip, key: str, checksum: str, subject: SubjectModel) -> Task:
         pieces = clip.name + "."
         return Task(
             clip,
-            surveyed.checksum,
+            key,
+            checksum,
             subject,
             self.out / clip.collection,
             self.settings,
@@ -221,7 +214,17 @@ class _Corpus:
             self.overwrite,
         )
 
-    def _end(self, clip: SourceClip, record: Record) -> None:
+    def _fail(self, clip: SourceClip, failure: Failure) -> None:
+        """Log a clip with which something went wrong."""
+        rows = [rejection(clip, failure.reason)]
+        self._log(clip, {"id": clip.id, **failure.record, "outputs": {}, "rows": rows})
+
+    def _end(self, clip: SourceClip, found: Record, key: str) -> None:
+        """Log a clip that was worked on; one without motions is known to be of no use."""
+        status = "ok" if found["outputs"] else "rejected"
+        self._log(clip, {"id": clip.id, "status": status, "key": key, **found})
+
+    def _log(self, clip: SourceClip, record: Record) -> None:
         """Log a clip; remove what a former run made of it and this one did not."""
         folder = self.out / clip.collection
         former = self.log.records.get(clip.id, {}).get("outputs", {})
@@ -265,12 +268,6 @@ class _Waiting:
     some: list[SourceClip]
     """Clips from which the skeleton is calibrated."""
     left: list[tuple[SourceClip, str]]
-    body: str | Path | None
-
-    @property
-    def job(self) -> tuple[list[SourceClip], str | Path | None]:
-        """Arguments of `calibrate_group`."""
-        return self.some, self.body
 
 
 def _halves(clips: Sequence[SourceClip]) -> list[list[SourceClip]]:
@@ -294,34 +291,3 @@ def config_hash(body: BodyModel) -> str:
         solving.SOLVE_ITERATIONS,
     )
     return hashlib.sha256(repr(settings).encode()).hexdigest()[:16]
-
-
-def _in_rows(clips: Sequence[SourceClip], count: int) -> Iterator[list[SourceClip]]:
-    """Files some at a time, all clips of an archive together."""
-    files = [clip for clip in clips if clip.member is None]
-    for k in range(0, len(files), count):
-        yield files[k : k + count]
-    packed: dict[Path, list[SourceClip]] = {}
-    for clip in clips:
-        if clip.member is not None:
-            packed.setdefault(clip.path, []).append(clip)
-    yield from packed.values()
-
-
-def _chunks(tasks: Sequence[Task]) -> Iterator[list[Task]]:
-    """Files alone, clips of one archive many at a time."""
-    chunk: list[Task] = []
-    frames = 0
-    for task in sorted(tasks, key=lambda task: str(task.clip.path)):
-        if task.clip.member is None:
-            yield [task]
-            continue
-        full = frames >= _CHUNK_FRAMES or len(chunk) >= _CHUNK_CLIPS
-        if chunk and (full or chunk[0].clip.path != task.clip.path):
-            yield chunk
-            chunk, frames = [], 0
-        stated = task.clip.notes.get("frames", "")
-        frames += int(stated) if stated.isdigit() else _CHUNK_FRAMES // 8
-        chunk.append(task)
-    if chunk:
-        yield chunk

@@ -1,18 +1,17 @@
 """What a process does for a corpus: survey recordings, calibrate a skeleton, convert clips."""
 
+import contextlib
 import csv
 import json
-import logging
 import os
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
 
-from recon.batch.collection import SourceClip, contents, read_clips, skeleton_key
-from recon.batch.workers import Begun, Ended, Failure
+from recon.batch.collection import Content, SourceClip, contents, skeleton_key
 from recon.batch.worklog import Record
 from recon.body.model import BodyModel
 from recon.formats.mocap.recording import SkeletonRecording
@@ -22,16 +21,6 @@ from recon.ingest.maps import recognise
 from recon.ingest.subject import SubjectModel, calibrate
 
 Row = dict[str, str | float | int | bool | None]
-
-
-@dataclass(frozen=True)
-class Converted:
-    """What became of a clip."""
-
-    rows: list[Row]
-    """Rows of the report: one per piece, and one for what was left out."""
-    outputs: dict[str, str]
-    """SHA-256 of every motion file, by its name in the collection's folder."""
 
 
 def rejection(clip: SourceClip, reason: str) -> Row:
@@ -46,28 +35,6 @@ def rejection(clip: SourceClip, reason: str) -> Row:
     }
 
 
-def converted_record(clip: SourceClip, found: Converted, key: str) -> Record:
-    """The line of the log of a clip that was worked on."""
-    status = "ok" if found.outputs else "rejected"
-    return {
-        "id": clip.id, "status": status, "key": key, "outputs": found.outputs, "rows": found.rows,
-    }  # fmt: skip
-
-
-def rejected_record(clip: SourceClip, reason: str, key: str) -> Record:
-    """The record of a clip that is known to be of no use."""
-    return converted_record(clip, Converted([rejection(clip, reason)], {}), key)
-
-
-def failed_record(clip: SourceClip, failure: Failure) -> Record:
-    """The record of a clip with which something went wrong."""
-    record: Record = {
-        "id": clip.id, "status": failure.kind, "error": failure.reason, "outputs": {},
-        "rows": [rejection(clip, failure.reason)],
-    }  # fmt: skip
-    return record | ({"traceback": failure.traceback} if failure.traceback else {})
-
-
 def write_report(out: Path, rows: Sequence[Mapping[str, object]]) -> None:
     """OUT/report.csv and OUT/report.json, in one step each."""
     ordered = sorted(rows, key=lambda row: (str(row["collection"]), str(row["clip"])))
@@ -80,20 +47,8 @@ def write_report(out: Path, rows: Sequence[Mapping[str, object]]) -> None:
         beside.write_text(json.dumps(ordered, indent=1) + "\n", encoding="utf-8")
 
 
-logger = logging.getLogger(__name__)
-
 SHORTEST_PIECE = 1.0
 """Seconds; what is left between jumps must last so long to be kept."""
-
-
-@dataclass(frozen=True)
-class Survey:
-    """What a recording is: its content and its skeleton, or why it cannot be read."""
-
-    checksum: str = ""
-    skeleton: str = ""
-    """Key of its skeleton; equal for recordings of one."""
-    reason: str = ""
 
 
 @dataclass(frozen=True)
@@ -101,6 +56,8 @@ class Task:
     """A clip to convert."""
 
     clip: SourceClip
+    key: str
+    """Checksum of all that the motion depends on."""
     checksum: str
     """Checksum of the content when it was surveyed."""
     subject: SubjectModel
@@ -121,24 +78,20 @@ class Task:
 class RecordingPiece:
     """A recording, or what lies between two jumps of one."""
 
-    clip: SourceClip
     name: str
     recording: SkeletonRecording
     cut: str
     """What was cut off, for the report."""
 
 
-def survey(clips: Sequence[SourceClip]) -> Iterator[Begun | Ended]:
-    """The content and the skeleton of every clip."""
-    places = {clip.id: k for k, clip in enumerate(clips)}
-    for content in contents(clips):
-        k = places[content.clip.id]
-        yield Begun(k)
-        found = content.read()
-        if isinstance(found, str):
-            yield Ended(k, Survey(reason=found))
-        else:
-            yield Ended(k, Survey(content.checksum(), skeleton_key(found)))
+def survey(content: Content) -> tuple[str, str]:
+    """The checksum of a recording, and the key of its skeleton, equal for recordings of one.
+
+    Raises:
+        ValueError, OSError: when it cannot be read.
+    """
+    recording = content.read()
+    return content.checksum(), skeleton_key(recording)
 
 
 def calibrate_group(
@@ -148,12 +101,12 @@ def calibrate_group(
 
     Or why there is none: nobody knows the skeleton, or no clip is whole.
     """
-    recordings = [
-        piece.recording
-        for clip, recording in read_clips(clips)
-        if isinstance(recording, SkeletonRecording)
-        for piece in split(clip, recording)[0]
-    ]
+    recordings: list[SkeletonRecording] = []
+    for content in contents(clips):
+        # one that has changed since it was surveyed is refused when it is converted
+        with contextlib.suppress(ValueError):
+            pieces, _ = split(content.clip, content.read())
+            recordings += [piece.recording for piece in pieces]
     if not recordings:
         return "no clip of its skeleton lasts a second without jumps"
     try:
@@ -163,29 +116,22 @@ def calibrate_group(
     return calibrate(recordings, skeleton, _body(body_path))
 
 
-def convert_tasks(tasks: Sequence[Task]) -> Iterator[Begun | Ended]:
-    """Convert clips one by one, so that none depends on what is converted beside it."""
-    places = {task.clip.id: k for k, task in enumerate(tasks)}
-    for content in contents([task.clip for task in tasks]):
-        k = places[content.clip.id]
-        yield Begun(k)
-        recording = content.read()
-        if isinstance(recording, str):
-            raise ValueError(recording)
-        if content.checksum() != tasks[k].checksum:
-            raise ValueError(
-                f"{content.clip.source}: it changed while the folder was converted; run again"
-            )
-        yield Ended(k, convert_task(tasks[k], recording))
-
-
-def convert_task(task: Task, recording: SkeletonRecording) -> Converted:
+def convert_task(task: Task, content: Content) -> Record:
     """Convert a clip, piece by piece; each is written beside its row of the report.
 
+    Returns `rows` of the report, one per piece and one for what was left out, and `outputs`:
+    SHA-256 of every motion file, by its name in the collection's folder.
+
     Raises:
-        ValueError: when a piece has the name of another clip.
+        ValueError: when the recording cannot be read, it is another than the one that was
+            surveyed, or a piece has the name of another clip.
         FileExistsError: when a file that recon did not write is where one of its own belongs.
     """
+    recording = content.read()
+    if content.checksum() != task.checksum:
+        raise ValueError(
+            f"{task.clip.source}: it changed while the folder was converted; run again"
+        )
     body = _body(task.body)
     pieces, rows = split(task.clip, recording)
     for piece in pieces:
@@ -211,7 +157,7 @@ def convert_task(task: Task, recording: SkeletonRecording) -> Converted:
         }
         outputs[f"{piece.name}.npz"] = _write(path, conversion, row, body)
         rows.append(row)
-    return Converted(rows, outputs)
+    return {"outputs": outputs, "rows": rows}
 
 
 def _write(path: Path, conversion: Conversion, row: Row, body: BodyModel) -> str:
@@ -252,7 +198,7 @@ def split(
             continue
         name = clip.name if len(runs) == 1 else f"{clip.name}.{first}"
         cut = "" if len(runs) == 1 else f"frames {first}:{last}, between {len(jumps)} jumps"
-        pieces.append(RecordingPiece(clip, name, recording.window(first, last), cut))
+        pieces.append(RecordingPiece(name, recording.window(first, last), cut))
     kept = sum(piece.recording.frames for piece in pieces)
     if kept < recording.frames:
         between = f" between its {len(jumps)} jumps" if jumps else ""

@@ -8,7 +8,7 @@ paths. Ray is imported only here.
 import os
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -24,19 +24,9 @@ _TRIES = 3
 """Number of times that a job is begun whose machine or process died, as machines come and go."""
 
 
-@dataclass(frozen=True)
-class RayCluster:
-    """A cluster that takes jobs."""
-
-    cpus: int
-    """Processors of all its machines."""
-    run: Run
-    """What `recon.batch.workers.run_jobs` does here."""
-
-
 @contextmanager
-def ray_cluster(address: str, cpus: int | None = None) -> Iterator[RayCluster]:
-    """Join a cluster until the block ends.
+def ray_cluster(address: str, cpus: int | None = None) -> Iterator[tuple[int, Run]]:
+    """Join a cluster until the block ends: its processors, and what runs jobs on it.
 
     Args:
         address: `local`, which begins one on this machine; `auto` for the one that this machine
@@ -46,13 +36,21 @@ def ray_cluster(address: str, cpus: int | None = None) -> Iterator[RayCluster]:
     Raises:
         ReconError: when Ray is not installed, or there is no cluster at the address.
     """
-    ray = _imported()
+    # by name: type checkers need not find an extra that few installations have
+    try:
+        ray: Any = import_module("ray")
+        import_module("ray.exceptions")
+    except ImportError as error:
+        raise ReconError(
+            "--ray needs the package Ray, which is not installed here: "
+            "pip install 'motion-recon[ray]', on all machines of the cluster"
+        ) from error
     joined = not ray.is_initialized()
     if joined:
         _join(ray, address, cpus)
     try:
         known = ray.cluster_resources().get("CPU", 1)
-        yield RayCluster(max(int(known), 1), partial(_run, ray))
+        yield max(int(known), 1), partial(_run, ray)
     finally:
         if joined:
             ray.shutdown()
@@ -69,19 +67,6 @@ def absolute(settings: FitSettings) -> FitSettings:
         if Path(text := getattr(settings, name) or "").is_file():
             found[name] = str(Path(text).absolute())
     return replace(settings, **found)
-
-
-def _imported() -> Any:
-    # by name: type checkers need not find an extra that few installations have
-    try:
-        ray = import_module("ray")
-        import_module("ray.exceptions")
-    except ImportError as error:
-        raise ReconError(
-            "--ray needs the package Ray, which is not installed here: "
-            "pip install 'motion-recon[ray]', on all machines of the cluster"
-        ) from error
-    return ray
 
 
 def _join(ray: Any, address: str, cpus: int | None) -> None:
@@ -107,7 +92,7 @@ def _run(
     processes: int,
 ) -> Iterator[tuple[tuple[Any, ...], Any]]:
     """Jobs and their results as they end; see `recon.batch.workers.run_jobs`."""
-    remote = ray.remote(num_cpus=1, max_retries=0)(_messages)
+    remote = ray.remote(num_cpus=1, max_retries=0)(_attempt)
     drawn, busy = iter(jobs), dict[Any, tuple[tuple[Any, ...], int]]()
     try:
         while True:
@@ -117,25 +102,24 @@ def _run(
                 return
             (ready,), _ = ray.wait(list(busy), num_returns=1)
             job, tries = busy.pop(ready)
-            messages = _received(ray, ready)
-            if isinstance(messages, Failure) and messages.kind == "crashed" and tries < _TRIES:
+            result = _received(ray, ready)
+            if isinstance(result, Failure) and result.kind == "crashed" and tries < _TRIES:
                 busy[remote.remote(function, job)] = job, tries + 1
-                continue
-            for message in [messages] if isinstance(messages, Failure) else messages:
-                yield job, message
+            else:
+                yield job, result
     finally:
         for one in busy:
             ray.cancel(one, force=True)
 
 
-def _messages(function: Callable[..., Any], job: tuple[Any, ...]) -> list[Any]:
-    """All that a job gives, in a process of the cluster."""
+def _attempt(function: Callable[..., Any], job: tuple[Any, ...]) -> Any:
+    """What `recon.batch.workers.attempt` gives, in a process of the cluster."""
     as_worker()
-    return [message for message, _ in attempt(function, job)]
+    return attempt(function, job)
 
 
-def _received(ray: Any, reference: Any) -> list[Any] | Failure:
-    """The messages of a job that ended, or the reason why there are none."""
+def _received(ray: Any, reference: Any) -> Any:
+    """The result of a job that ended, or the `Failure` that its process was."""
     known = ray.exceptions
     try:
         return ray.get(reference)

@@ -116,8 +116,8 @@ def _crew(processes: int | None, ray: str | None) -> Iterator[tuple[int, "Run"]]
     from recon.batch.ray_cluster import ray_cluster
 
     # Ray prints what happens to its processes; stdout is for the answer
-    with redirect_stdout(sys.stderr), ray_cluster(ray, processes) as cluster:
-        yield cluster.cpus if processes is None else processes, cluster.run
+    with redirect_stdout(sys.stderr), ray_cluster(ray, processes) as (cpus, run):
+        yield cpus if processes is None else processes, run
 
 
 def _is_former_corpus(folder: Path) -> bool:

@@ -10,12 +10,10 @@ import signal
 import sys
 import threading
 import traceback
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from multiprocessing import get_context
 from multiprocessing.connection import Connection, wait
-from types import GeneratorType
 from typing import Any, Literal
 
 Kind = Literal["bad input", "out of memory", "crashed", "error"]
@@ -31,10 +29,6 @@ _PATIENCE = 5.0
 """Seconds that a process has to clean up when it is told to end."""
 
 
-DONE = "done"
-"""What a generator gives at last when nothing went wrong."""
-
-
 @dataclass(frozen=True)
 class Failure:
     """The reason why a job gave no result."""
@@ -43,6 +37,12 @@ class Failure:
     reason: str
     traceback: str = ""
     """Traceback of an unexpected error; empty where the reason says all."""
+
+    @property
+    def record(self) -> dict[str, str]:
+        """What a log says of it."""
+        said = {"status": self.kind, "error": self.reason}
+        return said | ({"traceback": self.traceback} if self.traceback else {})
 
 
 Run = Callable[
@@ -56,9 +56,8 @@ def run_jobs(
 ) -> Iterator[tuple[tuple[Any, ...], Any]]:
     """Call `function(*job)` for every job in some processes; yields jobs and results as they end.
 
-    The result is what the function returned, or a `Failure`. A function that is a generator gives
-    several results, one after the other, and at last `DONE` or a `Failure`. Jobs are drawn when a
-    process is free for them. When the caller stops iterating, or is killed, the processes end.
+    The result is what the function returned, or a `Failure`. Jobs are drawn when a process is free
+    for them. When the caller stops iterating, or is killed, the processes end.
 
     Args:
         function: importable, as its process has to find it; so are jobs and results.
@@ -83,11 +82,9 @@ def run_jobs(
                 return
             ready = wait(list(busy))
             for connection in [one for one in busy if one in ready]:
-                worker, job = busy[connection]
-                result, ended, alive = worker.result()
-                if ended:
-                    del busy[connection]
-                if ended and alive:
+                worker, job = busy.pop(connection)
+                result, alive = worker.result()
+                if alive:
                     idle.append(worker)
                 yield job, result
     finally:
@@ -111,19 +108,19 @@ class _Worker:
         with contextlib.suppress(BrokenPipeError, ConnectionResetError):
             self.connection.send(job)
 
-    def result(self) -> tuple[Any, bool, bool]:
-        """A result of the job, whether it is the last, and whether the process can do another."""
+    def result(self) -> tuple[Any, bool]:
+        """The result of the job, and whether the process can do another."""
         try:
-            result, ended = self.connection.recv()
+            result = self.connection.recv()
         except (EOFError, ConnectionResetError):
             self.connection.close()
             self._process.join()
-            return Failure("crashed", _death(self._process.exitcode or 0)), True, False
+            return Failure("crashed", _death(self._process.exitcode or 0)), False
         if isinstance(result, Failure) and result.kind == "out of memory":
             # what a process holds after that is not known
             self.stop()
-            return result, True, False
-        return result, ended, True
+            return result, False
+        return result, True
 
     def stop(self) -> None:
         """End the process, whatever it does; it removes what it has half written."""
@@ -152,30 +149,19 @@ def _serve(function: Callable[..., Any], connection: Connection) -> None:
     as_worker()
     with contextlib.suppress(EOFError, BrokenPipeError, ConnectionResetError):
         while True:
-            for result in attempt(function, connection.recv()):
-                connection.send(result)
+            connection.send(attempt(function, connection.recv()))
 
 
-def attempt(function: Callable[..., Any], job: tuple[Any, ...]) -> Iterator[tuple[Any, bool]]:
-    """Results, and whether each is the last; whatever goes wrong ends this job and no other."""
+def attempt(function: Callable[..., Any], job: tuple[Any, ...]) -> Any:
+    """The result of a job, or the `Failure` that ended it; other jobs go on."""
     try:
-        result = function(*job)
-        if isinstance(result, GeneratorType):
-            for part in result:
-                yield part, False
-            result = DONE
-        yield result, True
-    except Exception as error:
-        yield failure_of(error), True
-
-
-def failure_of(error: Exception) -> Failure:
-    """The reason that an exception is."""
-    if isinstance(error, MemoryError):
+        return function(*job)
+    except MemoryError as error:
         return Failure("out of memory", _described(error))
-    if _is_refusal(error):
-        return Failure("bad input", str(error))
-    return Failure("error", _described(error), "".join(traceback.format_exception(error)))
+    except Exception as error:
+        if _is_refusal(error):
+            return Failure("bad input", str(error))
+        return Failure("error", _described(error), "".join(traceback.format_exception(error)))
 
 
 def _is_refusal(error: Exception) -> bool:
@@ -209,75 +195,3 @@ def as_worker() -> None:
         import torch
 
         torch.set_num_threads(1)
-
-
-@dataclass(frozen=True)
-class Begun:
-    """What a function gives before it works on an item of its chunk."""
-
-    item: int
-    """Index in the chunk."""
-
-
-@dataclass(frozen=True)
-class Ended:
-    """What it gives afterwards."""
-
-    item: int
-    result: Any
-
-
-def run_items(
-    function: Callable[..., Any],
-    chunks: Iterable[Sequence[Any]],
-    processes: int,
-) -> Iterator[tuple[Any, Any]]:
-    """Work on chunks of items in some processes; yields items and results as they end.
-
-    `function(chunk)` is a generator of `Begun` and `Ended`. The item at which it fails, or its
-    process dies, has the `Failure` as its result, and the rest of the chunk is begun anew. Where
-    it fails before any item, all that are left have the `Failure`.
-    """
-    jobs = _Jobs(deque(chunk for chunk in chunks if len(chunk) > 0))
-    for (chunk,), message in run_jobs(function, jobs, processes):
-        state = jobs.states[id(chunk)]
-        if isinstance(message, Begun):
-            state.begun = message.item
-        elif isinstance(message, Ended):
-            state.ended.add(message.item)
-            yield chunk[message.item], message.result
-        else:
-            del jobs.states[id(chunk)]
-            if message == DONE:
-                message = Failure("error", "its process said nothing of it")
-            left = [k for k in range(len(chunk)) if k not in state.ended]
-            failed = [state.begun] if state.begun in left else left
-            if rest := [chunk[k] for k in left if k not in failed]:
-                jobs.chunks.append(rest)
-            for k in failed:
-                yield chunk[k], message
-
-
-@dataclass
-class _State:
-    """How far a chunk is."""
-
-    chunk: Sequence[Any]
-    begun: int = -1
-    """The item that was begun last."""
-    ended: set[int] = field(default_factory=set)
-
-
-@dataclass
-class _Jobs(Iterator[tuple[Sequence[Any]]]):
-    """Jobs of one chunk each; more can come after the last was drawn."""
-
-    chunks: deque[Sequence[Any]]
-    states: dict[int, _State] = field(default_factory=dict)
-
-    def __next__(self) -> tuple[Sequence[Any]]:
-        if len(self.chunks) == 0:
-            raise StopIteration
-        chunk = self.chunks.popleft()
-        self.states[id(chunk)] = _State(chunk)
-        return (chunk,)

@@ -10,7 +10,7 @@ from recon.benchmark.answers import Answer, Row, answer_in, answer_of, feet_bala
 from recon.benchmark.methods import BenchMethod, method_named
 from recon.benchmark.protocols import BenchProtocol, SeenWindow, protocol_named, seen_windows
 from recon.benchmark.sources import BenchPart, bench_source
-from recon.benchmark.table import BenchTable, table_of
+from recon.benchmark.table import BenchTable
 from recon.benchmark.windows import TrueWindows
 from recon.body.model import BodyModel
 from recon.core.errors import ReconError
@@ -72,11 +72,8 @@ def bench(
     folders = {Path(folder).name: Path(folder) for folder in predictions}
     if TRUTH in {*made, *folders} or set(made) & set(folders) or len(folders) < len(predictions):
         raise ReconError("every method and folder of predictions needs a name of its own")
-    source = bench_source(
-        None if corpus is None else Path(corpus), part, None if splits is None else Path(splits),
-        only, body,
-    )  # fmt: skip
-    seen = seen_windows(asked, source.windows, body)
+    windows, about, checksum = bench_source(_path(corpus), part, _path(splits), only, body)
+    seen = seen_windows(asked, windows, body)
     rows: dict[str, list[Row]] = {}
     feet: dict[str, float | None] = {}
     for name, method in made.items():
@@ -89,13 +86,23 @@ def bench(
             answer = method(window.seen)
             seconds.append(time.process_time() - began)
             given.append(answer_of(answer, window, body, name))
-        rows[name], feet[name] = _judged(asked, source.windows, seen, given, seconds, body)
+        rows[name], feet[name] = _judged(asked, windows, seen, given, body)
+        for row, own in zip(rows[name], seconds, strict=True):
+            row["seconds"] = own
     for name, folder in folders.items():
         given = [answer_in(folder, window, body) for window in seen]
-        rows[name], feet[name] = _judged(asked, source.windows, seen, given, (), body)
+        rows[name], feet[name] = _judged(asked, windows, seen, given, body)
     truth = [answer_of(window.truth, window, body, TRUTH) for window in seen]
-    rows[TRUTH], feet[TRUTH] = _judged(asked, source.windows, seen, truth, (), body)
-    return table_of(asked, source.about, source.windows, rows, feet, source.checksum)
+    rows[TRUTH], feet[TRUTH] = _judged(asked, windows, seen, truth, body)
+    values = {
+        name: {
+            metric: [row.get(metric) for row in own]
+            for metric in dict.fromkeys([*asked.columns, *(key for row in own for key in row)])
+        }
+        for name, own in rows.items()
+    }
+    names, counted = windows.names, tuple(windows.counted)
+    return BenchTable(asked, about, names, windows.subjects, counted, values, feet, checksum)
 
 
 def write_windows(
@@ -126,16 +133,13 @@ def write_windows(
         FileExistsError: when the folder holds files that recon did not write, unless `overwrite`.
     """
     asked, body = protocol_named(protocol), BodyModel.load()
-    source = bench_source(
-        None if corpus is None else Path(corpus), part, None if splits is None else Path(splits),
-        only, body,
-    )  # fmt: skip
-    report = {"protocol": asked.name, "about": asked.about, "source": source.about}
-    report |= {"data": source.checksum, "versions": versions()}
+    windows, about, checksum = bench_source(_path(corpus), part, _path(splits), only, body)
+    report = {"protocol": asked.name, "about": asked.about, "source": about}
+    report |= {"data": checksum, "versions": versions()}
     written: list[Path] = []
     output = Output(Path(folder), Kind.FOLDER)
     with writing(output, report=report, overwrite=overwrite) as (staged,):
-        for window in seen_windows(asked, source.windows, body):
+        for window in seen_windows(asked, windows, body):
             save_observation(staged / window.file_name, window.seen)
             written.append(Path(folder) / window.file_name)
     return written
@@ -146,15 +150,16 @@ def _judged(
     windows: TrueWindows,
     seen: Sequence[SeenWindow],
     answers: Sequence[Answer],
-    seconds: Sequence[float],
     body: BodyModel,
 ) -> tuple[list[Row], float | None]:
     """The metrics of every window, and how right contacts of feet are."""
     rows = [judged(protocol, *pair, body) for pair in zip(seen, answers, strict=True)]
-    for row, own in zip(rows, seconds, strict=False):
-        row["seconds"] = own
     contacts = [answer.contacts for answer in answers if answer.contacts is not None]
     if len(contacts) < len(answers):
         return rows, None
     said = torch.stack([one[slice(*protocol.judged)].double() for one in contacts]) > 0.5
-    return rows, feet_balanced(windows.frames(*protocol.judged), said)["mean"]["feet_balanced"]
+    return rows, feet_balanced(windows.frames(*protocol.judged), said)
+
+
+def _path(given: Path | str | None) -> Path | None:
+    return None if given is None else Path(given)

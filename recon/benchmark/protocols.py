@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -11,7 +11,6 @@ from torch import Tensor
 
 from observations.joints3d import Joints3D
 from observations.markers3d import Markers3D
-from recon.benchmark.dataset import Part, Splits
 from recon.benchmark.windows import FPS, FRAMES, TrueWindows
 from recon.body.landmarks import KEYPOINTS_43, landmark
 from recon.body.model import BodyModel
@@ -111,10 +110,6 @@ class BenchProtocol:
     """The first frame over which errors are taken, and the one after the last."""
 
 
-def _with_gap(truth: Motion, body: BodyModel, seed: int) -> Joints3D:
-    return with_gap(noisy_joints(truth, body, seed, 0.01), slice(*GAP))
-
-
 PROTOCOLS: Mapping[str, BenchProtocol] = {
     own.name: own
     for own in (
@@ -122,7 +117,7 @@ PROTOCOLS: Mapping[str, BenchProtocol] = {
             "noisy-joints",
             "22 joints with 4 cm of noise on every coordinate; errors of all joints",
             0.04,
-            lambda truth, body, seed: noisy_joints(truth, body, seed),
+            noisy_joints,
             {
                 "joints_all": ("joints cm", 100.0),
                 "joints_legs": ("legs cm", 100.0),
@@ -146,7 +141,7 @@ PROTOCOLS: Mapping[str, BenchProtocol] = {
             "gap",
             "22 joints with 1 cm of noise, nothing seen for one second; errors within it",
             0.01,
-            _with_gap,
+            lambda truth, body, seed: with_gap(noisy_joints(truth, body, seed, 0.01), slice(*GAP)),
             {"joints_all": ("joints cm", 100.0), "joints_legs": ("legs cm", 100.0), **_GAPS},
             GAP,
         ),
@@ -210,7 +205,8 @@ def seen_windows(
 def _seen_window(
     protocol: BenchProtocol, name: str, truth: Motion, touching: Tensor, body: BodyModel
 ) -> SeenWindow:
-    sensor = protocol.see(truth, body, _seed(name))
+    seed = int.from_bytes(hashlib.sha256(name.encode()).digest()[:4])
+    sensor = protocol.see(truth, body, seed)
     visible = sensor.visible[0].numpy()
     names = KEYPOINTS_43 if sensor.on_skin else sensor.point_names(body)
     file = PositionsFile(
@@ -226,22 +222,9 @@ def _seen_window(
         seen=file,
         truth=truth[0],
         touching=touching,
-        points=sensor.on(body.pose(truth))[0],
+        points=sensor.predict(body.pose(truth))[0],
         vertices=tuple(landmark(name) for name in names) if sensor.on_skin else (),
     )
-
-
-def _seed(name: str) -> int:
-    return int.from_bytes(hashlib.sha256(name.encode()).digest()[:4])
-
-
-def free_windows(splits: Splits, part: Part) -> Splits:
-    """The splits with those windows of a part alone whose clips are freely licensed."""
-    lengths = {
-        frames: tuple((clip, first) for clip, first in rows if splits.is_open(clip))
-        for frames, rows in splits.windows.get(part, {}).items()
-    }
-    return replace(splits, windows={part: lengths})
 
 
 def noise_of(seen: PositionsFile) -> float:

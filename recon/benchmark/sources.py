@@ -1,14 +1,13 @@
 """Sources of windows: the committed list over converted recordings, or the bundled clip."""
 
-from dataclasses import dataclass
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 from typing import Literal
 
 import torch
 
-from recon.benchmark.dataset import SPLITS, Splits
-from recon.benchmark.protocols import free_windows
+from recon.benchmark.dataset import SPLITS, Part, Splits
 from recon.benchmark.windows import FPS, FRAMES, TrueWindows, contacts_at, load_windows
 from recon.body.model import BodyModel
 from recon.core.errors import ReconError
@@ -20,25 +19,17 @@ BenchPart = Literal["test", "validation"]
 _SEED = 0
 
 
-@dataclass(frozen=True)
-class BenchSource:
-    """True windows and what they are."""
-
-    windows: TrueWindows
-    about: str
-    """Which windows these are, for people."""
-    checksum: str
-    """SHA-256 of the motion files that were read, with their names."""
-
-
 def bench_source(
     corpus: Path | None,
     part: BenchPart,
     splits: Path | None,
     only: int | None,
     body: BodyModel,
-) -> BenchSource:
+) -> tuple[TrueWindows, str, str]:
     """The windows of a part in a folder of motions, or those of the bundled clip.
+
+    Returns the windows, which they are for people, and the SHA-256 of the motion files that were
+    read, with their names.
 
     Args:
         corpus: what `recon convert --all` made of the free CMU recordings; None is the bundled
@@ -57,26 +48,33 @@ def bench_source(
         raise ReconError(f"expected one window or more to use, got {only}")
     if corpus is None and splits is not None:
         raise ReconError("splits list windows of a folder of motions: give it as --corpus")
-    found = _bundled(body) if corpus is None else _listed(corpus, part, splits, body)
-    count = len(found.windows.names)
+    if corpus is None:
+        windows, about, checksum = _bundled(body)
+    else:
+        listed = Splits.load(SPLITS if splits is None else splits)
+        if splits is None:
+            listed = free_windows(listed, part)
+        windows = load_windows(corpus, listed, part, body, _SEED)
+        people = ", ".join(windows.counted)
+        about = f"{part} part, {len(windows.names)} windows, means over {people}"
+        checksum = files_checksum(windows.files, corpus)
+    count = len(windows.names)
     if only is None or only >= count:
-        return found
+        return windows, about, checksum
     chosen = [round(i * (count - 1) / max(only - 1, 1)) for i in range(only)]
-    about = f"{found.about}; {only} of the windows only"
-    return BenchSource(found.windows.take(chosen), about, found.checksum)
+    return windows.take(chosen), f"{about}; {only} of the windows only", checksum
 
 
-def _listed(corpus: Path, part: BenchPart, path: Path | None, body: BodyModel) -> BenchSource:
-    splits = Splits.load(SPLITS if path is None else path)
-    if path is None:
-        splits = free_windows(splits, part)
-    windows = load_windows(corpus, splits, part, body, _SEED)
-    people = ", ".join(windows.counted)
-    about = f"{part} part, {len(windows.names)} windows, means over {people}"
-    return BenchSource(windows, about, files_checksum(windows.files, corpus))
+def free_windows(splits: Splits, part: Part) -> Splits:
+    """The splits with those windows of a part alone whose clips are freely licensed."""
+    lengths = {
+        frames: tuple((clip, first) for clip, first in rows if splits.is_open(clip))
+        for frames, rows in splits.windows.get(part, {}).items()
+    }
+    return replace(splits, windows={part: lengths})
 
 
-def _bundled(body: BodyModel) -> BenchSource:
+def _bundled(body: BodyModel) -> tuple[TrueWindows, str, str]:
     with resources.as_file(resources.files("recon") / "assets" / "demo.npz") as path:
         recorded = load_motion(path)
         checksum = files_checksum([path], path.parent)
@@ -90,4 +88,4 @@ def _bundled(body: BodyModel) -> BenchSource:
         listed=len(pieces),
     )
     about = f"the bundled walk, {len(pieces)} windows, which show that it runs, not how well"
-    return BenchSource(windows, about, checksum)
+    return windows, about, checksum

@@ -8,9 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from recon.benchmark.answers import Row
 from recon.benchmark.protocols import BenchProtocol
-from recon.benchmark.windows import TrueWindows
 from recon.formats.reports import versions
 from recon.formats.writing import write_report
 
@@ -206,27 +204,6 @@ class BenchTable:
         metric, (heading, _) = next(iter(self.protocol.columns.items()))
         lines = [f"  {name}: {row[heading]}" for name, row in self.rows().items()]
         return "\n".join([f"{self.protocol.name}, {self.source}: {heading} ({metric})", *lines])
-
-
-def table_of(
-    protocol: BenchProtocol,
-    source: str,
-    windows: TrueWindows,
-    rows: Mapping[str, Sequence[Row]],
-    feet: Mapping[str, float | None],
-    data: str,
-) -> BenchTable:
-    """The table of the rows of every window, by method, and of how right feet were."""
-    values = {
-        method: {
-            metric: [row.get(metric) for row in own]
-            for metric in dict.fromkeys([*protocol.columns, *(key for row in own for key in row)])
-        }
-        for method, own in rows.items()
-    }
-    counted = tuple(windows.counted)
-    names, subjects = windows.names, windows.subjects
-    return BenchTable(protocol, source, names, subjects, counted, values, feet, data)
 
 
 def _cell(found: Interval | None, factor: float, told: bool) -> str:

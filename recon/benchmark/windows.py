@@ -54,20 +54,6 @@ class TrueWindows:
         every = sorted(set(self.subjects))
         return [subject for subject in every if subject not in self.apart] or every
 
-    @property
-    def about(self) -> dict[str, object]:
-        """What a result file keeps of them."""
-        return {
-            "names": self.names,
-            "subjects": self.subjects,
-            "apart": self.apart,
-            "listed": self.listed,
-        }
-
-    def of(self, subject: str) -> list[int]:
-        """The windows of one subject."""
-        return [i for i, own in enumerate(self.subjects) if own == subject]
-
     def frames(self, start: int, stop: int) -> "TrueWindows":
         """Some frames of every window; the clocks go on."""
         return replace(

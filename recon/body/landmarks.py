@@ -158,7 +158,8 @@ def mapping_to_write(labels: Sequence[str]) -> str:
     more = ", ..." if len(labels) > 3 else ""
     return (
         f"say where markers sit in a file names.json, {{{shown}{more}}}, and give it with "
-        "--mapping; landmarks are left_asis, sacrum, right_knee_lateral, ... (docs/start/c3d.md)"
+        "--mapping; landmarks are left_asis, sacrum, right_knee_lateral, ... "
+        "(docs/start/points.md)"
     )
 
 

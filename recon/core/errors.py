@@ -1,5 +1,8 @@
 """Errors that refuse input: all are `ValueError`s whose message says what to do."""
 
+from importlib import import_module
+from typing import Any
+
 
 class ReconError(ValueError):
     """Something that was given to recon cannot be used."""
@@ -19,3 +22,24 @@ class ObservationError(ReconError):
 
 class WeightsError(ReconError):
     """A prior does not exist, or its weights cannot be used."""
+
+
+def optional_module(name: str, package: str, purpose: str, extra: str) -> Any:
+    """A module that few installations have; by name, as type checkers need not find it.
+
+    Args:
+        name: of the module.
+        package: that has the module.
+        purpose: what it is needed for, as the subject of a sentence.
+        extra: of this project's distribution that installs it.
+
+    Raises:
+        ReconError: when it is not installed, with what to do.
+    """
+    try:
+        return import_module(name)
+    except ImportError as error:
+        raise ReconError(
+            f"{purpose} needs the package {package}, which is not installed: "
+            f"pip install 'motion-recon[{extra}]'"
+        ) from error

@@ -10,6 +10,7 @@ from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS, PARENTS
 from recon.core.units import METRES, to_z_up
+from recon.export.skeleton import rest_offsets
 from recon.formats.mocap.recording import SkeletonRecording
 from recon.formats.opening import replacing
 
@@ -26,7 +27,6 @@ def skeleton_of(motion: Motion, body: BodyModel, name: str) -> SkeletonRecording
     rest = body.rest_joints(motion.shape).detach().double().cpu().numpy()
     last = [joint for joint in range(len(JOINTS)) if joint not in PARENTS]
     tips = np.stack([_tip(joint, rest[joint], motion, body) for joint in last])
-    above = np.where(np.array(PARENTS)[:, None] < 0, 0.0, rest[list(PARENTS)])
     positions = posed.joints.detach().double().cpu().numpy()
     orientations = posed.orientations.detach().double().cpu().numpy()
     ends = positions[:, last] + (orientations[:, last] @ tips[..., None])[..., 0]
@@ -34,7 +34,7 @@ def skeleton_of(motion: Motion, body: BodyModel, name: str) -> SkeletonRecording
         name=name,
         joint_names=(*JOINTS, *(f"{JOINTS[joint]}_end" for joint in last)),
         parents=(*PARENTS, *last),
-        rest_offsets=np.concatenate((rest - above, tips)),
+        rest_offsets=np.concatenate((rest_offsets(rest), tips)),
         positions=np.concatenate((positions, ends), axis=1),
         orientations=np.concatenate((orientations, orientations[:, last]), axis=1),
         fps=motion.fps,
@@ -76,23 +76,19 @@ def write_bvh(
     world = turn @ recording.orientations
     places = recording.positions @ (turn.T * scale)
     offsets = recording.rest_offsets * scale
-    ends = _end_sites(recording)
-    children: dict[int, list[int]] = {j: [] for j in range(-1, len(recording.parents))}
-    for joint, parent in enumerate(recording.parents):
-        children[parent].append(joint)
+    names, parents = recording.joint_names, recording.parents
     lines, columns = ["HIERARCHY"], list[np.ndarray]()
 
     def describe(joint: int, indent: str) -> None:
-        parent = recording.parents[joint]
+        parent = parents[joint]
+        children = [k for k, above in enumerate(parents) if above == joint]
         rest = offsets[joint] if parent >= 0 else np.zeros(3)
-        offset = " ".join(f"{x:.{decimals}f}" for x in rest)
-        if joint in ends:
-            lines.extend((f"{indent}End Site", f"{indent}{{", f"{indent}\tOFFSET {offset}"))
-            lines.append(f"{indent}}}")
+        offset = f"{indent}\tOFFSET {' '.join(f'{x:.{decimals}f}' for x in rest)}"
+        if parent >= 0 and not children and names[joint] == f"{names[parent]}_end":
+            lines.extend((f"{indent}End Site", f"{indent}{{", offset, f"{indent}}}"))
             return
         title = "ROOT" if parent < 0 else "JOINT"
-        lines.extend((f"{indent}{title} {recording.joint_names[joint]}", f"{indent}{{"))
-        lines.append(f"{indent}\tOFFSET {offset}")
+        lines.extend((f"{indent}{title} {names[joint]}", f"{indent}{{", offset))
         rotations = " ".join(f"{axis}rotation" for axis in order)
         if parent < 0:
             shift, local = places[:, joint], world[:, joint]
@@ -109,24 +105,16 @@ def write_bvh(
             # at gimbal lock scipy warns and still returns angles of the same rotation
             warnings.simplefilter("ignore", UserWarning)
             columns.append(Rotation.from_matrix(local).as_euler(order, degrees=True))
-        for child in children[joint]:
+        for child in children:
             describe(child, indent + "\t")
         lines.append(f"{indent}}}")
 
-    for root in children[-1]:
-        describe(root, "")
+    for joint, parent in enumerate(parents):
+        if parent < 0:
+            describe(joint, "")
     values = np.concatenate(columns, axis=1)
     row = " ".join([f"%.{decimals}f"] * values.shape[1])
     lines.extend(("MOTION", f"Frames: {len(values)}", f"Frame Time: {1 / recording.fps:.8f}"))
     lines.extend(row % tuple(frame) for frame in values.tolist())
     with replacing(path) as beside:
         beside.write_text("\n".join(lines) + "\n", encoding="utf-8")
-
-
-def _end_sites(recording: SkeletonRecording) -> set[int]:
-    names, parents = recording.joint_names, recording.parents
-    return {
-        joint
-        for joint, parent in enumerate(parents)
-        if joint not in parents and parent >= 0 and names[joint] == f"{names[parent]}_end"
-    }

@@ -4,15 +4,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
+import pygltflib as gltf
 from jaxtyping import Float
 from torch import Tensor
 
 from recon.body.model import BodyModel
-from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.raster import tensor_normals
 from recon.core.skeleton import JOINTS, PARENTS
+from recon.export.skeleton import influences, one_clip, quaternions, rest_offsets
 from recon.formats.opening import replacing
 
 INFLUENCES = 4
@@ -27,23 +27,17 @@ def write_glb(path: Path, motion: Motion, body: BodyModel) -> None:
     largest weights, scaled to sum to one. Corrective offsets of SMPL bodies are left out.
 
     Raises:
-        ValueError: when the motion has a batch axis.
+        ReconError: when the motion has a batch axis.
     """
-    # imported here: only this file needs it
-    import pygltflib as gltf
-
-    if motion.translation.ndim != 2:
-        raise ValueError("expected one clip without a batch axis; export motion[k]")
-    motion = motion.window(0, int(motion.valid.sum())).detach()
+    motion = one_clip(motion)
     rest = body.rest_joints(motion.shape).detach()
-    file = _Buffer(gltf)
+    file = _Buffer()
     mesh = file.mesh(body.rest_vertices(motion.shape).detach(), body)
     inverse = np.tile(np.eye(4, dtype=np.float32), (len(JOINTS), 1, 1))
     inverse[:, :3, 3] = -_array(rest)
     matrices = file.add(inverse.transpose(0, 2, 1).reshape(-1, 16), gltf.FLOAT, gltf.MAT4)
     animation = file.animation(motion, rest)
-    above = rest - rest[[max(p, 0) for p in PARENTS]]
-    offsets = _array(torch.cat((rest[:1], above[1:])))
+    offsets = rest_offsets(_array(rest))
     nodes = [
         gltf.Node(
             name=name,
@@ -82,8 +76,7 @@ def write_glb(path: Path, motion: Motion, body: BodyModel) -> None:
 class _Buffer:
     """The binary part of a .glb while it grows, and what describes it."""
 
-    def __init__(self, gltf: Any) -> None:
-        self.gltf = gltf
+    def __init__(self) -> None:
         self.data = bytearray()
         self.views: list[Any] = []
         self.accessors: list[Any] = []
@@ -92,15 +85,15 @@ class _Buffer:
         """Append an array of one row per element; its accessor's number."""
         array = np.ascontiguousarray(array)
         self.views.append(
-            self.gltf.BufferView(
+            gltf.BufferView(
                 buffer=0, byteOffset=len(self.data), byteLength=array.nbytes, target=target
             )
         )
         self.data += array.tobytes() + bytes(-array.nbytes % 4)
-        bounded = kind in (self.gltf.VEC3, self.gltf.SCALAR) and array.dtype == np.float32
+        bounded = kind in (gltf.VEC3, gltf.SCALAR) and array.dtype == np.float32
         rows = array.reshape(len(array), -1)
         self.accessors.append(
-            self.gltf.Accessor(
+            gltf.Accessor(
                 bufferView=len(self.views) - 1,
                 componentType=component,
                 count=len(array),
@@ -113,57 +106,39 @@ class _Buffer:
 
     def mesh(self, vertices: Float[Tensor, "vertices 3"], body: BodyModel) -> Any:
         """The body at rest with its skinning weights."""
-        g = self.gltf
-        weights, joints = body.weights.double().sort(dim=-1, descending=True, stable=True)
-        weights, joints = weights[:, :INFLUENCES], joints[:, :INFLUENCES]
-        weights = weights / weights.sum(-1, keepdim=True)
-        joints = torch.where(weights > 0, joints, 0)
+        weights, joints = influences(body, INFLUENCES)
         normals = _array(tensor_normals(vertices.double(), body.faces))
-        attributes = g.Attributes(
-            POSITION=self.add(_array(vertices), g.FLOAT, g.VEC3, g.ARRAY_BUFFER),
-            NORMAL=self.add(normals, g.FLOAT, g.VEC3, g.ARRAY_BUFFER),
+        attributes = gltf.Attributes(
+            POSITION=self.add(_array(vertices), gltf.FLOAT, gltf.VEC3, gltf.ARRAY_BUFFER),
+            NORMAL=self.add(normals, gltf.FLOAT, gltf.VEC3, gltf.ARRAY_BUFFER),
             JOINTS_0=self.add(
-                joints.cpu().numpy().astype(np.uint16), g.UNSIGNED_SHORT, g.VEC4, g.ARRAY_BUFFER
+                joints.astype(np.uint16), gltf.UNSIGNED_SHORT, gltf.VEC4, gltf.ARRAY_BUFFER
             ),
-            WEIGHTS_0=self.add(_array(weights), g.FLOAT, g.VEC4, g.ARRAY_BUFFER),
+            WEIGHTS_0=self.add(weights, gltf.FLOAT, gltf.VEC4, gltf.ARRAY_BUFFER),
         )
         faces = body.faces.cpu().numpy().astype(np.uint32).reshape(-1)
-        indices = self.add(faces, g.UNSIGNED_INT, g.SCALAR, g.ELEMENT_ARRAY_BUFFER)
-        return g.Mesh(
+        indices = self.add(faces, gltf.UNSIGNED_INT, gltf.SCALAR, gltf.ELEMENT_ARRAY_BUFFER)
+        return gltf.Mesh(
             name="body",
-            primitives=[g.Primitive(attributes=attributes, indices=indices, material=0)],
+            primitives=[gltf.Primitive(attributes=attributes, indices=indices, material=0)],
         )
 
     def animation(self, motion: Motion, rest: Float[Tensor, "22 3"]) -> Any:
         """Rotations of all joints and the path of the pelvis, interpolated linearly."""
-        g = self.gltf
         times = (np.arange(motion.frames) / motion.fps).astype(np.float32)
-        clock = self.add(times, g.FLOAT, g.SCALAR)
+        clock = self.add(times, gltf.FLOAT, gltf.SCALAR)
         turns = _array(quaternions(motion.rotations.double()))
-        tracks = [(0, "translation", _array(motion.translation + rest[0]), g.VEC3)]
-        tracks += [(j, "rotation", turns[:, j], g.VEC4) for j in range(len(JOINTS))]
+        tracks = [(0, "translation", _array(motion.translation + rest[0]), gltf.VEC3)]
+        tracks += [(j, "rotation", turns[:, j], gltf.VEC4) for j in range(len(JOINTS))]
         samplers, channels = [], []
         for node, property_, values, kind in tracks:
-            output = self.add(values, g.FLOAT, kind)
-            samplers.append(g.AnimationSampler(input=clock, output=output, interpolation="LINEAR"))
-            target = g.AnimationChannelTarget(node=node, path=property_)
-            channels.append(g.AnimationChannel(sampler=len(samplers) - 1, target=target))
-        return g.Animation(name="motion", samplers=samplers, channels=channels)
-
-
-def quaternions(rotations: Float[Tensor, "time joints 3 3"]) -> Float[Tensor, "time joints 4"]:
-    """Unit quaternions (x, y, z, w) whose sign never flips from one frame to the next.
-
-    Linear interpolation between q and -q' would take the long way round.
-    """
-    vector = so3.log(rotations)
-    half = vector.norm(dim=-1, keepdim=True) / 2
-    # sin(x)/x from its own series at zero
-    q = torch.cat((vector * torch.sinc(half / torch.pi) / 2, half.cos()), -1)
-    signs = (q[1:] * q[:-1]).sum(-1).sign()
-    signs = torch.where(signs == 0, 1.0, signs).cumprod(0)
-    q = torch.cat((q[:1], q[1:] * signs[..., None]))
-    return q / q.norm(dim=-1, keepdim=True)
+            output = self.add(values, gltf.FLOAT, kind)
+            samplers.append(
+                gltf.AnimationSampler(input=clock, output=output, interpolation="LINEAR")
+            )
+            target = gltf.AnimationChannelTarget(node=node, path=property_)
+            channels.append(gltf.AnimationChannel(sampler=len(samplers) - 1, target=target))
+        return gltf.Animation(name="motion", samplers=samplers, channels=channels)
 
 
 def _array(tensor: Tensor) -> np.ndarray:

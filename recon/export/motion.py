@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Literal
+from typing import Literal, cast
 
 from recon.body.model import BodyModel
 from recon.body.motion_files import load_motion_of
@@ -103,17 +103,6 @@ def export_file(
     def tracks(path: Path) -> None:
         write_trc(path, markers_of(moved, own, markers, name), unit=unit, up=up)
 
-    def positions(path: Path) -> None:
-        write_joint_table(path, file, own.pose(moved).joints)
-
-    def for_robots(path: Path) -> None:
-        assert smplx is not None
-        write_robot(path, moved, own, smplx)
-
-    def for_smpl(path: Path) -> None:
-        assert onto is not None
-        write_smpl(path, moved, own, onto)
-
     def meshes(folder: Path) -> None:
         write_ply_sequence(folder, own.pose(moved).vertices.numpy(), own.faces.numpy())
 
@@ -124,9 +113,9 @@ def export_file(
         (trc, Kind.FILE, tracks),
         (mot, Kind.FILE, lambda path: write_mot(path, moved, own, model)),
         (angles, Kind.FILE, lambda path: write_angles(path, moved, own, file.angle_std)),
-        (joints, Kind.FILE, positions),
-        (robot, Kind.FILE, for_robots),
-        (smpl, Kind.FILE, for_smpl),
+        (joints, Kind.FILE, lambda path: write_joint_table(path, file, own.pose(moved).joints)),
+        (robot, Kind.FILE, lambda path: write_robot(path, moved, own, cast(Path, smplx))),
+        (smpl, Kind.FILE, lambda path: write_smpl(path, moved, own, cast(Path, onto))),
         (ply, Kind.FOLDER, meshes),
         (html, Kind.FILE, lambda path: draw_html(path, shown(motion, body=body))),
     ]

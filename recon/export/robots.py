@@ -1,11 +1,10 @@
 """Motions for robots and for people of SMPL: files with the poses of a SMPL-family body."""
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
 from recon.body.contacts import contact_labels, rest_heights
@@ -15,6 +14,7 @@ from recon.core import rotations as so3
 from recon.core.errors import ReconError
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS, PARENTS, joint_index
+from recon.export.skeleton import one_clip
 from recon.formats.opening import save_arrays
 from recon.formats.smpl import load_smpl
 from recon.ingest.transfer import Transferred, transfer
@@ -45,17 +45,6 @@ _SPANS = (
 """Distances between joints of the unposed body that shapes are fitted to."""
 
 
-@dataclass(frozen=True)
-class RobotMotion:
-    """A motion on a SMPL-X body, at the loader's rate, its soles on z = 0."""
-
-    motion: Motion
-    contacts: Bool[Tensor, "time 22"]
-    """Joints on the ground."""
-    joints: Float[Tensor, "time 22 3"]
-    """World, z up, metres."""
-
-
 def write_robot(path: Path, motion: Motion, body: BodyModel, smplx: Path) -> None:
     """Write a motion for GMR's loader: 30 Hz, z up, soles on z = 0, contacts beside.
 
@@ -70,46 +59,66 @@ def write_robot(path: Path, motion: Motion, body: BodyModel, smplx: Path) -> Non
         ValueError: when it is no SMPL-X file or its name says no gender, or the motion has a
             batch axis.
     """
-    if motion.translation.ndim != 2:
-        raise ReconError("expected one clip without a batch axis; export motion[k]")
+    motion = one_clip(motion)
     gender = _gender(smplx)
+    if gender is None:
+        raise ReconError(
+            f"{smplx}: expected a name with NEUTRAL, FEMALE or MALE in it, as SMPL-X files have: "
+            "the loader chooses its file by the gender"
+        )
     if (count := len(load_smpl(smplx).parents)) != _SMPLX_JOINTS:
         raise ReconError(
             f"{smplx}: expected a SMPL-X body, which has {_SMPLX_JOINTS} joints, got {count}: the "
             "loaders of robots pose SMPL-X"
         )
     target = BodyModel.load(smplx)
-    found = on_body(motion, body, target)
-    poses = so3.log(found.motion.rotations.double()).float().numpy().reshape(-1, 3 * len(JOINTS))
-    rest = np.zeros((len(poses), 3 * (_SMPLX_JOINTS - len(JOINTS))), dtype=np.float32)
-    standing = target.rest_vertices(found.motion.shape)[:, 1]
-    arrays = {
-        "gender": np.array(gender),
+    moved = on_body(motion, body, target)
+    joints = target.pose(moved).joints
+    contacts = contact_labels(joints, rest_heights(target, moved.shape), FPS)
+    standing = target.rest_vertices(moved.shape)[:, 1]
+    arrays = _arrays(moved, target, _SMPLX_JOINTS, gender)
+    hands = arrays["poses"][:, 3 * len(JOINTS) :]  # jaw, eyes and hands are at rest
+    arrays |= {
         "surface_model_type": np.array("smplx"),
         "mocap_frame_rate": np.array(FPS),
-        "betas": found.motion.shape.numpy(),
-        "trans": found.motion.translation.numpy(),
-        "num_betas": np.array(len(found.motion.shape)),
+        "num_betas": np.array(len(moved.shape)),
+        "pose_jaw": hands[:, :3],
+        "pose_eye": hands[:, :6],
+        "pose_hand": hands[:, :90],
+        "global_joint_positions": joints.numpy(),
+        "height": np.array(float(standing.max() - standing.min())),
+        "contacts": contacts.numpy(),
+        "joints": joints.numpy(),
+        "joint_names": np.array(JOINTS),
+    }
+    save_arrays(path, arrays)
+
+
+def _arrays(motion: Motion, target: BodyModel, joints: int, gender: str) -> dict[str, np.ndarray]:
+    """A motion in AMASS layout; joints beyond the 22 of the body are at rest."""
+    poses = so3.log(motion.rotations.double()).float().numpy().reshape(motion.frames, -1)
+    whole = np.zeros((motion.frames, 3 * joints), np.float32)
+    whole[:, : poses.shape[1]] = poses
+    return {
+        "trans": motion.translation.numpy(),
+        "poses": whole,
         "root_orient": poses[:, :3],
         "pose_body": poses[:, 3:],
-        "pose_jaw": rest[:, :3],
-        "pose_eye": rest[:, :6],
-        "pose_hand": rest[:, :90],
-        "poses": np.concatenate((poses, rest), 1),
-        "global_joint_positions": found.joints.numpy(),
-        "height": np.array(float(standing.max() - standing.min())),
-        "contacts": found.contacts.numpy(),
-        "joints": found.joints.numpy(),
-        "joint_names": np.array(JOINTS),
+        "betas": motion.shape.numpy(),
+        "gender": np.array(gender),
         "start_time": np.array(motion.start_time),
         "up_axis": np.array("z"),
         "body": np.array(target.name),
         "body_checksum": np.array(target.checksum),
     }
-    save_arrays(path, arrays)
 
 
-def on_body(motion: Motion, body: BodyModel, target: BodyModel) -> RobotMotion:
+def _gender(path: Path) -> str | None:
+    """What the name of a body file says."""
+    return next((one for one in _GENDERS if one in path.stem.lower()), None)
+
+
+def on_body(motion: Motion, body: BodyModel, target: BodyModel) -> Motion:
     """The motion on another body of the family: its limbs point where ours do, soles on z = 0.
 
     Args:
@@ -125,10 +134,7 @@ def on_body(motion: Motion, body: BodyModel, target: BodyModel) -> RobotMotion:
         moved = _carried_over(motion, body, target, count)
     height = Stance.of(moved, target, Soles.of(target)).height()
     down = moved.translation.new_tensor([0.0, 0.0, height])
-    moved = moved.replace(translation=moved.translation - down)
-    joints = target.pose(moved).joints
-    contacts = contact_labels(joints, rest_heights(target, moved.shape), FPS)
-    return RobotMotion(moved, contacts, joints)
+    return moved.replace(translation=moved.translation - down)
 
 
 def _carried_over(motion: Motion, body: BodyModel, target: BodyModel, count: int) -> Motion:
@@ -174,17 +180,6 @@ def _nearest_shape(
     return shape
 
 
-def _gender(smplx: Path) -> str:
-    name = smplx.stem.lower()
-    for gender in _GENDERS:
-        if gender in name:
-            return gender
-    raise ReconError(
-        f"{smplx}: expected a name with NEUTRAL, FEMALE or MALE in it, as SMPL-X files have: the "
-        "loader chooses its file by the gender"
-    )
-
-
 def write_smpl(path: Path, motion: Motion, body: BodyModel, onto: Path) -> Transferred:
     """Write a motion in AMASS layout on a body file of the SMPL family; z up, metres.
 
@@ -204,28 +199,7 @@ def write_smpl(path: Path, motion: Motion, body: BodyModel, onto: Path) -> Trans
     target = BodyModel.load(onto)
     found = transfer(motion, body, target)
     moved = found.motion
-    poses = so3.log(moved.rotations.double()).float().numpy()
-    joints = len(load_smpl(onto).parents)
-    whole = np.zeros((len(poses), joints, 3), np.float32)
-    whole[:, : poses.shape[1]] = poses
-    arrays = {
-        "trans": moved.translation.numpy(),
-        "poses": whole.reshape(len(poses), -1),
-        "root_orient": poses[:, 0],
-        "pose_body": poses[:, 1:].reshape(len(poses), -1),
-        "betas": moved.shape.numpy(),
-        "gender": np.array(_gender_named(onto)),
-        "mocap_framerate": np.array(moved.fps),
-        "mocap_frame_rate": np.array(moved.fps),
-        "start_time": np.array(moved.start_time),
-        "up_axis": np.array("z"),
-        "body": np.array(target.name),
-        "body_checksum": np.array(target.checksum),
-    }
+    arrays = _arrays(moved, target, len(load_smpl(onto).parents), _gender(onto) or "neutral")
+    arrays |= {name: np.array(moved.fps) for name in ("mocap_framerate", "mocap_frame_rate")}
     save_arrays(path, arrays)
     return found
-
-
-def _gender_named(onto: Path) -> str:
-    """What the name of the body file says; neutral where it says nothing."""
-    return next((one for one in _GENDERS if one in onto.stem.lower()), "neutral")

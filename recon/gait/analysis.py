@@ -16,7 +16,7 @@ from recon.core.motion import Motion
 from recon.core.skeleton import joint_index
 from recon.gait.feet import SIDES, Feet, GaitStance, Side, find_stances
 
-LONGEST = 3.0
+MAX_STRIDE_S = 3.0
 """Seconds between two strikes of one foot, at most; longer ones are pauses."""
 PERCENT = 101
 """Moments of a normalised cycle: 0 %, 1 %, ... 100 %."""
@@ -63,6 +63,11 @@ class GaitCycle:
         return (self.off - self.strike) / self.seconds
 
     @property
+    def step_time(self) -> float | None:
+        """Seconds from the strike of the other foot to the next of this one."""
+        return None if self.opposite_strike is None else self.next_strike - self.opposite_strike
+
+    @property
     def double_support(self) -> float | None:
         """Share of the cycle in which both feet are on the ground; below zero both are off it."""
         if self.opposite_off is None or self.opposite_strike is None:
@@ -80,12 +85,11 @@ def find_gait_cycles(feet: Feet, stances: Sequence[GaitStance]) -> tuple[GaitCyc
     """
     found: list[GaitCycle] = []
     for side, name in enumerate(SIDES):
-        own = [one for one in stances if one.side == name]
         other = [one for one in stances if one.side != name]
-        for one, after in pairwise(own):
+        for one, after in pairwise([one for one in stances if one.side == name]):
             if one.strike is None or one.off is None or after.strike is None:
                 continue
-            if one.off < after.strike <= one.strike + LONGEST * feet.fps:
+            if one.off < after.strike <= one.strike + MAX_STRIDE_S * feet.fps:
                 found.append(_cycle(feet, side, one.strike, one.off, after.strike, other))
     return tuple(sorted(found, key=lambda cycle: cycle.strike))
 
@@ -115,7 +119,7 @@ def _cycle(
         width = abs(float(between[0] * along[1] - between[1] * along[0]))
     angles = np.unwrap(np.arctan2(feet.forward[:, 1], feet.forward[:, 0])[strike : after + 1])
     return GaitCycle(
-        side="left" if SIDES[side] == "left" else "right",
+        side=SIDES[side],
         strike=float(feet.times[strike]),
         opposite_off=float(feet.times[opposite_off[0]]) if opposite_off else None,
         opposite_strike=float(feet.times[opposite[0]]) if opposite else None,
@@ -151,38 +155,32 @@ class GaitFigure:
     """Cycles that it was told from."""
 
 
-_KINDS: tuple[tuple[str, str, Callable[[GaitCycle], float | None]], ...] = (
-    ("cadence", "steps/min", lambda cycle: 120 / cycle.seconds),
-    ("speed", "m/s", lambda cycle: cycle.speed),
-    ("stride time", "s", lambda cycle: cycle.seconds),
-    ("stride length", "m", lambda cycle: cycle.length),
-    ("step time", "s", lambda cycle: _step_time(cycle)),
-    ("step length", "m", lambda cycle: cycle.step_length),
-    ("step width", "m", lambda cycle: cycle.step_width),
-    ("stance", "% of cycle", lambda cycle: 100 * cycle.stance),
-    ("double support", "% of cycle", lambda cycle: _percent(cycle.double_support)),
+FIGURES: tuple[tuple[str, str, float, Callable[[GaitCycle], float | None]], ...] = (
+    ("cadence", "steps/min", 120, lambda cycle: 1 / cycle.seconds),
+    ("speed", "m/s", 1, lambda cycle: cycle.speed),
+    ("stride time", "s", 1, lambda cycle: cycle.seconds),
+    ("stride length", "m", 1, lambda cycle: cycle.length),
+    ("step time", "s", 1, lambda cycle: cycle.step_time),
+    ("step length", "m", 1, lambda cycle: cycle.step_length),
+    ("step width", "m", 1, lambda cycle: cycle.step_width),
+    ("stance", "% of cycle", 100, lambda cycle: cycle.stance),
+    ("double support", "% of cycle", 100, lambda cycle: cycle.double_support),
 )
+"""Name, unit, factor to that unit, and value of a cycle."""
 
 
 def spatio_temporal(cycles: Sequence[GaitCycle]) -> tuple[GaitFigure, ...]:
     """Means and standard deviations of every figure, over both sides and over each."""
     found: list[GaitFigure] = []
-    for name, unit, value in _KINDS:
-        for side in ("both", "left", "right"):
+    for name, unit, factor, value in FIGURES:
+        for side in ("both", *SIDES):
             own = [value(one) for one in cycles if side in ("both", one.side)]
-            known = np.array([one for one in own if one is not None and math.isfinite(one)])
+            finite = [one for one in own if one is not None and math.isfinite(one)]
+            known = factor * np.array(finite)
             if len(known) > 0:
                 std = float(known.std(ddof=1)) if len(known) > 1 else None
                 found.append(GaitFigure(name, unit, side, float(known.mean()), std, len(known)))
     return tuple(found)
-
-
-def _step_time(cycle: GaitCycle) -> float | None:
-    return None if cycle.opposite_strike is None else cycle.next_strike - cycle.opposite_strike
-
-
-def _percent(share: float | None) -> float | None:
-    return None if share is None else 100 * share
 
 
 @dataclass(frozen=True)
@@ -233,57 +231,6 @@ CURVES: tuple[GaitCurve, ...] = (
 )  # fmt: skip
 """What the page shows, row by row: pelvis, hip, knee and ankle, trunk."""
 
-_CHAINS: Mapping[str, tuple[str, str, str]] = {
-    "knee_flexion": ("hip", "knee", "ankle"),
-    "ankle_dorsiflexion": ("knee", "ankle", "foot"),
-    "elbow_flexion": ("shoulder", "elbow", "wrist"),
-}
-"""Angles between two bones whose three joints tell them."""
-
-
-def over_cycle(
-    curve: GaitCurve,
-    angles: Mapping[str, Float[np.ndarray, " time"]],
-    times: Float[np.ndarray, " time"],
-    cycle: GaitCycle,
-) -> Float[np.ndarray, " percent"]:
-    """The angle of the cycle's side at every percent of it, degrees."""
-    values = angles[curve.angle(cycle.side)]
-    if curve.from_heading:
-        values = values - np.rad2deg(cycle.heading)
-    found = normalised(values, times, cycle)
-    if curve.from_heading:
-        found = found - 360 * np.round(found.mean() / 360)
-    return -found if cycle.side == curve.mirrored else found
-
-
-def flexion_std(
-    joints: Float[np.ndarray, "time 22 3"], std: Float[np.ndarray, "time 22"]
-) -> dict[str, Float[np.ndarray, " time"]]:
-    """Standard deviations of the angles of knees, ankles and elbows, degrees, by name.
-
-    First-order propagation of the standard deviations of the three joints in the plane of the two
-    bones, taken as independent of each other. Errors that neighbouring joints have in common
-    would make it smaller, so it is rather too large. Other angles depend on turns about bones or
-    on the trunk, of which positions of joints say too little.
-
-    Args:
-        joints: positions in the world, metres.
-        std: standard deviation of a coordinate of every joint, metres.
-    """
-    found: dict[str, np.ndarray] = {}
-    for name, chain in _CHAINS.items():
-        for side in ("left", "right"):
-            a, b, c = (joint_index(f"{side}_{joint}") for joint in chain)
-            upper, lower = joints[:, a] - joints[:, b], joints[:, c] - joints[:, b]
-            long, short = np.linalg.norm(upper, axis=-1), np.linalg.norm(lower, axis=-1)
-            cosine = ((upper * lower).sum(-1) / (long * short)).clip(-1, 1)
-            # the middle joint moves both lines, in opposite senses where the limb is straight
-            middle = 1 / long**2 + 1 / short**2 - 2 * cosine / (long * short)
-            variance = (std[:, a] / long) ** 2 + (std[:, c] / short) ** 2 + std[:, b] ** 2 * middle
-            found[f"{name}_{side[0]}"] = np.rad2deg(np.sqrt(variance))
-    return found
-
 
 @dataclass(frozen=True)
 class Gait:
@@ -300,8 +247,7 @@ class Gait:
     angles: Mapping[str, Float[np.ndarray, " time"]]
     """Joint angles after the ISB, degrees, as `recon.body.angles.isb_angles` names them."""
     angle_std: Mapping[str, Float[np.ndarray, " time"]]
-    """Standard deviations of some of the angles, degrees; empty where those of joints are not
-    known."""
+    """Standard deviations of the angles, degrees; empty where they are not known."""
     unseen: Mapping[str, float]
     """Share of the frames in which an angle was inferred rather than seen, where there are any."""
     belt: float | None
@@ -313,10 +259,18 @@ class Gait:
 
     def curves(self, curve: GaitCurve, side: Side) -> Float[np.ndarray, "cycles percent"]:
         """An angle over all cycles of a side, degrees."""
-        found = [
-            over_cycle(curve, self.angles, self.times, cycle) for cycle in self.cycles_of(side)
-        ]
+        found = [self._over_cycle(curve, cycle) for cycle in self.cycles_of(side)]
         return np.array(found).reshape(len(found), PERCENT)
+
+    def _over_cycle(self, curve: GaitCurve, cycle: GaitCycle) -> Float[np.ndarray, " percent"]:
+        """An angle of the cycle's side at every percent of it, degrees."""
+        values = self.angles[curve.angle(cycle.side)]
+        if curve.from_heading:
+            values = values - np.rad2deg(cycle.heading)
+        found = normalised(values, self.times, cycle)
+        if curve.from_heading:
+            found = found - 360 * np.round(found.mean() / 360)
+        return -found if cycle.side == curve.mirrored else found
 
     def curve_std(
         self, curve: GaitCurve, side: Side
@@ -334,7 +288,6 @@ def analyse(
     *,
     ground: float | None = 0.0,
     belt: Float[Tensor, " 2"] | None = None,
-    joint_std: Float[Tensor, "time 22"] | None = None,
     angle_std: Float[Tensor, "time 42"] | None = None,
     observed: Bool[Tensor, "time 22"] | None = None,
 ) -> Gait:
@@ -345,9 +298,7 @@ def analyse(
         body: whose motion it is; the bundled one, whose landmarks are known.
         ground: height of the ground, metres; None where there is none.
         belt: velocity of a treadmill's belt, m/s; None where the ground rests.
-        joint_std: standard deviation of a coordinate of every joint, metres; None where unknown.
-        angle_std: standard deviations of the ISB's angles, degrees; without them, those of
-            flexions follow from `joint_std`.
+        angle_std: standard deviations of the ISB's angles, degrees; None where unknown.
         observed: false where a joint was inferred; None means that all were seen.
 
     Raises:
@@ -356,36 +307,26 @@ def analyse(
     feet = Feet.of(motion, body, ground, belt)
     stances = find_stances(feet)
     cycles = find_gait_cycles(feet, stances)
-    joints = body.pose(motion.detach()).joints.double().cpu().numpy()
-    std = None if joint_std is None else joint_std.double().cpu().numpy()
+    deviations: dict[str, np.ndarray] = {}
+    if angle_std is not None:
+        deviations = dict(zip(ISB_ANGLES, angle_std.double().cpu().numpy().T, strict=True))
     return Gait(
         times=feet.times,
         stances=stances,
         cycles=cycles,
         figures=spatio_temporal(cycles),
         angles=isb_angles(motion, body),
-        angle_std=_angle_std(angle_std, joints, std),
+        angle_std=deviations,
         unseen={} if observed is None else _unseen(observed),
         belt=None if belt is None else float(belt.norm()),
     )
-
-
-def _angle_std(
-    known: Float[Tensor, "time 42"] | None,
-    joints: Float[np.ndarray, "time 22 3"],
-    std: Float[np.ndarray, "time 22"] | None,
-) -> dict[str, Float[np.ndarray, " time"]]:
-    if known is not None:
-        return dict(zip(ISB_ANGLES, known.double().cpu().numpy().T, strict=True))
-    return {} if std is None else flexion_std(joints, std)
 
 
 def _unseen(observed: Bool[Tensor, "time 22"]) -> dict[str, float]:
     seen = observed.cpu().numpy()
     shares: dict[str, float] = {}
     for curve in CURVES:
-        for name in SIDES:
-            side: Side = "left" if name == "left" else "right"
+        for side in SIDES:
             share = float(1 - seen[:, curve.seen_joints(side)].all(-1).mean())
             angle = curve.angle(side)
             shares[angle] = max(share, shares.get(angle, 0.0))

@@ -1,6 +1,7 @@
 """Heels, toes and pelvis of a motion over time, as gait is told from them."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -15,11 +16,13 @@ from recon.core.errors import ReconError
 from recon.core.motion import Motion
 from recon.core.skeleton import joint_index
 
-SIDES = ("left", "right")
+Side = Literal["left", "right"]
+SIDES: tuple[Side, Side] = ("left", "right")
 """Order of the sides wherever an axis has two."""
-CUTOFF = 12.0
-"""Hertz above which the paths of feet are noise. Lower limits, which are common for coordinates of
-walking, blur the moment of the strike: 7 Hz tripled the deviation from marked events."""
+CUTOFF_HZ = 12.0
+"""Frequency above which the paths of feet are noise. Lower limits, which are common for
+coordinates of walking, blur the moment of the strike: 7 Hz tripled the deviation from marked
+events."""
 
 _HIPS = tuple(joint_index(f"{side}_hip") for side in SIDES)
 _SOLES = tuple((joint_index(f"{side}_ankle"), joint_index(f"{side}_foot")) for side in SIDES)
@@ -103,9 +106,9 @@ def low_passed(values: Float[np.ndarray, "time ..."], fps: float) -> Float[np.nd
     """
     from scipy.signal import butter, sosfiltfilt
 
-    if fps <= 2 * CUTOFF or len(values) <= 12:
+    if fps <= 2 * CUTOFF_HZ or len(values) <= 12:
         return values
-    sections = butter(2, CUTOFF, fs=fps, output="sos")
+    sections = butter(2, CUTOFF_HZ, fs=fps, output="sos")
     return sosfiltfilt(sections, values, axis=0, padlen=min(len(values) - 1, round(fps / 2)))
 
 
@@ -115,20 +118,18 @@ def _forward(joints: Float[np.ndarray, "time 22 3"]) -> Float[np.ndarray, "time 
     return np.stack((across[:, 1], -across[:, 0]), -1)
 
 
-Side = Literal["left", "right"]
-
-SHORTEST = 0.3
-"""Seconds between two strikes of one foot, at least."""
-LEAST_SWING = 0.12
-"""Metres that a foot goes back and forth below the pelvis in a step, at least."""
-LEAVING = 0.8
-"""Metres per second from which on toes have left the ground: of the events that five people's
-laboratory marked in C3D files, this speed is nearest (0 ± 14 ms)."""
-_PROMINENCE = 0.35
+MIN_STRIDE_S = 0.3
+"""Least time between two strikes of one foot, seconds."""
+MIN_SWING_M = 0.12
+"""Least distance that a foot goes back and forth below the pelvis in a step, metres."""
+LEAVING_M_S = 0.8
+"""Speed, metres per second, from which on toes have left the ground: of the events that five
+people's laboratory marked in C3D files, this speed is nearest (0 ± 14 ms)."""
+MIN_SWING_SHARE = 0.35
 """Share of its largest swing that a foot must make in each."""
-_SWING = 0.4
+SWING_S = 0.4
 """Seconds before a strike, or after the toes left, in which the foot swings."""
-_BEFORE, _AFTER = 0.03, 0.12
+BEFORE_S, AFTER_S = 0.03, 0.12
 """Seconds around the moment of the heel farthest ahead in which the foot strikes."""
 
 
@@ -142,39 +143,39 @@ class GaitStance:
     off: int | None
     """Frame at which the toes leave; None where the recording ends before."""
 
+    def frames(self, count: int) -> range:
+        """Its frames, of `count` of the recording."""
+        first = 0 if self.strike is None else self.strike
+        return range(first, count if self.off is None else self.off + 1)
+
 
 def find_stances(feet: Feet) -> tuple[GaitStance, ...]:
     """All stances of both feet in the order of time; those at the ends may lack an event."""
+    count = len(feet.times)
     found = [stance for side in range(2) for stance in _stances(feet, side)]
-    return tuple(sorted(found, key=lambda one: (_middle(one, feet), one.side)))
 
+    def moment(stance: GaitStance) -> tuple[int, Side]:
+        frames = stance.frames(count)
+        return frames.start + frames.stop, stance.side
 
-def _middle(stance: GaitStance, feet: Feet) -> float:
-    strike = 0 if stance.strike is None else stance.strike
-    off = len(feet.times) - 1 if stance.off is None else stance.off
-    return (strike + off) / 2
+    return tuple(sorted(found, key=moment))
 
 
 def _stances(feet: Feet, side: int) -> list[GaitStance]:
-    heel = _ahead(feet, feet.heels[:, side])
-    toe = _ahead(feet, feet.toes[:, side])
-    strikes = _struck(feet, side, _peaks(heel, feet.fps))
-    offs = _left(feet, side, _peaks(-toe, feet.fps))
-    kinds = sorted([(int(k), "strike") for k in strikes] + [(int(k), "off") for k in offs])
-    name: Side = "left" if SIDES[side] == "left" else "right"
+    strikes = _struck(feet, side, _peaks(_ahead(feet, feet.heels[:, side]), feet.fps))
+    offs = _left(feet, side, _peaks(-_ahead(feet, feet.toes[:, side]), feet.fps))
+    events = sorted([(k, "strike") for k in strikes] + [(k, "off") for k in offs])
     found: list[GaitStance] = []
-    opened: int | None = None
-    for index, (frame, kind) in enumerate(kinds):
+    if events and events[0][1] == "off":
+        found.append(GaitStance(SIDES[side], None, events[0][0]))
+    for (frame, kind), (after, then) in pairwise([*events, (None, "end")]):
         if kind == "strike":
-            if opened is not None:
-                found.append(GaitStance(name, opened, None))
-            opened = frame
-        elif opened is not None or index == 0:
-            found.append(GaitStance(name, opened, frame))
-            opened = None
-    if opened is not None:
-        found.append(GaitStance(name, opened, None))
-    return [one for one in found if _bears(feet, side, one)]
+            found.append(GaitStance(SIDES[side], frame, after if then == "off" else None))
+    if feet.bearing is None:
+        return found
+    # the foot must be in contact with the ground at some moment
+    bearing = feet.bearing[:, side]
+    return [one for one in found if bool(bearing[list(one.frames(len(bearing)))].any())]
 
 
 def _ahead(feet: Feet, points: Float[np.ndarray, "time 3"]) -> Float[np.ndarray, " time"]:
@@ -186,9 +187,9 @@ def _peaks(values: Float[np.ndarray, " time"], fps: float) -> Int[np.ndarray, " 
     from scipy.signal import find_peaks
 
     swing = float(np.quantile(values, 0.98) - np.quantile(values, 0.02))
-    least = max(LEAST_SWING, _PROMINENCE * swing)
+    least = max(MIN_SWING_M, MIN_SWING_SHARE * swing)
     padded = np.pad(values, 1, constant_values=float(values.min()) - 2 * least)
-    found = find_peaks(padded, prominence=least, distance=max(1, round(SHORTEST * fps)))[0] - 1
+    found = find_peaks(padded, prominence=least, distance=max(1, round(MIN_STRIDE_S * fps)))[0] - 1
     # where the values still rise at an end, their largest is outside
     return found[(found > 0) & (found < len(values) - 1)]
 
@@ -198,15 +199,15 @@ def _struck(feet: Feet, side: int, ahead: Int[np.ndarray, " steps"]) -> list[int
 
     The foot must have swung before: a heel may be farthest ahead while the person still stands.
     """
-    swings = _speeds(feet, side) > LEAVING
+    swings = _speeds(feet, side) > LEAVING_M_S
     middle = (feet.heels[:, side, 2] + feet.toes[:, side, 2]) / 2
     rise = np.gradient(middle) * feet.fps
     found: list[int] = []
     for frame in ahead.tolist():
-        first = max(0, frame - round(_BEFORE * feet.fps))
-        last = min(len(rise), frame + round(_AFTER * feet.fps) + 1)
+        first = max(0, frame - round(BEFORE_S * feet.fps))
+        last = min(len(rise), frame + round(AFTER_S * feet.fps) + 1)
         strike = first + int(np.argmin(rise[first:last]))
-        if swings[max(0, strike - round(_SWING * feet.fps)) : strike + 1].any():
+        if swings[max(0, strike - round(SWING_S * feet.fps)) : strike + 1].any():
             found.append(strike)
     return found
 
@@ -216,11 +217,11 @@ def _left(feet: Feet, side: int, behind: Int[np.ndarray, " steps"]) -> list[int]
 
     The foot must swing then: toes may be farthest behind while the person goes on standing.
     """
-    rests = _speeds(feet, side) < LEAVING
+    rests = _speeds(feet, side) < LEAVING_M_S
     found: list[int] = []
     for frame in behind.tolist():
         # where toes rest at their farthest, they leave later
-        after = np.flatnonzero(~rests[frame : frame + round(_SWING * feet.fps)])
+        after = np.flatnonzero(~rests[frame : frame + round(SWING_S * feet.fps)])
         if len(after) == 0:
             continue
         first = frame + int(after[0])
@@ -233,12 +234,3 @@ def _speeds(feet: Feet, side: int) -> Float[np.ndarray, " time"]:
     """Speed of the toes over the ground, m/s."""
     velocity = np.gradient(feet.toes[:, side], axis=0) * feet.fps
     return np.linalg.norm(velocity, axis=-1)
-
-
-def _bears(feet: Feet, side: int, stance: GaitStance) -> bool:
-    """Whether the foot is in contact with the ground at some moment of the stance."""
-    if feet.bearing is None:
-        return True
-    first = 0 if stance.strike is None else stance.strike
-    last = len(feet.times) if stance.off is None else stance.off + 1
-    return bool(feet.bearing[first:last, side].any())

@@ -8,11 +8,10 @@ from importlib import import_module
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
-from recon.core.errors import ReconError
-from recon.gait.analysis import CURVES, Gait, GaitCurve
-from recon.gait.feet import SIDES, Side
+from recon.core.errors import optional_module
+from recon.gait.analysis import CURVES, PERCENT, Gait, GaitCurve
+from recon.gait.feet import SIDES
 
 
 @dataclass(frozen=True)
@@ -28,202 +27,148 @@ class PointResiduals:
     """What the values are, for the axis of the plot."""
 
 
-@dataclass(frozen=True)
-class LaboratoryContents:
-    """One trial: its gait and everything that is known about how good the motion is."""
-
-    title: str
-    facts: Mapping[str, str]
-    """Facts about the trial in the order in which they are shown: rate, length, stature ..."""
-    gait: Gait
-    residuals: tuple[PointResiduals, ...]
-    """Empty where no report of a fit or a conversion is known."""
-    warnings: tuple[str, ...]
-    """What should be read before any figure is used."""
-    repairs: tuple[str, ...]
-    """What was wrong with the data and was put right."""
-    notes: tuple[str, ...]
-    """What is worth knowing but is no fault."""
-    decisions: tuple[str, ...]
-    """What was read, guessed or cut in reading the recording."""
-
-
 COLOURS = {"left": "#c0392b", "right": "#1f6fb2"}
 """Colours of the sides, which readers with colour blindness tell apart, too."""
-_GREY = "#777777"
-_STYLE = {
+GREY = "#777777"
+STYLE = {
     "svg.fonttype": "none",
     "font.family": "sans-serif",
     "font.size": 9,
     "axes.titlesize": 9,
     "axes.spines.top": False,
     "axes.spines.right": False,
-    "axes.edgecolor": _GREY,
+    "axes.edgecolor": GREY,
     "axes.linewidth": 0.7,
-    "xtick.color": _GREY,
-    "ytick.color": _GREY,
+    "xtick.color": GREY,
+    "ytick.color": GREY,
 }
-_MOST_POINTS = 60
+"""Settings of matplotlib while a page is drawn."""
+MAX_POINTS = 60
 """Points whose residuals are drawn; of more, the largest."""
 
 
-def require_matplotlib() -> None:
-    """Refuse to begin where matplotlib is missing.
+def matplotlib() -> Any:
+    """The library; refused where it is missing, saying what to install.
 
     Raises:
-        ReconError: saying what to install.
+        ReconError: when it is not installed.
     """
-    try:
-        import_module("matplotlib")
-    except ImportError as error:
-        raise ReconError(
-            "the plots of a report are drawn by matplotlib, which is not installed: "
-            "pip install 'motion-recon[report]'"
-        ) from error
+    return optional_module("matplotlib", "matplotlib", "drawing the plots of a report", "report")
 
 
 def plot_steps(gait: Gait) -> str:
     """Stances of both feet along time: bars from strike to off."""
-
-    def draw(figure: Any) -> None:
-        axes = figure.subplots()
-        first, last = float(gait.times[0]), float(gait.times[-1])
-        for row, side in enumerate(reversed(SIDES)):
-            for one in gait.stances:
-                if one.side != side:
-                    continue
-                begin = first if one.strike is None else float(gait.times[one.strike])
-                end = last if one.off is None else float(gait.times[one.off])
-                axes.barh(row, end - begin, left=begin, height=0.5, color=COLOURS[side])
-                if one.strike is not None:
-                    axes.plot([begin, begin], [row - 0.38, row + 0.38], color="black", lw=1.2)
-                if one.off is not None:
-                    axes.plot(end, row + 0.38, "^", color="black", ms=4)
-        axes.set_yticks([0, 1], list(reversed(SIDES)))
-        axes.set_xlim(first, last)
-        axes.set_ylim(-0.6, 1.7)
-        axes.set_xlabel("time (s)")
-        axes.set_title("stances: | foot strike, ▲ foot off", loc="left")
-
-    return _svg(draw, (9.0, 1.7), "steps")
+    figure = _figure(1.7)
+    axes = figure.subplots()
+    first, last = float(gait.times[0]), float(gait.times[-1])
+    for row, side in enumerate(reversed(SIDES)):
+        for one in gait.stances:
+            if one.side != side:
+                continue
+            begin = first if one.strike is None else float(gait.times[one.strike])
+            end = last if one.off is None else float(gait.times[one.off])
+            axes.barh(row, end - begin, left=begin, height=0.5, color=COLOURS[side])
+            if one.strike is not None:
+                axes.plot([begin, begin], [row - 0.38, row + 0.38], color="black", lw=1.2)
+            if one.off is not None:
+                axes.plot(end, row + 0.38, "^", color="black", ms=4)
+    axes.set_yticks([0, 1], list(reversed(SIDES)))
+    axes.set_xlim(first, last)
+    axes.set_ylim(-0.6, 1.7)
+    axes.set_xlabel("time (s)")
+    axes.set_title("stances: | foot strike, ▲ foot off", loc="left")
+    return _svg(figure, "steps")
 
 
 def plot_cycles(gait: Gait) -> str:
     """Joint angles over the cycle: every cycle, mean and bands of both sides."""
-
-    def draw(figure: Any) -> None:
-        grid = figure.subplots((len(CURVES) + 2) // 3, 3, sharex=True)
-        for axes, curve in zip(grid.flat, CURVES, strict=True):
-            _panel(axes, gait, curve)
-        for axes in grid[-1]:
-            axes.set_xlabel("cycle (%)")
-        for axes in grid[:, 0]:
-            axes.set_ylabel("degrees")
-        _legend(figure, gait)
-
-    return _svg(draw, (9.0, 10.0), "cycles")
+    figure = _panels(gait, _over_cycle, "cycle (%)")
+    drawn = [zip(*axes.get_legend_handles_labels(), strict=True) for axes in figure.axes]
+    marks = {word: mark for panel in reversed(drawn) for mark, word in panel}
+    figure.legend(
+        marks.values(), marks, loc="outside upper center", ncols=len(marks), frameon=False
+    )
+    return _svg(figure, "cycles")
 
 
 def plot_angles(gait: Gait) -> str:
     """Joint angles along time, for motions without cycles of gait."""
-
-    def draw(figure: Any) -> None:
-        grid = figure.subplots((len(CURVES) + 2) // 3, 3, sharex=True)
-        for axes, curve in zip(grid.flat, CURVES, strict=True):
-            for side in _sides(curve):
-                colour = COLOURS[side] if curve.sided else "black"
-                axes.plot(gait.times, gait.angles[curve.angle(side)], color=colour, lw=1.0)
-            axes.set_title(_unmirrored(curve), loc="left")
-        for axes in grid[-1]:
-            axes.set_xlabel("time (s)")
-        for axes in grid[:, 0]:
-            axes.set_ylabel("degrees")
-
-    return _svg(draw, (9.0, 10.0), "angles")
+    return _svg(_panels(gait, _along_time, "time (s)"), "angles")
 
 
 def plot_residuals(found: PointResiduals) -> str:
     """Residuals of one source of data, the largest first."""
-    rows = sorted(found.values.items(), key=lambda row: -row[1])[:_MOST_POINTS]
-
-    def draw(figure: Any) -> None:
-        axes = figure.subplots()
-        axes.bar([name for name, _ in rows], [value for _, value in rows], color="#5b7f95")
-        axes.set_ylabel(f"{found.measure} ({found.unit})")
-        axes.tick_params(axis="x", labelrotation=90, labelsize=7)
-        axes.margins(x=0.01)
-
-    return _svg(draw, (9.0, 2.6), f"residuals of {found.name}")
+    rows = sorted(found.values.items(), key=lambda row: -row[1])[:MAX_POINTS]
+    figure = _figure(2.6)
+    axes = figure.subplots()
+    axes.bar([name for name, _ in rows], [value for _, value in rows], color="#5b7f95")
+    axes.set_ylabel(f"{found.measure} ({found.unit})")
+    axes.tick_params(axis="x", labelrotation=90, labelsize=7)
+    axes.margins(x=0.01)
+    return _svg(figure, f"residuals of {found.name}")
 
 
-def _sides(curve: GaitCurve) -> tuple[Side, ...]:
-    return ("left", "right") if curve.sided else ("left",)
+def _panels(gait: Gait, panel: Callable[[Any, Gait, GaitCurve], None], across: str) -> Any:
+    """A panel for each angle, three in a row."""
+    figure = _figure(10.0)
+    grid = figure.subplots((len(CURVES) + 2) // 3, 3, sharex=True)
+    for axes, curve in zip(grid.flat, CURVES, strict=True):
+        panel(axes, gait, curve)
+    for axes in grid[-1]:
+        axes.set_xlabel(across)
+    for axes in grid[:, 0]:
+        axes.set_ylabel("degrees")
+    return figure
 
 
-def _unmirrored(curve: GaitCurve) -> str:
-    """Title of an angle whose sign is that of its name."""
-    return curve.title if curve.sided else f"{curve.name.replace('_', ' ')} +"
+def _along_time(axes: Any, gait: Gait, curve: GaitCurve) -> None:
+    for side in SIDES if curve.sided else SIDES[:1]:
+        colour = COLOURS[side] if curve.sided else "black"
+        axes.plot(gait.times, gait.angles[curve.angle(side)], color=colour, lw=1.0)
+    # the sign is that of the angle's name, not that of a side
+    title = curve.title if curve.sided else f"{curve.name.replace('_', ' ')} +"
+    axes.set_title(title, loc="left")
 
 
-def _panel(axes: Any, gait: Gait, curve: GaitCurve) -> None:
-    percent = np.arange(101)
+def _over_cycle(axes: Any, gait: Gait, curve: GaitCurve) -> None:
+    percent = np.arange(PERCENT)
     title = curve.title
-    for side in ("left", "right"):
-        curves = gait.curves(curve, side)
+    for side in SIDES:
+        curves, colour = gait.curves(curve, side), COLOURS[side]
         if len(curves) == 0:
             continue
-        for one in curves:
-            axes.plot(percent, one, color=COLOURS[side], lw=0.4, alpha=0.5)
+        axes.plot(percent, curves.T, color=colour, lw=0.4, alpha=0.5)
         mean = curves.mean(0)
-        axes.plot(percent, mean, color=COLOURS[side], lw=1.6)
+        axes.plot(percent, mean, color=colour, lw=1.6, label=f"{side}: mean of {len(curves)}")
         if len(curves) > 1:
-            _band(axes, mean, curves.std(0, ddof=1), color=COLOURS[side], alpha=0.2, lw=0)
+            std = curves.std(0, ddof=1)
+            style = {"color": colour, "alpha": 0.2, "lw": 0, "label": "± 1 SD over cycles"}
+            axes.fill_between(percent, mean - std, mean + std, **style)
         known = gait.curve_std(curve, side)
         if known is not None:
             std = np.sqrt(np.square(known).mean(0))
-            for sign in (-1, 1):
-                axes.plot(percent, mean + sign * std, color=COLOURS[side], lw=0.7, ls=":")
+            style = {"color": colour, "lw": 0.7, "ls": ":", "label": "± 1 SD of the fit"}
+            axes.plot(percent, np.stack([mean - std, mean + std], 1), **style)
         off = float(np.mean([cycle.stance for cycle in gait.cycles_of(side)]))
-        axes.axvline(100 * off, color=COLOURS[side], lw=0.7, ls="--")
+        axes.axvline(100 * off, color=colour, lw=0.7, ls="--", label="mean foot off")
         if gait.unseen.get(curve.angle(side), 0.0) > 0.5:
             title = f"{curve.title} (inferred)"
-    axes.axhline(0, color=_GREY, lw=0.5)
+    axes.axhline(0, color=GREY, lw=0.5)
     axes.set_xlim(0, 100)
     axes.set_title(title, loc="left")
 
 
-def _band(
-    axes: Any,
-    mean: Float[np.ndarray, " percent"],
-    std: Float[np.ndarray, " percent"],
-    **style: Any,
-) -> None:
-    axes.fill_between(np.arange(101), mean - std, mean + std, **style)
+def _figure(height: float) -> Any:
+    """An empty figure as wide as a page, inches."""
+    figures = import_module("matplotlib.figure")
+    return figures.Figure(figsize=(9.0, height), layout="constrained")
 
 
-def _legend(figure: Any, gait: Gait) -> None:
-    lines = import_module("matplotlib.lines")
-    patches = import_module("matplotlib.patches")
-    marks = [
-        lines.Line2D([], [], color=COLOURS[side], lw=1.6, label=f"{side}: mean of {count}")
-        for side in ("left", "right")
-        if (count := len(gait.cycles_of(side))) > 0
-    ]
-    marks.append(patches.Patch(color=_GREY, alpha=0.3, label="± 1 SD over cycles"))
-    if gait.angle_std:
-        marks.append(lines.Line2D([], [], color=_GREY, lw=0.7, ls=":", label="± 1 SD of the fit"))
-    marks.append(lines.Line2D([], [], color=_GREY, lw=0.7, ls="--", label="mean foot off"))
-    figure.legend(handles=marks, loc="outside upper center", ncols=len(marks), frameon=False)
-
-
-def _svg(draw: Callable[[Any], None], size: tuple[float, float], name: str) -> str:
+def _svg(figure: Any, name: str) -> str:
     """The text of a drawing as an element of a page; the same drawing is the same text."""
-    matplotlib = import_module("matplotlib")
     text = io.StringIO()
     # the hash names what a drawing defines, which must differ between drawings of one page
-    with matplotlib.rc_context({**_STYLE, "svg.hashsalt": name}):
-        figure = import_module("matplotlib.figure").Figure(figsize=size, layout="constrained")
-        draw(figure)
+    with matplotlib().rc_context({"svg.hashsalt": name}):
         figure.savefig(text, format="svg", metadata={"Date": None}, transparent=True)
     svg = text.getvalue()
     svg = svg[svg.index("<svg") :]

@@ -18,9 +18,8 @@ from recon.formats.motions import MotionFile
 from recon.formats.outputs import check_outputs
 from recon.formats.reports import checksums, versions
 from recon.gait.analysis import analyse
-from recon.gait.laboratory import LaboratoryReport
-from recon.gait.page import outputs_of
-from recon.gait.plots import LaboratoryContents, PointResiduals, require_matplotlib
+from recon.gait.laboratory import LaboratoryReport, outputs_of
+from recon.gait.plots import PointResiduals, matplotlib
 
 
 def report(
@@ -65,23 +64,21 @@ def report(
             f"{error}; a report is made of recordings and motions: `recon fit` makes a motion of "
             "observations"
         ) from error
-    return LaboratoryReport(_contents(name, file, model, said))
+    return _report(name, file, model, said)
 
 
-def _said(source: MotionLike) -> Mapping[str, Any] | None:
-    """The report of a conversion or a fit; None where there is none."""
+def _said(source: MotionLike) -> Mapping[str, Any]:
+    """The report of a conversion or a fit; empty where there is none."""
     if isinstance(source, MotionResult):
         return source.report()
-    if not isinstance(source, Path | str):
-        return None
-    beside = Path(f"{source}.json")
-    found = read_json(beside) if beside.is_file() else None
-    return found if isinstance(found, Mapping) else None
+    beside = Path(f"{source}.json") if isinstance(source, Path | str) else None
+    found = read_json(beside) if beside is not None and beside.is_file() else None
+    return found if isinstance(found, Mapping) else {}
 
 
-def _contents(
-    name: str, file: MotionFile, body: BodyModel, said: Mapping[str, Any] | None
-) -> LaboratoryContents:
+def _report(
+    name: str, file: MotionFile, body: BodyModel, said: Mapping[str, Any]
+) -> LaboratoryReport:
     motion = file.motion
     belt = belt_velocity(motion, body, file.observed)
     gait = analyse(
@@ -89,14 +86,12 @@ def _contents(
         body,
         ground=None if file.ground is None else float(file.ground[3] / file.ground[2]),
         belt=belt,
-        joint_std=file.joint_std,
         angle_std=file.angle_std,
         observed=file.observed,
     )
     tall, heavy = height(body, motion.shape), weight(body, motion.shape)
-    said = {} if said is None else said
     decisions = (*said.get("decisions", ()), *said.get("read", ()))
-    return LaboratoryContents(
+    return LaboratoryReport(
         title=name,
         facts={
             "frames": str(motion.frames),
@@ -162,7 +157,7 @@ def report_file(
     page = Path(f"{source.name.partition('.')[0]}.html") if out is None else out
     read = recording_files(source) + ([] if mapping is None else [mapping])
     check_outputs(outputs_of(page), read, overwrite=overwrite)
-    require_matplotlib()
+    matplotlib()
     found = report(source, unit=unit, up=up, mapping=mapping)
     said = {"inputs": checksums(read), "versions": versions()}
     found.save(page, overwrite=overwrite, report=said)

@@ -11,7 +11,7 @@ from recon.formats.outputs import Output
 
 def _page_and_table(out: Path, _: Arguments) -> tuple[Output, ...]:
     # the room of pictures loads torch, which other verbs must not wait for
-    from recon.gait.page import outputs_of
+    from recon.gait.laboratory import outputs_of
 
     return outputs_of(out)
 
@@ -58,6 +58,6 @@ def report(
         if one.side == "both"
     }
     console.table(f"{trial}: {len(found.gait.cycles)} cycles of gait", figures)
-    for warning in found.contents.warnings:
+    for warning in found.warnings:
         console.warn(warning)
     console.last(str(page))

@@ -2,8 +2,7 @@
 
 import json
 from collections.abc import Callable, Iterable, Iterator
-from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +11,6 @@ from recon.core.errors import ReconError
 from recon.live.moments import MomentLike
 from recon.live.stream import Stream
 from recon.live.tracking import LiveEstimate
-from recon.reading.door import load_observation
 
 DIGITS = 6
 """Decimals of numbers in lines: micrometres and microradians."""
@@ -45,26 +43,6 @@ def stream_lines(
             yield from _written(estimate)
     for estimate in stream.finish():
         yield from _written(estimate)
-
-
-def stream_of(
-    templates: tuple[Path, ...],
-    prior: str,
-    lag: int,
-    camera: Path | None,
-    frame_rate: float | None,
-    noise: float | None,
-    shape: str | None,
-    body: Path | None,
-) -> Stream:
-    """A stream of sensors as observation files show them; see `recon.Stream`.
-
-    Raises:
-        ReconError: when the files are no observations that a stream can follow.
-    """
-    many = templates[0] if len(templates) == 1 else list(templates)
-    seen = load_observation(many, camera=camera, frame_rate=frame_rate)
-    return Stream(prior, lag, template=cast(Any, seen), noise=noise, shape=shape, body=body)
 
 
 def _read(line: str) -> tuple[MomentLike, float | None]:

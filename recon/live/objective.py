@@ -14,7 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn.functional import pad
 
-from observations.moments import Tracker, energy_of
+from observations.moments import Tracker
 from priors.pose.density import PoseDensity
 from priors.pose.prior import PoseWeights
 from recon.body.derivatives import CarriedPoints, turned_by
@@ -86,23 +86,8 @@ _BEND = (1.0, -2.0, 1.0)
 
 
 @runtime_checkable
-class Judged(Protocol):
-    """What is said of the steps of a window."""
-
-    @property
-    def energy(self) -> Float[Tensor, ""]:
-        """The weighted energy."""
-        ...
-
-    @property
-    def contacts(self) -> Float[Tensor, "time 22"]:
-        """Probability that a joint touches the ground."""
-        ...
-
-
-@runtime_checkable
 class StepEnergies(Protocol):
-    """Energies of a prior over steps between frames, such as `priors.humor.live`."""
+    """What a prior's `live(noise)` gives, energies for steps of frames: `priors.humor.live`."""
 
     reach: ClassVar[int]
     """Frames so far apart are in one energy."""
@@ -112,8 +97,8 @@ class StepEnergies(Protocol):
         """Weights of the density of poses and of smoothness beside them."""
         ...
 
-    def judged(self, motion: Motion, joints: Float[Tensor, "1 time 22 3"], held: int) -> Judged:
-        """The energy, with a gradient by what the motion was made of."""
+    def judged(self, motion: Motion, joints: Float[Tensor, "1 time 22 3"], held: int) -> Any:
+        """A record whose `energy` has a gradient by what the motion was made of."""
         ...
 
     def add_curvature(
@@ -124,15 +109,6 @@ class StepEnergies(Protocol):
         of_joints: Float[Tensor, "time some 66"],
     ) -> None:
         """Add the Hessian by the variables of all frames, and by the joints' coordinates."""
-        ...
-
-
-@runtime_checkable
-class LivePrior(Protocol):
-    """A prior that a stream can have beside the density of poses."""
-
-    def live(self, noise: float) -> StepEnergies:
-        """Its energies beside points of a standard deviation of `noise` metres a coordinate."""
         ...
 
 
@@ -157,13 +133,6 @@ class Equations:
     """C, frame by frame."""
     gradient_shape: Float[Tensor, "active shape"]
     """h, frame by frame."""
-
-    def damped(self, damping: float) -> Banded:
-        """The matrix of a damped step."""
-        inner = self.inner.clone()
-        diagonal = inner[:, 0].diagonal(dim1=1, dim2=2)
-        diagonal.add_(damping * self.alone.diagonal(dim1=1, dim2=2))
-        return Banded(inner, self.border, self.corner.sum(0))
 
 
 @dataclass(frozen=True)
@@ -217,12 +186,10 @@ class Objective:
         total = total + 0.5 * self.stiffness * bend.square().sum()
         for scale, points, sensor in zip(self.scales, self.points, seen, strict=True):
             places = points.of(orientations[held:], joints[held:])
-            total = total + scale * energy_of(sensor, places)
+            total = total + scale * sensor.energy(places)
         if self.steps is not None:
-            total = (
-                total
-                + self.steps.judged(self.motion(window, rotations), joints[None], held).energy
-            )
+            motion = self.motion(window, rotations)
+            total = total + self.steps.judged(motion, joints[None], held).energy
         return float(total)
 
     def motion(self, window: Window, rotations: Float[Tensor, "time 22 3 3"]) -> Motion:
@@ -262,7 +229,8 @@ class Objective:
                 gradient_shape = gradient_shape + (down @ by_shape)[:, 0]
         gradient_alone = gradient
         bend = joints.diff(n=2, dim=0)[max(held - 2, 0) :]
-        second = _second_differences(window.frames, held).to(bend)
+        # rows p_(t+1) - 2 p_t + p_(t-1) that a frame that is not held takes part in
+        second = torch.eye(window.frames).to(bend).diff(n=2, dim=0)[max(held - 2, 0) :]
         column = _by_variables(self.joints.by_rotations(*own), turns).flatten(1, 2)
         force = self.stiffness * (second[:, held:].mT @ bend.flatten(1))
         gradient = gradient + (force[:, None] @ column)[:, 0]
@@ -289,7 +257,7 @@ class Objective:
             gradient_shape=gradient_shape,
         )
 
-    def _judged(self, window: Window, held: int) -> tuple[Judged, Float[Tensor, "active 69"]]:
+    def _judged(self, window: Window, held: int) -> tuple[Any, Float[Tensor, "active 69"]]:
         """What a prior says of the steps, and its slope by the variables of the active frames."""
         assert self.steps is not None
         with torch.enable_grad():
@@ -308,8 +276,3 @@ def _by_variables(
     moved = torch.eye(3).to(jacobian).expand(*jacobian.shape[:2], 3, 3)
     posed = (jacobian[..., 3:].flatten(1, 2) @ turns).unflatten(1, (-1, 3))
     return torch.cat((moved, jacobian[..., :3], posed), -1)
-
-
-def _second_differences(frames: int, held: int) -> Float[Tensor, "rows frames"]:
-    """Rows p_(t+1) - 2 p_t + p_(t-1) that a frame that is not held takes part in."""
-    return torch.eye(frames).diff(n=2, dim=0)[max(held - 2, 0) :]

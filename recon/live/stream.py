@@ -15,15 +15,15 @@ from recon.core.errors import ObservationError, ReconError, WeightsError
 from recon.diagnosis.findings import Finding
 from recon.fitting.methods import loaded
 from recon.live.moments import Door, Moment, MomentLike
-from recon.live.objective import LivePrior
 from recon.live.tracking import LiveEstimate, Person, Tracking
+from recon.method.priors import USUAL_NOISE, Prior
 from recon.method.protocols import REFERENCE_FPS
 
-GONE = 0.5
+GONE_S = 0.5
 """Seconds without points after which the person has left, and by which a clock may jump."""
 
 
-_OTHER_RATE = 0.1
+_RATE_TOLERANCE = 0.1
 """Share by which a rate may differ from that of a prior over steps."""
 
 
@@ -42,7 +42,7 @@ class Stream:
 
     def __init__(
         self,
-        prior: str | LivePrior | PosePrior = "pose",
+        prior: str | Prior[Any] = "pose",
         lag: int = 15,
         *,
         template: Tracker | Sequence[Tracker] | None = None,
@@ -73,7 +73,8 @@ class Stream:
         self._lag = lag
         self._body = body_given(body).to(dtype=torch.float32, device="cpu")
         found = loaded(prior, "open", self._body) if isinstance(prior, str) else prior
-        if not isinstance(found, PosePrior | LivePrior):
+        live = getattr(found, "live", None)
+        if not isinstance(found, PosePrior) and (live is None or live(USUAL_NOISE) is None):
             raise WeightsError(
                 "prior: expected 'pose', 'humor' or a prior with a method live(noise), got "
                 f"{prior if isinstance(prior, str) else type(prior).__name__!r}"
@@ -132,51 +133,47 @@ class Stream:
         moment = door.moment(seen, time, 0.0 if last is None else last + 1 / door.fps)
         if last is None:
             steps = 1
-        elif abs(moment.time - last) > GONE:
-            return self._jumped(moment, last)
+        elif abs(moment.time - last) > GONE_S:
+            return self._jumped(moment, last, door)
         else:
             steps = math.floor((moment.time - last) * door.fps + 0.5)
         self._other_clock = None
         if steps < 1:
-            return self._late(moment, -steps)
-        between = [self._dropped(moment.time, steps, k) for k in range(1, steps)]
+            self._late(moment, -steps)
+            return None
+        before = moment.time if last is None else last
+        gap = moment.time - before
+        between = [Moment(before + gap * k / steps, door.nothing) for k in range(1, steps)]
         if between:
             self._tell("gap", f"{len(between)} moments before {moment.time:.3f} s are missing")
-        return self._followed([*between, moment])
+        return self._followed([*between, moment], door)
 
-    def _followed(self, moments: list[Moment]) -> LiveEstimate | None:
+    def _followed(self, moments: list[Moment], door: Door) -> LiveEstimate | None:
         """What is final after moments that follow the last."""
         self._last = moments[-1].time
         tracking = self._tracking
         if tracking is None:
             if moments[-1].empty:
                 return None
-            tracking = self._tracking = self._anew()
+            tracking = self._tracking = self._anew(door)
             moments = moments[-1:]
         done = tracking.push(moments, self._findings)
-        assert self._door is not None
-        if tracking.unseen > GONE * self._door.fps:
-            self._tell("gap", f"at {self._last:.3f} s, nobody has been seen for {GONE:g} s")
+        if tracking.unseen > GONE_S * door.fps:
+            self._tell("gap", f"at {self._last:.3f} s, nobody has been seen for {GONE_S:g} s")
             done += self._ended(keep_clock=True)
         return self._told(done)
 
-    def _late(self, moment: Moment, back: int) -> LiveEstimate | None:
+    def _late(self, moment: Moment, back: int) -> None:
         """A moment at or before the last one."""
-        tracking = self._tracking
-        if tracking is not None and tracking.insert(moment, back):
-            self._tell("frame order", f"the moment {moment.time:.3f} s came late and was put in")
-        else:
-            self._tell(
-                "frame order",
-                f"the moment {moment.time:.3f} s came after {self._last:.3f} s and was left out",
-            )
-        return None
+        put_in = self._tracking is not None and self._tracking.insert(moment, back)
+        late = "late and was put in" if put_in else f"after {self._last:.3f} s and was left out"
+        self._tell("frame order", f"the moment {moment.time:.3f} s came {late}")
 
-    def _jumped(self, moment: Moment, last: float) -> LiveEstimate | None:
+    def _jumped(self, moment: Moment, last: float, door: Door) -> LiveEstimate | None:
         """A moment far from the last; one alone is taken for an error of its clock."""
         other = self._other_clock
         self._other_clock = moment.time
-        if other is None or abs(moment.time - other) > GONE:
+        if other is None or abs(moment.time - other) > GONE_S:
             self._tell(
                 "jump",
                 f"the clock jumped from {last:.3f} s to {moment.time:.3f} s; the moment was left "
@@ -186,15 +183,13 @@ class Stream:
         told = self._told(self._ended())
         self._given = None
         self._tell("jump", f"time goes on at {moment.time:.3f} s, after {last:.3f} s")
-        after = self._followed([moment])
+        after = self._followed([moment], door)
         assert after is None, "a first motion takes several moments"
         return told
 
-    def _anew(self) -> Tracking:
-        door = self._door
-        assert door is not None
+    def _anew(self, door: Door) -> Tracking:
         noise = self._noise
-        if self._prior is not None and abs(door.fps / REFERENCE_FPS - 1) > _OTHER_RATE:
+        if self._prior is not None and abs(door.fps / REFERENCE_FPS - 1) > _RATE_TOLERANCE:
             raise ObservationError(
                 f"a prior over steps knows those of 1/30 s: expected 30 moments a second, got "
                 f"{door.fps:g}; push moments of that rate, or take prior='pose'"
@@ -215,11 +210,6 @@ class Stream:
         done = tracking.finish(self._findings)
         self._person = tracking.known()
         return done
-
-    def _dropped(self, time: float, steps: int, k: int) -> Moment:
-        assert self._door is not None
-        assert self._last is not None
-        return Moment(self._last + (time - self._last) * k / steps, self._door.nothing)
 
     def _told(self, done: list[LiveEstimate]) -> LiveEstimate | None:
         """The newest of some estimates, with the others and with what was noticed."""

@@ -3,26 +3,27 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from observations.moments import Tracker, distances, joined, shows, with_moment, without
+from observations.moments import Tracker, joined, with_moment, without
 from observations.noise import weights_of
-from priors.pose.prior import PosePrior
+from priors.pose.prior import PosePrior, PoseWeights
 from recon.body.contacts import contact_probabilities, rest_heights
+from recon.body.derivatives import CarriedPoints
 from recon.body.model import BodyModel
 from recon.core.errors import ReconError
 from recon.diagnosis.findings import Finding
 from recon.fitting.clip import fit_clip
 from recon.fitting.methods import FitOptions
 from recon.live.moments import Door, Moment
-from recon.live.objective import LivePrior, Window
-from recon.live.smoother import ShapeKnowledge, Smoothed, begun
-from recon.method.priors import Traits
+from recon.live.objective import Objective, Window
+from recon.live.smoother import ShapeKnowledge, Smoothed
+from recon.method.priors import USUAL_NOISE, Prior
 from recon.method.stages import Stage
 from recon.method.terms import Term
 
@@ -62,22 +63,20 @@ class LiveEstimate:
         return (*self.earlier, self)
 
 
-@dataclass(frozen=True)
-class _FirstPoses:
+class _FirstPoses(PosePrior):
     """The pose prior, minimised for a short while."""
 
-    traits: ClassVar[Traits] = PosePrior.traits
-    poses: PosePrior
-
-    def method(self, noise: float, body: BodyModel) -> "_FirstPoses":
-        """A copy of the prior whose weights suit this noise."""
-        return _FirstPoses(self.poses.method(noise, body))
-
-    def stages(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
+    def stages(
+        self,
+        data: tuple[Term, ...],
+        noise: float = USUAL_NOISE,
+        body: BodyModel | None = None,
+        method: str | None = None,
+    ) -> tuple[Stage[Any], ...]:
         """The root first, then all."""
         return tuple(
             replace(stage, minimiser=replace(stage.minimiser, max_iterations=_ITERATIONS))
-            for stage in self.poses.stages(data)
+            for stage in super().stages(data, noise, body, method)
         )
 
 
@@ -97,7 +96,7 @@ def begin(
     person: Person,
     body: BodyModel,
     poses: PosePrior,
-    prior: LivePrior | None,
+    prior: Prior[Any] | None,
 ) -> Smoothed:
     """A window of these moments, each one frame after the other, fitted under the pose prior.
 
@@ -108,29 +107,38 @@ def begin(
     for moment in moments[1:]:
         seen = [joined(a, b) for a, b in zip(seen, moment.seen, strict=True)]
     seen = [one.derived(start_time=0.0) for one in seen]
-    options = FitOptions(prior=_FirstPoses(poses), noise=noise, shape=person.shape)
+    first = _FirstPoses(poses.density, poses.weighed)
+    options = FitOptions(prior=first, noise=noise, shape=person.shape)
     batch: Any = [one[None] for one in seen]
     with torch.enable_grad():
         fit = fit_clip(batch, options, body)
-    motion, scene = fit.result.motion[0].detach(), fit.result.estimate.scene.detach()
+    motion, offsets = fit.result.motion[0].detach(), fit.result.estimate.scene.offsets[0].detach()
     rows: Any = [vars(one)["offset_rows"] for one in fit.observations]
-    trackers: list[Tracker] = [
+    trackers: tuple[Tracker, ...] = tuple(
         one.derived(offset_rows=row) for one, row in zip(seen, rows, strict=True)
-    ]
-    knowledge = person.knowledge
-    if person.shape is None and knowledge is None:
-        knowledge = ShapeKnowledge.none(motion.shape)
-    return begun(
+    )
+    metres = min(one.metres for one in fit.noises)
+    steps = None if prior is None else prior.live(metres)
+    shape, knowledge = motion.shape, person.knowledge
+    objective = Objective(
+        body=body,
+        density=poses.density,
+        weights=PoseWeights.for_noise(metres) if steps is None else steps.poses,
+        scales=tuple(weights_of(fit.noises)),
+        points=tuple(one.carried(body, shape, offsets) for one in trackers),
+        joints=CarriedPoints.joints(body, shape),
+        shape=shape,
+        rest=body.rest_joints(shape),
+        fps=seen[0].fps,
+        offsets=offsets,
+        steps=steps,
+    )
+    return Smoothed(
         Window.of(motion.translation, motion.rotations, poses.density),
-        motion.shape,
+        objective,
         trackers,
-        weights_of(fit.noises),
-        min(one.metres for one in fit.noises),
-        scene.offsets[0],
-        body,
-        poses.density,
-        knowledge,
-        prior,
+        ShapeKnowledge.none(shape) if knowledge is None else knowledge,
+        learning=person.shape is None or knowledge is not None,
     )
 
 
@@ -163,7 +171,7 @@ class Tracking:
     person: Person
     body: BodyModel
     poses: PosePrior
-    prior: LivePrior | None = None
+    prior: Prior[Any] | None = None
     """The prior over steps, beside the density of poses."""
     gathered: list[Moment] = field(default_factory=list)
     """Moments before the first motion, or those that lie astray."""
@@ -177,12 +185,13 @@ class Tracking:
 
     @cached_property
     def _shown(self) -> list[Bool[np.ndarray, "points 22"]]:
-        return [shows(one, self.body) for one in self.door.sensors]
+        return [one.shows(self.body) for one in self.door.sensors]
 
     @property
-    def least(self) -> int:
-        """Moments that a first motion needs."""
-        return max(BEGINNING, self.lag + 1)
+    def _now(self) -> Smoothed:
+        """The window, once there is a motion."""
+        assert self.smoothed is not None
+        return self.smoothed
 
     def push(self, moments: list[Moment], findings: list[Finding]) -> list[LiveEstimate]:
         """What is final after moments that follow each other by one frame."""
@@ -190,15 +199,14 @@ class Tracking:
             self.gathered += moments
             while self.gathered and self.gathered[0].empty:
                 self.gathered.pop(0)
-            if len(self.gathered) < self.least or self.gathered[-1].empty:
+            if len(self.gathered) < max(BEGINNING, self.lag + 1) or self.gathered[-1].empty:
                 return []
             return self._given_out(self.lag) if self._begun(findings) else []
         for moment in moments:
             self._extend(moment, findings)
         if len(self.gathered) > max(_PERSISTS * self.door.fps, 2):
             return self._elsewhere(findings)
-        assert self.smoothed is not None
-        self.smoothed = self.smoothed.refined(_MAX_STEPS_PER_PUSH)
+        self.smoothed = self._now.refined(_MAX_STEPS_PER_PUSH)
         return self._given_out(self.lag)
 
     def insert(self, moment: Moment, back: int) -> bool:
@@ -265,10 +273,8 @@ class Tracking:
         return True
 
     def _extend(self, moment: Moment, findings: list[Finding]) -> None:
-        now = self.smoothed
-        assert now is not None
         most = self.lag + 1 + _BEYOND
-        after = now.extended(self.door.nothing, most, _LEARNED)
+        after = self._now.extended(self.door.nothing, most, _LEARNED)
         self.times.append(moment.time)
         dropped = len(self.times) - after.window.frames
         self.times, self.final = self.times[dropped:], max(self.final - dropped, 0)
@@ -301,10 +307,9 @@ class Tracking:
         kept: list[Tracker] = []
         seen = far = 0
         for points, one in zip(after.objective.points, moment.seen, strict=True):
-            away = distances(one, points.of(orientations, joints))
-            shown = one.shown
-            bad = shown & (away > allowed)
-            seen, far = seen + int(shown.sum()), far + int(bad.sum())
+            away = one.distances(points.of(orientations, joints))
+            bad = one.shown & (away > allowed)
+            seen, far = seen + int(one.shown.sum()), far + int(bad.sum())
             kept.append(without(one, bad) if bool(bad.any()) else one)
         share = far / max(seen, 1)
         return (self.door.nothing if share > 0.5 else tuple(kept)), share
@@ -326,9 +331,7 @@ class Tracking:
         return done
 
     def _given_out(self, lag: int) -> list[LiveEstimate]:
-        now = self.smoothed
-        assert now is not None
-        stop = len(self.times) - lag
+        now, stop = self._now, len(self.times) - lag
         rows = range(self.final, stop)
         if len(rows) == 0:
             return []
@@ -336,9 +339,7 @@ class Tracking:
         first = max(self.final - 1, 0)
         objective, own = now.objective, slice(self.final - first, stop - first)
         rotations, _, places = objective.posed(now.window[first : stop + 1])
-        rotations, joints = rotations[own], places[own]
-        held = now.window.frames - now.active
-        contacts = None
+        held, contacts = now.window.frames - now.active, None
         if objective.steps is not None:
             heights = rest_heights(self.body, objective.shape)
             contacts = contact_probabilities(places, heights, objective.fps)[own]
@@ -347,8 +348,8 @@ class Tracking:
             LiveEstimate(
                 time=self.times[row],
                 translation=now.window.translation[row],
-                rotations=rotations[k],
-                joints=joints[k],
+                rotations=rotations[own][k],
+                joints=places[own][k],
                 shape=objective.shape,
                 observed=torch.from_numpy(self._observed(row - held)),
                 contacts=None if contacts is None else contacts[k],
@@ -358,8 +359,7 @@ class Tracking:
 
     def _observed(self, active: int) -> Bool[np.ndarray, " 22"]:
         """Joints that an observation tells the place of, in an active frame."""
-        assert self.smoothed is not None
         found = np.zeros(22, dtype=bool)
-        for one, shown in zip(self.smoothed.seen, self._shown, strict=True):
+        for one, shown in zip(self._now.seen, self._shown, strict=True):
             found |= one.shown[active].numpy() @ shown
         return found

@@ -38,14 +38,19 @@ def stream(
         body: SMPL-family file; default: the bundled body.
     """
     import sys
+    from typing import Any, cast
 
     from recon.cli import console
     from recon.cli.inputs import check_inputs
+    from recon.reading.door import load_observation
 
     check_inputs({"observations": observations, "camera": camera, "body": body})
-    from recon.live.lines import stream_lines, stream_of
+    from recon.live.lines import stream_lines
+    from recon.live.stream import Stream
 
-    live = stream_of(observations, prior, lag, camera, frame_rate, noise, shape, body)
+    many = observations[0] if len(observations) == 1 else list(observations)
+    seen = cast(Any, load_observation(many, camera=camera, frame_rate=frame_rate))
+    live = Stream(prior, lag, template=seen, noise=noise, shape=shape, body=body)
     for line in stream_lines(sys.stdin, live, console.complain):
         sys.stdout.write(line + "\n")
         sys.stdout.flush()

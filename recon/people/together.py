@@ -1,12 +1,11 @@
-"""`recon.load_people` and `recon.fit_people`: everybody in a recording, in one world."""
+"""`load_people` and `recon.fit_people`: everybody in a recording, in one world."""
 
 import logging
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
-from observations import kinds
 from observations.keypoints2d import Keypoints2D
 from recon.api.fit import fit
 from recon.api.given import BodyLike, body_given
@@ -14,9 +13,10 @@ from recon.api.result import Result
 from recon.body.model import BodyModel
 from recon.core.errors import ReconError
 from recon.core.motion import Motion
-from recon.fitting.methods import PriorObject
 from recon.fitting.observed import Clip
 from recon.fitting.settings import FitSettings
+from recon.method.priors import PriorLike
+from recon.method.sensor import views_of
 from recon.people.camera import SharedCamera, shared_camera
 from recon.people.everyone import PersonClip, people_in
 from recon.people.results import People
@@ -27,17 +27,7 @@ _QUICK = ("body", "noise", "robust", "ground", "between", "device", "callback", 
 
 
 def load_people(
-    path: Path | str | Sequence[Path | str],
-    *,
-    frame_rate: float,
-    body: BodyModel | None = None,
-    layout: str | None = None,
-    camera: Path | str | None = None,
-    camera_unit: Literal["m", "mm"] | None = None,
-    camera_up: Literal["x", "y", "z"] | None = None,
-    image_size: tuple[int, int] | None = None,
-    camera_track: Path | str | None = None,
-    ground: tuple[float, float, float, float] | Literal["none"] | None = None,
+    path: Path | str | Sequence[Path | str], *, body: BodyModel | None = None, **reading: Any
 ) -> list[PersonClip]:
     """Everybody in 2D detections of one or several views, as `recon.fit_people` takes them.
 
@@ -47,28 +37,18 @@ def load_people(
 
     Args:
         path: files and folders of one recording.
-        frame_rate: frames per second.
         body: that is to be fitted; default: the bundled one.
-        layout: as of `recon.load_observation`, and so are the others.
-        camera: calibration of the cameras; default, for one view: a phone's.
-        camera_unit: unit of the calibration, where it does not tell.
-        camera_up: axis of the calibration's world that points up.
-        image_size: width and height, pixels, where no calibration tells.
-        camera_track: how the one camera was carried.
-        ground: plane n·x = d below a camera without pose, in its frame, metres.
+        reading: how to read files, by the names of `recon.fitting.settings.ReadOptions`:
+            `frame_rate`, `camera`, `layout`, ...
 
     Raises:
         FileNotFoundError: when there is no such file.
-        FormatError: when something cannot be read, or arguments are missing; says what to do.
+        FormatError: when something cannot be read, or options are missing; says what to do.
+        TypeError: when there is no option of a name.
     """
     paths = [path] if isinstance(path, Path | str) else path
-    settings = FitSettings(
-        frame_rate=frame_rate, layout=layout, camera=None if camera is None else Path(camera),
-        camera_unit=camera_unit, camera_up=camera_up, image_size=image_size,
-        camera_track=None if camera_track is None else Path(camera_track), ground=ground,
-    )  # fmt: skip
     model = BodyModel.load() if body is None else body
-    people, notes = people_in([Path(one) for one in paths], settings, model)
+    people, notes = people_in([Path(one) for one in paths], FitSettings.of(reading), model)
     for note in notes:
         _LOG.info("%s", note)
     return list(people)
@@ -76,7 +56,7 @@ def load_people(
 
 def fit_people(
     people: Sequence[PersonClip],
-    prior: str | PriorObject = "humor",
+    prior: str | PriorLike = "humor",
     *,
     body: BodyLike = None,
     notes: Sequence[str] = (),
@@ -91,7 +71,7 @@ def fit_people(
     a carried camera everybody's ground is found for itself.
 
     Args:
-        people: of one recording, as `recon.load_people` returns them.
+        people: of one recording, as `load_people` returns them.
         prior: as of `recon.fit`.
         body: as of `recon.fit`.
         notes: what was decided before, for the report.
@@ -149,7 +129,7 @@ def _on_one_floor(result: Result) -> Result:
 
 def _only_view(clip: Clip) -> Keypoints2D | None:
     """The one fixed camera of unknown pose that saw a clip; None where it is otherwise."""
-    views = kinds.views(clip.observations)
+    views = views_of(clip.observations)
     if len(views) != 1 or len(clip.observations) != 1 or clip.ground_given:
         return None
     (view,) = views
@@ -159,7 +139,7 @@ def _only_view(clip: Clip) -> Keypoints2D | None:
 
 def _before(clip: Clip, shared: SharedCamera) -> Clip:
     """The clip as the shared camera saw it, whose pose is known from here on."""
-    (view,) = kinds.views(clip.observations)
+    (view,) = views_of(clip.observations)
     camera = view.camera.derived(
         camera_matrix=shared.matrix.to(view.camera.camera_matrix)[None, None],
         T_camera_world=shared.T_camera_world.to(view.camera.T_camera_world)[None, None],
@@ -172,7 +152,7 @@ def _before(clip: Clip, shared: SharedCamera) -> Clip:
 def _fitted(
     numbers: Sequence[int],
     clips: Sequence[Clip],
-    prior: str | PriorObject,
+    prior: str | PriorLike,
     arguments: Sequence[dict[str, Any]],
 ) -> list[Result]:
     results: list[Result] = []

@@ -32,7 +32,7 @@ from recon.formats.observations import (
 )
 from recon.formats.projects import Project, project_at
 from recon.formats.scans import read_scans
-from recon.method.protocols import Sensor
+from recon.method.sensor import Sensor
 from recon.reading.clouds import cloud_of
 from recon.reading.images import keypoints_of
 from recon.reading.keypoints3d import settled
@@ -78,8 +78,8 @@ def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> 
             return _of_one(files, notes, settings, body)
         if settings.person == "all":
             raise ObservationError(
-                "one clip is of one person; `recon fit --person all`, in Python recon.load_people "
-                "and recon.fit_people, fit everybody"
+                "one clip is of one person; `recon fit --person all`, in Python "
+                "recon.people.together.load_people and recon.fit_people, fit everybody"
             )
         views = seen_in(detections, settings).person(settings.person)
         shown = views.files

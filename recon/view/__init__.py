@@ -1,6 +1,6 @@
-"""Pictures of motions: a page (`html`), images and films (`frames`), with cameras (`panels`)."""
+"""Pictures of motions: a page (`html`), images and films (`frames`)."""
 
 from recon.view.scene import Figure as Figure
 from recon.view.scene import Points as Points
 from recon.view.scene import Show as Show
-from recon.view.views import View as View
+from recon.view.scene import View as View

@@ -9,7 +9,7 @@ from recon.formats.motions import MotionFile
 from recon.view.scene import Figure
 from recon.view.viewpoint import across
 
-_GAP = 0.2
+_GAP_M = 0.2
 """Metres left between two bodies where they come nearest."""
 
 
@@ -26,8 +26,8 @@ def common(file: MotionFile, other: MotionFile) -> tuple[MotionFile, Motion]:
         "joints", "contacts", "contact_probability", "joint_std", "observed", "truth_visible",
         "in_camera",
     )  # fmt: skip
-    kept = {key: getattr(file, key) for key in per_frame}
-    cut = {key: value if value is None else value[:count] for key, value in kept.items()}
+    known = {key: value for key in per_frame if (value := getattr(file, key)) is not None}
+    cut = {key: value[:count] for key, value in known.items()}
     return dataclasses.replace(file, motion=motion, **cut), second.at(motion.times, motion.fps)
 
 
@@ -41,7 +41,7 @@ def beside(figure: Figure, other: Figure) -> Figure:
     level = first[0, 0] - second[0, 0]
     second = second + level
     needed = (first @ right[:2]).amax(-1) - (second @ right[:2]).amin(-1)
-    shift = torch.nn.functional.pad(level, (0, 1)) + (float(needed.max()) + _GAP) * right
+    shift = torch.nn.functional.pad(level, (0, 1)) + (float(needed.max()) + _GAP_M) * right
     motion = other.motion
     moved = motion.replace(translation=motion.translation + shift.to(motion.translation))
     return dataclasses.replace(other, motion=moved)

@@ -111,11 +111,9 @@ def shown(
         other = _meanwhile(load_motion_of(compare, model), file.motion, compare)
         name = _another(compare, motion)
         figures.append(Figure(model, other, name, colour=GREY, opacity=0.45))
-    seen = observed(obs, file, model)
+    points, cloud, cameras = observed(obs, file, model)
     ground = None if file.ground is None else Ground.create(file.ground[:3], file.ground[3])
-    return Show(
-        motion.stem, tuple(figures), seen.points, seen.cloud, seen.cameras, ground, certainty
-    )
+    return Show(motion.stem, tuple(figures), points, cloud, cameras, ground, certainty)
 
 
 def _another(path: Path, first: Path) -> str:
@@ -139,22 +137,14 @@ def draw_html(path: Path, show: Show) -> None:
 
 def _draw_png(path: Path, show: Show) -> None:
     from recon.view.frames import write_png
-    from recon.view.panels import write_views_png
 
-    if show.cameras:
-        write_views_png(path, show)
-    else:
-        write_png(path, [show])
+    write_png(path, show)
 
 
 def _draw_mp4(path: Path, show: Show) -> None:
     from recon.view.frames import write_mp4
-    from recon.view.panels import write_views_mp4
 
-    if show.cameras:
-        write_views_mp4(path, show)
-    else:
-        write_mp4(path, show)
+    write_mp4(path, show)
 
 
 def _draw_rrd(path: Path, show: Show) -> None:

@@ -4,161 +4,180 @@ from collections.abc import Iterable, Sequence
 from fractions import Fraction
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from recon.formats.opening import replacing
-from recon.view.drawing.marks import (
-    BOLD,
+from recon.view.images import FRAME, Region, clip_region, close_ups, paint_view
+from recon.view.lettering import (
+    PAPER,
     Picture,
+    head,
     join,
     label,
-    legend_strip,
     line_width,
     save_picture,
     text_size,
+    with_legend,
     write_line,
 )
-from recon.view.drawing.painter import paint
-from recon.view.drawing.stage import frustum
-from recon.view.scene import CAMERA, INK, Show
+from recon.view.painter import frustum, paint
+from recon.view.scene import CAMERA, FAINT, WHITE, Show, View
 from recon.view.viewpoint import Viewpoint, viewpoints
 
+MAP_SHARE = 0.13
+"""Width of the little map as a share of the picture's."""
 
-def write_film(path: Path, pictures: Iterable[Picture], fps: float) -> None:
-    """Write pictures of one size as H.264 that every browser plays.
+
+def write_png(
+    path: str | Path, show: Show, frames: Sequence[int] | None = None, width: int | None = None
+) -> None:
+    """A sheet: the scene in the first row, then a row per camera; a column per frame, one legend.
+
+    Images of cameras are squares around the people; a little map shows where in the image they
+    lie.
+
+    Args:
+        path: file to write.
+        show: what is drawn.
+        frames: to draw; None is five evenly spread, six with cameras.
+        width: of a single picture, pixels; None is 360, 400 with cameras.
 
     Raises:
-        ValueError: when there is no picture, or its width or height is odd (H.264 halves its
-            colours).
+        ValueError: when a frame does not exist, or `width` makes no picture.
         FileNotFoundError: when the folder of `path` does not exist.
     """
+    if show.cameras:
+        width, wanted = width or 400, 6
+        size = (width, 3 * width // 4)
+    else:
+        width, wanted = width or 360, 5
+        size = (width, 11 * width // 9)
+    chosen = _spread(show.frames, wanted) if frames is None else frames
+    _check(width, chosen, show.frames)
+    rows = [_scene(show, chosen, viewpoints(show, size))]
+    for view in show.cameras:
+        row: list[Picture] = []
+        for frame, part in zip(chosen, close_ups(show, view, chosen), strict=True):
+            row.append(paint_view(show, view, frame, part, width))
+            _map(row[-1], view, part)
+        _name(row[0], view)
+        rows.append(row)
+    sheet = join([join(row, axis=1) for row in rows], axis=0)
+    save_picture(Path(path), with_legend(sheet, show.legend, text_size(size)))
+
+
+def write_mp4(path: str | Path, show: Show, width: int | None = None) -> None:
+    """A film in H.264 that every browser plays, one picture per frame at the show's rate.
+
+    Each picture has the scene and, beside it, what every camera sees, above one legend.
+
+    Args:
+        path: file to write.
+        show: what is drawn.
+        width: of the scene and of each camera's image, pixels; None is 640, 480 with cameras.
+
+    Raises:
+        ValueError: when `width` makes no picture.
+        FileNotFoundError: when the folder of `path` does not exist.
+    """
+    parts = [clip_region(show, view) for view in show.cameras]
+    width = width or (480 if parts else 640)
+    _check(width, range(show.frames), show.frames)
+    size = (width, width + width // 16)
+    if parts:
+        size = (width, max(min(parts[0].size(width)[1], width), width // 2))
+    stands = viewpoints(show, size)
+    columns = int(np.ceil(np.sqrt(len(parts) + 1)))
+
+    def picture(frame: int) -> Picture:
+        tiles = _scene(show, [frame], stands)
+        for view, part in zip(show.cameras, parts, strict=True):
+            tiles.append(paint_view(show, view, frame, part, width))
+            _name(tiles[-1], view)
+        rows = [join(tiles[k : k + columns], axis=1) for k in range(0, len(tiles), columns)]
+        text = text_size((width, 3 * width // 4))
+        whole = with_legend(join(rows, axis=0), show.legend, text)
+        # H.264 halves its colours, which takes even sides
+        even = [(0, side % 2) for side in whole.shape[:2]]
+        return np.pad(whole, (*even, (0, 0)), constant_values=PAPER)
+
+    _write_film(Path(path), map(picture, range(show.frames)), show.fps)
+
+
+def _write_film(path: Path, pictures: Iterable[Picture], fps: float) -> None:
+    """Write pictures of one size, whose sides are even."""
     import av
 
     with (
         replacing(path) as scratch,
         av.open(str(scratch), "w", format="mp4", options={"movflags": "+faststart"}) as film,
     ):
-        stream = None
+        stream = film.add_stream("libx264", rate=Fraction(fps).limit_denominator(1001))
+        stream.pix_fmt = "yuv420p"
+        # Beside "medium" at 19: half the time, and files of the same size, 0.5 dB worse.
+        stream.options = {"crf": "18", "preset": "veryfast"}
         for picture in pictures:
-            if stream is None:
-                height, width = picture.shape[:2]
-                if width % 2 or height % 2:
-                    raise ValueError(f"a film needs an even width and height, got {width, height}")
-                stream = film.add_stream("libx264", rate=Fraction(fps).limit_denominator(1001))
-                stream.width, stream.height = width, height
-                stream.pix_fmt = "yuv420p"
-                # Beside "medium" at 19: half the time, and files of the same size, 0.5 dB worse.
-                stream.options = {"crf": "18", "preset": "veryfast"}
+            if stream.width != picture.shape[1]:
+                stream.height, stream.width = picture.shape[:2]
             film.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
-        if stream is None:
-            raise ValueError("a film needs at least one picture")
         film.mux(stream.encode(None))
 
 
-def write_png(
-    path: str | Path,
-    shows: Sequence[Show],
-    frames: Sequence[int] | None = None,
-    size: tuple[int, int] = (360, 440),
-) -> None:
-    """A sheet of pictures: one row per show, one column per frame, one legend.
-
-    All rows share one camera. `size` is the width and height of a single picture in pixels;
-    without `frames` five are chosen evenly.
-
-    Raises:
-        ValueError: when shows differ in length or rate, or a frame does not exist.
-        FileNotFoundError: when the folder of `path` does not exist.
-    """
-    if len(shows) == 0:
-        raise ValueError("a sheet needs at least one show")
-    lengths = {(show.frames, show.fps) for show in shows}
-    if len(lengths) != 1:
-        raise ValueError(f"rows of a sheet need one (frames, fps), got {sorted(lengths)}")
-    _check_size(size)
-    count = shows[0].frames
-    frames = evenly(count, 5) if frames is None else frames
-    if len(frames) == 0 or not all(0 <= frame < count for frame in frames):
-        raise ValueError(f"frames must be among 0, ..., {count - 1}, got {list(frames)}")
-
-    views = viewpoints(shows, size)
-    text = text_size(size)
-    rows: list[Picture] = []
-    for show in shows:
-        pictures = [paint_scene(show, frame, views[frame]) for frame in frames]
-        for frame, picture in zip(frames, pictures, strict=True):
-            label(picture, seconds(show, frame))
-        row = join(pictures, axis=1)
-        write_line(row, show.title, (text // 2, 3 * text // 2), text * 5 // 4, BOLD, INK)
-        rows.append(row)
-    sheet = join(rows, axis=0)
-    entries = dict.fromkeys(entry for show in shows for entry in show.legend)
-    sheet = np.concatenate([sheet, legend_strip(tuple(entries), sheet.shape[1], text)])
-    save_picture(Path(path), sheet)
+def _scene(show: Show, frames: Sequence[int], views: Sequence[Viewpoint]) -> list[Picture]:
+    """Pictures of the scene with the names of its cameras and the time; the first has a title."""
+    row: list[Picture] = []
+    for frame in frames:
+        picture, view = paint(show, frame, views[frame]), views[frame]
+        text, (width, height) = text_size(view.size), view.size
+        for camera in show.cameras:
+            # the camera's name stands above its pyramid
+            pixels, depth = view.project(frustum(camera.at(frame)).reshape(-1, 3))
+            middle, top = pixels.mean(0), pixels.min(0)[1]
+            if depth.min() > 0 and 0 <= middle[0] < width and text < top < height:
+                half = line_width(camera.name, text) / 2
+                last = max(width - 2 * half - text / 2, text / 2)
+                x = np.clip(middle[0] - half, text / 2, last)
+                place = (round(float(x)), round(float(top)) - text // 2)
+                write_line(picture, camera.name, place, text, colour=CAMERA)
+        label(picture, f"{show.figures[0].motion.start_time + frame / show.fps:.2f} s")
+        row.append(picture)
+    head(row[0], show.title)
+    return row
 
 
-def write_mp4(
-    path: str | Path,
-    show: Show,
-    size: tuple[int, int] = (640, 720),
-    frames: Sequence[int] | None = None,
-) -> None:
-    """A film in H.264 that every browser plays, one picture per frame at the show's rate.
-
-    Raises:
-        ValueError: when the size is odd (H.264 halves its colours) or leaves no room beside the
-            legend, or a frame does not exist.
-        FileNotFoundError: when the folder of `path` does not exist.
-    """
-    _check_size(size)
-    if size[0] % 2 or size[1] % 2:
-        raise ValueError(f"a film needs an even width and height, got {size}")
-    frames = range(show.frames) if frames is None else frames
-    if len(frames) == 0 or not all(0 <= frame < show.frames for frame in frames):
-        raise ValueError(f"frames must be among 0, ..., {show.frames - 1}, got {list(frames)}")
-    text = text_size(size)
-    legend = legend_strip(show.legend, size[0], text)
-    height = size[1] - len(legend)
-    if 2 * height < size[1]:
-        raise ValueError(f"a film of {size} has no room beside its legend; make it larger")
-    views = viewpoints([show], (size[0], height))
-
-    def picture(frame: int) -> Picture:
-        picture = paint_scene(show, frame, views[frame])
-        write_line(picture, show.title, (text, 2 * text), text * 5 // 4, BOLD, INK)
-        write_line(picture, seconds(show, frame), (size[0] - text, 2 * text), text, right=True)
-        return np.concatenate([picture, legend])
-
-    write_film(Path(path), map(picture, frames), show.fps)
+def _name(picture: Picture, view: View) -> None:
+    """The camera's name, and how well its points are met."""
+    head(picture, view.name)
+    if (error := view.median_error) is not None:
+        label(picture, f"median error {error:.1f} px")
 
 
-def paint_scene(show: Show, frame: int, view: Viewpoint) -> Picture:
-    """The scene at one frame, with the names of its cameras."""
-    picture = paint(show, frame, view)
-    text = text_size(view.size)
-    width, height = view.size
-    for camera in show.cameras:
-        corners = frustum(camera.at(frame)).reshape(-1, 3)
-        pixels, depth = view.project(corners)
-        middle, top = pixels.mean(0), pixels.min(0)[1]
-        if depth.min() > 0 and 0 <= middle[0] < width and text < top < height:
-            half = line_width(camera.name, text) / 2
-            x = np.clip(middle[0] - half, text / 2, max(width - 2 * half - text / 2, text / 2))
-            place = (round(float(x)), round(float(top)) - text // 2)
-            write_line(picture, camera.name, place, text, colour=CAMERA)
-    return picture
+def _map(picture: Picture, view: View, part: Region) -> None:
+    """The image's outline in the lower left corner, with the part of it that is shown."""
+    height, width = picture.shape[:2]
+    size = np.array(view.camera.image_size, float)
+    scale = MAP_SHARE * width / size.max()
+    corner = np.array([width // 40, height - width // 40 - scale * size[1]])
+    low = np.clip((part.left, part.top), 0, size)
+    high = np.clip((part.left + part.width, part.top + part.height), 0, size)
+    for first, last, colour, thickness in (
+        (np.zeros(2), size, WHITE, -1),
+        (low, high, FRAME, -1),
+        (np.zeros(2), size, FAINT, 1),
+    ):
+        ends = np.stack([corner + scale * first, corner + scale * last])
+        start, end = ends.round().astype(int).tolist()
+        cv2.rectangle(picture, start, end, colour, thickness)
 
 
-def evenly(count: int, wanted: int) -> list[int]:
+def _spread(count: int, wanted: int) -> list[int]:
     """Numbers of at most `wanted` of `count` frames, evenly spread from the first to the last."""
     return sorted({round(place) for place in np.linspace(0, count - 1, wanted)})
 
 
-def seconds(show: Show, frame: int) -> str:
-    """The time of a frame, in words."""
-    return f"{show.figures[0].motion.start_time + frame / show.fps:.2f} s"
-
-
-def _check_size(size: tuple[int, int]) -> None:
-    if min(size) < 64 or max(size) > 4096:
-        raise ValueError(f"a picture is 64 to 4096 pixels wide and high, got {size}")
+def _check(width: int, frames: Sequence[int], count: int) -> None:
+    if not 64 <= width <= 2048:
+        raise ValueError(f"a picture is 64 to 2048 pixels wide, got {width}")
+    if len(frames) == 0 or not all(0 <= frame < count for frame in frames):
+        raise ValueError(f"frames must be among 0, ..., {count - 1}, got {list(frames)}")

@@ -3,36 +3,39 @@
 import contextlib
 import html
 import io
+import json
 import logging
 from collections.abc import Callable
+from importlib import resources
 from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Float, Shaped
+import trimesh
+from jaxtyping import Float
 from torch import Tensor
 from viser import SceneApi, ViserServer
 
 from recon.core import rotations as so3
 from recon.core.skeleton import CONTACT_JOINTS
 from recon.formats.opening import replacing
-from recon.view.drawing.stage import Plane
-from recon.view.layers import Spheres, camera_node, legend, node_of
 from recon.view.scene import (
     CAMERA,
     CERTAINTY,
     CLOUD,
     CONTACT,
+    FAINT,
     GROUND,
     MISSING,
     VISIBLE,
     Colour,
     Figure,
-    Points,
     Show,
+    View,
+    thinned,
 )
-from recon.view.viewpoint import Viewpoint, follow, viewpoints
-from recon.view.views import View
+from recon.view.stage import Plane
+from recon.view.viewpoint import follow, viewpoints
 
 logger = logging.getLogger(__name__)
 
@@ -41,11 +44,17 @@ Layer = Callable[[int], None]
 
 INFLUENCES = 4
 """Joints per vertex that a browser's skinning takes."""
-CONTACT_RADIUS = 0.055
+CONTACT_RADIUS_M = 0.055
 CLOUD_LIMIT = 1500
 """Points of a scan kept per frame: 90 frames stay below 2 MB."""
 SEE_THROUGH = 0.62
 """Opacity of solid bodies while points or contacts, which lie inside, are shown."""
+TETRAHEDRON = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / 3**0.5
+"""Directions of four bones with which a sphere can grow; three radii away they hold it inside."""
+SUNK_M = 0.004
+"""Depth of the drawn ground below the true one, metres: soles may sink a little."""
+HIDDEN_M = -1e4
+"""Height at which spheres are that are not shown, metres."""
 HALO_OPACITY = 0.35
 """Opacity of the spheres of standard deviations."""
 
@@ -71,7 +80,7 @@ def write_html(path: str | Path, show: Show) -> None:
             server.stop()
         title = f"<title>{html.escape(show.title)}</title>"
         page = page.replace("<title>Viser</title>", title, 1)
-        page = page.replace("</body>", legend(show, follows=_follows(show)) + "</body>", 1)
+        page = page.replace("</body>", _legend(show) + "</body>", 1)
         scratch.write_text(page, encoding="utf-8")
     logger.info("wrote %s: %d frames, %.1f MB", path, show.frames, len(page) / 1e6)
 
@@ -98,12 +107,20 @@ def _record(server: ViserServer, show: Show) -> str:
     layers = [_stage(server, show)]
     for figure in show.figures:
         layers.append(_body(scene, figure, figure.opacity * inside))
+        joints, node = figure.posed.joints, figure.node("contacts")
         if bool(figure.touching.any()):
-            layers.append(_contacts(scene, figure))
+            own = list(CONTACT_JOINTS)
+            radii = CONTACT_RADIUS_M * figure.touching[:, own]
+            layers.append(_spheres(scene, node, joints[:, own], radii, CONTACT))
         if figure.joint_std is not None:
-            layers.append(_certainty(scene, figure, figure.joint_std, shown=show.certainty))
-    if show.points is not None:
-        layers += _points(scene, show.points)
+            node, std, shown = figure.node("standard deviation"), figure.joint_std, show.certainty
+            layers.append(_spheres(scene, node, joints, std, CERTAINTY, HALO_OPACITY, shown=shown))
+    if (points := show.points) is not None:
+        seen, node = points.visible, "/world/points/observed"
+        layers.append(_spheres(scene, node, points.positions, points.radius * seen, VISIBLE))
+        if points.estimated is not None and not bool(seen.all()):
+            radii, node = points.radius * ~seen, "/world/points/missing"
+            layers.append(_spheres(scene, node, points.estimated, radii, MISSING))
     if show.cloud is not None:
         layers.append(_scan(scene, show.cloud))
     layers += [_frustum(scene, view) for view in show.cameras]
@@ -120,12 +137,13 @@ def _stage(server: ViserServer, show: Show) -> Layer:
 
     Where cameras are shown, the world stands still until the page is told to follow.
     """
-    views = viewpoints([show], (1280, 800))
+    view, plane = viewpoints(show, (1280, 800))[0], Plane.of(show.ground)
     path = follow(show.figures, (1280, 800))
-    glide = np.stack([path[0].target - view.target for view in path])
+    glide = np.stack([path[0].target - place.target for place in path])
     world = server.scene.add_frame("/world", show_axes=False)
     reach = float(np.abs(glide).max())
-    wxyz, position = _floor(show, views[0])
+    axes = torch.from_numpy(np.column_stack([plane.tiles, plane.normal]))
+    depth = view.target @ plane.normal - plane.offset + SUNK_M
     server.scene.add_grid(
         "/world/ground",
         width=2 * reach + 16,
@@ -137,10 +155,10 @@ def _stage(server: ViserServer, show: Show) -> Layer:
         plane_color=(244, 245, 248),
         plane_opacity=1.0,
         shadow_opacity=0.25,
-        wxyz=wxyz,
-        position=position,
+        wxyz=so3.to_quaternion(axes).roll(1, -1).numpy(),
+        position=view.target - depth * plane.normal,
     )
-    camera, view = server.initial_camera, views[0]
+    camera = server.initial_camera
     camera.position, camera.look_at = view.position, view.target
     camera.fov = float(2 * np.arctan(view.size[1] / 2 / view.focal))
 
@@ -150,26 +168,12 @@ def _stage(server: ViserServer, show: Show) -> Layer:
     return show_frame
 
 
-def _follows(show: Show) -> bool:
-    """Whether the page follows the person before it is told to."""
-    return len(show.cameras) == 0
-
-
-def _floor(show: Show, view: Viewpoint) -> tuple[np.ndarray, np.ndarray]:
-    """The ground's turn (w, x, y, z), and a point of it, a little sunk, near what is looked at."""
-    plane = Plane.of(show.ground)
-    depth = view.target @ plane.normal - plane.offset + 0.004
-    axes = torch.from_numpy(np.column_stack([plane.tiles, plane.normal]))
-    wxyz = so3.to_quaternion(axes).roll(1, -1).numpy()
-    return wxyz, view.target - depth * plane.normal
-
-
 def _body(scene: SceneApi, figure: Figure, opacity: float) -> Layer:
     shape = figure.posed.shape
     turns = so3.to_quaternion(figure.posed.orientations).roll(1, -1).numpy()
     joints = figure.posed.joints.numpy()
     mesh = scene.add_mesh_skinned(
-        node_of(figure, "body"),
+        figure.node("body"),
         figure.posed.model.rest_vertices(shape).numpy(),
         figure.body.faces.cpu().numpy(),
         bone_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (joints.shape[1], 1)),
@@ -188,64 +192,67 @@ def _body(scene: SceneApi, figure: Figure, opacity: float) -> Layer:
     return show
 
 
-def _contacts(scene: SceneApi, figure: Figure) -> Layer:
-    carrying = list(CONTACT_JOINTS)
-    joints = figure.posed.joints[:, carrying]
-    touching = figure.touching[:, carrying]
-    name = node_of(figure, "contacts")
-    return _spheres(scene, name, joints, touching, CONTACT_RADIUS, CONTACT)
-
-
-def _certainty(
-    scene: SceneApi, figure: Figure, joint_std: Float[Tensor, "time 22"], *, shown: bool
-) -> Layer:
-    """Spheres of one standard deviation around the joints."""
-    name = node_of(figure, "standard deviation")
-    joints = figure.posed.joints
-    return _spheres(
-        scene, name, joints, joint_std, 1.0, CERTAINTY, opacity=HALO_OPACITY, shown=shown
-    )
-
-
-def _points(scene: SceneApi, points: Points) -> list[Layer]:
-    seen, radius = points.visible, points.radius
-    layers = [_spheres(scene, "/world/points/observed", points.positions, seen, radius, VISIBLE)]
-    if points.estimated is not None and not bool(seen.all()):
-        layers.append(
-            _spheres(scene, "/world/points/missing", points.estimated, ~seen, radius, MISSING)
-        )
-    return layers
-
-
 def _spheres(
     scene: SceneApi,
     name: str,
     centres: Float[Tensor, "time points 3"],
-    scales: Shaped[Tensor, "time points"],
-    radius: float,
+    radii: Float[Tensor, "time points"],
     colour: Colour,
-    *,
     opacity: float | None = None,
+    *,
     shown: bool = True,
 ) -> Layer:
-    """Spheres of one colour, `scales` times as large as the radius; zero leaves one out."""
-    places, sizes = (values.detach().cpu().float().numpy() for values in (centres, scales))
-    return Spheres(
-        scene, name, places, radius * sizes, _deep(colour), opacity=opacity, shown=shown
-    )
+    """Spheres of one colour; a radius of zero leaves one out. Without opacity they are solid.
 
-
-def _scan(scene: SceneApi, cloud: tuple[Tensor, ...]) -> Layer:
-    def thinned(frame: int) -> np.ndarray:
-        points = cloud[frame].detach().cpu().float().numpy()
-        return points[:: max(1, -(-len(points) // CLOUD_LIMIT))]
-
-    handle = scene.add_point_cloud(
-        "/world/scan", thinned(0), colors=_deep(CLOUD), point_size=0.008
+    One skin with a bone per sphere moves together with the bodies. Where radii differ, every
+    sphere hangs between four bones, which move apart when it grows.
+    """
+    places, sizes = (values.detach().cpu().float().numpy() for values in (centres, radii))
+    largest, count = float(sizes.max(initial=0)), sizes.shape[1]
+    grows = bool((sizes[sizes > 0] < largest).any())
+    ball = trimesh.creation.icosphere(subdivisions=2 if grows else 1)
+    directions = np.asarray(ball.vertices)
+    if grows:
+        corners, rest = 3 * TETRAHEDRON, 1.0
+        weights = (1 + directions @ TETRAHEDRON.T) / 4
+        bones = places[:, :, None] + sizes[..., None, None] * corners.astype(np.float32)
+    else:
+        corners, rest = np.zeros((1, 3)), largest or 1.0
+        weights = np.ones((len(directions), 1))
+        bones = np.where(sizes[..., None] > 0, places, np.array([0, 0, HIDDEN_M], np.float32))
+    bones = bones.reshape(len(places), -1, 3)
+    offset = np.arange(count)[:, None, None] * len(directions)
+    mesh = scene.add_mesh_skinned(
+        name,
+        np.tile(rest * directions, (count, 1)),
+        (np.asarray(ball.faces)[None] + offset).reshape(-1, 3),
+        bone_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (bones.shape[1], 1)),
+        bone_positions=np.tile(corners, (count, 1)),
+        skin_weights=np.kron(np.eye(count), weights),
+        color=_deep(colour),
+        opacity=opacity,
+        cast_shadow=False,
+        receive_shadow=False,
+        visible=shown,
     )
 
     def show(frame: int) -> None:
-        handle.points = thinned(frame)
+        # bones that have not moved are not told again
+        moved = (bones[frame] != bones[max(frame - 1, 0)]).any(-1) | (frame == 0)
+        for k in np.flatnonzero(moved).tolist():
+            mesh.bones[k].position = bones[frame, k]
+
+    return show
+
+
+def _scan(scene: SceneApi, cloud: tuple[Tensor, ...]) -> Layer:
+    def points(frame: int) -> np.ndarray:
+        return thinned(cloud[frame], CLOUD_LIMIT).detach().cpu().float().numpy()
+
+    handle = scene.add_point_cloud("/world/scan", points(0), colors=_deep(CLOUD), point_size=0.008)
+
+    def show(frame: int) -> None:
+        handle.points = points(frame)
 
     return show
 
@@ -255,7 +262,7 @@ def _frustum(scene: SceneApi, view: View) -> Layer:
     camera, moving = view.at(0), view.camera.T_camera_world.ndim == 3
     width, height = camera.image_size
     handle = scene.add_camera_frustum(
-        camera_node(view),
+        view.node,
         fov=float(2 * torch.atan(height / 2 / camera.camera_matrix[1, 1])),
         aspect=width / height,
         scale=0.3,
@@ -276,3 +283,31 @@ def _frustum(scene: SceneApi, view: View) -> Layer:
 def _deep(colour: Colour) -> Colour:
     red, green, blue = (round(DEEPEN * part) for part in colour)
     return red, green, blue
+
+
+def _legend(show: Show) -> str:
+    """Title and legend with switches, laid over the page's upper left corner."""
+    rows = [
+        _row(one.word, one.colour, f"data-nodes='{html.escape(json.dumps(one.nodes))}'", one.shown)
+        for one in show.layers
+    ]
+    follows = len(show.cameras) == 0  # cameras stand still, and the world with them
+    rows.append(_row("follow the person", FAINT, "data-follow", follows))
+    assets = resources.files("recon") / "assets"
+    style = (assets / "layers.css").read_text(encoding="utf-8")
+    script = (assets / "layers.js").read_text(encoding="utf-8")
+    return (
+        f'<style>{style}</style><div id="recon-legend"><details open>'
+        f"<summary>{html.escape(show.title)}</summary>{''.join(rows)}</details></div>"
+        "<script>if (innerWidth <= 600) "
+        'document.querySelector("#recon-legend details").open = false;</script>'
+        f"<script>{script}</script>"
+    )
+
+
+def _row(word: str, colour: Colour, data: str, shown: bool) -> str:
+    checked = " checked" if shown else ""
+    return (
+        f'<label style="--colour:rgb{colour}"><input type="checkbox" role="switch" {data}'
+        f"{checked}><i></i><span>{html.escape(word)}</span></label>"
+    )

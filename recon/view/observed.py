@@ -1,7 +1,6 @@
 """Observation files as what a scene shows of them: points, clouds and cameras on its frames."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -9,12 +8,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from observations.correspondences import BodyPoints
 from recon.body.model import BodyModel
-from recon.core.camera import Camera, Projection, transform
+from recon.core.camera import Camera, transform
 from recon.core.motion import Motion
 from recon.formats.motions import MotionFile
 from recon.formats.observations import (
-    CameraArrays,
     KeypointsFile,
     PointsFile,
     PositionsFile,
@@ -22,117 +21,107 @@ from recon.formats.observations import (
 )
 from recon.method.protocols import Estimate
 from recon.reading.points import positions_of
-from recon.view.scene import Points
-from recon.view.views import View, nearest_samples
+from recon.view.scene import Points, View, nearest_samples
 
 Cloud = tuple[Float[Tensor, "_ 3"], ...]
 
 
-@dataclass(frozen=True)
-class Observed:
-    """What sensors saw, at the frames of a motion."""
+def observed(
+    paths: Sequence[Path], file: MotionFile, body: BodyModel
+) -> tuple[Points | None, Cloud | None, tuple[View, ...]]:
+    """Points, scan and cameras of observation files at the frames of a motion.
 
-    points: Points | None = None
-    cloud: Cloud | None = None
-    cameras: tuple[View, ...] = ()
-
-
-def observed(paths: Sequence[Path], file: MotionFile, body: BodyModel) -> Observed:
-    """Observations of one motion; those from cameras of unknown pose take the motion file's.
+    Cameras of unknown pose take that of the motion file.
 
     Raises:
         FileNotFoundError: when a file does not exist.
         ValueError: when one is damaged, of unknown keypoints, or its camera has no pose and the
             motion file has none either.
     """
-    points: list[Points] = []
+    points: list[tuple[Tensor, Tensor, Tensor]] = []
     clouds: list[Cloud] = []
     cameras: list[View] = []
-    for path, name in zip(paths, _names(paths), strict=True):
+    stems = [path.stem for path in paths]
+    for path in paths:
         seen = load_observation(path)
         if isinstance(seen, PositionsFile):
             points.append(_points(seen, path, file.motion, body))
-        elif isinstance(seen, KeypointsFile):
-            cameras.append(_keypoints(seen, path, name, file, body))
-        else:
-            clouds.append(_cloud(seen, path, file))
-            if seen.camera is not None:
-                camera = _camera(seen.camera, seen.start_time, seen.fps, path, file)
-                cameras.append(View(name, camera))
-    return Observed(_together(points), _merged(clouds), tuple(cameras))
+            continue
+        name = path.stem if stems.count(path.stem) == 1 else f"{path.parent.name}/{path.stem}"
+        if isinstance(seen, KeypointsFile):
+            camera = _camera(seen, path, file)
+            cameras.append(_keypoints(seen, camera, path, name, file, body))
+            continue
+        camera = None if seen.camera is None else _camera(seen, path, file)
+        clouds.append(_cloud(seen, camera, file.motion))
+        if camera is not None:
+            cameras.append(View(name, camera))
+    merged = tuple(torch.cat(parts) for parts in zip(*clouds, strict=True))
+    together = None
+    if points:
+        places, visible, predicted = (torch.cat(part, 1) for part in zip(*points, strict=True))
+        together = Points(places, visible, predicted)
+    return together, merged or None, tuple(cameras)
 
 
-def _names(paths: Sequence[Path]) -> list[str]:
-    """Names of the files; of equal ones with their folder."""
-    stems = [path.stem for path in paths]
-    return [
-        path.stem if stems.count(path.stem) == 1 else f"{path.parent.name}/{path.stem}"
-        for path in paths
-    ]
-
-
-def _points(seen: PositionsFile, path: Path, motion: Motion, body: BodyModel) -> Points:
+def _points(
+    seen: PositionsFile, path: Path, motion: Motion, body: BodyModel
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Points where they were seen, whether they were, and where they are on the body."""
     observation = positions_of(seen, path, body)
-    at = _moments(observation.positions.shape[1], observation.start_time, observation.fps)
-    points = Points(observation.positions[0], observation.visible[0]).on(motion.times, at)
-    predicted = observation.predict(Estimate.of_clip(motion, body))[0]
-    return Points(points.positions, points.visible, predicted)
+    at = _times(observation.positions.shape[1], observation.start_time, observation.fps)
+    nearest, close = nearest_samples(motion.times, at)
+    visible = observation.visible[0, nearest] & close[:, None]
+    predicted = observation.predicted(Estimate.of_clip(motion, body))[0]
+    return observation.positions[0, nearest], visible, predicted
 
 
 def _keypoints(
-    seen: KeypointsFile, path: Path, name: str, file: MotionFile, body: BodyModel
+    seen: KeypointsFile, camera: Camera, path: Path, name: str, file: MotionFile, body: BodyModel
 ) -> View:
-    from observations.correspondences import BodyPoints
-
-    camera = _camera(seen.camera, seen.start_time, seen.fps, path, file)
-    times = file.motion.times
-    nearest, close = nearest_samples(times, _moments(len(seen.pixels), seen.start_time, seen.fps))
+    nearest, close = nearest_samples(
+        file.motion.times, _times(len(seen.pixels), seen.start_time, seen.fps)
+    )
     try:
         places = BodyPoints.of_layout(seen.layout, body)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
-    count = len(places.known)
-    if seen.pixels.shape[1] != count:
-        raise ValueError(
-            f"{path}: layout {seen.layout} has {count} points, the file {seen.pixels.shape[1]}"
-        )
     known = places.known
+    if seen.pixels.shape[1] != len(known):
+        raise ValueError(
+            f"{path}: layout {seen.layout} has {len(known)} points, the file "
+            f"{seen.pixels.shape[1]}"
+        )
     confidence = torch.from_numpy(seen.confidence).float()[nearest] * close[:, None]
     pixels = torch.from_numpy(seen.pixels).float()[nearest]
-    on_body = places.of(body.pose(file.motion))[:, known]
-    projection: Projection = camera.project(on_body)
+    projection = camera.project(places.of(body.pose(file.motion))[:, known])
     return View(name, camera, pixels[:, known], confidence[:, known], projection)
 
 
-def _cloud(seen: PointsFile, path: Path, file: MotionFile) -> Cloud:
+def _cloud(seen: PointsFile, camera: Camera | None, motion: Motion) -> Cloud:
     """The points of every frame in the world; none where the sensor has no sample."""
     frames = int(seen.frame.max()) + 1
-    nearest, close = nearest_samples(
-        file.motion.times, _moments(frames, seen.start_time, seen.fps)
-    )
+    nearest, close = nearest_samples(motion.times, _times(frames, seen.start_time, seen.fps))
     order = np.argsort(seen.frame, kind="stable")
     parts = np.split(seen.points[order], np.searchsorted(seen.frame[order], np.arange(1, frames)))
     clouds = [
         torch.from_numpy(parts[k]).float() if near else torch.zeros(0, 3)
         for k, near in zip(nearest.tolist(), close.tolist(), strict=True)
     ]
-    if seen.camera is None or seen.camera.T_camera_world is not None:
+    if camera is None or seen.camera is None or seen.camera.T_camera_world is not None:
         return tuple(clouds)
-    poses = _known_poses(file, path)
-    poses = poses.expand(len(clouds), 4, 4)
+    poses = camera.T_world_camera.expand(len(clouds), 4, 4)
     return tuple(transform(T, cloud) for T, cloud in zip(poses, clouds, strict=True))
 
 
-def _camera(
-    arrays: CameraArrays, start_time: float, fps: float, path: Path, file: MotionFile
-) -> Camera:
+def _camera(seen: KeypointsFile | PointsFile, path: Path, file: MotionFile) -> Camera:
     """The camera at the motion's frames; a moving one stands still beyond its poses."""
+    arrays = seen.camera
+    assert arrays is not None
+    lens = None if arrays.distortion is None else torch.from_numpy(arrays.distortion).float()
     try:
-        camera = Camera.create(
-            torch.from_numpy(arrays.camera_matrix).float(),
-            arrays.image_size,
-            None if arrays.distortion is None else torch.from_numpy(arrays.distortion).float(),
-        )
+        matrix = torch.from_numpy(arrays.camera_matrix).float()
+        camera = Camera.create(matrix, arrays.image_size, lens)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
     if arrays.T_camera_world is None:
@@ -141,7 +130,7 @@ def _camera(
     else:
         poses = torch.from_numpy(arrays.T_camera_world).float()
         if len(poses) > 1:
-            at = _moments(len(poses), start_time, fps)
+            at = _times(len(poses), seen.start_time, seen.fps)
             poses = poses[nearest_samples(file.motion.times, at)[0]]
     return camera.replace(T_camera_world=poses[0] if len(poses) == 1 else poses)
 
@@ -161,25 +150,6 @@ def _known_poses(file: MotionFile, path: Path) -> Float[Tensor, "poses 4 4"]:
     return file.T_world_camera.float()
 
 
-def _moments(count: int, start_time: float, fps: float) -> Float[Tensor, " count"]:
+def _times(count: int, start_time: float, fps: float) -> Float[Tensor, " count"]:
     """Times of samples, seconds."""
     return start_time + torch.arange(count, dtype=torch.float64) / fps
-
-
-def _together(points: list[Points]) -> Points | None:
-    """The points of all files, side by side."""
-    if len(points) == 0:
-        return None
-    estimated = [p.estimated for p in points if p.estimated is not None]
-    return Points(
-        torch.cat([p.positions for p in points], 1),
-        torch.cat([p.visible for p in points], 1),
-        torch.cat(estimated, 1),
-    )
-
-
-def _merged(clouds: list[Cloud]) -> Cloud | None:
-    """The clouds of all files in one, frame by frame."""
-    if len(clouds) == 0:
-        return None
-    return tuple(torch.cat(parts) for parts in zip(*clouds, strict=True))

@@ -1,17 +1,15 @@
 """What is shown: bodies, points and contacts as values; `html` and `frames` draw them."""
 
-import dataclasses
 from dataclasses import dataclass
 from functools import cached_property
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from recon.body.model import BodyModel, PosedBody
-from recon.core.camera import Ground
+from recon.core.camera import Camera, Ground, Projection
 from recon.core.motion import Motion
-from recon.view.views import View, nearest_samples
 
 Colour = tuple[int, int, int]
 """Red, green, blue, 0 to 255."""
@@ -35,6 +33,10 @@ GROUND: Colour = (188, 194, 203)
 INK: Colour = (38, 42, 50)
 FAINT: Colour = (112, 118, 128)
 WHITE: Colour = (255, 255, 255)
+
+
+UNSURE = 0.3
+"""Confidence below which a detected point is drawn as a ring."""
 
 
 @dataclass(frozen=True)
@@ -68,22 +70,22 @@ class Figure:
             )
         if not 0 < self.opacity <= 1:
             raise ValueError(f"opacity must lie in (0, 1], got {self.opacity}")
-        if self.contacts is not None and len(self.contacts) != motion.frames:
-            raise ValueError(
-                f"figure {self.name!r} has {motion.frames} frames, "
-                f"its contacts {len(self.contacts)}"
-            )
-        if self.joint_std is not None and len(self.joint_std) != motion.frames:
-            raise ValueError(
-                f"figure {self.name!r} has {motion.frames} frames, "
-                f"its standard deviations {len(self.joint_std)}"
-            )
+        known = {"contacts": self.contacts, "standard deviations": self.joint_std}
+        for what, values in known.items():
+            if values is not None and len(values) != motion.frames:
+                raise ValueError(
+                    f"figure {self.name!r} has {motion.frames} frames, its {what} {len(values)}"
+                )
 
     @cached_property
     def posed(self) -> PosedBody:
         """The body in every frame, on the CPU and free of gradients."""
         motion = self.motion.detach().to(device="cpu", dtype=torch.float32)
         return self.body.detach().to(device="cpu", dtype=torch.float32).pose(motion)
+
+    def node(self, part: str) -> str:
+        """Name of a part of the figure in the tree of the scene."""
+        return f"/world/{_node(self.name)}/{part}"
 
     @property
     def touching(self) -> Bool[Tensor, "time 22"]:
@@ -112,20 +114,102 @@ class Points:
         if len(shapes) != 1:
             raise ValueError(f"points need one (time, points) everywhere, got {sorted(shapes)}")
 
-    def on(self, times: Float[Tensor, " frames"], observed_at: Float[Tensor, " time"]) -> "Points":
-        """The points at other moments: the nearest sample, missing beyond half a sample.
 
-        `estimated` must already be given at `times`, and is set by the caller afterwards.
-        """
-        if self.estimated is not None:
-            raise ValueError("move points to other times before giving them an estimate")
-        if len(observed_at) != len(self.positions) or len(observed_at) == 0:
+@dataclass(frozen=True)
+class View:
+    """One camera of a scene, fixed or moving, with the points of its images if there are any."""
+
+    name: str
+    """Shown beside the camera and above its images."""
+    camera: Camera
+    """The camera in the world of the figures; poses () or one per frame."""
+    pixels: Float[Tensor, "time points 2"] | None = None
+    """Detected points."""
+    confidence: Float[Tensor, "time points"] | None = None
+    """0 where a point was not detected, 1 where it is certain; None: all are certain."""
+    reprojected: Projection | None = None
+    """Projections of the points on the estimated body in this camera, (time, points)."""
+
+    def __post_init__(self) -> None:
+        if self.camera.T_camera_world.ndim > 3 or self.camera.camera_matrix.ndim > 3:
             raise ValueError(
-                f"{len(self.positions)} samples need as many times, got {len(observed_at)}"
+                f"view {self.name!r} needs one camera, with one pose or one per frame, got poses "
+                f"{tuple(self.camera.T_camera_world.shape)}; select one clip"
             )
-        nearest, close = nearest_samples(times, observed_at)
-        seen = self.visible[nearest] & close[:, None]
-        return dataclasses.replace(self, positions=self.positions[nearest], visible=seen)
+        if self.pixels is None and (self.confidence is not None or self.reprojected is not None):
+            raise ValueError(
+                f"view {self.name!r} has confidences or reprojected points but no pixels; give "
+                "the detected points they belong to"
+            )
+        own = None if self.reprojected is None else self.reprojected.depth
+        given = {"pixels": self.pixels, "confidence": self.confidence, "reprojected": own}
+        shapes = {name: tuple(one.shape[:2]) for name, one in given.items() if one is not None}
+        if len(set(shapes.values())) > 1:
+            raise ValueError(f"view {self.name!r} needs one (time, points), got {shapes}")
+        counts = {shape[0] for shape in shapes.values()} | set(_poses(self.camera))
+        if len(counts) > 1:
+            raise ValueError(
+                f"view {self.name!r} needs as many camera poses as frames, got {sorted(counts)}"
+            )
+
+    @property
+    def node(self) -> str:
+        """Its name in the tree of the scene."""
+        return f"/world/cameras/{_node(self.name)}"
+
+    @property
+    def frames(self) -> int | None:
+        """Number of frames; None for a fixed camera without points, which fits any clip."""
+        if self.pixels is not None:
+            return len(self.pixels)
+        return next(iter(_poses(self.camera)), None)
+
+    def at(self, frame: int) -> Camera:
+        """The camera as it was in one frame, in double precision."""
+        camera = self.camera.detach().to(device="cpu", dtype=torch.float64)
+        matrix, lens, pose = camera.camera_matrix, camera.distortion, camera.T_camera_world
+        return camera.derived(
+            camera_matrix=matrix[frame] if matrix.ndim == 3 else matrix,
+            distortion=lens[frame] if lens is not None and lens.ndim == 2 else lens,
+            T_camera_world=pose[frame] if pose.ndim == 3 else pose,
+        )
+
+    @property
+    def certainty(self) -> Float[Tensor, "time points"]:
+        """Confidence of the detected points, between 0 and 1."""
+        if self.pixels is None:
+            return torch.zeros(0, 0)
+        if self.confidence is None:
+            return torch.ones(self.pixels.shape[:2])
+        return self.confidence.detach().cpu().clamp(0, 1).float()
+
+    @property
+    def missing(self) -> Bool[Tensor, "time points"]:
+        """Points that were not detected."""
+        return self.certainty == 0
+
+    @property
+    def median_error(self) -> float | None:
+        """Median distance of detected to reprojected points, pixels; rings do not count."""
+        if self.pixels is None or self.reprojected is None:
+            return None
+        counted = (self.certainty >= UNSURE) & self.reprojected.in_front.cpu()
+        if not bool(counted.any()):
+            return None
+        error = (self.pixels - self.reprojected.pixels).detach().cpu().norm(dim=-1)
+        return float(error[counted].median())
+
+
+@dataclass(frozen=True)
+class LegendLayer:
+    """Something that is shown, explained by one word of the legend."""
+
+    word: str
+    colour: Colour
+    nodes: tuple[str, ...]
+    """Names of what belongs to it in the tree of the scene; a page switches them together."""
+    shown: bool = True
+    """Whether it is shown at first."""
 
 
 @dataclass(frozen=True)
@@ -149,12 +233,10 @@ class Show:
     def __post_init__(self) -> None:
         if len(self.figures) == 0:
             raise ValueError("a show needs at least one figure")
-        names = [figure.name for figure in self.figures]
-        if len(set(names)) != len(names):
-            raise ValueError(f"figures of one show need different names, got {names}")
-        views = [view.name for view in self.cameras]
-        if len(set(views)) != len(views):
-            raise ValueError(f"cameras of one show need different names, got {views}")
+        for what, shown in (("figures", self.figures), ("cameras", self.cameras)):
+            names = [one.name for one in shown]
+            if len(set(names)) != len(names):
+                raise ValueError(f"{what} of one show need different names, got {names}")
         rates = {figure.motion.fps for figure in self.figures}
         if len(rates) != 1:
             raise ValueError(f"figures of one show need one rate, got {rates}; resample them")
@@ -178,27 +260,30 @@ class Show:
         return self.figures[0].motion.fps
 
     @property
-    def legend(self) -> tuple[tuple[str, Colour], ...]:
-        """Words for the colours that occur."""
-        entries = [(figure.name, figure.colour) for figure in self.figures]
-        if any(bool(figure.touching.any()) for figure in self.figures):
-            entries.append(("contact", CONTACT))
-        if self.certainty and any(figure.joint_std is not None for figure in self.figures):
-            entries.append(("one standard deviation", CERTAINTY))
-        if self.points is not None:
-            entries.append(("observed point", VISIBLE))
-            if self.points.estimated is not None and not bool(self.points.visible.all()):
-                entries.append(("missing point, estimated", MISSING))
+    def layers(self) -> tuple[LegendLayer, ...]:
+        """Everything that is shown, in the order of the legend."""
+        figures, points = self.figures, self.points
+        found = [LegendLayer(f.name, f.colour, (f.node("body"),)) for f in figures]
+        nodes = tuple(f.node("contacts") for f in figures if bool(f.touching.any()))
+        found.append(LegendLayer("contact", CONTACT, nodes))
+        nodes = tuple(f.node("standard deviation") for f in figures if f.joint_std is not None)
+        found.append(LegendLayer("one standard deviation", CERTAINTY, nodes, shown=self.certainty))
+        if points is not None:
+            found.append(LegendLayer("observed point", VISIBLE, ("/world/points/observed",)))
+            if points.estimated is not None and not bool(points.visible.all()):
+                nodes = ("/world/points/missing",)
+                found.append(LegendLayer("missing point, estimated", MISSING, nodes))
         if self.cloud is not None:
-            entries.append(("scan", CLOUD))
-        if self.cameras:
-            entries.append(("camera", CAMERA))
-        return tuple(entries)
+            found.append(LegendLayer("scan", CLOUD, ("/world/scan",)))
+        found.append(LegendLayer("camera", CAMERA, tuple(view.node for view in self.cameras)))
+        found.append(LegendLayer("ground", GROUND, ("/world/ground",)))
+        return tuple(layer for layer in found if layer.nodes)
 
     @property
-    def image_legend(self) -> tuple[tuple[str, Colour], ...]:
-        """Words for the colours that occur in the images of the cameras."""
-        entries = [(figure.name, figure.colour) for figure in self.figures]
+    def legend(self) -> tuple[tuple[str, Colour], ...]:
+        """Words for the colours that occur in pictures; the ground needs none."""
+        shown = [layer for layer in self.layers if layer.shown and layer.word != "ground"]
+        entries = [(layer.word, layer.colour) for layer in shown]
         if any(view.pixels is not None for view in self.cameras):
             entries.append(("detected (ring: unsure)", VISIBLE))
         fitted = [view for view in self.cameras if view.reprojected is not None]
@@ -207,3 +292,34 @@ class Show:
         if any(view.missing.any() for view in fitted):
             entries.append(("not detected, on the body", MISSING))
         return tuple(entries)
+
+
+def _node(name: str) -> str:
+    """A name as part of a node's; a slash would open a new level of the tree."""
+    return name.replace("/", "-").strip() or "unnamed"
+
+
+def nearest_samples(
+    times: Float[Tensor, " frames"], observed_at: Float[Tensor, " time"]
+) -> tuple[Int[Tensor, " frames"], Bool[Tensor, " frames"]]:
+    """The sample nearest to every moment, and whether it is at most half a sample away."""
+    gap = (times[:, None].double() - observed_at[None].double()).abs()
+    distance, nearest = gap.min(1)
+    step = observed_at.double().diff().median() if len(observed_at) > 1 else gap.new_tensor(0)
+    return nearest, distance <= 0.5 * step + 1e-6
+
+
+def _poses(camera: Camera) -> set[int]:
+    """Numbers of frames that the camera's tensors have, those of a fixed one left out."""
+    tensors = (camera.camera_matrix, camera.distortion, camera.T_camera_world)
+    dims = (3, 2, 3)
+    return {
+        len(tensor)
+        for tensor, dim in zip(tensors, dims, strict=True)
+        if tensor is not None and tensor.ndim == dim
+    }
+
+
+def thinned(points: Float[Tensor, "points 3"], most: int) -> Float[Tensor, "some 3"]:
+    """Every second, third ... point, so that no more than `most` are left."""
+    return points[:: max(1, -(-len(points) // most))]

@@ -19,6 +19,8 @@ ELEVATION = math.radians(13)
 OVERVIEW_ELEVATION = math.radians(20)
 OVERVIEW_REACH = 10.0
 """Metres from the people's middle within which cameras are kept in the picture."""
+MARGIN = 0.9
+"""Share of the picture, around its middle, within which people are kept."""
 FOLLOW_SECONDS = 0.4
 """Standard deviation of the window that smooths the followed path."""
 
@@ -36,13 +38,8 @@ class Viewpoint:
     """Pixels."""
     size: tuple[int, int]
     """Width and height, pixels."""
-    middle: tuple[float, float] | None = None
-    """Pixel that the viewing axis goes through; None: the middle of the picture."""
-
-    @property
-    def centre(self) -> tuple[float, float]:
-        """Pixel that the viewing axis goes through."""
-        return (self.size[0] / 2, self.size[1] / 2) if self.middle is None else self.middle
+    centre: tuple[float, float]
+    """Pixel that the viewing axis goes through."""
 
     def scaled(self, factor: int) -> "Viewpoint":
         """The view with `factor` times as many pixels along each side."""
@@ -51,14 +48,14 @@ class Viewpoint:
             self,
             focal=self.focal * factor,
             size=(self.size[0] * factor, self.size[1] * factor),
-            middle=(x * factor, y * factor),
+            centre=(x * factor, y * factor),
         )
 
     def part(self, left: int, top: int, right: int, bottom: int) -> "Viewpoint":
         """A rectangle of the picture; `right` and `bottom` are the first column and row beyond."""
         x, y = self.centre
-        size, middle = (right - left, bottom - top), (x - left, y - top)
-        return dataclasses.replace(self, size=size, middle=middle)
+        size, centre = (right - left, bottom - top), (x - left, y - top)
+        return dataclasses.replace(self, size=size, centre=centre)
 
     def project(
         self, points: Float[np.ndarray, "points 3"]
@@ -69,36 +66,39 @@ class Viewpoint:
         safe = np.where(np.abs(depth) < 1e-6, 1e-6, depth)
         return local[:, :2] / safe[:, None] * self.focal + self.centre, depth
 
-    def along(self, axis: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
-        """A world axis times the rays through pixels, as weights of (column, row, 1).
+    def seen(
+        self, axes: Float[np.ndarray, "axes 3"], depth: Float[np.ndarray, "height width"]
+    ) -> Float[np.ndarray, "axes height width"]:
+        """Coordinates along some axes of the world of what pixels show at these depths, metres."""
+        x = (np.arange(self.size[0]) + 0.5 - self.centre[0]) / self.focal
+        y = (np.arange(self.size[1]) + 0.5 - self.centre[1]) / self.focal
+        x, y = x.astype(np.float32), y.astype(np.float32)[:, None]
+        local = (axes @ self.R_camera_world.T).astype(np.float32)
+        starts = (axes @ self.position).astype(np.float32)
+        along = [
+            start + depth * (a * x + (b * y + c))
+            for start, (a, b, c) in zip(starts, local, strict=True)
+        ]
+        return np.stack(along)
 
-        A ray has unit depth, not unit length; columns and rows count from 0 at pixels' centres.
-        """
-        right, down, forward = self.R_camera_world @ axis
-        x, y = self.centre
-        right, down = right / self.focal, down / self.focal
-        return np.array([right, down, forward - right * (x - 0.5) - down * (y - 0.5)])
 
-
-def viewpoints(shows: Sequence[Show], size: tuple[int, int]) -> tuple[Viewpoint, ...]:
-    """One camera per frame for all shows: following, or standing where cameras are shown too."""
-    figures = [figure for show in shows for figure in show.figures]
+def viewpoints(show: Show, size: tuple[int, int]) -> tuple[Viewpoint, ...]:
+    """One camera per frame: following, or standing where cameras are shown too."""
     centres = [
         view.at(frame).T_world_camera[:3, 3].numpy()
-        for show in shows
         for view in show.cameras
         for frame in (range(show.frames) if view.camera.T_camera_world.ndim == 3 else (0,))
     ]
-    return overview(figures, np.stack(centres), size) if centres else follow(figures, size)
+    if centres:
+        return overview(show.figures, np.stack(centres), size)
+    return follow(show.figures, size)
 
 
-def follow(
-    figures: Sequence[Figure], size: tuple[int, int], margin: float = 0.9
-) -> tuple[Viewpoint, ...]:
+def follow(figures: Sequence[Figure], size: tuple[int, int]) -> tuple[Viewpoint, ...]:
     """One camera per frame that keeps all figures in view from a constant direction.
 
     The direction is `AZIMUTH` from the first figure's mean heading, the distance the smallest at
-    which the surface stays within `margin` of the picture in 98 % of the frames.
+    which the surface stays within `MARGIN` of the picture in 98 % of the frames.
     """
     surface = np.concatenate([_outline(figure) for figure in figures], 1)
     pelvis = np.mean([figure.posed.joints[:, 0].numpy() for figure in figures], 0)
@@ -106,24 +106,16 @@ def follow(
     target[:, 2] = (max(surface[..., 2].max(), 0.5) + min(surface[..., 2].min(), 0)) / 2
 
     R_camera_world = _three_quarter(figures[0], ELEVATION)
-    toward = -R_camera_world[2]
-    half = np.array(size) / 2
-    focal = float(half.min() / math.tan(FIELD_OF_VIEW / 2))
-    local = np.abs((surface - target[:, None]) @ R_camera_world.T)
-    signed = (surface - target[:, None]) @ R_camera_world[2]
-    needed = (local[..., :2] * focal / (half * margin)).max(-1) - signed
-    distance = float(np.quantile(needed.max(1), 0.98))
-    return tuple(
-        Viewpoint(R_camera_world, place + distance * toward, place, focal, size)
-        for place in target
-    )
+    needed = _needed((surface - target[:, None]) @ R_camera_world.T, size)
+    back = float(np.quantile(needed.max(1), 0.98)) * R_camera_world[2]
+    lens = _focal(size), size, (size[0] / 2, size[1] / 2)
+    return tuple(Viewpoint(R_camera_world, place - back, place, *lens) for place in target)
 
 
 def overview(
     figures: Sequence[Figure],
     others: Float[np.ndarray, "points 3"],
     size: tuple[int, int],
-    margin: float = 0.9,
 ) -> tuple[Viewpoint, ...]:
     """One standing camera, repeated for every frame, that sees the figures and other points.
 
@@ -137,13 +129,27 @@ def overview(
     R_camera_world = _three_quarter(figures[0], OVERVIEW_ELEVATION)
     local = points @ R_camera_world.T
     target = (local.min(0) + local.max(0)) / 2 @ R_camera_world
-    half = np.array(size) / 2
-    focal = float(half.min() / math.tan(FIELD_OF_VIEW / 2))
-    local = (points - target) @ R_camera_world.T
-    needed = (np.abs(local[:, :2]) * focal / (half * margin)).max(1) - local[:, 2]
+    needed = _needed((points - target) @ R_camera_world.T, size)
     place = target - float(needed.max()) * R_camera_world[2]
-    view = Viewpoint(R_camera_world, place, target, focal, size)
+    middle = (size[0] / 2, size[1] / 2)
+    view = Viewpoint(R_camera_world, place, target, _focal(size), size, middle)
     return (view,) * figures[0].motion.frames
+
+
+def _focal(size: tuple[int, int]) -> float:
+    """Focal length of a portrait lens for a picture of this size, pixels."""
+    return min(size) / 2 / math.tan(FIELD_OF_VIEW / 2)
+
+
+def _needed(
+    local: Float[np.ndarray, "*shape 3"], size: tuple[int, int]
+) -> Float[np.ndarray, "*shape"]:
+    """Distance from the target at which points are within `MARGIN` of the picture, metres.
+
+    The points are given from the target along the camera's axes.
+    """
+    reach = np.array(size) / 2 * MARGIN / _focal(size)
+    return (np.abs(local[..., :2]) / reach).max(-1) - local[..., 2]
 
 
 def across(figure: Figure) -> Float[np.ndarray, "3"]:

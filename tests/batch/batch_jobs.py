@@ -102,8 +102,7 @@ def here(function, jobs, processes):
     """What `run_jobs` does without processes of their own, whose start takes seconds."""
     del processes
     for job in jobs:
-        for message, _ in attempt(function, job):
-            yield job, message
+        yield job, attempt(function, job)
 
 
 if __name__ == "__main__":

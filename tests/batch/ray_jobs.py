@@ -25,11 +25,11 @@ def sums(manifest: Path, out: Path, kill_after: int | None) -> None:
     ray.init(address=cluster.address, logging_level="ERROR", log_to_driver=False)
     second = cluster.add_node(num_cpus=1)
     cluster.wait_for_nodes()
-    with ray_cluster(cluster.address) as joined:
-        assert joined.cpus == 2
+    with ray_cluster(cluster.address) as (cpus, run_there):
+        assert cpus == 2
         clips = read_manifest(manifest)
         records = fit_all(
-            clips, out, FitSettings(), joined.cpus, out / "log.jsonl", sum_one, run=joined.run
+            clips, out, FitSettings(), cpus, out / "log.jsonl", sum_one, run=run_there
         )  # fmt: skip
         for count, record in enumerate(records, 1):
             said(f"{record['id']} {record['status']} {record.get('error', '')}")

@@ -15,11 +15,9 @@ import pytest
 
 from recon.batch.collection import collections, contents
 from recon.batch.corpus import convert_corpus
-from recon.batch.workers import Begun, Ended, Failure, run_items
 from recon.batch.worklog import read_log
 from recon.benchmark.dataset import Splits, clip_files
 from recon.cli import FAILED, OK, run
-from tests.batch.batch_jobs import WAYS
 from tests.batch.corpus_jobs import unknown, write_clip
 
 ROOT = Path(__file__).parents[2]
@@ -135,39 +133,6 @@ def test_members_of_archives_are_told_apart(tmp_path):
     assert (
         "several recordings 'walk', one of them s2/walk.bvh" in list(contents([clip]))[-1].missing
     )
-
-
-def act(chunk: list[str]):
-    for k, name in enumerate(chunk):
-        yield Begun(k)
-        if name in WAYS:
-            WAYS[name][0]()
-        yield Ended(k, name.upper())
-
-
-def stumble(chunk: list[str]):
-    yield Begun(0)
-    yield Ended(0, "first")
-    if len(chunk) > 2:
-        return
-    raise OverflowError
-
-
-def test_an_item_that_fails_costs_itself_alone():
-    chunks = [["a", "be_killed", "b", "overflow", "c"], ["refuse"], [], ["d", "e"]]
-    found = dict(run_items(act, chunks, 2))
-    good = {name: result for name, result in found.items() if not isinstance(result, Failure)}
-    assert good == {name: name.upper() for name in "abcde"}
-    assert {name: found[name].kind for name in found.keys() - good.keys()} == {
-        name: WAYS[name][1] for name in ("be_killed", "overflow", "refuse")
-    }
-
-
-def test_items_that_are_not_worked_on_are_failures():
-    found = list(run_items(stumble, [["a", "b"], ["c", "d", "e"]], 1))
-    assert [(name, getattr(result, "kind", result)) for name, result in found] == [
-        ("a", "first"), ("b", "error"), ("c", "first"), ("d", "error"), ("e", "error"),
-    ]  # fmt: skip
 
 
 @pytest.mark.slow

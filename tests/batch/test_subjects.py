@@ -69,5 +69,5 @@ def test_the_first_look_at_shapes_has_a_method_of_its_own(tmp_path):
     """The pose prior, which is fitted in one way only, would refuse the batch's method."""
     clip = read_manifest(written(tmp_path, {"a": "anna"}))[0]
     settings = FitSettings(method="rollout")
-    found = subjects.estimate_shape(subjects.ShapeJob(clip, settings, "checksum", {}))
+    found = subjects.estimate_shape(subjects.Job(clip, tmp_path, settings, "checksum", {}))
     assert len(found["shape"]) > 0

@@ -14,20 +14,19 @@ from recon.benchmark.methods import BUILT_IN, method_named
 from recon.benchmark.protocols import (
     GAP,
     PROTOCOLS,
-    free_windows,
     noise_of,
     protocol_named,
     seen_windows,
 )
-from recon.benchmark.sources import bench_source
+from recon.benchmark.sources import bench_source, free_windows
 from recon.benchmark.windows import FRAMES
 from recon.core.errors import ReconError
 from recon.formats.motions import save_motion
 from recon.formats.observations import load_observation
 
 BODY = recon.BodyModel.load()
-SOURCE = bench_source(None, "test", None, None, BODY)
-SEEN = {name: seen_windows(own, SOURCE.windows, BODY) for name, own in PROTOCOLS.items()}
+WINDOWS, _, _ = bench_source(None, "test", None, None, BODY)
+SEEN = {name: seen_windows(own, WINDOWS, BODY) for name, own in PROTOCOLS.items()}
 
 
 class Knows:
@@ -94,7 +93,7 @@ def test_what_is_seen_is_what_the_protocols_say():
     assert GAP == (15, 45)
     assert first["upper-body"].seen.positions.shape[1] == 14
     # a window's noise does not depend on which other windows there are
-    alone = SOURCE.windows.take([1])
+    alone = WINDOWS.take([1])
     (again,) = seen_windows(protocol_named("noisy-joints"), alone, BODY)
     np.testing.assert_array_equal(again.seen.positions, SEEN["noisy-joints"][1].seen.positions)
 

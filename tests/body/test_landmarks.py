@@ -199,7 +199,7 @@ def test_landmarks_file_is_flat_names_to_numbers():
 
 
 def test_the_landmarks_that_the_manual_lists_are_there():
-    text = (Path(__file__).parents[2] / "docs/start/c3d.md").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[2] / "docs/start/points.md").read_text(encoding="utf-8")
     middle, sided = text.split("## Landmarks for a mapping")[1].strip().split("\n\n")
     names = [word.strip(" .\n") for word in middle.partition(":")[2].split(",")]
     for word in sided.partition(":")[2].split(","):

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-import recon
 from recon import cli
 from recon.body.model import BodyModel
+from recon.body.motion_files import load_motion_of
 from recon.core.motion import Motion
 from recon.formats.motions import MotionFile, load_motion, save_motion
 from tests.formats.test_smpl_files import model
@@ -75,8 +75,8 @@ def test_verbs_refuse_motions_of_another_body(verb, make, tmp_path, capsys):
 def test_the_function_refuses_them_too(tmp_path):
     for make in (_foreign, _of_amass):
         with pytest.raises(ValueError, match="body"):
-            recon.load_motion_of(make(tmp_path), BODY)
-    ours = recon.load_motion_of(_own(tmp_path), BODY.to(dtype=torch.float64)).motion
+            load_motion_of(make(tmp_path), BODY)
+    ours = load_motion_of(_own(tmp_path), BODY.to(dtype=torch.float64)).motion
     assert ours.shape.shape == (BODY.shape_size,)
     assert ours.translation.dtype == torch.float64
 
@@ -101,4 +101,4 @@ def test_a_file_of_another_program_stays_one_when_it_is_saved_again(tmp_path):
     assert file.format_version == 0
     save_motion(tmp_path / "again.npz", file)
     with pytest.raises(ValueError, match="does not name its body"):
-        recon.load_motion_of(tmp_path / "again.npz", BODY)
+        load_motion_of(tmp_path / "again.npz", BODY)

@@ -1,5 +1,6 @@
 """USD: what usd-core makes of the file is the body that was written."""
 
+import sys
 from importlib import import_module
 from pathlib import Path
 
@@ -8,7 +9,6 @@ import pytest
 
 from recon import cli
 from recon.core.skeleton import JOINTS
-from recon.export import usd
 from recon.export.usd import joint_paths, write_usd
 from recon.formats.motions import MotionFile, save_motion
 from tests.export.test_opensim_files import make_motion
@@ -80,11 +80,8 @@ def test_joints_are_named_by_the_way_to_them():
 def test_without_the_library_the_message_says_what_to_install(
     body, tmp_path: Path, monkeypatch, capsys
 ):
-    def missing(name: str) -> None:
-        raise ImportError(f"No module named {name!r}")
-
     save_motion(tmp_path / "clip.npz", MotionFile(make_motion(body), body.name, body.checksum))
-    monkeypatch.setattr(usd, "import_module", missing)
+    monkeypatch.setitem(sys.modules, "pxr.UsdSkel", None)
     line = ["export", str(tmp_path / "clip.npz"), "--usd", str(tmp_path / "m.usdc")]
     assert cli.run(line) == cli.BAD_INPUT
     assert "pip install 'motion-recon[usd]'" in capsys.readouterr().err

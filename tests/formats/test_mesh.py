@@ -13,7 +13,8 @@ from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.raster import tensor_normals
 from recon.core.skeleton import JOINTS, PARENTS
-from recon.export.gltf import quaternions, write_glb
+from recon.export.gltf import write_glb
+from recon.export.skeleton import quaternions
 from recon.formats.scans import read_ply, write_ply, write_ply_sequence
 
 

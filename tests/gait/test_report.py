@@ -12,14 +12,16 @@ import torch
 import recon
 from recon import cli
 from recon.api.result import described
-from recon.core.skeleton import JOINTS
+from recon.body.angles import ISB_ANGLES
+from recon.body.motion_files import load_motion_of
 from recon.gait.analysis import CURVES
+from recon.gait.laboratory import LaboratoryReport
 
 DEMO = Path(recon.__file__).parent / "assets" / "demo.npz"
 
 
 @pytest.fixture(scope="module")
-def found() -> recon.LaboratoryReport:
+def found() -> LaboratoryReport:
     return recon.report(DEMO)
 
 
@@ -67,21 +69,21 @@ def test_it_prints_in_ten_lines(found):
 def test_standard_deviations_of_a_fit_are_bands():
     pytest.importorskip("matplotlib")
     body = recon.BodyModel.load()
-    motion = recon.load_motion_of(DEMO, body).motion
-    file = described(motion, body, joint_std=torch.full((motion.frames, len(JOINTS)), 0.02))
+    motion = load_motion_of(DEMO, body).motion
+    std = torch.full((motion.frames, len(ISB_ANGLES)), 2.0)
+    file = described(motion, body, angle_std=std)
     sure = recon.report(file)
-    assert 1 < sure.gait.angle_std["knee_flexion_l"].mean() < 15
+    assert sure.gait.angle_std["knee_flexion_l"].mean() == pytest.approx(2.0)
     assert "SD of the fit" in sure.page()
     rows = csv.DictReader(io.StringIO(sure.table()))
-    assert all((row["std"] != "") == (row["name"] in ("Knee flexion", "Ankle dorsiflexion"))
-               for row in rows if row["kind"] == "angle")  # fmt: skip
+    assert {row["std"] for row in rows if row["kind"] == "angle"} == {"2"}
 
 
 def test_a_motion_without_steps_has_angles_along_time():
     """Arrays of no cycles once could not be shaped."""
     pytest.importorskip("matplotlib")
     body = recon.BodyModel.load()
-    still = recon.load_motion_of(DEMO, body).motion.window(0, 20)
+    still = load_motion_of(DEMO, body).motion.window(0, 20)
     shown = recon.report(still)
     assert shown.gait.cycles == ()
     assert "There is no complete cycle of gait" in shown.page()
@@ -91,7 +93,7 @@ def test_a_motion_without_steps_has_angles_along_time():
 def test_what_a_conversion_said_stands_on_the_page(tmp_path):
     pytest.importorskip("matplotlib")
     body = recon.BodyModel.load()
-    motion = recon.load_motion_of(DEMO, body)
+    motion = load_motion_of(DEMO, body)
     recon.save_motion(tmp_path / "walk.npz", motion.motion)
     beside = tmp_path / "walk.npz.json"
     beside.write_text(
@@ -100,8 +102,8 @@ def test_what_a_conversion_said_stands_on_the_page(tmp_path):
         '[{"code": "residual", "message": "LASI: 12.5 mm on average"}]}'
     )
     shown = recon.report(tmp_path / "walk.npz")
-    assert shown.contents.residuals[0].values == {"LASI": 12.5}
-    assert shown.contents.notes == ()
+    assert shown.residuals[0].values == {"LASI": 12.5}
+    assert shown.notes == ()
     page = shown.page()
     assert "labels &lt;exchanged&gt;" in page
     assert "unit mm" in page

@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from recon.batch.collection import SourceClip, collections, read_clips, skeleton_key
+from recon.batch.collection import SourceClip, collections, contents, skeleton_key
 from recon.batch.corpus import config_hash, convert_corpus
 from recon.batch.corpus_jobs import split
 from recon.body.contacts import MAXIMUM_SPEED
@@ -230,12 +230,12 @@ def test_collections_read_manifests(recording: SkeletonRecording, tmp_path: Path
     ((a, b, c),) = collections(tmp_path)
     assert (a.subject, a.flat, a.contacts) == ("7", False, False)
     assert (b.flat, b.contacts) == (True, True)
-    read = {clip.name: found for clip, found in read_clips([a, b, c])}
-    found = read["a"]
-    assert isinstance(found, SkeletonRecording)
-    assert skeleton_key(found).startswith("pelvis,")
-    assert "no line MOTION" in str(read["b"])
-    assert "no such file" in str(read["c"])
+    found = {content.clip.name: content for content in contents([a, b, c])}
+    assert skeleton_key(found["a"].read()).startswith("pelvis,")
+    with pytest.raises(ValueError, match="no line MOTION"):
+        found["b"].read()
+    with pytest.raises(ValueError, match="no such file"):
+        found["c"].read()
     with pytest.raises(FileNotFoundError):
         collections(tmp_path / "nowhere")
 

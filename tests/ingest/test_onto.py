@@ -9,6 +9,7 @@ import torch
 import recon
 from recon import cli
 from recon.body.model import BodyModel
+from recon.body.motion_files import load_motion_of
 from recon.core.motion import Motion
 from recon.core.nearest import closest_points
 from recon.core.skeleton import JOINTS
@@ -33,7 +34,7 @@ def stand_in(file) -> BodyModel:
 @pytest.fixture(scope="module")
 def walk() -> Motion:
     """Eight frames of a walk, a sixth of a second apart."""
-    return recon.load_motion_of(DEMO, BodyModel.load()).motion.resample(6.0).window(4, 12)
+    return load_motion_of(DEMO, BodyModel.load()).motion.resample(6.0).window(4, 12)
 
 
 @pytest.fixture(scope="module")
@@ -95,8 +96,8 @@ def test_the_command_writes_a_file_of_amass(tmp_path, file, stand_in, walk):
         assert np.array_equal(arrays["poses"][:, :3], arrays["root_orient"])
     # our own body refuses it, theirs takes it
     with pytest.raises(recon.ReconError, match="made with the body"):
-        recon.load_motion_of(out, BodyModel.load())
-    assert recon.load_motion_of(out, stand_in).motion.frames == 2
+        load_motion_of(out, BodyModel.load())
+    assert load_motion_of(out, stand_in).motion.frames == 2
 
 
 def test_one_option_without_the_other_is_refused(tmp_path, capsys):

@@ -9,6 +9,7 @@ import torch
 import recon
 from recon.body.landmarks import KEYPOINTS_43, landmark
 from recon.live.lines import stream_lines
+from recon.live.tracking import LiveEstimate
 from tests.filmed import cameras, view, walk
 
 BEGINNING = 8
@@ -38,9 +39,9 @@ def stream(**settings) -> recon.Stream:
     return recon.Stream(template=template, noise=NOISE, **settings)
 
 
-def played(live: recon.Stream, moments, times=None) -> list[recon.LiveEstimate]:
+def played(live: recon.Stream, moments, times=None) -> list[LiveEstimate]:
     """All estimates of moments that are pushed in turn."""
-    found: list[recon.LiveEstimate] = []
+    found: list[LiveEstimate] = []
     for k, moment in enumerate(moments):
         estimate = live.push(moment, None if times is None else times[k])
         found += () if estimate is None else estimate.every

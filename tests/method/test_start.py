@@ -1,4 +1,4 @@
-"""The arguments of `recon.solve`: numpy alone, starts and batches that do not fit."""
+"""Arguments of `solve`: numpy alone, starts and batches that do not fit."""
 
 from dataclasses import replace
 
@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import torch
 
-import recon
 from observations.joints3d import Joints3D
 from priors.pose.prior import PosePrior
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
+from recon.method.reconstruction import solve
 from recon.method.terms import Term
 from recon.solver.lbfgs import LBFGS
 from tests.laws import a_motion
@@ -43,7 +43,7 @@ def _seen(motion: Motion) -> Joints3D:
 
 
 def test_plain_numpy_is_fitted():
-    result = recon.solve([_seen(_truth())], Quick())
+    result = solve([_seen(_truth())], Quick())
     assert result.failed == (False,)
     assert bool(result.motion.translation.isfinite().all())
     assert result.motion.translation.shape == (1, 8, 3)
@@ -53,10 +53,10 @@ def test_double_precision_is_fitted_in_that_of_the_body():
     """Double precision beside the bundled body failed: `expected m1 and m2 to have the same`."""
     seen = _seen(_truth())
     double = Joints3D(seen.positions.double(), seen.visible, seen.joints, FPS)
-    single = recon.solve([seen], Quick()).motion
-    assert torch.equal(recon.solve([double], Quick()).motion.translation, single.translation)
+    single = solve([seen], Quick()).motion
+    assert torch.equal(solve([double], Quick()).motion.translation, single.translation)
     body = BODY.to(dtype=torch.float64)
-    fitted = recon.solve([seen], Quick(torch.float64), body, start=_truth()).motion
+    fitted = solve([seen], Quick(torch.float64), body, start=_truth()).motion
     assert fitted.translation.dtype == torch.float64
 
 
@@ -88,15 +88,15 @@ def test_a_start_that_does_not_fit_is_refused(change, said):
     """A start of three frames gave three frames back for eight that were observed."""
     truth = _truth()
     with pytest.raises(ValueError, match=said):
-        recon.solve([_seen(truth)], Quick(), start=change(truth))
+        solve([_seen(truth)], Quick(), start=change(truth))
 
 
 def test_a_start_of_another_rate_or_fewer_coefficients_is_taken():
     truth = _truth()
-    fitted = recon.solve([_seen(truth)], Quick(), start=truth.resample(15.0)).motion
+    fitted = solve([_seen(truth)], Quick(), start=truth.resample(15.0)).motion
     assert fitted.frames == 4
     few = truth.replace(shape=truth.shape[:, :4]).to(dtype=torch.float64)
-    assert recon.solve([_seen(truth)], Quick(), start=few).motion.shape.shape == (
+    assert solve([_seen(truth)], Quick(), start=few).motion.shape.shape == (
         1,
         BODY.shape_size,
     )
@@ -105,11 +105,11 @@ def test_a_start_of_another_rate_or_fewer_coefficients_is_taken():
 def test_observations_and_weights_that_do_not_fit_are_refused():
     one, two = _seen(_truth()), _seen(_truth(clips=2))
     with pytest.raises(ValueError, match="at least one observation"):
-        recon.solve([], Quick())
+        solve([], Quick())
     with pytest.raises(ValueError, match="same clips, got 1, 2 of them"):
-        recon.solve([one, two], Quick())
+        solve([one, two], Quick())
     with pytest.raises(ValueError, match="one leading axis of clips"):
-        recon.solve([one[0]], Quick())
+        solve([one[0]], Quick())
     for weights in ([1.0, 1.0], [-1.0], [np.nan]):
         with pytest.raises(ValueError, match="weights"):
-            recon.solve([one], Quick(), weights=weights)
+            solve([one], Quick(), weights=weights)

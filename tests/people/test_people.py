@@ -10,6 +10,7 @@ import torch
 import recon
 from recon.core.camera import transform
 from recon.fitting.settings import FitSettings
+from recon.people.together import load_people
 from recon.reading.clip import load_clip
 from recon.simulation.images import keypoints2d
 from recon.simulation.points import Corruption
@@ -62,7 +63,7 @@ def test_everybody_is_fitted_in_one_world(film: Path, tmp_path: Path) -> None:
 
 
 def test_people_of_a_recording_are_clips_of_their_own(film: Path) -> None:
-    people = recon.load_people(film, frame_rate=30.0, image_size=(1920, 1080))
+    people = load_people(film, frame_rate=30.0, image_size=(1920, 1080))
     assert [one.number for one in people] == [0, 1]
     means = [one.clip.observations[0].shown.sum() for one in people]  # type: ignore[union-attr]
     assert all(int(count) > 20 * FRAMES for count in means)

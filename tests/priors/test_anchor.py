@@ -14,7 +14,7 @@ from priors.anchor.prior import AnchorFrames
 from priors.cosines import cosines
 from recon.body.model import BodyModel
 from recon.core.motion import pad
-from recon.method.protocols import Prior
+from recon.method.priors import Prior
 from tests.priors.tiny_anchor import LATENT, tiny_prior, tiny_weights, walks
 
 pytestmark = pytest.mark.numerics

@@ -15,14 +15,12 @@ from recon.core.skeleton import JOINTS, joint_index
 from recon.formats.motions import MotionFile, load_motion, save_motion
 from recon.formats.observations import CameraArrays, KeypointsFile, PointsFile, save_observation
 from recon.view import Figure, Show, View
-from recon.view.drawing.marks import paint_view
-from recon.view.drawing.painter import paint
-from recon.view.drawing.stage import frustum
 from recon.view.files import view
+from recon.view.frames import write_mp4, write_png
 from recon.view.html import write_html
+from recon.view.images import clip_region, close_ups, paint_view, whole
 from recon.view.observed import observed
-from recon.view.panels import write_views_mp4, write_views_png
-from recon.view.regions import clip_region, close_ups, whole
+from recon.view.painter import frustum, paint
 from recon.view.scene import CAMERA, MISSING, REPROJECTED, VISIBLE
 from recon.view.viewpoint import viewpoints
 from tests.view.test_view import embedded, walk
@@ -90,7 +88,7 @@ def test_points_are_dots_rings_and_lines(body: BodyModel) -> None:
     assert not near(MISSING, picture, own[LEGS[1]])
     assert not near(VISIBLE, picture, np.array([2.0, 2.0]))  # the unseen is not at pixel zero
     assert view.median_error == pytest.approx(0.0, abs=1e-3)  # pixels: 19 of 20 sure points
-    words = dict(show.image_legend)
+    words = dict(show.legend)
     assert "not detected, on the body" in words
 
 
@@ -129,7 +127,7 @@ def test_moving_camera_is_taken_frame_by_frame(body: BodyModel) -> None:
 
 def test_scene_shows_cameras_and_keeps_them_in_view(body: BodyModel) -> None:
     show = filmed(body)
-    stand = viewpoints([show], (240, 200))[0]
+    stand = viewpoints(show, (240, 200))[0]
     lines = frustum(show.cameras[0].at(0))
     pixels, depth = stand.project(lines.reshape(-1, 3))
     assert (depth > 0).all()
@@ -145,7 +143,7 @@ def test_scene_shows_cameras_and_keeps_them_in_view(body: BodyModel) -> None:
 
 def test_ground_is_drawn_as_given(body: BodyModel) -> None:
     level = filmed(body)
-    stand = viewpoints([level], (120, 100))[0]
+    stand = viewpoints(level, (120, 100))[0]
     as_given = paint(level, 0, stand)
     zero = Ground(torch.tensor([0.0, 0, 1]), torch.tensor(0.0))
     assert np.array_equal(paint(filmed(body, ground=zero), 0, stand), as_given)
@@ -172,7 +170,7 @@ def test_page_holds_cameras_clouds_and_a_tilted_ground(body: BodyModel, tmp_path
         if message.get("name") == "/world/ground" and "wxyz" in message
     )
     assert abs(turn[0]) == pytest.approx(math.cos(math.atan(0.2) / 2), abs=1e-4)
-    stand = viewpoints([show], (120, 100))[0]
+    stand = viewpoints(show, (120, 100))[0]
     for frame in (0, 1):
         paint(show, frame, stand)
         paint_view(show, show.cameras[0], frame, whole(show.cameras[0]), 80)
@@ -182,20 +180,16 @@ def test_sheet_and_film_of_views(body: BodyModel, tmp_path: Path) -> None:
     show = filmed(body, 5)
     second = View("right", camera(angle=-0.4))
     show = Show("two", show.figures, cameras=(*show.cameras, second))
-    write_views_png(tmp_path / "views.png", show, frames=2, width=80)
+    write_png(tmp_path / "views.png", show, frames=[0, 4], width=80)
     sheet = cv2.imread(str(tmp_path / "views.png"))
     assert sheet is not None
     assert sheet.shape[1] == 2 * 80 + 4
     assert sheet.shape[0] > 60 + 2 * 80 + 2 * 4
-    write_views_mp4(tmp_path / "views.mp4", show, width=96)
+    write_mp4(tmp_path / "views.mp4", show, width=96)
     with av.open(str(tmp_path / "views.mp4")) as film:
         pictures = [picture.to_ndarray(format="rgb24") for picture in film.decode(video=0)]
     assert len(pictures) == 5
     assert pictures[0].shape[1] == 2 * 96 + 4
-    with pytest.raises(ValueError, match="show with cameras"):
-        write_views_png(tmp_path / "none.png", Show("none", show.figures))
-    with pytest.raises(ValueError, match="at least one frame"):
-        write_views_png(tmp_path / "none.png", show, frames=0)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["views.mp4", "views.png"]
 
 
@@ -240,8 +234,8 @@ def test_files_of_images_become_views(tmp_path: Path) -> None:
         file = KeypointsFile(pixels, ones, "coco17", motion.fps, arrays(posed))
         save_observation(tmp_path / f"{name}.npz", file)
     for file, name in (("fit.npz", "posed.npz"), ("own.npz", "unposed.npz")):
-        seen = observed([tmp_path / name], load_motion(tmp_path / file), body)
-        assert seen.cameras[0].median_error == pytest.approx(0.0, abs=0.01)  # pixels
+        _, _, (seen,) = observed([tmp_path / name], load_motion(tmp_path / file), body)
+        assert seen.median_error == pytest.approx(0.0, abs=0.01)  # pixels
     with pytest.raises(ValueError, match=r"unposed\.npz: the camera has no pose"):
         view(tmp_path / "fit.npz", obs=(tmp_path / "unposed.npz",), png=tmp_path / "a.png")
     half = KeypointsFile(pixels[:, :9], ones[:, :9], "coco17", motion.fps, arrays())
@@ -260,11 +254,11 @@ def test_files_of_clouds_come_into_the_world(tmp_path: Path) -> None:
     local = PointsFile(camera().to_camera(points).numpy(), frame, motion.fps, arrays(posed=False))
     for name, cloud in (("posed", posed), ("local", local)):
         save_observation(tmp_path / f"{name}.npz", cloud)
-        seen = observed([tmp_path / f"{name}.npz"], file, BodyModel.load())
-        assert seen.cloud is not None
-        assert [len(part) for part in seen.cloud] == [4, 0, 3, 0]
-        assert (seen.cloud[2] - points[[0, 3, 4]]).abs().max() < 1e-5  # metres
-        assert (seen.cameras[0].at(0).T_camera_world - camera().T_camera_world).abs().max() < 1e-5
-    both = observed([tmp_path / "posed.npz", tmp_path / "local.npz"], file, BodyModel.load())
-    assert both.cloud is not None
-    assert [len(part) for part in both.cloud] == [8, 0, 6, 0]
+        _, seen, (one,) = observed([tmp_path / f"{name}.npz"], file, BodyModel.load())
+        assert seen is not None
+        assert [len(part) for part in seen] == [4, 0, 3, 0]
+        assert (seen[2] - points[[0, 3, 4]]).abs().max() < 1e-5  # metres
+        assert (one.at(0).T_camera_world - camera().T_camera_world).abs().max() < 1e-5
+    _, both, _ = observed([tmp_path / "posed.npz", tmp_path / "local.npz"], file, BodyModel.load())
+    assert both is not None
+    assert [len(part) for part in both] == [8, 0, 6, 0]

@@ -10,9 +10,9 @@ from recon.body.model import BodyModel
 from recon.core.skeleton import joint_index
 from recon.formats.motions import MotionFile, save_motion
 from recon.view import Figure, Show
-from recon.view.drawing.painter import paint
 from recon.view.files import shown, view
 from recon.view.html import write_html
+from recon.view.painter import paint
 from recon.view.scene import CERTAINTY
 from recon.view.viewpoint import viewpoints
 from tests.view.test_view import embedded, walk
@@ -31,7 +31,7 @@ def unsure(body: BodyModel, radius: float = 0.15) -> Show:
 
 def test_a_sphere_of_one_standard_deviation_is_drawn_around_its_joint(body: BodyModel) -> None:
     show = unsure(body)
-    (view,) = viewpoints([show], (300, 360))[:1]
+    (view,) = viewpoints(show, (300, 360))[:1]
     plain = paint(replace(show, certainty=False), 0, view).astype(int)
     changed = np.abs(paint(show, 0, view).astype(int) - plain).max(-1) > 1
     centre, depth = view.project(show.figures[0].posed.joints[0, [WRIST]].double().numpy())

@@ -25,7 +25,6 @@ from recon.body.model import BodyModel
 from recon.formats.motions import load_motion
 from recon.view import Figure, Show
 from recon.view.html import write_html
-from recon.view.layers import layers
 from recon.view.scene import GREY, Points
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
@@ -79,7 +78,7 @@ def visited(steps: list[dict[str, Any]], out: Path, *more: str) -> dict[str, Any
 
 
 def label(word: str) -> str:
-    number = [layer.word for layer in layers(show())].index(word) + 1
+    number = [layer.word for layer in show().layers].index(word) + 1
     return f"#recon-legend label:nth-of-type({number})"
 
 
@@ -128,8 +127,8 @@ def desktop() -> tuple[Path, dict[str, Any]]:
     """One visit: a picture while it plays, and of every layer switched, one after the other."""
     steps: list[dict[str, Any]] = [READY, {"sleep": 8.0}, {"picture": "playing"}]
     steps += [MIDDLE, SETTLED, {"picture": "desktop"}, {"run": UNCOVERED}]
-    switches = [{"click": label(layer.word)} for layer in layers(show())]
-    for switch, layer in zip(switches, layers(show()), strict=True):
+    switches = [{"click": label(layer.word)} for layer in show().layers]
+    for switch, layer in zip(switches, show().layers, strict=True):
         steps += [switch, SETTLED, {"picture": f"switched {layer.word}"}, {"run": SHOWN}]
     steps += [*switches, SETTLED, {"picture": "again"}]
     steps += [{"click": "#recon-legend label:last-of-type"}, SETTLED, {"picture": "stands"}]
@@ -159,7 +158,7 @@ def test_nothing_hides_title_and_legend() -> None:
 def test_every_layer_is_switched_off_and_on() -> None:
     out, said = desktop()
     before = whole = picture(out, "desktop")
-    for layer, shown in zip(layers(show()), said["values"][1:], strict=False):
+    for layer, shown in zip(show().layers, said["values"][1:], strict=False):
         assert [shown[node] for node in layer.nodes] == [not layer.shown] * len(layer.nodes)
         after = picture(out, f"switched {layer.word}")
         changed = np.abs(before[:, 260:] - after[:, 260:]).max(-1) > 30  # right of the legend

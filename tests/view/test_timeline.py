@@ -11,6 +11,7 @@ import torch
 import recon
 from recon import cli
 from recon.body.model import BodyModel
+from recon.body.motion_files import load_motion_of
 from recon.core.skeleton import JOINTS
 from recon.formats.motions import MotionFile, save_motion
 from recon.formats.observations import PositionsFile, save_observation
@@ -24,7 +25,7 @@ FRAMES = 6
 def files(tmp_path) -> tuple[Path, Path]:
     """A motion with contacts and standard deviations, and its joints, some of them hidden."""
     body = BodyModel.load()
-    motion = recon.load_motion_of(DEMO, body).motion.window(10, 10 + FRAMES)
+    motion = load_motion_of(DEMO, body).motion.window(10, 10 + FRAMES)
     joints = body.pose(motion).joints
     file = MotionFile(
         motion, body=body.name, checksum=body.checksum, joints=joints,

@@ -15,11 +15,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from priors.checkpoints import save_checkpoint
-from priors.humor.collocation import CollocatedHumor
+from priors.humor.collocation import Collocation
 from priors.humor.prior import Humor
 from priors.humor.state import states_of
 from priors.humor.steps import SPAN, explain, latents_of
-from priors.pose.prior import PosePrior, PoseVariables
+from priors.pose.prior import PoseVariables
 from recon.benchmark.dataset import SPLITS, Splits, load_clips
 from recon.core import rotations as so3
 from recon.core.motion import Motion
@@ -80,7 +80,7 @@ def curvature(humor: Humor, motion: Motion) -> dict[str, Float[Tensor, "numbers 
     """Mean of JᵀJ for the middle steps of windows, in the heading of the frame before each."""
     exact = humor.to(dtype=torch.float64)
     motion = motion.to(dtype=torch.float64)
-    prior = CollocatedHumor(exact, PosePrior.load())
+    prior = Collocation(exact)
     with torch.no_grad():
         base = prior.encode(motion)
         here = _residuals(prior, base)
@@ -104,7 +104,7 @@ def root(matrix: Float[Tensor, "n n"]) -> Float[Tensor, "n n"]:
     return (vectors * values.clamp(min=0).sqrt()).half()
 
 
-def _perturbed(prior: CollocatedHumor, base: PoseVariables) -> list[PoseVariables]:
+def _perturbed(prior: Collocation, base: PoseVariables) -> list[PoseVariables]:
     """Variables after a step of every frame's numbers, then of the shape's."""
     found: list[PoseVariables] = []
     for k in range(SPAN * FRAME):
@@ -118,7 +118,7 @@ def _perturbed(prior: CollocatedHumor, base: PoseVariables) -> list[PoseVariable
     return found
 
 
-def _residuals(prior: CollocatedHumor, variables: PoseVariables) -> tuple[Tensor, Tensor]:
+def _residuals(prior: Collocation, variables: PoseVariables) -> tuple[Tensor, Tensor]:
     """Residuals of the middle step: the decoder's whitened error, and the latents' surprise."""
     motion = prior.poses.decode(variables).motion
     states = states_of(motion, prior.humor.body)

@@ -1,0 +1,130 @@
+"""Points of the skin as an earlier estimate of the motion had them, whose errors last for seconds.
+
+A network that looks at video is not noisy as a sensor is: what it gets wrong in one frame it gets
+wrong in the next, by joint, and the whole path drifts. Counted as independent, a second of such
+frames would outweigh what is known of people. So residuals are weighed by the inverse of their
+covariance in time: fast changes are believed, slow deviations are cheap.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from observations.markers3d import Markers3D
+from recon.body.model import BodyModel
+from recon.core.errors import ObservationError
+from recon.core.residuals import Noise
+from recon.method.protocols import REFERENCE_FPS, Estimate
+
+_SCALE = 0.014
+"""Metres: the noise of a usual sensor, in terms of whose energy that of an estimate is given."""
+_UNSEEN = 10.0
+"""Metres: standard deviation of what was not seen, so that it counts nothing."""
+
+
+@dataclass(frozen=True)
+class Drifting:
+    """Covariance of an error in time: white jitter and a part that lasts, metres per axis."""
+
+    jitter: float
+    """Standard deviation of what is another in every frame at 30 Hz."""
+    slow: float
+    """Standard deviation of what lasts."""
+    seconds: float
+    """Time after which its correlation has fallen to one half; it changes smoothly."""
+
+    def precision(
+        self,
+        scale: Float[Tensor, "*batch moments"],
+        segment: Float[Tensor, "*batch moments"],
+        fps: float,
+    ) -> Float[Tensor, "*batch moments moments"]:
+        """Inverse of the covariance of an error in time, 1 / metres².
+
+        Args:
+            scale: multiplier of the jitter at every moment; infinite where nothing was seen.
+            segment: number of the stretch of time that a moment is in; what lasts in one has
+                nothing to do with what lasts in another.
+            fps: moments per second.
+        """
+        times = torch.arange(scale.shape[-1], dtype=torch.float64) / fps
+        away = 3**0.5 * (times[:, None] - times).abs() / self.seconds
+        slow = self.slow**2 * (1 + away) * (-away).exp()  # Matérn's of smoothness 3/2
+        slow = slow * (segment[..., :, None] == segment[..., None, :])
+        # sums count as at 30 Hz: at other rates a frame's jitter tells as much per second
+        jitter = self.jitter * (fps / REFERENCE_FPS) ** 0.5 * scale.double()
+        variance = jitter.clamp(max=_UNSEEN).square()
+        return torch.linalg.inv(slow + torch.diag_embed(variance)).to(scale.dtype)
+
+
+@dataclass(frozen=True, kw_only=True)
+class EstimatedPoints(Markers3D):
+    """Points of the skin of a motion that was estimated before.
+
+    The energy is ½ s² r' C⁻¹ r for the residuals r of every coordinate in time, with the
+    covariance C of `path` for the mean of all points and that of `own` for every point's
+    deviation from it; s is the noise of a usual sensor, 1.4 cm, so that it is in metres².
+    """
+
+    sees = None
+    timed = (*Markers3D.timed, "segment")
+    momentwise: ClassVar[bool] = False
+    """Whether the energy is a sum over moments, which a banded Hessian can hold."""
+    own: Drifting
+    """Error of a point beside the path."""
+    path: Drifting
+    """Error that all points have in common."""
+    segment: Float[Tensor, "*batch moments points"]
+    """Number of the stretch of time in which a point does not jump."""
+    ground_known: bool = False
+
+    def noise(self, guess: Any, body: BodyModel, given: float | None = None) -> Noise:
+        """The noise of a usual sensor: the covariances in the energy replace an estimated one."""
+        del guess, body, given
+        return Noise(_SCALE, _SCALE)
+
+    def robust_beyond(self, distance: float) -> "EstimatedPoints":
+        """Itself: what is not believed is marked beforehand."""
+        del distance
+        return self
+
+    def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
+        """½ s² Σ r' C⁻¹ r of the path's and of every point's own residuals; metres²."""
+        points, seen = self.expected(estimate)
+        there = self.visible[..., seen, :, None]
+        away = (self.positions[..., seen, :, :] - points).where(there, 0.0)
+        common = away.sum(-2, keepdim=True) / there.sum(-2, keepdim=True).clamp(min=1)
+        own = (away - common).where(there, 0.0)
+        path, points = self._precisions
+        path, points = path[..., seen, seen], points[..., seen, seen]
+        slid = torch.einsum("...tpd,...pts,...spd->...", own, points, own)
+        drifted = torch.einsum("...tpd,...ts,...spd->...", common, path, common)
+        return 0.5 * _SCALE**2 * (slid + drifted)
+
+    @cached_property
+    def _precisions(
+        self,
+    ) -> tuple[
+        Float[Tensor, "*batch moments moments"], Float[Tensor, "*batch points moments moments"]
+    ]:
+        """Inverse covariances of the path and of every point."""
+        seen = self.visible.to(self.positions)
+        unseen = torch.inf
+        anything = torch.where(self.visible.any(-1), 1.0, unseen).to(seen)
+        each = torch.where(self.visible.mT, 1.0, unseen).to(seen)
+        one = torch.zeros_like(anything)
+        return (
+            self.path.precision(anything, one, self.fps),
+            self.own.precision(each, self.segment.mT, self.fps),
+        )
+
+    def transformed(self, T_new_old: Float[np.ndarray, "4 4"]) -> "EstimatedPoints":
+        """Points after a rigid transform of the frame that they are given in, metres."""
+        if not np.isfinite(T_new_old).all():
+            raise ObservationError("expected a rigid transform, got numbers that are not finite")
+        return super().transformed(T_new_old)

@@ -1,0 +1,60 @@
+"""What all formats with a skeleton or a skin take from a motion and a body."""
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from recon.body.model import BodyModel
+from recon.core import rotations as so3
+from recon.core.errors import ReconError
+from recon.core.motion import Motion
+from recon.core.skeleton import PARENTS
+
+
+def one_clip(motion: Motion) -> Motion:
+    """The frames of a motion that exist, on the CPU and without gradients.
+
+    Raises:
+        ReconError: when it has a batch axis.
+    """
+    if motion.translation.ndim != 2:
+        raise ReconError("expected one clip without a batch axis; export motion[k]")
+    return motion.window(0, int(motion.valid.sum())).detach().to(device="cpu")
+
+
+def rest_offsets(rest: Float[np.ndarray, "22 3"]) -> Float[np.ndarray, "22 3"]:
+    """Vector to every joint of the unposed body from its parent; of the root from the origin."""
+    root = np.array(PARENTS)[:, None] < 0
+    return rest - np.where(root, rest.dtype.type(0), rest[list(PARENTS)])
+
+
+def influences(
+    body: BodyModel, most: int | None = None
+) -> tuple[Float[np.ndarray, "vertices some"], Int[np.ndarray, "vertices some"]]:
+    """The largest weights of every vertex, scaled to sum to one, and their joints.
+
+    Args:
+        body: whose skin it is.
+        most: weights of a vertex; None takes as many as the vertex with the most has.
+    """
+    weights, joints = body.weights.double().cpu().sort(dim=-1, descending=True, stable=True)
+    count = int((weights > 0).sum(-1).max()) if most is None else most
+    weights, joints = weights[:, :count], joints[:, :count]
+    weights = weights / weights.sum(-1, keepdim=True)
+    return weights.float().numpy(), torch.where(weights > 0, joints, 0).numpy()
+
+
+def quaternions(rotations: Float[Tensor, "time joints 3 3"]) -> Float[Tensor, "time joints 4"]:
+    """Unit quaternions (x, y, z, w) whose sign never flips from one frame to the next.
+
+    Linear interpolation between q and -q' would take the long way round.
+    """
+    vector = so3.log(rotations)
+    half = vector.norm(dim=-1, keepdim=True) / 2
+    # sin(x)/x from its own series at zero
+    q = torch.cat((vector * torch.sinc(half / torch.pi) / 2, half.cos()), -1)
+    signs = (q[1:] * q[:-1]).sum(-1).sign()
+    signs = torch.where(signs == 0, 1.0, signs).cumprod(0)
+    q = torch.cat((q[:1], q[1:] * signs[..., None]))
+    return q / q.norm(dim=-1, keepdim=True)

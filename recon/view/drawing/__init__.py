@@ -1,1 +1,0 @@
-"""How a frame becomes a picture, on the processor."""

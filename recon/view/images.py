@@ -1,0 +1,197 @@
+"""What a camera saw, drawn as its image: bodies, scan, detected points and those of the fit."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from recon.core.camera import Camera
+from recon.core.raster import rasterise, vertex_normals
+from recon.view.lettering import FARTHEST_PX, FRACTION_BITS, Picture, draw_dots, fixed_point
+from recon.view.painter import CLOUD_LIMIT, base_light, blend
+from recon.view.scene import (
+    CLOUD,
+    MISSING,
+    REPROJECTED,
+    UNSURE,
+    VISIBLE,
+    WHITE,
+    Colour,
+    Figure,
+    Show,
+    View,
+    thinned,
+)
+from recon.view.stage import SUPERSAMPLING
+
+BEYOND = 0.5
+"""Share of the image's size around it within which surfaces are drawn: far outside, the equations
+of a lens fold points back into the image."""
+MARGIN = 0.14
+"""Empty space around the people on each side, as a share of their extent."""
+SMALLEST = 0.1
+"""Share of the image's width that is shown at least."""
+BACKGROUND = (245.0, 246.0, 248.0)
+FRAME: Colour = (206, 211, 219)
+BODY_OPACITY = 0.85
+"""Opacity of solid bodies, so that the image's frame and other bodies stay seen."""
+DOT_PX, RING_PX, SPECK_PX, GRAIN_PX = 7.0, 8.5, 3.5, 2.0
+"""Radii of detected, unsure and reprojected points and of a scan's, in the finer pixels."""
+LINE_PX = 2
+"""Thickness of lines and rings, in the finer pixels."""
+
+
+@dataclass(frozen=True)
+class Region:
+    """A rectangle in the plane of an image; it may reach beyond the image."""
+
+    left: float
+    top: float
+    width: float
+    """Pixels of the image."""
+    height: float
+
+    def place(
+        self, pixels: Float[np.ndarray, "points 2"], across: int
+    ) -> Float[np.ndarray, "points 2"]:
+        """Pixels of the image in a picture of the region that is `across` pixels wide."""
+        return (pixels - (self.left, self.top)) * (across / self.width)
+
+    def size(self, across: int) -> tuple[int, int]:
+        """Width and height of such a picture."""
+        return across, max(1, round(across * self.height / self.width))
+
+
+def whole(view: View) -> Region:
+    """All of a camera's image."""
+    width, height = view.camera.image_size
+    return Region(0.0, 0.0, float(width), float(height))
+
+
+def clip_region(show: Show, view: View) -> Region:
+    """The part of a camera's image, of its aspect ratio, that people are in during the clip."""
+    low, high, seen = _extents(show, view)
+    if not seen.any():
+        return whole(view)
+    size = np.array(view.camera.image_size, float)
+    first, last = low[seen].min(0), high[seen].max(0)
+    share = np.clip(((last - first) * (1 + 2 * MARGIN) / size).max(), SMALLEST, 1.0)
+    left, top = np.clip((first + last - share * size) / 2, 0, (1 - share) * size)
+    return Region(float(left), float(top), *(share * size).tolist())
+
+
+def close_ups(show: Show, view: View, frames: Sequence[int]) -> list[Region]:
+    """A square around the people in each of some frames, all of one size."""
+    low, high, seen = (values[list(frames)] for values in _extents(show, view))
+    size = np.array(view.camera.image_size, float)
+    side = (high - low)[seen].max() * (1 + 2 * MARGIN) if seen.any() else size.max()
+    side = float(np.clip(side, SMALLEST * size[0], size.max()))
+    middles = np.where(seen[:, None], (low + high) / 2, size / 2)
+    return [Region(x - side / 2, y - side / 2, side, side) for x, y in middles.tolist()]
+
+
+def drawable(
+    camera: Camera, points: Float[Tensor, "*time points 3"]
+) -> Bool[Tensor, "*time points"]:
+    """Points before the camera and, were the lens perfect, not far outside its image."""
+    straight = camera.replace(distortion=None).project(points)
+    size = straight.pixels.new_tensor(camera.image_size)
+    near = (straight.pixels > -BEYOND * size) & (straight.pixels < (1 + BEYOND) * size)
+    return straight.in_front & near.all(-1)
+
+
+def _extents(
+    show: Show, view: View
+) -> tuple[Float[np.ndarray, "time 2"], Float[np.ndarray, "time 2"], Bool[np.ndarray, " time"]]:
+    """Least and greatest pixel of people and sure points in the image; frames that have any."""
+    camera = view.camera.detach().to(device="cpu", dtype=torch.float64)
+    pixels: list[Tensor] = []
+    counted: list[Tensor] = []
+    for figure in show.figures:
+        some = torch.arange(0, len(figure.body.template), 40)
+        surface = figure.posed.points(some).double()
+        pixels.append(camera.project(surface).pixels)
+        counted.append(drawable(camera, surface))
+    if view.pixels is not None:
+        pixels.append(view.pixels.detach().cpu().double())
+        counted.append(view.certainty >= UNSURE)
+    points = torch.cat(pixels, 1)
+    inside = torch.cat(counted, 1) & camera.in_image(points)
+    low = torch.where(inside[..., None], points, torch.inf).amin(1)
+    high = torch.where(inside[..., None], points, -torch.inf).amax(1)
+    seen = inside.any(1)
+    low, high = (torch.where(seen[:, None], end, 0.0) for end in (low, high))
+    return low.numpy(), high.numpy(), seen.numpy()
+
+
+def paint_view(show: Show, view: View, frame: int, part: Region, across: int) -> Picture:
+    """A part of a camera's image at one frame, without the photograph, `across` pixels wide.
+
+    Paper lies around the image; what is drawn on it the camera could not see.
+    """
+    fine = SUPERSAMPLING * across
+    width, height = part.size(fine)
+    image = np.full((height, width, 3), 255, np.float32)
+    edges = part.place(np.array([(0, 0), view.camera.image_size], float), fine)
+    corner, opposite = np.round(edges).astype(int).tolist()
+    cv2.rectangle(image, corner, opposite, BACKGROUND, -1)
+    cv2.rectangle(image, corner, opposite, FRAME, SUPERSAMPLING)
+    camera = view.at(frame)
+    for figure in sorted(show.figures, key=lambda figure: -figure.opacity):
+        _paint_body(figure, camera, frame, part, image)
+    picture = cv2.convertScaleAbs(image)
+    if show.cloud is not None:
+        cloud = thinned(show.cloud[frame].detach().cpu().double(), CLOUD_LIMIT)
+        pixels = camera.project(cloud).pixels[drawable(camera, cloud)].numpy()
+        draw_dots(picture, part.place(pixels, fine), GRAIN_PX, CLOUD)
+    if view.pixels is not None:
+        _paint_points(view, view.pixels[frame], frame, part, picture)
+    return cv2.resize(picture, part.size(across), interpolation=cv2.INTER_AREA)
+
+
+def _paint_body(
+    figure: Figure, camera: Camera, frame: int, part: Region, image: np.ndarray
+) -> None:
+    """The surface as the camera sees it, lit from the camera."""
+    points = figure.posed.vertices[frame].double()
+    faces = figure.body.faces.cpu().numpy()
+    faces = faces[drawable(camera, points).numpy()[faces].all(1)]
+    seen = camera.project(points)
+    local = camera.to_camera(points).numpy()
+    toward = -local / np.maximum(np.linalg.norm(local, axis=1, keepdims=True), 1e-12)
+    facing = (vertex_normals(local, faces) * toward).sum(1)
+    light = base_light(figure, frame) * (0.30 + 0.70 * np.clip(facing, 0, 1))[:, None]
+    height, width = image.shape[:2]
+    pixels = part.place(seen.pixels.numpy(), width)
+    raster = rasterise(pixels, seen.depth.numpy(), faces, (width, height), light)
+    opacity = np.float32(BODY_OPACITY * figure.opacity) * raster.covered
+    blend(image, raster.values, opacity)
+
+
+def _paint_points(
+    view: View, pixels: Float[Tensor, "points 2"], frame: int, part: Region, picture: Picture
+) -> None:
+    """Detected points, those of the body, and a line between the two of each."""
+    width = picture.shape[1]
+    found = part.place(pixels.detach().cpu().double().numpy(), width)
+    certainty = view.certainty[frame].double().numpy()
+    sure, unsure = certainty >= UNSURE, (certainty > 0) & (certainty < UNSURE)
+    own, drawn = found, np.zeros(len(found), bool)
+    if view.reprojected is not None:
+        on_body = view.reprojected.pixels[frame].detach().cpu().double().numpy()
+        own, drawn = part.place(on_body, width), view.reprojected.in_front[frame].cpu().numpy()
+    joined = drawn & (sure | unsure)
+    lines = np.stack([found, own], 1)[joined]
+    lines = fixed_point(lines[np.abs(lines).max((1, 2)) < FARTHEST_PX])
+    cv2.polylines(picture, list(lines), False, REPROJECTED, LINE_PX, cv2.LINE_AA, FRACTION_BITS)
+    draw_dots(picture, found[sure], DOT_PX + 2.0, WHITE)
+    for place, share in zip(found[sure], 0.65 * (1 - certainty[sure]), strict=True):
+        pale = tuple(round(part + share * (255 - part)) for part in VISIBLE)
+        draw_dots(picture, place[None], DOT_PX, pale)
+    draw_dots(picture, found[unsure], RING_PX, VISIBLE, LINE_PX)
+    draw_dots(picture, own[joined], SPECK_PX, REPROJECTED)
+    draw_dots(picture, own[drawn & (certainty == 0)], RING_PX, MISSING, LINE_PX)

@@ -1,0 +1,248 @@
+"""One picture of one frame: lit surfaces over a floor of tiles, on the processor.
+
+Bodies, points and cameras are all faces whose vertices have a light; whatever lies between them is
+interpolated. Only the pixels around them are painted finely.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import torch
+import trimesh
+from jaxtyping import Float, Int, UInt8
+from torch import Tensor
+
+from recon.core.camera import Camera
+from recon.core.raster import rasterise, vertex_normals
+from recon.view.scene import (
+    CAMERA,
+    CERTAINTY,
+    CLOUD,
+    CONTACT,
+    MISSING,
+    VISIBLE,
+    Colour,
+    Figure,
+    Show,
+    thinned,
+)
+from recon.view.stage import SUPERSAMPLING, Lamp, Mesh, Plane, floor
+from recon.view.viewpoint import Viewpoint
+
+DIRECT = 0.95
+"""Light of the lamp on a surface that faces it; 1 shows a colour as it is."""
+DARKEST = 1e-6
+"""Light that shows as black; OpenCV takes ten times as long over the power of zero."""
+FLOOR_SLACK_M = 0.004
+"""Depth, metres, up to which a sole may sink before the floor hides it."""
+CLOSEST_M = 0.05
+"""Depth, metres, from which on things are drawn."""
+CLOUD_LIMIT = 3000
+"""Points of a scan drawn per frame."""
+GRAIN_M = 0.006
+"""Radius of a scan's points, metres."""
+SMALLEST_PX = 1.5
+"""Least radius of a sphere, in the finer pixels."""
+HALO = 0.4
+"""Opacity of the spheres that show standard deviations: the body is seen through them."""
+PYRAMID_M = 0.4
+"""Length of a camera's pyramid along the viewing axis, metres."""
+EDGE_PX = 1.8
+"""Radius of the edges of a pyramid, in the finer pixels."""
+
+
+@dataclass(frozen=True)
+class LitSurface:
+    """Faces in the world, with the light that comes from every vertex."""
+
+    vertices: Float[np.ndarray, "vertices 3"]
+    faces: Int[np.ndarray, "faces 3"]
+    light: Float[np.ndarray, "vertices 3"]
+    """Amounts of red, green and blue light, 0 to 1."""
+    front: float = 1.0
+    """Opacity where nothing lies before it."""
+    through: float = 0.0
+    """Opacity where another surface lies before it."""
+
+
+def paint(show: Show, frame: int, view: Viewpoint) -> UInt8[np.ndarray, "height width 3"]:
+    """The show at one frame, red green blue."""
+    plane = Plane.of(show.ground)
+    bodies: list[Mesh] = [
+        (figure.posed.vertices[frame].double().numpy(), figure.body.faces.cpu().numpy())
+        for figure in show.figures
+    ]
+    lamp = Lamp.over(bodies, plane, view)
+    picture = floor(plane, view, lamp)
+    surfaces = [
+        _lit(figure, mesh, frame, view, lamp)
+        for figure, mesh in zip(show.figures, bodies, strict=True)
+    ]
+    surfaces.sort(key=lambda surface: -surface.front)
+    surfaces += [*_spheres(show, frame, view), *_pyramids(show, frame, view)]
+    left, top, right, bottom = _around(np.concatenate([s.vertices for s in surfaces]), view)
+    if right > left and bottom > top:
+        # only what is drawn on the floor needs the finer pixels
+        fine = view.part(left, top, right, bottom).scaled(SUPERSAMPLING)
+        beneath = picture[top:bottom, left:right]
+        image = cv2.resize(beneath, fine.size, interpolation=cv2.INTER_NEAREST)
+        depth = plane.depth(fine, FLOOR_SLACK_M)
+        for surface in surfaces:
+            _draw(surface, image, depth, fine)
+        size = (right - left, bottom - top)
+        picture[top:bottom, left:right] = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    return cv2.convertScaleAbs(picture)
+
+
+def linear(colour: Colour) -> Float[np.ndarray, "3"]:
+    """A colour as amounts of light, 0 to 1."""
+    return (np.array(colour) / 255) ** 2.2
+
+
+def blend(
+    image: Float[np.ndarray, "height width 3"],
+    light: Float[np.ndarray, "height width 3"],
+    opacity: Float[np.ndarray, "height width"],
+) -> None:
+    """Paint amounts of light over a picture of colours, 0 to 255."""
+    painted = 255 * cv2.pow(np.clip(light, DARKEST, 1), 1 / 2.2)
+    image += opacity[..., None] * (painted - image)
+
+
+def base_light(figure: Figure, frame: int) -> Float[np.ndarray, "vertices 3"]:
+    """The figure's colour at every vertex, and that of contacts around joints that touch."""
+    touching = figure.touching[frame].to(figure.body.weights)
+    share = (figure.body.weights @ touching).double().numpy()[:, None]
+    return linear(figure.colour) * (1 - share) + linear(CONTACT) * share
+
+
+def frustum(camera: Camera) -> Float[np.ndarray, "8 2 3"]:
+    """Edges of a camera's pyramid: from its centre to the image's corners, and round these.
+
+    World, metres. The lens is left out: its inverse need not exist at the corners.
+    """
+    width, height = camera.image_size
+    outline = [[0, 0], [width, 0], [width, height], [0, height]]
+    pixels = torch.tensor(outline, dtype=torch.float64)
+    straight = camera.detach().to(device="cpu", dtype=torch.float64).replace(distortion=None)
+    depth = torch.full((4,), PYRAMID_M, dtype=torch.float64)
+    corners = straight.unproject(pixels, depth).numpy()
+    centre = np.broadcast_to(straight.T_world_camera[:3, 3].numpy(), (4, 3))
+    rays, rim = np.stack([centre, corners], 1), np.stack([corners, np.roll(corners, -1, 0)], 1)
+    return np.concatenate([rays, rim])
+
+
+def _lit(figure: Figure, mesh: Mesh, frame: int, view: Viewpoint, lamp: Lamp) -> LitSurface:
+    """A body in the light of the sky, of the floor and of the lamp, with a little gloss."""
+    vertices, faces = mesh
+    normals = vertex_normals(vertices, faces)
+    eye = view.position - vertices
+    eye /= np.linalg.norm(eye, axis=1, keepdims=True)
+    halfway = eye + lamp.axes[2]
+    halfway /= np.linalg.norm(halfway, axis=1, keepdims=True)
+    rim = 0.10 * (1 - np.clip((normals * eye).sum(1), 0, 1)) ** 3
+    ambient = 0.37 + 0.15 * normals[:, 2] + rim
+    facing = np.clip(normals @ lamp.axes[2], 0, 1)
+    gloss = 0.10 * np.clip((normals * halfway).sum(1), 0, 1) ** 28
+    reached = lamp.reached(vertices, facing)
+    amount = ambient + DIRECT * facing * reached
+    light = base_light(figure, frame) * amount[:, None] + (gloss * reached)[:, None]
+    return LitSurface(vertices, faces, light, front=figure.opacity)
+
+
+def _spheres(show: Show, frame: int, view: Viewpoint) -> list[LitSurface]:
+    """Standard deviations, scan and points; points often lie in the body, and shine through."""
+    found: list[LitSurface] = []
+    if show.certainty:
+        for figure in show.figures:
+            if figure.joint_std is not None:
+                joints, radii = figure.posed.joints[frame], figure.joint_std[frame].cpu().numpy()
+                found.append(_balls(joints, radii, CERTAINTY, view, HALO, HALO))
+    if show.cloud is not None:
+        cloud = thinned(show.cloud[frame], CLOUD_LIMIT)
+        found.append(_balls(cloud, GRAIN_M, CLOUD, view, 1.0, 0.12))
+    if (points := show.points) is not None:
+        seen = points.visible[frame]
+        found.append(_balls(points.positions[frame][seen], points.radius, VISIBLE, view))
+        if points.estimated is not None:
+            found.append(_balls(points.estimated[frame][~seen], points.radius, MISSING, view))
+    return found
+
+
+def _balls(
+    centres: Float[Tensor, "balls 3"],
+    radii: float | Float[np.ndarray, " balls"],
+    colour: Colour,
+    view: Viewpoint,
+    front: float = 1.0,
+    through: float = 0.62,
+) -> LitSurface:
+    """Spheres lit from the viewer's upper left; none is smaller than what a picture can show."""
+    places = centres.detach().cpu().double().numpy()
+    ball = trimesh.creation.icosphere(subdivisions=1 if len(places) > 200 else 2)
+    across, down, away = view.R_camera_world @ ball.vertices.T
+    lamp = np.clip(-0.35 * across - 0.45 * down - 0.75 * away, 0, 1)
+    depth = np.abs((places - view.position) @ view.R_camera_world[2])
+    radii = np.maximum(radii, SMALLEST_PX * depth / (SUPERSAMPLING * view.focal))
+    vertices = places[:, None] + radii[:, None, None] * ball.vertices
+    light = linear(colour) * (0.45 + 0.7 * lamp)[:, None]
+    return _repeated(vertices, ball.faces, light[None], front, through)
+
+
+def _pyramids(show: Show, frame: int, view: Viewpoint) -> list[LitSurface]:
+    """Cameras as pyramids of thin rods, faint where a surface is nearer."""
+    found: list[LitSurface] = []
+    for camera in show.cameras:
+        lines = frustum(camera.at(frame))
+        depth = abs(float((lines.mean((0, 1)) - view.position) @ view.R_camera_world[2]))
+        radius = EDGE_PX * depth / (SUPERSAMPLING * view.focal)
+        rods = [trimesh.creation.cylinder(radius, sections=6, segment=line) for line in lines]
+        vertices = np.stack([rod.vertices for rod in rods])
+        light = np.broadcast_to(linear(CAMERA), vertices.shape)
+        found.append(_repeated(vertices, rods[0].faces, light, through=0.2))
+    return found
+
+
+def _repeated(
+    vertices: Float[np.ndarray, "copies vertices 3"],
+    faces: Int[np.ndarray, "faces 3"],
+    light: Float[np.ndarray, "#copies vertices 3"],
+    front: float = 1.0,
+    through: float = 0.0,
+) -> LitSurface:
+    """Many things of the same faces as one surface."""
+    copies, count = vertices.shape[:2]
+    every = np.arange(copies)[:, None, None] * count + faces
+    light = np.broadcast_to(light, vertices.shape).reshape(-1, 3)
+    return LitSurface(vertices.reshape(-1, 3), every.reshape(-1, 3), light, front, through)
+
+
+def _around(points: Float[np.ndarray, "points 3"], view: Viewpoint) -> tuple[int, int, int, int]:
+    """The part of a picture that points are in: left, top, right, bottom.
+
+    It is the whole picture where one is not well before the viewer.
+    """
+    pixels, depth = view.project(points)
+    if depth.min() <= CLOSEST_M:
+        return 0, 0, *view.size
+    left, top = np.clip(np.floor(pixels.min(0)) - 2, 0, view.size).astype(int).tolist()
+    right, bottom = np.clip(np.ceil(pixels.max(0)) + 2, 0, view.size).astype(int).tolist()
+    return left, top, right, bottom
+
+
+def _draw(
+    surface: LitSurface,
+    image: Float[np.ndarray, "height width 3"],
+    depth: Float[np.ndarray, "height width"],
+    view: Viewpoint,
+) -> None:
+    """Paint a surface over a picture whose pixels have a depth, which solid bodies change."""
+    pixels, away = view.project(surface.vertices)
+    faces = surface.faces[(away > CLOSEST_M)[surface.faces].all(1)]
+    raster = rasterise(pixels, away, faces, view.size, surface.light)
+    front = raster.depth < depth
+    opacity = np.where(front, surface.front, surface.through) * raster.covered
+    blend(image, raster.values, opacity.astype(np.float32))
+    if surface.front == 1 and surface.through == 0:
+        np.copyto(depth, raster.depth, where=front)

@@ -1,0 +1,135 @@
+"""Draw texts of the project at random, for readers who say in their own words what each means.
+
+    python -m scripts.texts
+    python -m scripts.texts --count 70 --seed 4547c9f
+
+The seed is the hash of the last commit unless another is given, so that nobody chooses what is
+read. Texts are drawn in equal numbers from six kinds: docstrings, comments, messages of errors,
+names of definitions with their first lines, paragraphs of the documents, subjects of commits.
+"""
+
+import argparse
+import ast
+import io
+import random
+import re
+import subprocess
+import tokenize
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGES = ("recon", "priors", "observations", "training")
+SUBJECTS = 60
+"""Commits from the last one back whose subjects may be drawn."""
+MIN_WORDS = 4
+"""Texts with fewer words say nothing that could be misunderstood."""
+
+Place = tuple[str, str]
+"""Where a text stands, and the text."""
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--count", type=int, default=70, help="how many texts to draw")
+    parser.add_argument("--seed", help="default: the hash of the last commit")
+    arguments = parser.parse_args()
+    seed = arguments.seed or _git("rev-parse", "--short=7", "HEAD").strip()
+    print(f"{arguments.count} texts, seed {seed}")
+    for number, (place, text) in enumerate(drawn(arguments.count, seed), 1):
+        print(f"\n[{number}] {place}\n{text}")
+
+
+def drawn(count: int, seed: str) -> list[Place]:
+    """Texts drawn without repetition, in turns from every kind; the same seed draws the same."""
+    names = _git("ls-files").split("\n")
+    code = [name for name in names if name.endswith(".py") and name.split("/")[0] in PACKAGES]
+    pages = [n for n in names if n.endswith(".md") and n.split("/")[0] in ("docs", "README.md")]
+    subjects = _git("log", "--no-merges", f"-{SUBJECTS}", "--format=%s")
+    kinds = [
+        [one for name in code for one in docstrings(name)],
+        [one for name in code for one in comments(name)],
+        [one for name in code for one in messages(name)],
+        [one for name in code for one in definitions(name)],
+        [one for name in pages for one in paragraphs(name)],
+        [("commit", subject) for subject in subjects.splitlines()],
+    ]
+    order = random.Random(seed)
+    for texts in kinds:
+        order.shuffle(texts)
+    turns = [kind[k] for k in range(count) for kind in kinds if k < len(kind)]
+    return turns[:count]
+
+
+def docstrings(name: str) -> Iterator[Place]:
+    """First paragraphs of the docstrings of a file."""
+    for node in ast.walk(_tree(name)):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):
+            text = (ast.get_docstring(node) or "").split("\n\n")[0]
+            if len(text.split()) >= MIN_WORDS:
+                yield f"{name}, docstring of {getattr(node, 'name', 'the module')}", text
+
+
+def comments(name: str) -> Iterator[Place]:
+    """Comments with the line of code that follows them."""
+    lines = _text(name).splitlines()
+    for token in tokenize.generate_tokens(io.StringIO(_text(name)).readline):
+        row = token.start[0]
+        plain = token.type == tokenize.COMMENT and not re.search(
+            r"fmt:|noqa|pyright", token.string
+        )
+        if plain and len(token.string.split()) >= MIN_WORDS:
+            yield f"{name}:{row}", "\n".join(lines[row - 1 : row + 1])
+
+
+def messages(name: str) -> Iterator[Place]:
+    """Texts of errors that a file raises, as they are written."""
+    for node in ast.walk(_tree(name)):
+        if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call) and node.exc.args:
+            text = ast.unparse(node.exc.args[0])
+            if len(text.split()) >= MIN_WORDS:
+                yield f"{name}:{node.lineno}", text
+
+
+def definitions(name: str) -> Iterator[Place]:
+    """Functions and classes by their signature and first statement: do the names tell?"""
+    lines = _text(name).splitlines()
+    for node in ast.walk(_tree(name)):
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            told = ast.get_docstring(node) is not None
+            head = lines[node.lineno - 1 : node.body[0].lineno - 1]
+            first = node.body[told : told + 1]
+            body = lines[first[0].lineno - 1 : first[0].end_lineno] if first else []
+            yield f"{name}:{node.lineno}", "\n".join([*head, *body])
+
+
+def paragraphs(name: str) -> Iterator[Place]:
+    """Paragraphs and lists of a page, without headings, tables and code."""
+    text = re.sub(r"```.*?```", "", _text(name), flags=re.DOTALL)
+    for part in map(str.strip, text.split("\n\n")):
+        other = part.startswith(("#", "|", "<", "!", ":::"))
+        if not other and len(part.split()) >= MIN_WORDS:
+            yield name, part
+
+
+@cache
+def _text(name: str) -> str:
+    return (ROOT / name).read_text(encoding="utf-8")
+
+
+@cache
+def _tree(name: str) -> ast.Module:
+    return ast.parse(_text(name))
+
+
+def _git(*words: str) -> str:
+    return subprocess.run(
+        ["git", *words], cwd=ROOT, check=True, capture_output=True, encoding="utf-8"
+    ).stdout
+
+
+if __name__ == "__main__":
+    main()

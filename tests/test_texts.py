@@ -1,0 +1,16 @@
+"""`scripts.texts` draws texts of every kind, the same ones for the same seed."""
+
+from scripts.texts import drawn, messages
+
+
+def test_the_same_seed_draws_the_same_texts_of_all_kinds():
+    once = drawn(12, "a")
+    assert once == drawn(12, "a")
+    assert len(set(once)) == 12
+    assert sum(place == "commit" for place, _ in once) == 2
+    assert sum("docstring of" in place for place, _ in once) == 2
+
+
+def test_messages_are_those_of_errors():
+    found = dict(messages("recon/core/arrays.py"))
+    assert any("expected" in text for text in found.values())
