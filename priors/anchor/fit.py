@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass, replace
 
-from priors.anchor.frames import Alignment
 from priors.anchor.prior import AnchorFrames, AnchorVariables
 from recon.method.stages import Stage
 from recon.method.terms import Term, prior_energy
@@ -39,16 +38,14 @@ class AnchorFit:
 
     @property
     def terms(self) -> tuple[Term, ...]:
-        """The terms of the prior: densities of codes, shapes and the ends of the cycle."""
+        """Densities of codes and shapes, and of the ends and the height of the cycle."""
         variance = self.noise**2
-        terms = [
+        return (
             Term("latent", prior_energy("latent"), variance),
             Term("shape", prior_energy("shape"), variance),
             Term("ends", prior_energy("ends"), variance / self.ends**2),
-        ]
-        if self.prior.alignment is Alignment.YAW:
-            terms.append(Term("sink", prior_energy("sink"), variance))
-        return tuple(terms)
+            Term("sink", prior_energy("sink"), variance),
+        )
 
     def search(self, data: tuple[Term, ...]) -> tuple[Stage, ...]:
         """A quick fit that tells good beginnings from bad ones."""

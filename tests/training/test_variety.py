@@ -8,7 +8,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from recon.benchmark.dataset import Splits
 from recon.body.kinematics import forward_kinematics
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
@@ -32,6 +31,7 @@ from training.humor.legs import (
     stepped,
 )
 from training.humor.moments import CHANNELS, PER_FRAME, Moments, at_frames, speeds
+from training.humor.train import HumorTraining
 
 UPRIGHT = torch.tensor([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 """Turns the rest pose (y up) so that z is up and it faces -y."""
@@ -255,8 +255,8 @@ def corpus(tmp_path_factory: pytest.TempPathFactory) -> Corpus:
         )
         save_motion(root / f"{name}.npz", MotionFile(motion, contacts=contacts))
         (root / f"{name}.json").write_text(json.dumps({"action": action, "clip": name}))
-    splits = Splits.load(root / "splits.toml")
-    return Corpus.load(root, splits, "train", "open", BodyModel.load())
+    settings = HumorTraining(root, root / "run", splits=root / "splits.toml")
+    return Corpus.load(settings, "train", BodyModel.load())
 
 
 def drawn(corpus: Corpus, variation: Variation, windows: int = 200) -> StateWindows:
