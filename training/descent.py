@@ -1,4 +1,4 @@
-"""Muon, an optimiser of matrices, and GradNorm, which weighs losses against each other."""
+"""What trainings share: draws of codes, Muon for matrices, and GradNorm, which weighs losses."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
@@ -7,6 +7,20 @@ from typing import Any
 import torch
 from jaxtyping import Float
 from torch import Tensor
+
+
+def drawn_code(mean: Tensor, log_variance: Tensor, random: torch.Generator | None) -> Tensor:
+    """One draw of a normal distribution through which gradients pass; None takes its mean."""
+    if random is None:
+        return mean
+    noise = torch.randn(mean.shape, generator=random).to(mean)
+    return mean + noise * (0.5 * log_variance).exp()
+
+
+def divergence_from_normal(mean: Tensor, log_variance: Tensor) -> Tensor:
+    """KL(N(mean, variance) || N(0, 1)) of every number, nats."""
+    return 0.5 * (mean.square() + log_variance.exp() - 1 - log_variance)
+
 
 _QUINTIC = (3.4445, -4.7750, 2.0315)
 """Coefficients of the iteration X <- a X + b (X Xᵀ) X + c (X Xᵀ)² X, published."""

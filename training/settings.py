@@ -65,7 +65,7 @@ def plain(settings: Any) -> dict[str, Any]:
 def told_settings(settings: Any) -> dict[str, Any]:
     """The settings of a run that a weights file tells: all but places on the trainer's disk."""
     found = dataclasses.asdict(settings)
-    return {name: value for name, value in found.items() if not isinstance(value, Path)}
+    return {k: v for k, v in found.items() if not isinstance(v, Path | None)}
 
 
 def identity(settings: Any) -> dict[str, Any]:

@@ -5,7 +5,7 @@ world, and reading them at even moments gives the motion. So data at any times m
 what the duration of the cycle is, they tell as well.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -20,11 +20,11 @@ from recon.core import rotations as so3
 from recon.core.errors import ReconError
 from recon.core.motion import Motion
 from recon.core.struct import TensorStruct, stack
-from recon.method.plugins import imported
 from recon.method.priors import CyclePrior
 from recon.method.protocols import Decoded
 from recon.method.stages import Stage
-from recon.method.terms import Term
+from recon.method.terms import Term, prior_energy
+from recon.solver.lbfgs import LBFGS
 
 MODES = 16
 """Cosines of time that details may have."""
@@ -110,18 +110,15 @@ class AnchorFrames(CyclePrior[AnchorVariables]):
 
     def search(self, data: tuple[Term, ...], noise: float) -> tuple[Stage[Any], ...]:
         """A quick fit that tells good beginnings from bad ones."""
-        return self._fit(noise).search(data)
+        return AnchorFit(self, noise).search(data)
 
     def coded(self, data: tuple[Term, ...], noise: float) -> tuple[Stage[Any], ...]:
         """The code, then the body as well."""
-        return self._fit(noise).coded(data)
+        return AnchorFit(self, noise).coded(data)
 
     def details(self, data: tuple[Term, ...], noise: float) -> tuple[Stage[Any], ...]:
         """The last stage, where data are dense: details that codes cannot express."""
-        return self._fit(noise).details(data)
-
-    def _fit(self, noise: float) -> Any:
-        return imported("priors.anchor.fit:AnchorFit", "method")(self, noise)
+        return AnchorFit(self, noise).details(data)
 
     def encode(self, motion: Motion) -> AnchorVariables:
         """The code of each clip, taken as one cycle from its first to its last frame.
@@ -256,3 +253,76 @@ def _at_times(
     pick = before[..., None].expand(*before.shape, rows.shape[-1])
     first, second = rows.gather(-2, pick), rows.gather(-2, pick + 1)
     return first + fraction * (second - first)
+
+
+_PLACING = frozenset({"turn", "place"})
+_CYCLE = _PLACING | {"latent", "begin"}
+_BODY = _CYCLE | {"shape"}
+_DETAILS = _BODY | {"bend", "shift"}
+
+
+@dataclass(frozen=True)
+class AnchorFit:
+    """The method for observations whose coordinates are off by about `noise` metres.
+
+    Everything is a negative log-probability times noise², so that observations weigh one: codes,
+    shapes and details are normal with unit variance (spec of the variables), the ends of cycle
+    and recording are `ends` seconds apart.
+    """
+
+    prior: AnchorFrames
+    noise: float
+    """Metres."""
+    ends: float = 0.02
+    """Seconds."""
+    detailed: bool = True
+    """Whether data are dense enough to tell what codes cannot express; adds a last stage."""
+
+    def __post_init__(self) -> None:
+        """Refuse what has no meaning."""
+        for name in ("noise", "ends"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} must be above 0, got {getattr(self, name)}")
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """Densities of codes and shapes, and of the ends and the height of the cycle."""
+        variance = self.noise**2
+        return (
+            Term("latent", prior_energy("latent"), variance),
+            Term("shape", prior_energy("shape"), variance),
+            Term("ends", prior_energy("ends"), variance / self.ends**2),
+            Term("sink", prior_energy("sink"), variance),
+        )
+
+    def search(self, data: tuple[Term, ...]) -> tuple[Stage, ...]:
+        """A quick fit that tells good beginnings from bad ones."""
+        return (
+            self._stage("place", data, _PLACING, LBFGS(12)),
+            self._stage("rough", data, _CYCLE, LBFGS(30)),
+        )
+
+    def stages(self, data: tuple[Term, ...]) -> tuple[Stage, ...]:
+        """All stages, which begin from a cycle that is roughly right."""
+        return (*self.coded(data), *self.details(data))
+
+    def coded(self, data: tuple[Term, ...]) -> tuple[Stage, ...]:
+        """The code, then the body as well."""
+        return (
+            self._stage("cycle", data, _CYCLE, LBFGS(30, tolerance_decrease=1e-4)),
+            self._stage("body", data, _BODY, LBFGS(60, tolerance_decrease=1e-5)),
+        )
+
+    def details(self, data: tuple[Term, ...]) -> tuple[Stage, ...]:
+        """The last stage, where data are dense: details that codes cannot express."""
+        if not self.detailed:
+            return ()
+        held = Term("details", prior_energy("details"), self.noise**2)
+        minimiser = LBFGS(60, tolerance_decrease=1e-5)
+        stage = self._stage("details", data, _DETAILS, minimiser)
+        return (replace(stage, terms=(*stage.terms, held)),)
+
+    def _stage(
+        self, name: str, data: tuple[Term, ...], free: frozenset[str], minimiser: LBFGS
+    ) -> Stage[AnchorVariables]:
+        return Stage(name, self.prior, (*data, *self.terms), free, minimiser)

@@ -28,37 +28,11 @@ _ERROR = 0.02
 """Metres by which codes miss a number of a frame."""
 _DEPTH, _STEP = 0.002, 0.003
 """Metres by which bodies sink, and soles slide in 1/30 s."""
+_CODES, _CODES_ERROR = 0.3, 0.1
+"""Shares of nats that the density of codes and the error of what they decode to count."""
+_LEAST_NOISE, _LEAST_NOISE_OF_GROUND = 0.014, 0.008
+"""Metres; less noise leaves the weights of codes, and of penetration and slide, as they are."""
 _FREE = frozenset({"translation", "root", "pose", "shape"})
-
-
-@dataclass(frozen=True)
-class WholeWeights:
-    """Multipliers of the unweighted energies, for an observation of weight one."""
-
-    pose: PoseWeights
-    """Weights of the pose density, the shape and plain smoothness."""
-    codes: float
-    """Weight of the density of codes that follow each other, nats."""
-    error: float
-    """Weight of ½ Σ |error|² / (2 cm)² of the motion that codes decode to, nats."""
-    physics: float
-    """Weight of penetration and slide, nats."""
-
-    @classmethod
-    def for_noise(cls, noise: float) -> "WholeWeights":
-        """Weights for observations of a standard deviation of about `noise` metres.
-
-        Chosen on eight validation windows among thirteen settings; a calibrated bound would have
-        noise² for all. Errors of neighbouring frames repeat each other, so less is better, and
-        codes of 0.4 s do not see trembling: smoothness keeps its weight of stages 1 and 2.
-        """
-        variance = max(noise, 0.014) ** 2
-        return cls(
-            pose=PoseWeights.for_noise(noise),
-            codes=0.3 * variance,
-            error=0.1 * variance,
-            physics=max(noise, 0.008) ** 2,
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,33 +75,35 @@ class HumosFit:
     """A method: stages 1 and 2 under the pose prior, the whole motion, then the ground."""
 
     humos: Humos
-    weights: WholeWeights
-    start: PoseWeights
-    """Weights of stages 1 and 2."""
-
-    @classmethod
-    def for_noise(cls, humos: Humos, noise: float) -> "HumosFit":
-        """A fit of observations of a standard deviation of about `noise` metres."""
-        return cls(humos, WholeWeights.for_noise(noise), PoseWeights.for_noise(noise))
+    noise: float
+    """Standard deviation of observations, about, metres."""
 
     @cached_property
     def _poses(self) -> PosePrior:
-        return PosePrior.load(weights=self.start)
+        return PosePrior.load(weights=PoseWeights.for_noise(self.noise))
 
     def stages(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
-        """Root; poses, smoothly; all as one motion; feet held, too."""
-        w, prior = self.weights, CollocatedHumos(self.humos, self._poses)
+        """Root; poses, smoothly; all as one motion; feet held, too.
+
+        Weights of the last two were chosen on eight validation windows among thirteen settings; a
+        calibrated bound would have noise² for all. Errors of neighbouring frames repeat each
+        other, so less is better, and codes of 0.4 s do not see trembling: smoothness keeps its
+        weight.
+        """
+        prior, pose = CollocatedHumos(self.humos, self._poses), PoseWeights.for_noise(self.noise)
+        nats = max(self.noise, _LEAST_NOISE) ** 2
+        ground = max(self.noise, _LEAST_NOISE_OF_GROUND) ** 2
         whole = (
             *data,
-            Term("pose", prior_energy("pose"), w.pose.pose),
-            Term("shape", shape, w.pose.shape),
-            Term("acceleration", joint_acceleration, w.pose.acceleration),
-            Term("codes", prior_energy("codes"), w.codes),
-            Term("error", prior_energy("error"), w.error),
+            Term("pose", prior_energy("pose"), pose.pose),
+            Term("shape", shape, pose.shape),
+            Term("acceleration", joint_acceleration, pose.acceleration),
+            Term("codes", prior_energy("codes"), _CODES * nats),
+            Term("error", prior_energy("error"), _CODES_ERROR * nats),
         )
         held = (
-            Term("penetration", physics.penetration, w.physics / _DEPTH**2),
-            Term("slide", physics.slide, w.physics / _STEP**2),
+            Term("penetration", physics.penetration, ground / _DEPTH**2),
+            Term("slide", physics.slide, ground / _STEP**2),
         )
         minimiser = LBFGS(max_iterations=60, tolerance_decrease=1e-5)
         return (

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from priors.anchor.fit import AnchorFit
+from priors.anchor.prior import AnchorFit
 from recon import cli
 from recon.body.cycles import find_cycles
 from recon.body.landmarks import LANDMARKS_16

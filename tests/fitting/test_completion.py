@@ -10,8 +10,8 @@ from observations.joints3d import Joints3D
 from observations.keypoints2d import Keypoints2D
 from observations.markers3d import Markers3D
 from observations.surfels import Surfels
-from priors.anchor.fit import AnchorFit
 from priors.anchor.networks import save_weights
+from priors.anchor.prior import AnchorFit
 from recon.body.landmarks import LANDMARKS_16, landmark
 from recon.body.model import BodyModel
 from recon.core import rotations as so3

@@ -164,7 +164,7 @@ def test_a_fit_is_better_than_what_was_seen(prior):
     noise = 0.03 * torch.randn(joints.shape, generator=torch.Generator().manual_seed(0))
     every = torch.ones(joints.shape[:-1], dtype=torch.bool)
     seen = Joints3D(joints + noise, every, tuple(range(22)), motion.fps)
-    found = solve([seen], HumosFit.for_noise(prior, 0.03), BODY)
+    found = solve([seen], HumosFit(prior, 0.03), BODY)
     error = (BODY.pose(found.motion).joints - joints).norm(dim=-1).mean()
     assert float(error) < 0.5 * float(noise.norm(dim=-1).mean())
     assert found.failed == (False, False)

@@ -15,8 +15,14 @@ from recon.formats.motions import MotionFile, save_motion
 from tests.training.test_humor import SPLITS
 from tests.walking import a_walk
 from training.anchor.corpus import CycleCorpus, CycleVariation
-from training.anchor.losses import Reconstructed, surface_error
-from training.anchor.train import AnchorRun, AnchorTraining, export_weights, train
+from training.anchor.train import (
+    AnchorRun,
+    AnchorTraining,
+    Reconstructed,
+    export_weights,
+    surface_error,
+    train,
+)
 from training.descent import LEAST, GradNorm
 
 RECORDED = CycleVariation(mirror=0.0, shift=0, shape=0.0, speed=0.0, exchange=0.0, mix=0.0)

@@ -16,9 +16,7 @@ from recon.core.skeleton import CONTACT_JOINTS, FEET
 from recon.formats.motions import MotionFile, save_motion
 from tests.training.test_humor import AS_RECORDED, SPLITS
 from training.humor import moments as limits
-from training.humor.arms import UPPER, clear_of_trunk, joined, moved
 from training.humor.corpus import Corpus, StateWindows, Variation
-from training.humor.flights import GRAVITY, flown
 from training.humor.legs import (
     ANKLES,
     Aim,
@@ -32,6 +30,8 @@ from training.humor.legs import (
 )
 from training.humor.moments import CHANNELS, PER_FRAME, Moments, at_frames, speeds
 from training.humor.train import HumorTraining
+from training.humor.variation import GRAVITY, UPPER, clear_of_trunk, flown, joined
+from training.humor.variation import with_arms_moved as moved
 
 UPRIGHT = torch.tensor([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 """Turns the rest pose (y up) so that z is up and it faces -y."""

@@ -14,7 +14,7 @@ from recon.body.model import BodyModel
 from recon.body.motion_files import with_shape
 from recon.core import rotations as so3
 from recon.core.skeleton import MIRROR, UPPER
-from recon.core.struct import TensorStruct
+from recon.core.struct import TensorStruct, concatenate
 from recon.formats.motions import load_motion
 from training.run import LOG
 from training.settings import TrainingSettings
@@ -132,7 +132,7 @@ class CycleCorpus(TensorStruct):
         shape = self.shape[row] + variation.shape * normal
         batch = self._cut(row, shift, shape)
         mirror = uniform() < variation.mirror
-        batch = _where(mirror, _mirrored(batch), batch)
+        batch = concatenate([batch, _mirrored(batch)])[torch.arange(count) + count * mirror]
         left = self.left[row] ^ mirror
         anchors = self._blended(batch.anchors, left, variation, random)
         faster = ((2 * uniform() - 1) * variation.speed).exp()
@@ -197,16 +197,6 @@ def _mirrored(batch: CycleBatch) -> CycleBatch:
     return batch.replace(
         anchors=anchors.replace(rotations=rotations, translation=anchors.translation * flip)
     )
-
-
-def _where(choice: Bool[Tensor, " cycles"], one: CycleBatch, other: CycleBatch) -> CycleBatch:
-    pairs = iter(zip(one.tensors().values(), other.tensors().values(), strict=True))
-
-    def choose(_: Tensor) -> Tensor:
-        a, b = next(pairs)
-        return torch.where(choice.reshape(-1, *(1,) * (a.ndim - 1)), a, b)
-
-    return one.map(choose)
 
 
 def _chances(splits: Splits, clips: list[str]) -> Float[Tensor, " cycles"]:

@@ -6,15 +6,15 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from jaxtyping import Float, Int
 from torch import Tensor
 
-from priors.anchor.frames import Anchors, CycleBasis
+from priors.anchor.frames import POSE_NUMBERS, Anchors, CycleBasis
 from priors.anchor.networks import AnchorNetworks, AnchorWeights, CodeSpread, save_weights
 from recon.body.model import BodyModel
 from recon.body.sampled import spread_vertices
 from training.anchor.corpus import CycleBatch, CycleCorpus, CycleVariation
-from training.anchor.losses import divergence, parameter_losses, reconstruct, surface_error
-from training.descent import LEAST, GradNorm
+from training.descent import LEAST, GradNorm, divergence_from_normal, drawn_code
 from training.run import BEST, LOG, Run, in_folder, trained_state
 from training.settings import TrainingSettings, told_settings
 
@@ -62,6 +62,76 @@ class AnchorTraining(TrainingSettings):
     """Share of hidden units left out."""
     variation: CycleVariation = field(default_factory=CycleVariation)
     """Random variations of the cycles."""
+
+
+@dataclass(frozen=True)
+class Reconstructed:
+    """Codes and cycles that the networks make of a batch of cycles."""
+
+    mean: Float[Tensor, "cycles latent"]
+    log_variance: Float[Tensor, "cycles latent"]
+    latent: Float[Tensor, "cycles latent"]
+    """The code that was decoded."""
+    normalised: Float[Tensor, "cycles 100 124"]
+
+
+def reconstruct(
+    networks: AnchorNetworks,
+    rows: Float[Tensor, "cycles 100 124"],
+    shape: Float[Tensor, "cycles shape"],
+    random: torch.Generator | None,
+) -> Reconstructed:
+    """Encode, draw a code, decode.
+
+    Args:
+        networks: to use.
+        rows: chi of aligned cycles.
+        shape: of their bodies.
+        random: draws the codes; None takes their means.
+    """
+    mean, log_variance = networks.posterior(rows)
+    latent = drawn_code(mean, log_variance, random)
+    return Reconstructed(mean, log_variance, latent, networks.normalised(latent, shape))
+
+
+def parameter_losses(
+    networks: AnchorNetworks, found: Reconstructed, rows: Float[Tensor, "cycles 100 124"]
+) -> dict[str, Tensor]:
+    """Mean squared errors of pose, translation and time, normalised (Marsot et al., eq. 3)."""
+    error = (found.normalised - networks.basis.normalised(rows)).square()
+    return {
+        "pose": error[..., :POSE_NUMBERS].mean(),
+        "translation": error[..., POSE_NUMBERS:-1].mean(),
+        "time": error[..., -1].mean(),
+    }
+
+
+def surface_error(
+    networks: AnchorNetworks,
+    found: Reconstructed,
+    batch: CycleBatch,
+    body: BodyModel,
+    vertices: Int[Tensor, " points"],
+    anchors: Int[Tensor, " some"],
+) -> Float[Tensor, " cycles"]:
+    """Mean squared distance of the surface's points, metres² (eq. 4 and 6); the true shape.
+
+    Args:
+        networks: that made the cycles.
+        found: cycles.
+        batch: what they shall be.
+        body: that performs both.
+        vertices: points of the surface that are compared.
+        anchors: numbers of those that are compared.
+    """
+    made = Anchors.unpack(networks.basis.metric(found.normalised))
+    points = [
+        body.pose(cycle.map(lambda rows: rows[:, anchors]).motion(batch.shape, 1.0)).points(
+            vertices
+        )
+        for cycle in (made, batch.anchors)
+    ]
+    return (points[0] - points[1]).square().sum(-1).mean((-1, -2))
 
 
 class AnchorRun(Run[AnchorTraining, AnchorNetworks]):
@@ -124,7 +194,8 @@ class AnchorRun(Run[AnchorTraining, AnchorNetworks]):
             )
             losses["surface"] = self.surface_scale * error.mean()
         self.weights.update(losses, found.latent)
-        return {"total": self.weights.total(losses) + settings.kl * divergence(found).mean()}
+        kl = divergence_from_normal(found.mean, found.log_variance).mean()
+        return {"total": self.weights.total(losses) + settings.kl * kl}
 
     def surface_scale_now(self) -> float:
         """The weight of a squared metre at which the surface keeps the codes' variance as it is.
@@ -164,7 +235,8 @@ class AnchorRun(Run[AnchorTraining, AnchorNetworks]):
             row[f"{name}vertex_cm"] = 100 * error.sqrt().mean().item()
             losses = parameter_losses(networks, found, rows)
             row |= {f"{name}{key}": value.item() for key, value in losses.items()}
-        row["kl_nats"] = divergence(found).sum(-1).mean().item()
+        kl = divergence_from_normal(found.mean, found.log_variance)
+        row["kl_nats"] = kl.sum(-1).mean().item()
         row["active"] = float((found.mean.var(0) > 0.01).sum())
         return row | {"score": row["vertex_cm"] + row["sampled_vertex_cm"]}
 

@@ -24,10 +24,9 @@ from recon.core.skeleton import CONTACT_JOINTS, MIRROR, TOES
 from recon.core.struct import TensorStruct
 from recon.formats.motions import MotionFile, load_motion
 from recon.method.protocols import REFERENCE_FPS
-from training.humor.arms import joined
 from training.humor.moments import PER_FRAME, Moments, with_edited
 from training.humor.variation import Variation as Variation
-from training.humor.variation import chosen_rows, edited
+from training.humor.variation import chosen_rows, edited, joined
 from training.run import LOG
 from training.settings import TrainingSettings
 

@@ -17,6 +17,7 @@ from priors.humor.steps import divergence
 from recon.body.kinematics import forward_kinematics
 from recon.core.skeleton import CONTACT_JOINTS
 from recon.core.struct import TensorStruct, stack
+from training.descent import drawn_code
 from training.humor.corpus import StateWindows
 from training.humor.scaling import ScaledNetworks
 
@@ -102,10 +103,7 @@ def transition(
     packed = state.pack()
     with torch.autocast(packed.device.type, torch.bfloat16, enabled=half):
         mean, log_variance = networks.posterior(packed, target.pack())
-        latent = mean.float()
-        if random is not None:
-            noise = torch.randn(latent.shape, generator=random).to(latent)
-            latent = latent + noise * (0.5 * log_variance.float()).exp()
+        latent = drawn_code(mean.float(), log_variance.float(), random)
         raw = networks.decode(packed, latent).float()
         prior = networks.prior(packed)
     after, contacts = compose(state, raw)

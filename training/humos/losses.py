@@ -16,6 +16,7 @@ from recon.core.motion import Motion
 from recon.core.scene import Scene
 from recon.method.protocols import Decoded, Estimate
 from recon.physics import energies as physics
+from training.descent import divergence_from_normal, drawn_code
 from training.humos.corpus import BodyBatch
 
 _NUMBER, _JOINT, _STEP = 0.02, 0.02, 0.005
@@ -42,10 +43,7 @@ def encoded(
 ) -> Codes:
     """Codes of a motion; without random numbers their means."""
     mean, log_variance = networks.posterior(rows, shape, exists)
-    if random is None:
-        return Codes(mean, log_variance, mean)
-    noise = torch.randn(mean.shape, generator=random)
-    return Codes(mean, log_variance, mean + noise * (0.5 * log_variance).exp())
+    return Codes(mean, log_variance, drawn_code(mean, log_variance, random))
 
 
 def reconstruction(
@@ -78,7 +76,7 @@ def numbers_error(
 
 def divergence(codes: Codes, exists: Bool[Tensor, "clips windows"]) -> Float[Tensor, ""]:
     """Mean KL(q || N(0, 1)) per number of a code that exists, nats."""
-    kl = 0.5 * (codes.log_variance.exp() + codes.mean.square() - 1 - codes.log_variance)
+    kl = divergence_from_normal(codes.mean, codes.log_variance)
     return _mean(kl, exists[..., None])
 
 
