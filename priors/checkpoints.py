@@ -53,7 +53,7 @@ class Checkpoint:
     def under(self, prefix: str) -> "Checkpoint":
         """The tensors whose names begin so, without the beginning, in single precision."""
         own = {
-            name.removeprefix(prefix): tensor.float()
+            name.removeprefix(prefix): tensor.float() if tensor.is_floating_point() else tensor
             for name, tensor in self.tensors.items()
             if name.startswith(prefix)
         }

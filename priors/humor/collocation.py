@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 from jaxtyping import Float
 from torch import Tensor
 
-from priors.humor.likely import LikelyStates, as_read, at_tempo, tempo
+from priors.humor.likely import as_read, at_tempo
 from priors.humor.prior import Humor
 from priors.humor.state import contact_probabilities, posed_states
 from priors.humor.steps import (
@@ -40,7 +40,6 @@ from recon.method.quadratic import ClipModel
 from recon.method.sensor import Sensor
 from recon.method.stages import Stage
 from recon.method.terms import PriorEnergy, Term, joint_acceleration, prior_energy, shape
-from recon.physics.support import Support
 from recon.solver.banded import add_differences
 from recon.solver.lbfgs import LBFGS
 
@@ -122,12 +121,10 @@ class Collocation(Prior[PoseVariables]):
             weight = term.weight * contacts[clip.clip, 1:].where(exists, 0.0)
             add_differences(clip.joints, (-1.0, 1.0), weight.repeat_interleave(3, -1))
             return True
-        energy = term.energy
-        if isinstance(energy, Support):
+        energy: Any = term.energy
+        if hasattr(energy, "add_curvature"):
             energy.add_curvature(term.weight, clip.estimate, clip.clip, clip.joints)
             return True
-        if isinstance(energy, LikelyStates):
-            return True  # steps are stiffer: L-BFGS learns what this one adds
         if not isinstance(energy, PriorEnergy) or energy.name not in ("step", "latents"):
             return self.poses.add_curvature(term, clip)
         name = energy.name
@@ -197,7 +194,9 @@ class Collocation(Prior[PoseVariables]):
             rough = replace(poses.minimiser, tolerance_decrease=1e-2)
             return root, replace(poses, minimiser=rough), feet
         # where every joint is seen, no limbs are drawn from the networks
+        from priors.humor.likely import LikelyStates, tempo
         from priors.humor.limbs import UnseenLimbs, unseen_limbs
+        from recon.physics.support import Support
 
         unseen = unseen_limbs(data, self.humor.body)
         if unseen is None:

@@ -2,11 +2,11 @@
 
 The motion itself is moved, in the well-scaled variables of the pose prior, and judged by the
 networks: how surprising are its codes, and how far from it do they decode. Both together bound
--log p(motion), as in training. Moving codes instead converged slowly (commit abaa3a0).
+-log p(motion), as in training. Moving codes instead converges slowly (abaa3a0: `CodesFit`).
 """
 
-from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Any
 
 import torch
@@ -16,8 +16,9 @@ from torch import Tensor
 from priors.humos.frames import BodyFrames
 from priors.humos.prior import FPS, Humos, frames_at_rate
 from priors.pose.prior import PosePrior, PoseVariables, PoseWeights
+from recon.body.model import BodyModel
 from recon.core.motion import Motion
-from recon.method.priors import Prior
+from recon.method.priors import MODEL_NOISE, USUAL_NOISE, Prior
 from recon.method.protocols import Decoded
 from recon.method.stages import Stage
 from recon.method.terms import Term, joint_acceleration, prior_energy, shape
@@ -26,12 +27,10 @@ from recon.solver.lbfgs import LBFGS
 
 _ERROR = 0.02
 """Metres by which codes miss a number of a frame."""
+_LEAST_NOISE = 0.014
+"""Metres; nobody moves just like the people of the corpus, however exact points are."""
 _DEPTH, _STEP = 0.002, 0.003
 """Metres by which bodies sink, and soles slide in 1/30 s."""
-_CODES, _CODES_ERROR = 0.3, 0.1
-"""Shares of nats that the density of codes and the error of what they decode to count."""
-_LEAST_NOISE, _LEAST_NOISE_OF_GROUND = 0.014, 0.008
-"""Metres; less noise leaves the weights of codes, and of penetration and slide, as they are."""
 _FREE = frozenset({"translation", "root", "pose", "shape"})
 
 
@@ -40,7 +39,7 @@ class CollocatedHumos(Prior[PoseVariables]):
     """The HUMOS density of a whole motion, over the variables of the pose prior."""
 
     humos: Humos
-    poses: PosePrior
+    poses: PosePrior = field(default_factory=PosePrior.load)
 
     def encode(self, motion: Motion) -> PoseVariables:
         """The motion itself; exact."""
@@ -69,37 +68,31 @@ class CollocatedHumos(Prior[PoseVariables]):
         }
         return Decoded(motion, {**decoded.energies, **energies})
 
-
-@dataclass(frozen=True, eq=False)
-class HumosFit:
-    """A method: stages 1 and 2 under the pose prior, the whole motion, then the ground."""
-
-    humos: Humos
-    noise: float
-    """Standard deviation of observations, about, metres."""
-
-    @cached_property
-    def _poses(self) -> PosePrior:
-        return PosePrior.load(weights=PoseWeights.for_noise(self.noise))
-
-    def stages(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
+    def stages(
+        self,
+        data: tuple[Term, ...],
+        noise: float = USUAL_NOISE,
+        body: BodyModel | None = None,
+        method: str | None = None,
+    ) -> tuple[Stage[Any], ...]:
         """Root; poses, smoothly; all as one motion; feet held, too.
 
-        Weights of the last two were chosen on eight validation windows among thirteen settings; a
-        calibrated bound would have noise² for all. Errors of neighbouring frames repeat each
-        other, so less is better, and codes of 0.4 s do not see trembling: smoothness keeps its
-        weight.
+        Weights were chosen on eight validation windows among thirteen settings; a calibrated
+        bound would have noise² for all. Errors of neighbouring frames repeat each other, so less
+        is better, and codes of 0.4 s do not see trembling: smoothness keeps its weight of the
+        poses.
         """
-        prior, pose = CollocatedHumos(self.humos, self._poses), PoseWeights.for_noise(self.noise)
-        nats = max(self.noise, _LEAST_NOISE) ** 2
-        ground = max(self.noise, _LEAST_NOISE_OF_GROUND) ** 2
+        del body, method
+        pose = PoseWeights.for_noise(noise)
+        prior = replace(self, poses=self.poses.replace(weights=pose))
+        variance, ground = max(noise, _LEAST_NOISE) ** 2, max(noise, MODEL_NOISE) ** 2
         whole = (
             *data,
             Term("pose", prior_energy("pose"), pose.pose),
             Term("shape", shape, pose.shape),
             Term("acceleration", joint_acceleration, pose.acceleration),
-            Term("codes", prior_energy("codes"), _CODES * nats),
-            Term("error", prior_energy("error"), _CODES_ERROR * nats),
+            Term("codes", prior_energy("codes"), 0.3 * variance),
+            Term("error", prior_energy("error"), 0.1 * variance),
         )
         held = (
             Term("penetration", physics.penetration, ground / _DEPTH**2),
@@ -107,7 +100,7 @@ class HumosFit:
         )
         minimiser = LBFGS(max_iterations=60, tolerance_decrease=1e-5)
         return (
-            *self._poses.stages(data),
+            *prior.poses.stages(data),
             Stage("whole", prior, whole, _FREE, minimiser),
             Stage("ground", prior, (*whole, *held), _FREE, minimiser),
         )

@@ -115,8 +115,8 @@ class Humos(Prior[HumosVariables]):
         del method
         if body is not None and body.template.device.type != "cpu":
             raise WeightsError("the HUMOS prior runs on the processor: leave --device at cpu")
-        kind = imported("priors.humos.collocation:HumosFit", "method")
-        return kind(self, noise).stages(data)
+        fitted = imported("priors.humos.collocation:CollocatedHumos", "method")
+        return fitted(self).stages(data, noise)
 
     def encode(self, motion: Motion) -> HumosVariables:
         """Mean codes of each clip, and as details all that they leave out: exact.

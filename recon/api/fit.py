@@ -30,7 +30,7 @@ from recon.core.limits import FRAME_RATE
 from recon.core.motion import Motion
 from recon.core.units import Axis
 from recon.diagnosis.findings import Finding
-from recon.fitting.methods import FitOptions, asked
+from recon.fitting.methods import FitOptions, trait_of
 from recon.fitting.observed import Clip
 from recon.fitting.settings import ReadOptions
 from recon.formats.foreign import is_estimate
@@ -84,8 +84,8 @@ def fit(
         observations: files and folders of one clip; in Python also one or several of `Joints3D`,
             `Markers3D`, `Keypoints2D`, `PointCloud`, without a leading axis or with one of length
             one, and what `recon.simulate` returned.
-        prior: a name (`humor`, `pose`, `anchor` for one gait cycle), a loaded prior, a
-            method with `stages(data)`, or "package.module:Class".
+        prior: a name (`humor`, `pose`, `anchor` for one gait cycle), a loaded prior, or
+            "package.module:Class".
         weights: of a prior given by its name: `open`, `nc` (not for commercial use) or a file.
         method: the way in which the prior is fitted, one of its `methods`; None is the usual one.
         body: a body, a SMPL-family file, or None for the bundled body.
@@ -204,7 +204,7 @@ def complete(
             for one cycle, what was seen does not last as long as one.
         FileNotFoundError: when there is no such file, body or weights.
     """
-    if not asked(prior, "completes"):
+    if not trait_of(prior, "completes"):
         raise ReconError(
             f"`complete` is `fit` with the priors recording and anchor; for {prior}, run "
             f"`recon fit --prior {prior}`"

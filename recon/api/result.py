@@ -9,7 +9,6 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from observations.kinds import unposed_camera
 from recon.api.results import MotionResult, described_residuals, in_ten_lines
 from recon.body.contacts import contact_labels, rest_heights
 from recon.body.model import BodyModel
@@ -28,6 +27,7 @@ from recon.formats.motions import MotionFile
 from recon.formats.reports import versions
 from recon.method.derivatives import GroundDeviation
 from recon.method.reconstruction import Reconstruction
+from recon.method.sensor import unposed_camera
 from recon.method.stages import StageReport, Watch
 from recon.solver.lbfgs import Progress, Termination
 

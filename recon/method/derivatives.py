@@ -10,7 +10,7 @@ differentiated numerically, coordinate by coordinate.
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, cast
+from typing import Literal
 
 import torch
 from jaxtyping import Float, Int
@@ -27,7 +27,6 @@ from recon.core.skeleton import FEET, joint_index
 from recon.method.newton import is_pointwise
 from recon.method.protocols import Decoded, Estimate
 from recon.method.sensor import Sensor
-from recon.method.stages import Matched
 from recon.solver.banded import Banded
 
 FRAME = 69
@@ -234,7 +233,7 @@ class Neighbourhood:
             frame: of the motion, for every moment of the sensor.
         """
         carries = is_pointwise(one)
-        held = cast(Sensor, one.matched(self.here)) if isinstance(one, Matched) else one
+        held: Sensor = getattr(one, "matched", lambda _: one)(self.here)
         found = _of(held, self.translated if carries else self.everywhere)
         slopes = differences(found.values)
         if carries:

@@ -12,7 +12,8 @@ from recon.core import rotations as so3
 from recon.core.camera import transform
 from recon.core.motion import Motion
 from recon.method.protocols import REFERENCE_FPS, Estimate
-from recon.method.quadratic import FRAME, ClipModel, OfScene, PointSensor
+from recon.method.quadratic import FRAME, ClipModel, PointSensor
+from recon.method.sensor import Sensor
 from recon.method.stages import Stage
 from recon.method.terms import (
     Term,
@@ -92,7 +93,7 @@ def _add_points(weight: float, sensor: PointSensor, model: ClipModel) -> None:
     clip, motion, scene = model.clip, model.motion, model.estimate.scene
     one: Any = sensor
     one = one[clip]
-    if isinstance(one, OfScene):
+    if isinstance(one, Sensor):
         one = one.settled(scene[clip])
     carried = sensor.carried(model.body, motion.shape, scene.offsets[clip])
     places = carried.of(*model.posed)

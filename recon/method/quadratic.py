@@ -6,7 +6,7 @@ radians, and 63 numbers for the other joints, which the prior chooses.
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
@@ -16,7 +16,6 @@ from recon.body.derivatives import CarriedPoints, joints_by_shape
 from recon.body.kinematics import forward_kinematics
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
-from recon.core.scene import Scene
 from recon.method.protocols import Estimate
 from recon.solver.banded import Banded
 
@@ -63,15 +62,6 @@ class PointSensor(Protocol):
         self, body: BodyModel, shape: Float[Tensor, " shape"], offsets: Float[Tensor, "rows 3"]
     ) -> CarriedPoints:
         """The points on a body of some shape; offsets as in `Scene.offsets`."""
-        ...
-
-
-@runtime_checkable
-class OfScene(Protocol):
-    """An observation that depends on what is unknown of the scene, beside the ground."""
-
-    def settled(self, scene: Scene) -> Any:
-        """The observation as it is in a scene, of which it then asks no more."""
         ...
 
 

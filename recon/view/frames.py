@@ -34,7 +34,7 @@ def write_png(
 ) -> None:
     """A sheet: a row for the scene of each show, then one per camera; a column per frame.
 
-    All scenes are seen from one place and have the legend of the first. Images of cameras are
+    All scenes are seen from one place and share the longest legend. Images of cameras are
     squares around the people; a little map shows where in the image they lie.
 
     Args:
@@ -66,7 +66,8 @@ def write_png(
         _name(row[0], view)
         rows.append(row)
     sheet = join([join(row, axis=1) for row in rows], axis=0)
-    save_picture(Path(path), with_legend(sheet, show.legend, text_size(size)))
+    legend = max((one.legend for one in shows), key=len)
+    save_picture(Path(path), with_legend(sheet, legend, text_size(size)))
 
 
 def write_mp4(path: str | Path, show: Show, width: int | None = None) -> None:
