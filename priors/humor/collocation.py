@@ -183,8 +183,21 @@ class Collocation(Prior[PoseVariables]):
         moves faster than the networks know is read slower.
         """
         del noise, body, method  # its weights are chosen
-        root, poses, steps = self.without_feet(data)
-        held = Term("contact velocity", contact_velocity, self.weights.contact_velocity)
+        w = self.weights
+        terms = (
+            *data,
+            Term("pose", prior_energy("pose"), w.pose.pose),
+            Term("shape", shape, w.pose.shape),
+            Term("acceleration", joint_acceleration, w.pose.acceleration),
+            Term("step", prior_energy("step"), w.step),
+            Term("latents", prior_energy("latents"), w.latents),
+        )
+        free = frozenset({"translation", "root", "pose", "shape"})
+        root, poses = self.poses.stages(data)
+        poses = replace(poses, minimiser=replace(poses.minimiser, tolerance_decrease=1e-3))
+        slow = LBFGS(max_iterations=200, tolerance_decrease=2e-3)
+        steps = Stage("steps", self, terms, free, slow)
+        held = Term("contact velocity", contact_velocity, w.contact_velocity)
         last = LBFGS(max_iterations=400, tolerance_decrease=1e-5, scale=_FITTED, history=40)
         feet = replace(
             steps, name="contacts", terms=(*steps.terms, held), minimiser=last,
@@ -201,8 +214,8 @@ class Collocation(Prior[PoseVariables]):
         unseen = unseen_limbs(data, self.humor.body)
         if unseen is None:
             return root, poses, steps, feet
-        carried = Term("support", Support(unseen[:, KNEES].any(-1)), self.weights.support)
-        likely = Term("state", LikelyStates(self.humor, unseen), self.weights.state)
+        carried = Term("support", Support(unseen[:, KNEES].any(-1)), w.support)
+        likely = Term("state", LikelyStates(self.humor, unseen), w.state)
         read = replace(self, tempo=tempo(data))
         steps, feet = (
             replace(s, prior=read, terms=(*s.terms, carried, likely)) for s in (steps, feet)
@@ -212,23 +225,6 @@ class Collocation(Prior[PoseVariables]):
             minimiser=replace(last, tolerance_decrease=1e-3),
         )  # fmt: skip
         return root, poses, steps, limbs, feet
-
-    def without_feet(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
-        """The stages before the last: root, smooth poses, likely steps."""
-        w = self.weights
-        terms = (
-            *data,
-            Term("pose", prior_energy("pose"), w.pose.pose),
-            Term("shape", shape, w.pose.shape),
-            Term("acceleration", joint_acceleration, w.pose.acceleration),
-            Term("step", prior_energy("step"), w.step),
-            Term("latents", prior_energy("latents"), w.latents),
-        )
-        free = frozenset({"translation", "root", "pose", "shape"})
-        root, poses = self.poses.stages(data)
-        poses = replace(poses, minimiser=replace(poses.minimiser, tolerance_decrease=1e-3))
-        slow = LBFGS(max_iterations=200, tolerance_decrease=2e-3)
-        return root, poses, Stage("steps", self, terms, free, slow)
 
 
 def seen_whole(data: tuple[Term, ...], body: BodyModel) -> bool:

@@ -29,7 +29,8 @@ from recon.core.errors import ObservationError, ReconError
 from recon.core.limits import FRAME_RATE
 from recon.core.motion import Motion
 from recon.core.units import Axis
-from recon.diagnosis.findings import Finding
+from recon.diagnosis.examination import Check
+from recon.diagnosis.findings import Finding, Findings
 from recon.fitting.methods import FitOptions, trait_of
 from recon.fitting.observed import Clip
 from recon.fitting.settings import ReadOptions
@@ -61,6 +62,7 @@ def fit(
     callback: Watch | None = None,
     max_seconds: float | None = None,
     repair: bool = True,
+    checks: Sequence[Check] | None = None,
     **reading: Any,
 ) -> Result:
     """Reconstruct the motion that explains all that was observed of one clip.
@@ -115,6 +117,8 @@ def fit(
         max_seconds: time after which the fit is ended. Checks before and after the fit are not
             counted. A fit that is ended early has a warning and its last finite estimate.
         repair: whether what is surely wrong with the data is repaired before the fit.
+        checks: what is looked for in the data and in the fit: any of `recon.diagnosis.checks`, and
+            functions of your own, in that order; None are all, () is none.
         reading: how to read files, by the names of `recon.fitting.settings.ReadOptions`:
             `frame_rate`, `camera`, `unit`, `up`, `layout`, `person`, ...
 
@@ -133,7 +137,7 @@ def fit(
             frame_rate=how_read.frame_rate, up=how_read.up, person=how_read.person,  # pyright: ignore[reportArgumentType]
             ground="unknown" if ground == "auto" else ground, terms=terms, noise=noise,
             robust=robust, physics=physics, between=between, fps=fps, device=device,
-            callback=callback, max_seconds=max_seconds,
+            callback=callback, max_seconds=max_seconds, checks=checks,
         )  # fmt: skip
     model = body_given(body).to(device=device, dtype=torch.float32)
     sighting = observed(
@@ -161,11 +165,13 @@ def fit(
         limit = None if max_seconds is None else positive(max_seconds, "max_seconds")
         stopper = Stopper(callback, limit)
     examined = fitted(
-        clip.observations, clip.names, options, model, stopper, _start(start, sighting, model)
-    )
+        clip.observations, clip.names, options, model, stopper, _start(start, sighting, model),
+        checks,
+    )  # fmt: skip
     arguments = _plain(options) | {
         "ground": ground, "between": between, "robust": robust, "fps": fps,
         "max_seconds": max_seconds, "device": device,
+        "checks": "all" if checks is None else [one.__name__ for one in checks],
     }  # fmt: skip
     result = result_of(
         examined, clip, model.to(device="cpu"), fps, options.completes, arguments,
@@ -267,7 +273,8 @@ def refine(
     seen = found.seen.replace(ground_known=ground == "known")
     how |= {"body": model, "shape": given.shape, "start": found.motion, "repair": False}
     result = fit(seen, prior, **how)
-    examined = replace(result.examined, repairs=(*found.repairs, *result.repairs))
+    repairs = Findings(found.repairs)
+    examined = replace(result.examined, found=repairs + result.examined.found)
     return replace(result, notes=(*notes, *result.notes), examined=examined)
 
 

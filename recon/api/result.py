@@ -20,7 +20,6 @@ from recon.diagnosis.certainty import certainty_report
 from recon.diagnosis.doubts import Alternative
 from recon.diagnosis.examination import Examined
 from recon.diagnosis.findings import Finding
-from recon.diagnosis.motions.belt import in_room, path_of_belt
 from recon.fitting.fitted import Stretch
 from recon.fitting.observed import Clip
 from recon.formats.motions import MotionFile
@@ -322,6 +321,8 @@ def result_of(
         cycle = cycle_report(found, examined.residuals)
     belt = None
     if examined.belt is not None:
+        from recon.diagnosis.motions.belt import in_room, path_of_belt  # there are few treadmills
+
         belt = path_of_belt(motion, examined.belt)
         motion = in_room(motion, examined.belt)
     observed = torch.from_numpy(examined.observed_at(motion))

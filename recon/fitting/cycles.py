@@ -22,7 +22,7 @@ from recon.core.scene import OFFSETS, Scene
 from recon.core.struct import concatenate
 from recon.fitting.fitted import ClipFit
 from recon.fitting.methods import FitOptions, loaded
-from recon.method.priors import CyclePrior
+from recon.method.priors import CyclePrior, PriorLike
 from recon.method.protocols import REFERENCE_FPS
 from recon.method.reconstruction import Reconstruction, data_terms
 from recon.method.running import Hypotheses, rank, run_hypotheses
@@ -236,13 +236,23 @@ def complete(
             "completing a cycle takes scans, landmarks or joints, got 2D keypoints as well; fit "
             "them with another prior"
         )
-    prior = loaded(options.prior, options.weights, body)
-    if not isinstance(prior, CyclePrior):
-        raise ReconError(f"expected a prior of cycles, got a {type(prior).__name__}")
+    prior = cycle_prior(options.prior, options.weights, body)
     seen, rows = _with_offsets(tuple(o.thinned(FITTED) for o in seen))
     noises = tuple(cycle_noise(o, options.noise_of(row)) for row, o in enumerate(seen))
     dense = any(o.cloud and _fullest(o.cloud) >= DENSE for o in seen)
     return _Completion(seen, noises, prior, dense, CycleClock.of(seen), rows).fitted(body, watch)
+
+
+def cycle_prior(prior: PriorLike, weights: str, body: BodyModel) -> CyclePrior[Any]:
+    """A loaded prior of cycles.
+
+    Raises:
+        ReconError: when it is of something else.
+    """
+    found = loaded(prior, weights, body)
+    if not isinstance(found, CyclePrior):
+        raise ReconError(f"expected a prior of cycles, got a {type(found).__name__}")
+    return found
 
 
 @dataclass(frozen=True)
@@ -260,7 +270,9 @@ class _Completion:
 
     def fitted(self, body: BodyModel, watch: Watch | None) -> ClipFit:
         """The best fit of every clip."""
-        prior, step, noise = self.prior, self._rough_step, self.noise
+        prior, noise = self.prior, self.noise
+        # moments of the clock from one to the next while first guesses are compared
+        step = max(round(self.clock.fps / ROUGH_RATE), 1)
         seen = [
             _rough(o, max(round(o.fps / self.clock.fps * step), 1), body)
             for o in self.observations
@@ -290,11 +302,6 @@ class _Completion:
     def noise(self) -> float:
         """Metres by which the least noisy observation is off."""
         return min(one.metres for one in self.noises)
-
-    @property
-    def _rough_step(self) -> int:
-        """Moments of the clock from one to the next while first guesses are compared."""
-        return max(round(self.clock.fps / ROUGH_RATE), 1)
 
     def _moving(self, stages: Sequence[Stage[Any]]) -> list[Stage[Any]]:
         """The stages with offsets of markers, from the one in which they are near the body."""

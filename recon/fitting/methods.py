@@ -43,6 +43,11 @@ def loaded(prior: str | PriorLike, weights: str, body: BodyModel) -> Any:
     found = prior
     if isinstance(prior, str):
         kind = class_of(prior)
+        if missing := sorted(getattr(kind, "__abstractmethods__", ())):
+            raise WeightsError(
+                f"prior: {prior!r} lacks {' and '.join(missing)}, which every recon.method.Prior "
+                "has; write it"
+            )
         if hasattr(kind, "load"):
             found = kind.load(weights, body)
         elif weights == "open":

@@ -26,6 +26,7 @@ from recon.fitting.cycles import (
     RATES,
     complete,
     cycle_noise,
+    cycle_prior,
     in_space,
     moments_per_second,
     on_fast_clock,
@@ -34,7 +35,6 @@ from recon.fitting.cycles import (
 from recon.fitting.fitted import ClipFit, Stretch
 from recon.fitting.gait import CompletedCycle, CycleData, stretches, told_by_cycles
 from recon.fitting.methods import FitOptions, loaded
-from recon.method.priors import CyclePrior
 from recon.method.sensor import Sensor
 from recon.method.stages import Watch
 
@@ -158,7 +158,6 @@ def _one_cycle(
     if not covered:
         return None
     start, stop = motion.start_time, float(motion.times[-1])
-    assert prior.cycles is not None
     return replace(fit, stretches=(Stretch(start, stop, prior.cycles, len(times), 1, 1),))
 
 
@@ -186,9 +185,7 @@ def _gait(
     """The cycles of every stretch of gait of a first fit, completed from the data."""
     if prior.cycles is None or not (found := find_cycles(motion.to(device="cpu"))):
         return []
-    cycles = loaded(prior.cycles, prior.cycle_weights, body)
-    if not isinstance(cycles, CyclePrior):
-        raise ObservationError(f"expected a prior of cycles, got a {type(cycles).__name__}")
+    cycles = cycle_prior(prior.cycles, prior.cycle_weights, body)
     seen = in_space(first.observations)
     noises = tuple(cycle_noise(one, options.noise_of(row)) for row, one in enumerate(seen))
     data = CycleData(cycles, seen, noises, body)

@@ -26,11 +26,9 @@ from recon.core.scene import TILT, Scene, UnknownGround
 from recon.core.skeleton import FEET, joint_index
 from recon.method.newton import is_pointwise
 from recon.method.protocols import Decoded, Estimate
+from recon.method.quadratic import FRAME
 from recon.method.sensor import Sensor
 from recon.solver.banded import Banded
-
-FRAME = 69
-"""Coordinates of a frame: three of the translation, three of every joint's rotation step."""
 
 _HEAD = joint_index("head")
 _ANKLES = [joint_index("left_ankle"), joint_index("right_ankle")]
@@ -226,18 +224,18 @@ class Neighbourhood:
     def residuals(
         self, one: Sensor, frame: Int[Tensor, " moments"]
     ) -> tuple[Residuals, Float[Tensor, "moments points dims columns"]]:
-        """What a sensor misses, one clip, and its derivatives.
+        """Residuals r(x) of one clip and the Jacobian ∂r/∂x by the columns of this module.
 
         Args:
             one: the sensor.
-            frame: of the motion, for every moment of the sensor.
+            frame: of the motion, for every frame of the sensor.
         """
-        carries = is_pointwise(one)
+        carries, points_of = is_pointwise(one), getattr(one, "carried", None)
         held: Sensor = getattr(one, "matched", lambda _: one)(self.here)
         found = _of(held, self.translated if carries else self.everywhere)
         slopes = differences(found.values)
-        if carries:
-            points = one.carried(self.body, self.motion.shape[0], self.scene.offsets[0])
+        if carries and points_of is not None:
+            points = points_of(self.body, self.motion.shape[0], self.scene.offsets[0])
             moved = slopes[..., :_AXES] @ self._by_motion(points)[frame]
             slopes = torch.cat((moved, slopes[..., _AXES:]), -1)
         return found[0], slopes

@@ -24,7 +24,6 @@ from recon.core.motion import Motion
 from recon.core.residuals import Noise
 from recon.core.scene import Scene
 from recon.method.derivatives import (
-    FRAME,
     STEP,
     GroundBelief,
     GroundDeviation,
@@ -34,6 +33,7 @@ from recon.method.derivatives import (
 )
 from recon.method.priors import Density
 from recon.method.protocols import REFERENCE_FPS, Estimate
+from recon.method.quadratic import FRAME
 from recon.method.sensor import Sensor
 from recon.solver.banded import Banded, Factor, Inverse, add_differences
 

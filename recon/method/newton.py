@@ -1,7 +1,7 @@
 """Gauss-Newton Hessians of a stage's objective, clip by clip."""
 
 from dataclasses import dataclass
-from typing import Any, TypeGuard
+from typing import Any
 
 import torch
 from jaxtyping import Float, Int
@@ -12,8 +12,7 @@ from recon.core import rotations as so3
 from recon.core.camera import transform
 from recon.core.motion import Motion
 from recon.method.protocols import REFERENCE_FPS, Estimate
-from recon.method.quadratic import FRAME, ClipModel, PointSensor
-from recon.method.sensor import Sensor
+from recon.method.quadratic import FRAME, ClipModel
 from recon.method.stages import Stage
 from recon.method.terms import (
     Term,
@@ -62,10 +61,10 @@ def hessians(
     return found
 
 
-def is_pointwise(energy: Any) -> TypeGuard[PointSensor]:
-    """Whether an energy is a sum over moments of points with a place in the world."""
+def is_pointwise(energy: Any) -> bool:
+    """Whether an energy is a sum over frames of points that have a place in the world."""
     alone = getattr(energy, "placed", True) and getattr(energy, "momentwise", True)
-    return isinstance(energy, PointSensor) and alone
+    return hasattr(energy, "point_model") and alone
 
 
 def _add(term: Term, model: ClipModel) -> bool:
@@ -88,12 +87,11 @@ def _add(term: Term, model: ClipModel) -> bool:
     return True
 
 
-def _add_points(weight: float, sensor: PointSensor, model: ClipModel) -> None:
+def _add_points(weight: float, sensor: Any, model: ClipModel) -> None:
     """Add the curvature of points, which lie between two frames where clocks differ."""
     clip, motion, scene = model.clip, model.motion, model.estimate.scene
-    one: Any = sensor
-    one = one[clip]
-    if isinstance(one, Sensor):
+    one: Any = sensor[clip]
+    if hasattr(one, "settled"):
         one = one.settled(scene[clip])
     carried = sensor.carried(model.body, motion.shape, scene.offsets[clip])
     places = carried.of(*model.posed)
@@ -133,7 +131,7 @@ def _add_points(weight: float, sensor: PointSensor, model: ClipModel) -> None:
 
 
 def _between(
-    motion: Motion, sensor: PointSensor
+    motion: Motion, sensor: Any
 ) -> tuple[Int[Tensor, " seen"], Float[Tensor, " seen"], Int[Tensor, " seen"]]:
     """The frame before each moment, the share of the way to the next, and the moments within."""
     times = sensor.start_time + torch.arange(sensor.moments, dtype=torch.float64) / sensor.fps

@@ -68,6 +68,11 @@ def test_a_package_written_for_version_0_2_works_on():
         recon.fit(seen, former, method="other")
 
 
+def test_a_prior_that_lacks_a_half_is_told_which():
+    with pytest.raises(WeightsError, match="lacks decode and encode"):
+        loaded("recon.method:Prior", "open", bundled())
+
+
 def test_names_of_nobody_are_refused():
     with pytest.raises(WeightsError, match=r"prior: expected .*humor"):
         class_of("humr")

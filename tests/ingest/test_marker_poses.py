@@ -23,13 +23,13 @@ from recon.ingest.markers.calibration import Calibrated, SubjectEnergies
 from recon.ingest.markers.coverage import full_body_markers, nominal_offsets
 from recon.ingest.markers.fit import OUTLIER, MarkerWeights, fit_markers
 from recon.ingest.markers.poses import PoseEnergies, Poses, SkinPoints, natural_pose
+from recon.ingest.markers.tied_frames import LevenbergMarquardt, minimise_frames
 from recon.method.free import FreeMotion
 from recon.method.protocols import REFERENCE_FPS, Decoded, Estimate
 from recon.method.running import run_stages
 from recon.method.stages import Stage
 from recon.method.terms import Term
 from recon.solver.lbfgs import LBFGS
-from recon.solver.levenberg_marquardt import LevenbergMarquardt, minimise_frames
 from tests.ingest.walker import MARKERS
 
 STEP = 1e-6

@@ -106,12 +106,12 @@ def body_size(images: Images) -> float | None:
     return float(np.median(ratios)) if len(ratios) >= 4 else None
 
 
-def scale_findings(images: Images) -> list[Finding]:
+def scale_findings(images: Images) -> tuple[Finding, ...]:
     """Whether everything is larger or smaller than people are."""
     size = body_size(images) if len(images.names) > 1 else None
     if size is None or _MIN_SIZE_RATIO < size < _MAX_SIZE_RATIO:
-        return []
-    return [
+        return ()
+    return (
         Finding(
             "scale",
             f"the cameras see a person {size:.2f} times as large as the average one: their "
@@ -119,8 +119,8 @@ def scale_findings(images: Images) -> list[Finding]:
             "another size than was given (--camera-unit; a person of "
             f"{1.7 * size:.2f} m is right as it is)",
             value=size,
-        )
-    ]
+        ),
+    )
 
 
 def _ends(images: Images) -> list[tuple[int, int]]:

@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from observations.noise import estimate_noise
-from recon.diagnosis.findings import Code, Finding
+from recon.diagnosis.findings import Code, Finding, Findings
 from recon.diagnosis.views.explanations import matrix_of, shifted
 from recon.diagnosis.views.images import Images
 from recon.diagnosis.views.rays import Rays
@@ -160,21 +160,6 @@ class _Rays(Problem[Float[np.ndarray, "4"]]):
         return out
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """All views after what was sure was undone."""
-
-    images: Images
-    repairs: tuple[Finding, ...] = ()
-    warnings: tuple[Finding, ...] = ()
-
-    def then(self, other: "Outcome") -> "Outcome":
-        """The findings of this outcome before those of another."""
-        return Outcome(
-            other.images, (*self.repairs, *other.repairs), (*self.warnings, *other.warnings)
-        )
-
-
 _LEAST_NOISE = 0.5
 """Pixels; keypoints are not known better than that."""
 _MIN_SQUARED_STDS = 60.0
@@ -231,12 +216,12 @@ def corrections(images: Images) -> Corrections:
     return Corrections(images, applied)
 
 
-def corrected_rig(images: Images) -> Outcome:
+def corrected_rig(images: Images) -> tuple[Images, Findings]:
     """The views after `corrections`, in the words of findings."""
     found = corrections(images)
     repairs = tuple(_finding(images, one) for one in found.applied)
     warnings = (_undecided(images, found.undecided),) if found.undecided else ()
-    return Outcome(found.images, repairs, warnings)
+    return found.images, Findings(repairs, warnings)
 
 
 def candidates(images: Images) -> list[Registration]:

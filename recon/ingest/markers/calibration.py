@@ -9,9 +9,9 @@ from torch import Tensor
 from recon.body.model import BodyModel
 from recon.core.struct import TensorStruct
 from recon.ingest.markers.poses import PoseEnergies, Poses, SkinPoints
+from recon.ingest.markers.tied_frames import LevenbergMarquardt, minimise_frames
 from recon.solver.banded import Banded
 from recon.solver.gauss_newton import GaussNewton, Problem, Quadratic, minimise
-from recon.solver.levenberg_marquardt import LevenbergMarquardt, minimise_frames
 
 _EVERY = 4
 """Shape and offsets are found from every fourth frame before they are found from all."""
