@@ -15,9 +15,22 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from recon.diagnosis.views.explanations import matrix_of, robust_turns, rotation_vector, shifted
+from recon.diagnosis.views.explanations import (
+    centre,
+    matrix_of,
+    robust_turns,
+    rotation_vector,
+    shifted,
+)
 from recon.diagnosis.views.images import Images
-from recon.diagnosis.views.trajectories import Trajectories, derivatives, in_camera, projected
+from recon.diagnosis.views.rays import in_front
+from recon.diagnosis.views.trajectories import (
+    Trajectories,
+    by_turn,
+    derivatives,
+    in_camera,
+    projected,
+)
 from recon.solver.banded import Banded
 from recon.solver.gauss_newton import GaussNewton, Problem, Quadratic, minimise
 
@@ -219,7 +232,7 @@ class _Problem(Problem[_View]):
 
     def _shift(self, pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "3"]:
         """How far the camera's centre is from the given one, along its axes, metres."""
-        return pose[:3, :3] @ (_centre(pose) - _centre(self.images.pose[0, 0]))
+        return pose[:3, :3] @ (centre(pose) - centre(self.images.pose[0, 0]))
 
     def _equations(
         self, x: _View, found: "_Residuals"
@@ -270,12 +283,7 @@ class _Problem(Problem[_View]):
     def _turned(self, late: float, pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
         points, _, _, exists = self.paths.at(self.frames - late)
         local, front = in_camera(pose, points)
-        matrix = self.images.matrix[0]
-        plane = (self.images.pixels[0, self.rows] - matrix[:2, 2]) @ np.linalg.inv(
-            matrix[:2, :2]
-        ).T
-        rays = np.concatenate((plane, np.ones_like(plane[..., :1])), -1)
-        rays = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+        rays = in_front(self.images)[0, self.rows]
         ways = local / np.maximum(np.linalg.norm(local, axis=-1, keepdims=True), 1e-9)
         there = self.seen & exists & front
         if not there.any():
@@ -294,13 +302,8 @@ class _Problem(Problem[_View]):
         noise = by_point @ covariance @ np.swapaxes(by_point, -1, -2)
         noise = noise + self.sigma**2 * np.eye(2)
         whiten = np.linalg.inv(np.linalg.cholesky(noise))
-        x, y, z = np.moveaxis(local, -1, 0)
-        zero = np.zeros_like(x)
-        by_turn = np.stack([
-            np.stack((zero, z, -y), -1), np.stack((-z, zero, x), -1), np.stack((y, -x, zero), -1)
-        ], -2)  # fmt: skip
         jacobian = np.concatenate(
-            (-(by_point @ velocity[..., None]), by_place @ by_turn, -by_place), -1
+            (-(by_point @ velocity[..., None]), by_place @ by_turn(local), -by_place), -1
         )
         by_velocity = whiten @ by_point
         blur = self.paths.velocity_noise * (by_velocity @ covariance * by_velocity).sum((-2, -1))
@@ -375,10 +378,5 @@ def _moved(
         return pose
     out = pose.copy()
     out[:3, :3] = matrix_of(turn) @ pose[:3, :3]
-    centre = _centre(pose) + out[:3, :3].T @ shift
-    out[:3, 3] = -out[:3, :3] @ centre
+    out[:3, 3] = -out[:3, :3] @ (centre(pose) + out[:3, :3].T @ shift)
     return out
-
-
-def _centre(pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "3"]:
-    return -pose[:3, :3].T @ pose[:3, 3]
