@@ -201,12 +201,7 @@ class Local(Problem[Unknowns[Any]]):
         """
         with torch.no_grad():
             estimate = base.estimate(self.stage.prior, self.body)
-            return self._hessians(self.stage, base, estimate)
-
-    def _hessians(
-        self, stage: Stage[Any], base: Unknowns[Any], estimate: Estimate
-    ) -> list[Banded]:
-        return hessians(stage, base.variables, estimate, self.bordered > self.frames)
+            return hessians(self.stage, base.variables, estimate, self.bordered > self.frames)
 
     def stepped(self, base: Unknowns[Any], steps: Float[Tensor, "rows n"]) -> Unknowns[Any]:
         """The unknowns of some clips after steps, with slopes by these."""
@@ -236,7 +231,8 @@ class Local(Problem[Unknowns[Any]]):
             terms = stage.values(estimate)
             (gradient,) = torch.autograd.grad(terms.sum(), zero)
         with torch.no_grad():
-            return Quadratic(terms.detach(), gradient, self._hessians(stage, base, estimate))
+            found = hessians(stage, base.variables, estimate, self.bordered > self.frames)
+        return Quadratic(terms.detach(), gradient, found)
 
     def moved(
         self, x: Unknowns[Any], rows: Int[Tensor, " rows"], steps: Float[Tensor, "rows n"]
