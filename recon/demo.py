@@ -121,7 +121,7 @@ def _demo(out: Path) -> dict[str, dict[str, Metrics]]:
         with writing_file(out / f"{name}.npz", said) as staged:
             save_motion(staged, described(motion, body))
         write_html(out / ("demo.html" if name == "occluded" else f"{name}.html"), shows[-1])
-    write_png(out / "demo.png", shows)
+    write_png(out / "demo.png", *shows)
     (out / "demo.json").write_text(json.dumps(table, indent=1))
     return table
 

@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from priors.anchor.frames import ANCHORS, POSED, Alignment, Anchors, rest_pelvis
+from priors.anchor.frames import ANCHORS, POSED, Anchors, rest_pelvis
 from priors.anchor.networks import AnchorWeights, load_weights
 from priors.cosines import cosines
 from recon.body.model import BodyModel
@@ -50,8 +50,8 @@ class AnchorVariables(TensorStruct):
     latent: Float[Tensor, "*batch latent"]
     """Whitened code: z = mean + root · latent."""
     shape: Float[Tensor, "*batch shape"]
-    turn: Float[Tensor, "*batch turn"]
-    """Rotation of the cycle from `base`: about the vertical alone, or about three axes."""
+    turn: Float[Tensor, "*batch 1"]
+    """Rotation of the cycle from `base` about the vertical."""
     place: Float[Tensor, "*batch 3"]
     """Translation of the cycle from `base`."""
     begin: Float[Tensor, "*batch"]
@@ -99,11 +99,6 @@ class AnchorFrames(CyclePrior[AnchorVariables]):
         return cls(found, body)
 
     @property
-    def alignment(self) -> Alignment:
-        """The part of a cycle's place and orientation that codes do not hold."""
-        return self.weights.alignment
-
-    @property
     def code_size(self) -> int:
         """Numbers in a code."""
         return self.weights.networks.latent
@@ -148,8 +143,7 @@ class AnchorFrames(CyclePrior[AnchorVariables]):
         minimiser: LBFGS,
     ) -> Stage[AnchorVariables]:
         """A stage with the densities of codes, shapes and ends: -log p in nats, times noise²."""
-        weights = {"latent": 1.0, "shape": 1.0, "ends": _ENDS**-2}
-        weights |= {"sink": 1.0} if self.alignment is Alignment.YAW else {}
+        weights = {"latent": 1.0, "shape": 1.0, "ends": _ENDS**-2, "sink": 1.0}
         likely = (Term(one, prior_energy(one), w * noise**2) for one, w in weights.items())
         return Stage(name, self, (*data, *likely), free, minimiser)
 
@@ -164,7 +158,7 @@ class AnchorFrames(CyclePrior[AnchorVariables]):
         ]
         anchors = stack([Anchors.of(clip) for clip in clips])
         pelvis = rest_pelvis(self.body, motion.shape)
-        aligned, T = anchors.aligned(self.alignment, pelvis)
+        aligned, T = anchors.aligned(pelvis)
         with torch.no_grad():
             mean, _ = self.weights.networks.posterior(aligned.pack())
         return self.variables(mean, motion.shape, T, motion.valid, motion.fps, motion.start_time)
@@ -182,13 +176,11 @@ class AnchorFrames(CyclePrior[AnchorVariables]):
         spread = self.weights.spread
         away = (codes - spread.mean)[..., None]
         latent = torch.linalg.solve_triangular(spread.root, away, upper=False)[..., 0]
-        axes = 1 if self.alignment is Alignment.YAW else 3
-        like = latent[..., :1]
-        zero = torch.zeros_like(like)
+        zero = torch.zeros_like(latent[..., :1])
         return AnchorVariables(
             latent=latent,
             shape=shape,
-            turn=zero.repeat_interleave(axes, -1),
+            turn=zero,
             place=zero.repeat_interleave(3, -1),
             begin=zero[..., 0],
             bend=zero[..., None].expand(*zero.shape[:-1], MODES, 3 * len(POSED)).clone(),
@@ -255,9 +247,7 @@ class AnchorFrames(CyclePrior[AnchorVariables]):
         return since / rows[..., -1, -1:].clamp(min=1e-3) * (ANCHORS - 1)
 
     def _placing(self, x: AnchorVariables) -> Float[Tensor, "*batch 4 4"]:
-        vector = TURN * x.turn
-        if vector.shape[-1] == 1:
-            vector = torch.nn.functional.pad(vector, (2, 0))
+        vector = torch.nn.functional.pad(TURN * x.turn, (2, 0))
         turn = x.base[..., :3, :3] @ so3.exp(vector)
         return so3.rigid(turn, x.base[..., :3, 3] + PLACE * x.place)
 

@@ -73,7 +73,9 @@ class Aligned:
         return torch.stack(found)
 
 
-def align(body: BodyModel, shape: Float[Tensor, " shape"], target: BodyModel) -> Aligned:
+def align(
+    body: BodyModel, shape: Float[Tensor, " shape"], target: BodyModel, count: int | None = None
+) -> Aligned:
     """The shape and pose in which the target's surface lies nearest to a body at rest.
 
     Gauss-Newton over translation, turns and shape: first on the joints of the limbs, then on the
@@ -84,10 +86,12 @@ def align(body: BodyModel, shape: Float[Tensor, " shape"], target: BodyModel) ->
         body: whose surface is met, unposed.
         shape: its shape.
         target: the body that is shaped and posed.
+        count: coefficients of its shape, the first ones; None is all.
     """
     rest = body.rest_vertices(shape).numpy()
     met = _Met(rest, body.faces.numpy(), vertex_normals(rest, body.faces.numpy()))
-    state = torch.zeros(_TURNS.stop + target.shape_size, dtype=torch.float64)
+    shapes = target.shape_size if count is None else count
+    state = torch.zeros(_TURNS.stop + shapes, dtype=torch.float64)
     joints = body.rest_joints(shape)[list(_LIMBS)]
     state, _ = minimise(_Alignment(target, joints), state, _JOINT_OPTIONS)
     state, _ = minimise(_Alignment(target, met), state, _SURFACE_OPTIONS)
@@ -264,7 +268,7 @@ def _begun_at_rest(motion: Motion, body: BodyModel, target: BodyModel, rest: Ali
     skin = body.pose(motion).points(torch.from_numpy(corners))
     asked = skin[:, torch.from_numpy(back.reshape(met.triangles.shape))]
     positions = torch.einsum("pc,tpcd->tdp", shares, asked)
-    local, translation = _begun(motion, body, target, rest)
+    local, translation = carried(motion, body, target, rest)
     # what at rest is far from the other surface is a part that only one body has
     far = torch.from_numpy(np.linalg.norm(met.places - there, axis=-1)) > _OUTLIER_IN_MOTION
     energies = PoseEnergies(
@@ -287,7 +291,7 @@ def _begun_at_rest(motion: Motion, body: BodyModel, target: BodyModel, rest: Ali
     )
 
 
-def _begun(
+def carried(
     motion: Motion, body: BodyModel, target: BodyModel, rest: Aligned
 ) -> tuple[Float[Tensor, "time 22 3 3"], Float[Tensor, "time 3"]]:
     """Bones turned as those of the first body are, from the pose in which the two agree."""

@@ -26,8 +26,8 @@ X = TypeVar("X")
 """The state of all problems of a batch."""
 
 _RAISE, _LOWER = 10.0, 0.1
-_FIRST_RAISE = 1e-3
-"""Damping after the first step that was refused, at least."""
+_MIN_DAMPING = 1e-6
+"""Damping is not lowered beyond this, so that it is raised quickly when a step is refused."""
 
 
 @dataclass(frozen=True)
@@ -144,6 +144,7 @@ def _stepped(
         steps[waiting] = trial
         taken += good
         waiting = [k for k in waiting if k not in good and runs[k].end is None]
+    taken.sort()
     return problem.moved(x, active[taken], steps[taken]) if taken else x
 
 
@@ -185,7 +186,7 @@ class _Run:
         few = options.tolerance * max(abs(before), options.scale)
         if gain >= 0:  # false for nan
             self.trace.append(terms)
-            self.damping *= _LOWER
+            self.damping = max(_LOWER * self.damping, _MIN_DAMPING)
             self.end = Termination.CONVERGED if gain <= few else None
             return True
         if promise <= few:
@@ -195,7 +196,7 @@ class _Run:
         return False
 
     def _raise_damping(self, options: GaussNewton) -> None:
-        self.damping = max(_RAISE * self.damping, _FIRST_RAISE)
+        self.damping = max(_RAISE * self.damping, _MIN_DAMPING)
         if self.damping > options.max_damping:
             self.end = Termination.LINE_SEARCH
 
