@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import torch
@@ -9,11 +10,10 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from observations.checks import checked_clock, checked_positions, checked_view
-from observations.start.depth import depth_start
 from observations.start.labelled import labelled_start
 from observations.start.surface_steps import costs_of_points, kinds_of_surfels
 from observations.surfels import Surfels, to_discs, tukey, tukey_scale, within
-from priors.labels.looking import PointLabels
+from priors.labels.looking import CloudLabeller, PointLabels
 from recon.body.model import BodyModel
 from recon.core.arrays import Numbers, float_tensor
 from recon.core.camera import Camera
@@ -24,7 +24,7 @@ from recon.core.raster import facing
 from recon.core.residuals import Noise, Residuals
 from recon.method.protocols import REFERENCE_FPS, Estimate
 from recon.method.sensor import Sensor
-from recon.method.timing import at_observation_times, padded
+from recon.method.timing import padded
 
 _FEW_POINTS, _FEW_SURFELS = 96, 500
 _FLESH, _FLESH_POINTS = 0.15, 3
@@ -146,10 +146,8 @@ class PointCloud(Sensor):
 
     def shown_joints(self, estimate: Estimate) -> Bool[np.ndarray, "moments 22"]:
         """Joints of the first clip with points on the flesh around them, at every moment."""
-        joints, covered = at_observation_times(
-            estimate.scene.to_recording(estimate.body.joints), estimate.motion,
-            fps=self.fps, start_time=self.start_time, moments=self.moments,
-        )  # fmt: skip
+        joints = estimate.scene.to_recording(estimate.body.joints)
+        joints, covered = self.at_own_times(joints, estimate.motion)
         found = np.zeros((self.moments, joints.shape[-2]), dtype=bool)
         for moment in range(covered.start, covered.stop):
             points = self.points[0, moment][self.present[0, moment]]
@@ -177,7 +175,7 @@ class PointCloud(Sensor):
         One-way Chamfer: every point belongs to the nearest vertex of the body at its moment that
         faces the sensor. Where no vertex faces the sensor, all of them are searched.
         """
-        squared, present, seen = self._squared_distances(estimate)
+        squared, present, seen = self.squared_distances(estimate)
         variance, worth = self._relative(seen)
         relative, present = (squared / variance).flatten(-2), present.flatten(-2)
         held = self.scale
@@ -201,13 +199,8 @@ class PointCloud(Sensor):
         count = self.present[..., seen, :].sum(-1, keepdim=True).clamp(min=CLOUD_WORTH)
         return 1 + added, (1 + added) / (1 + added * CLOUD_WORTH / count)
 
-    def squared_distances(self, estimate: Estimate) -> tuple[Tensor, Tensor]:
-        """Squared distances (*batch, seen, points), metres², and which points are present."""
-        squared, present, _ = self._squared_distances(estimate)
-        return squared, present
-
-    def _squared_distances(self, estimate: Estimate) -> tuple[Tensor, Tensor, slice | Tensor]:
-        """Squared distances, presence, and the moments that they are of."""
+    def squared_distances(self, estimate: Estimate) -> tuple[Tensor, Tensor, slice | Tensor]:
+        """Squared distances (*batch, seen, points), metres², which exist, and their moments."""
         if self.pairs is not None and estimate.body.model.pose_directions is None:
             return self._from_pairs(estimate, self.pairs)
         middles, normals, seen = self._surface(estimate)
@@ -223,9 +216,9 @@ class PointCloud(Sensor):
 
         Where the cloud is `matched`, from the discs that its points were given.
         """
-        squared, present, seen = self._squared_distances(estimate)
+        squared, present, seen = self.squared_distances(estimate)
         away = squared.clamp(min=0).sqrt()[..., None]
-        return padded(away, present, seen, self.points.shape[-3])
+        return padded(away, present, seen, self.moments)
 
     def _between(
         self, middles: Tensor, normals: Tensor, seen: slice, index: Tensor
@@ -236,10 +229,8 @@ class PointCloud(Sensor):
 
     def _from_pairs(self, estimate: Estimate, pairs: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Squared distances, presence and moments; only the discs of these pairs are posed."""
-        bones, seen = at_observation_times(
-            estimate.body.bones.flatten(-3, -2), estimate.motion,
-            fps=self.fps, start_time=self.start_time, moments=self.points.shape[-3],
-        )  # fmt: skip
+        bones = estimate.body.bones.flatten(-3, -2)
+        bones, seen = self.at_own_times(bones, estimate.motion)
         full = self.present[..., seen, :].any(-1).flatten(0, -2).any(0).nonzero()[:, 0]
         moments = full + seen.start
         index = pairs[..., moments, :]
@@ -269,9 +260,7 @@ class PointCloud(Sensor):
         """
         points, present = self.points[..., seen, :, :], self.present[..., seen, :]
         allowed = torch.ones_like(middles[..., 0], dtype=torch.bool)
-        if self.camera is not None:
-            eye = self.camera.at(range(seen.start, seen.stop)).T_world_camera[..., :3, 3]
-            eye = eye.expand(*middles.shape[:-2], 3)
+        if (eye := self.eye(range(seen.start, seen.stop))) is not None:
             allowed = facing(middles.detach(), normals.detach(), eye)
         if self.labels is None:
             return nearest(points, present, middles, allowed)
@@ -284,15 +273,17 @@ class PointCloud(Sensor):
 
     def _surface(self, estimate: Estimate) -> tuple[Tensor, Tensor, slice]:
         """Middles and normals of the discs in the recording, at the moments that are covered."""
-        middles, normals = self.surfels.posed(estimate.body)
-        clock = {"fps": self.fps, "start_time": self.start_time, "moments": self.points.shape[-3]}
-        middles, seen = at_observation_times(
-            estimate.scene.to_recording(middles), estimate.motion, **clock
-        )
-        normals, _ = at_observation_times(
-            estimate.scene.to_recording_directions(normals), estimate.motion, **clock
-        )
-        return middles, normals, seen
+        (middles, normals), scene = self.surfels.posed(estimate.body), estimate.scene
+        middles, seen = self.at_own_times(scene.to_recording(middles), estimate.motion)
+        normals = scene.to_recording_directions(normals)
+        return middles, self.at_own_times(normals, estimate.motion)[0], seen
+
+    def eye(self, moments: range) -> Float[Tensor, "*batch moments 3"] | None:
+        """Where the sensor was at some moments, recording, metres; None for scans."""
+        if self.camera is None:
+            return None
+        place = self.camera.at(moments).T_world_camera[..., :3, 3]
+        return place.expand(*self.clips, len(moments), 3)
 
     def thinned(self, most: int) -> "PointCloud":
         """A cloud of at most `most` points in every moment; points come in no order."""
@@ -319,12 +310,25 @@ class PointCloud(Sensor):
         return few.derived(surfels=Surfels.of(body, _FEW_SURFELS))
 
     def start(self, body: BodyModel) -> Motion:
-        """Poses that labels tell (`labelled_start`), or without any a posture (`depth_start`)."""
-        eye = None
-        if self.camera is not None:
-            eye = self.camera.at(range(self.moments)).T_world_camera[..., :3, 3]
-            eye = eye.expand(*self.points.shape[:-2], 3)
-        clock = {"fps": self.fps, "start_time": self.start_time}
+        """The average body in the poses that labels tell; see `labelled_start`."""
+        seen = self.labelled()
+        assert seen.labels is not None
+        return labelled_start(
+            body, seen.points, seen.present, seen.labels, self.eye(range(self.moments)),
+            fps=self.fps, start_time=self.start_time,
+        )  # fmt: skip
+
+    def labelled(self) -> "PointCloud":
+        """The cloud with what the bundled network believes of its points, unless it has labels."""
         if self.labels is not None:
-            return labelled_start(body, self.points, self.present, self.labels, eye, **clock)
-        return depth_start(body, self.surfels, self.points, self.present, eye, **clock)
+            return self
+        level = self.ground_known or self.ground_seen
+        eye = self.eye(range(self.moments))
+        found = _labeller()(self.points, self.present, self.fps, eye, level=level)
+        return self.derived(labels=found.to(dtype=self.points.dtype))
+
+
+@cache
+def _labeller() -> CloudLabeller:
+    """The bundled network, loaded once, and with the first cloud."""
+    return CloudLabeller.load()

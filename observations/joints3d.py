@@ -57,6 +57,11 @@ class Joints3D(TrackedPoints):
         """The joints of a posed body, world, metres."""
         return body.joints[..., list(self.joints), :]
 
+    @property
+    def marks(self) -> tuple[int, ...]:
+        """Numbers of the joints."""
+        return self.joints
+
     def on_bones(self, body: BodyModel, shape: Float[Tensor, " shape"]) -> CarriedPoints:
         """The joints on a body of some shape."""
         return CarriedPoints.joints(body, shape).some(self.joints)

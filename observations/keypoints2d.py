@@ -16,7 +16,7 @@ from observations.points import OFFSET_UNIT, PointsOfBody
 from observations.start.images import image_start
 from recon.body.model import BodyModel
 from recon.core.arrays import Numbers, positive
-from recon.core.camera import Camera, Projection
+from recon.core.camera import NEAREST, Camera, Projection
 from recon.core.motion import Motion
 from recon.core.residuals import Noise, Unit
 from recon.core.robust import geman_mcclure
@@ -126,16 +126,31 @@ class Keypoints2D(PointsOfBody):
     def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
         """½ Σ c² (ρ(Δu) + ρ(Δv)) with ρ(e) = σ² e² / (σ² + e²), taken at 30 Hz.
 
-        Twice of it is HuMoR's joints2d (section 6.5). A point that the estimate has behind the
-        camera counts as the farthest error.
+        Twice of it is HuMoR's joints2d (section 6.5).
         """
-        projected, seen = self.project(estimate)
-        error = geman_mcclure(
-            (projected.pixels - self.pixels[..., seen, :, :]).square(), self.sigma
-        )
+        points, seen = super().expected(estimate)
+        part = self.settled(estimate.scene)
+        if points.shape[-3] < self.moments:
+            part = part.derived(**part.some_frames(range(seen.start, seen.stop)))
+        return part.energy(points)
+
+    def energy(self, points: Float[Tensor, "*batch frames points 3"]) -> Float[Tensor, "*batch"]:
+        """The energy of predicted points, frame of the recording, in all frames of the data.
+
+        A point behind the camera counts as the farthest error.
+        """
+        projected = self.camera.project(points)
+        error = geman_mcclure((projected.pixels - self.pixels).square(), self.sigma)
         error = torch.where(projected.in_front[..., None], error, self.sigma**2).sum(-1)
-        counted = self.confidence[..., seen, :].square() * error
+        counted = self.confidence.square() * error
         return 0.5 * counted.sum((-2, -1)) * (REFERENCE_FPS / self.fps)
+
+    def distances(self, points: Float[Tensor, "*batch frames points 3"]) -> Tensor:
+        """Metres between measured and predicted points, at the depth of the latter."""
+        projected = self.camera.project(points)
+        focal = self.camera.camera_matrix[..., [0, 1], [0, 1]].mean()
+        pixels = (projected.pixels - self.pixels).norm(dim=-1)
+        return pixels * projected.depth.clamp(min=NEAREST) / focal
 
     def project(self, estimate: Estimate) -> tuple[Projection, slice]:
         """The estimate's keypoints in the image, at the moments that it covers, and which."""

@@ -1,21 +1,19 @@
-"""What kinds of sensors a clip has; ask the sensors: `named`, `view`, `cloud`, `places`."""
+"""Sensors of a clip by what they see, for checks; others ask `named`, `view` and `cloud`."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from recon.method.sensor import Sensor
-from recon.method.sensor import unposed_camera as unposed_camera
+from recon.method.sensor import views_of as views
 
 if TYPE_CHECKING:
     from observations.depth import PointCloud
-    from observations.keypoints2d import Keypoints2D
     from observations.points import TrackedPoints
+    from observations.points import TrackedPoints as Tracked
+else:  # the code of a sensor is loaded with its data
+    TrackedPoints = Tracked = PointCloud = Sensor
 
-    Tracked = TrackedPoints
-    InSpace = TrackedPoints | PointCloud
-else:
-    # a clip loads the code of those sensors alone that it has
-    TrackedPoints = Tracked = InSpace = Keypoints2D = PointCloud = Sensor
+__all__ = ["Tracked", "clouds", "markers", "tracked", "views"]
 
 
 def tracked(observations: Sequence[Sensor]) -> list[TrackedPoints]:
@@ -28,26 +26,6 @@ def markers(observations: Sequence[Sensor]) -> list[TrackedPoints]:
     return [one for one in tracked(observations) if one.on_skin]
 
 
-def in_space(observations: Sequence[Sensor]) -> list[InSpace]:
-    """Joints, markers, keypoints and clouds, in the order given."""
-    return [found for one in observations if (found := one.named or one.cloud)]
-
-
-def is_in_space(one: Sensor) -> bool:
-    """Whether a sensor gives places in space, metres."""
-    return one.places is not None
-
-
-def views(observations: Sequence[Sensor]) -> list[Keypoints2D]:
-    """Keypoints in images."""
-    return [view for one in observations if (view := one.view)]
-
-
 def clouds(observations: Sequence[Sensor]) -> list[PointCloud]:
     """Points without names."""
     return [cloud for one in observations if (cloud := one.cloud)]
-
-
-def camera_frame_is_recording(seen: Sensor) -> bool:
-    """Whether a fixed camera's pose is the identity, as it is where nobody gave one."""
-    return seen.unposed

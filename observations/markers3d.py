@@ -77,6 +77,11 @@ class Markers3D(TrackedPoints):
         turns = body.orientations[..., list(self.bones(body.model)), :, :]
         return points + (turns @ points.new_tensor(self.offsets)[..., None])[..., 0]
 
+    @property
+    def marks(self) -> tuple[int, ...]:
+        """Numbers of the vertices."""
+        return self.vertices
+
     def on_bones(self, body: BodyModel, shape: Float[Tensor, " shape"]) -> CarriedPoints:
         """The points on a body of some shape."""
         vertices = torch.tensor(self.vertices, device=shape.device)

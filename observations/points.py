@@ -44,6 +44,15 @@ class PointsOfBody(Sensor):
         """The points of a posed body, world, metres."""
         return self.points.of(body)
 
+    @property
+    def marks(self) -> tuple[str, ...] | tuple[int, ...]:
+        """What tells the points apart: their names, or numbers of joints or vertices."""
+        return self.points.names
+
+    def energy(self, points: Float[Tensor, "*batch frames points 3"]) -> Float[Tensor, "*batch"]:
+        """The energy of predicted points, frame of the recording, in all frames of the data."""
+        raise NotImplementedError
+
     def on_bones(self, body: BodyModel, shape: Float[Tensor, " shape"]) -> CarriedPoints:
         """The points on a body of some shape, without offsets."""
         points = self.points
@@ -213,6 +222,16 @@ class TrackedPoints(PointsOfBody):
         return of_places(
             points, self.positions, self.weights, self.kernel, REFERENCE_FPS / self.fps
         )
+
+    def energy(self, points: Float[Tensor, "*batch frames points 3"]) -> Float[Tensor, "*batch"]:
+        """½ Σ kernel(w² |measured - predicted|²), taken at 30 Hz; metres²."""
+        away = (self.positions - points).square().sum(-1)
+        size = self.weights.to(away).square() * away
+        return 0.5 * self.kernel(size).sum((-2, -1)) * (REFERENCE_FPS / self.fps)
+
+    def distances(self, points: Float[Tensor, "*batch frames points 3"]) -> Tensor:
+        """Metres between measured and predicted points."""
+        return (self.positions - points).norm(dim=-1)
 
     def noise(self, guess: Motion, body: BodyModel, given: float | None = None) -> Noise:
         """The standard deviation of a coordinate.

@@ -121,7 +121,7 @@ def _demo(out: Path) -> dict[str, dict[str, Metrics]]:
         with writing_file(out / f"{name}.npz", said) as staged:
             save_motion(staged, described(motion, body))
         write_html(out / ("demo.html" if name == "occluded" else f"{name}.html"), shows[-1])
-    write_png(out / "demo.png", shows)
+    write_png(out / "demo.png", *shows)
     (out / "demo.json").write_text(json.dumps(table, indent=1))
     return table
 
@@ -130,14 +130,14 @@ def _metrics(
     result: Reconstruction, seen: Joints3D | Markers3D, truth: Motion, body: BodyModel
 ) -> Metrics:
     predicted = seen[None].predicted(result.estimate)[0].detach()
-    exact = simulate.exact(seen, truth, body)
+    exact = seen.predict(body.pose(truth))
     points = ObservedPoints(predicted.double(), exact.double(), seen.visible)
     return evaluate(result.clip(0).detach(), truth, body, observed=points)
 
 
 def _observed(seen: Joints3D | Markers3D, truth: Motion, body: BodyModel) -> Metrics:
     """Errors of the data themselves; None where they tell no joints."""
-    exact = simulate.exact(seen, truth, body)
+    exact = seen.predict(body.pose(truth))
     errors = observed_errors(ObservedPoints(seen.positions, exact, seen.visible))
     metrics: Metrics = {"observed_visible": errors["observed_visible"]}
     if not seen.on_skin:

@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 from jaxtyping import Float
 from torch import Tensor
 
-from priors.humor.likely import LikelyStates, as_read, at_tempo, tempo
+from priors.humor.likely import as_read, at_tempo
 from priors.humor.prior import Humor
 from priors.humor.state import contact_probabilities, posed_states
 from priors.humor.steps import (
@@ -40,7 +40,6 @@ from recon.method.quadratic import ClipModel
 from recon.method.sensor import Sensor
 from recon.method.stages import Stage
 from recon.method.terms import PriorEnergy, Term, joint_acceleration, prior_energy, shape
-from recon.physics.support import Support
 from recon.solver.banded import add_differences
 from recon.solver.lbfgs import LBFGS
 
@@ -122,12 +121,10 @@ class Collocation(Prior[PoseVariables]):
             weight = term.weight * contacts[clip.clip, 1:].where(exists, 0.0)
             add_differences(clip.joints, (-1.0, 1.0), weight.repeat_interleave(3, -1))
             return True
-        energy = term.energy
-        if isinstance(energy, Support):
+        energy: Any = term.energy
+        if hasattr(energy, "add_curvature"):
             energy.add_curvature(term.weight, clip.estimate, clip.clip, clip.joints)
             return True
-        if isinstance(energy, LikelyStates):
-            return True  # steps are stiffer: L-BFGS learns what this one adds
         if not isinstance(energy, PriorEnergy) or energy.name not in ("step", "latents"):
             return self.poses.add_curvature(term, clip)
         name = energy.name
@@ -186,36 +183,6 @@ class Collocation(Prior[PoseVariables]):
         moves faster than the networks know is read slower.
         """
         del noise, body, method  # its weights are chosen
-        root, poses, steps = self.without_feet(data)
-        held = Term("contact velocity", contact_velocity, self.weights.contact_velocity)
-        last = LBFGS(max_iterations=400, tolerance_decrease=1e-5, scale=_FITTED, history=40)
-        feet = replace(
-            steps, name="contacts", terms=(*steps.terms, held), minimiser=last,
-            second_order=Preconditioned(),
-        )  # fmt: skip
-        if seen_whole(data, self.humor.body):
-            rough = replace(poses.minimiser, tolerance_decrease=1e-2)
-            return root, replace(poses, minimiser=rough), feet
-        # where every joint is seen, no limbs are drawn from the networks
-        from priors.humor.limbs import UnseenLimbs, unseen_limbs
-
-        unseen = unseen_limbs(data, self.humor.body)
-        if unseen is None:
-            return root, poses, steps, feet
-        carried = Term("support", Support(unseen[:, KNEES].any(-1)), self.weights.support)
-        likely = Term("state", LikelyStates(self.humor, unseen), self.weights.state)
-        read = replace(self, tempo=tempo(data))
-        steps, feet = (
-            replace(s, prior=read, terms=(*s.terms, carried, likely)) for s in (steps, feet)
-        )
-        limbs = replace(
-            feet, name="limbs", proposals=UnseenLimbs(self.humor, unseen), kept=1,
-            minimiser=replace(last, tolerance_decrease=1e-3),
-        )  # fmt: skip
-        return root, poses, steps, limbs, feet
-
-    def without_feet(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
-        """The stages before the last: root, smooth poses, likely steps."""
         w = self.weights
         terms = (
             *data,
@@ -229,7 +196,35 @@ class Collocation(Prior[PoseVariables]):
         root, poses = self.poses.stages(data)
         poses = replace(poses, minimiser=replace(poses.minimiser, tolerance_decrease=1e-3))
         slow = LBFGS(max_iterations=200, tolerance_decrease=2e-3)
-        return root, poses, Stage("steps", self, terms, free, slow)
+        steps = Stage("steps", self, terms, free, slow)
+        held = Term("contact velocity", contact_velocity, w.contact_velocity)
+        last = LBFGS(max_iterations=400, tolerance_decrease=1e-5, scale=_FITTED, history=40)
+        feet = replace(
+            steps, name="contacts", terms=(*steps.terms, held), minimiser=last,
+            second_order=Preconditioned(),
+        )  # fmt: skip
+        if seen_whole(data, self.humor.body):
+            rough = replace(poses.minimiser, tolerance_decrease=1e-2)
+            return root, replace(poses, minimiser=rough), feet
+        # where every joint is seen, no limbs are drawn from the networks
+        from priors.humor.likely import LikelyStates, tempo
+        from priors.humor.limbs import UnseenLimbs, unseen_limbs
+        from recon.physics.support import Support
+
+        unseen = unseen_limbs(data, self.humor.body)
+        if unseen is None:
+            return root, poses, steps, feet
+        carried = Term("support", Support(unseen[:, KNEES].any(-1)), w.support)
+        likely = Term("state", LikelyStates(self.humor, unseen), w.state)
+        read = replace(self, tempo=tempo(data))
+        steps, feet = (
+            replace(s, prior=read, terms=(*s.terms, carried, likely)) for s in (steps, feet)
+        )
+        limbs = replace(
+            feet, name="limbs", proposals=UnseenLimbs(self.humor, unseen), kept=1,
+            minimiser=replace(last, tolerance_decrease=1e-3),
+        )  # fmt: skip
+        return root, poses, steps, limbs, feet
 
 
 def seen_whole(data: tuple[Term, ...], body: BodyModel) -> bool:

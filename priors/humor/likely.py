@@ -96,3 +96,8 @@ class LikelyStates(TensorStruct):
         rarity = humor.initial.rarity(initial_features(states))
         exists = motion.valid & self.unseen.any(-1)[:, None]
         return heavy_tailed(rarity, RARITY).where(exists, 0.0).sum(-1)
+
+    def add_curvature(
+        self, weight: float, estimate: Estimate, clip: int, joints: Float[Tensor, "time 3 66"]
+    ) -> None:
+        """Add nothing: steps are stiffer, and L-BFGS learns what this energy adds."""

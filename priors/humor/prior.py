@@ -14,7 +14,6 @@ from torch import Tensor
 
 from priors.humor.mixture import Mixture
 from priors.humor.networks import HumorNetworks
-from priors.humor.rollout import FrozenDecoder, roll_out
 from priors.humor.state import (
     Frame,
     State,
@@ -42,6 +41,7 @@ from recon.method.terms import Term
 
 if TYPE_CHECKING:
     from priors.humor.live import LiveSteps
+    from priors.humor.loop import FrozenDecoder
 
 _LOG = logging.getLogger(__name__)
 
@@ -225,6 +225,9 @@ class Humor(Prior[HumorVariables]):
         `energies["transition"]` is -Σ log p(z_t | x_(t-1)), `energies["initial"]` -log p(x_0),
         nats.
         """
+        # fits by collocation unroll nothing
+        from priors.humor.rollout import roll_out
+
         own = self.like(variables.translation)
         first, pelvis = own._first(variables), own.pelvis(variables.shape)
         frame = Frame.of(first)
@@ -286,7 +289,9 @@ class Humor(Prior[HumorVariables]):
         return self.body.rest_joints(shape)[:, 0] * shape.new_tensor([1.0, 1.0, 0.0])
 
     @cached_property
-    def _decoder(self) -> FrozenDecoder:
+    def _decoder(self) -> "FrozenDecoder":
+        from priors.humor.loop import FrozenDecoder
+
         return FrozenDecoder.of(self.networks.decoder)
 
 

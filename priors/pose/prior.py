@@ -75,26 +75,6 @@ class PoseWeights:
                 raise ValueError(f"weight {name} must be at least 0, got {getattr(self, name)}")
 
     @classmethod
-    def published_joints(cls) -> "PoseWeights":
-        """HuMoR's weights for noisy joints (fit_amass_joints.cfg, stage 2; noise of 4 cm)."""
-        return cls(pose=2e-4, shape=1.67e-4, velocity=10.0)
-
-    @classmethod
-    def published_points(cls) -> "PoseWeights":
-        """HuMoR's weights for surface points, some hidden (fit_amass_keypts.cfg, stage 2)."""
-        return cls(pose=2e-4, shape=1.67e-4, velocity=0.1)
-
-    @classmethod
-    def published_images(cls) -> "PoseWeights":
-        """HuMoR's weights for one camera's keypoints of weight 0.002 (fit_rgb_demo, stage 2)."""
-        return cls(pose=0.04, shape=0.05, velocity=100.0)
-
-    @classmethod
-    def published_depth(cls) -> "PoseWeights":
-        """HuMoR's weights for keypoints of weight 0.002 with depth (fit_proxd, stage 2)."""
-        return cls(pose=0.1, shape=0.034, velocity=100.0)
-
-    @classmethod
     def for_noise(cls, noise: float) -> "PoseWeights":
         """Weights for observations of a standard deviation of `noise` metres per coordinate.
 

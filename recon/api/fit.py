@@ -29,8 +29,9 @@ from recon.core.errors import ObservationError, ReconError
 from recon.core.limits import FRAME_RATE
 from recon.core.motion import Motion
 from recon.core.units import Axis
-from recon.diagnosis.findings import Finding
-from recon.fitting.methods import FitOptions, asked
+from recon.diagnosis.examination import Check
+from recon.diagnosis.findings import Finding, Findings
+from recon.fitting.methods import FitOptions, trait_of
 from recon.fitting.observed import Clip
 from recon.fitting.settings import ReadOptions
 from recon.formats.foreign import is_estimate
@@ -61,6 +62,7 @@ def fit(
     callback: Watch | None = None,
     max_seconds: float | None = None,
     repair: bool = True,
+    checks: Sequence[Check] | None = None,
     **reading: Any,
 ) -> Result:
     """Reconstruct the motion that explains all that was observed of one clip.
@@ -84,8 +86,8 @@ def fit(
         observations: files and folders of one clip; in Python also one or several of `Joints3D`,
             `Markers3D`, `Keypoints2D`, `PointCloud`, without a leading axis or with one of length
             one, and what `recon.simulate` returned.
-        prior: a name (`humor`, `pose`, `anchor` for one gait cycle), a loaded prior, a
-            method with `stages(data)`, or "package.module:Class".
+        prior: a name (`humor`, `pose`, `anchor` for one gait cycle), a loaded prior, or
+            "package.module:Class".
         weights: of a prior given by its name: `open`, `nc` (not for commercial use) or a file.
         method: the way in which the prior is fitted, one of its `methods`; None is the usual one.
         body: a body, a SMPL-family file, or None for the bundled body.
@@ -115,6 +117,8 @@ def fit(
         max_seconds: time after which the fit is ended. Checks before and after the fit are not
             counted. A fit that is ended early has a warning and its last finite estimate.
         repair: whether what is surely wrong with the data is repaired before the fit.
+        checks: what is looked for in the data and in the fit: any of `recon.diagnosis.checks`, and
+            functions of your own, in that order; None are all, () is none.
         reading: how to read files, by the names of `recon.fitting.settings.ReadOptions`:
             `frame_rate`, `camera`, `unit`, `up`, `layout`, `person`, ...
 
@@ -133,7 +137,7 @@ def fit(
             frame_rate=how_read.frame_rate, up=how_read.up, person=how_read.person,  # pyright: ignore[reportArgumentType]
             ground="unknown" if ground == "auto" else ground, terms=terms, noise=noise,
             robust=robust, physics=physics, between=between, fps=fps, device=device,
-            callback=callback, max_seconds=max_seconds,
+            callback=callback, max_seconds=max_seconds, checks=checks,
         )  # fmt: skip
     model = body_given(body).to(device=device, dtype=torch.float32)
     sighting = observed(
@@ -161,11 +165,13 @@ def fit(
         limit = None if max_seconds is None else positive(max_seconds, "max_seconds")
         stopper = Stopper(callback, limit)
     examined = fitted(
-        clip.observations, clip.names, options, model, stopper, _start(start, sighting, model)
-    )
+        clip.observations, clip.names, options, model, stopper, _start(start, sighting, model),
+        checks,
+    )  # fmt: skip
     arguments = _plain(options) | {
         "ground": ground, "between": between, "robust": robust, "fps": fps,
         "max_seconds": max_seconds, "device": device,
+        "checks": "all" if checks is None else [one.__name__ for one in checks],
     }  # fmt: skip
     result = result_of(
         examined, clip, model.to(device="cpu"), fps, options.completes, arguments,
@@ -204,7 +210,7 @@ def complete(
             for one cycle, what was seen does not last as long as one.
         FileNotFoundError: when there is no such file, body or weights.
     """
-    if not asked(prior, "completes"):
+    if not trait_of(prior, "completes"):
         raise ReconError(
             f"`complete` is `fit` with the priors recording and anchor; for {prior}, run "
             f"`recon fit --prior {prior}`"
@@ -267,7 +273,8 @@ def refine(
     seen = found.seen.replace(ground_known=ground == "known")
     how |= {"body": model, "shape": given.shape, "start": found.motion, "repair": False}
     result = fit(seen, prior, **how)
-    examined = replace(result.examined, repairs=(*found.repairs, *result.repairs))
+    repairs = Findings(found.repairs)
+    examined = replace(result.examined, found=repairs + result.examined.found)
     return replace(result, notes=(*notes, *result.notes), examined=examined)
 
 

@@ -18,7 +18,7 @@ from recon.core.arrays import Numbers, finite, float_tensor, positive
 from recon.core.errors import ReconError, WeightsError
 from recon.core.limits import SHAPE
 from recon.core.motion import Motion
-from recon.fitting.methods import asked, checked_method, class_of
+from recon.fitting.methods import checked_method, class_of, trait_of
 from recon.formats.motions import MotionFile, load_motion, motion_from
 from recon.method.plugins import PRIORS, registered
 from recon.method.priors import PriorLike, is_prior
@@ -230,7 +230,7 @@ def prior_of(given: Any, weights: str, method: str | None = None) -> str | Prior
             f"weights: {weights!r} are of a prior that is given by its name ({names}); "
             "load the prior with them instead"
         )
-    if isinstance(given, type) or not (is_prior(given) or asked(given, "completes")):
+    if isinstance(given, type) or not (is_prior(given) or trait_of(given, "completes")):
         raise WeightsError(
             f"prior: expected {names}, 'package.module:Class', or a loaded recon.method.Prior, "
             f"got {given!r:.80}"

@@ -9,7 +9,6 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from observations.kinds import unposed_camera
 from recon.api.results import MotionResult, described_residuals, in_ten_lines
 from recon.body.contacts import contact_labels, rest_heights
 from recon.body.model import BodyModel
@@ -21,13 +20,13 @@ from recon.diagnosis.certainty import certainty_report
 from recon.diagnosis.doubts import Alternative
 from recon.diagnosis.examination import Examined
 from recon.diagnosis.findings import Finding
-from recon.diagnosis.motions.belt import in_room, path_of_belt
 from recon.fitting.fitted import Stretch
 from recon.fitting.observed import Clip
 from recon.formats.motions import MotionFile
 from recon.formats.reports import versions
 from recon.method.derivatives import GroundDeviation
 from recon.method.reconstruction import Reconstruction
+from recon.method.sensor import unposed_camera
 from recon.method.stages import StageReport, Watch
 from recon.solver.lbfgs import Progress, Termination
 
@@ -322,6 +321,8 @@ def result_of(
         cycle = cycle_report(found, examined.residuals)
     belt = None
     if examined.belt is not None:
+        from recon.diagnosis.motions.belt import in_room, path_of_belt  # there are few treadmills
+
         belt = path_of_belt(motion, examined.belt)
         motion = in_room(motion, examined.belt)
     observed = torch.from_numpy(examined.observed_at(motion))

@@ -8,7 +8,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from observations import kinds
 from recon.body.angles import isb_angles
 from recon.body.contacts import contact_probabilities, rest_heights
 from recon.body.model import BodyModel
@@ -21,7 +20,7 @@ from recon.formats.joint_table import JointCertainty
 from recon.method.derivatives import GroundBelief, GroundDeviation
 from recon.method.laplace import Deviations, Measure, deviations
 from recon.method.protocols import Estimate
-from recon.method.sensor import Sensor
+from recon.method.sensor import Sensor, views_of
 
 MOST = 360 / 12**0.5
 """Degrees: the standard deviation of an angle of which nothing is known."""
@@ -91,7 +90,7 @@ def certainty(found: ClipFit) -> Deviations | None:
             known = deviations(estimate, seen, noises, density, _ground(found), angles_of(body))
         except (ArithmeticError, RuntimeError):  # a Hessian that is singular has no inverse
             return None
-    if not kinds.views(found.observations):
+    if not views_of(found.observations):
         return known
     # images alone leave the size of a person open
     from recon.diagnosis.views.fitted import size_is_unknown, with_unknown_size

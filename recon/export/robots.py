@@ -4,8 +4,6 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Float
-from torch import Tensor
 
 from recon.body.contacts import contact_labels, rest_heights
 from recon.body.model import BodyModel
@@ -13,36 +11,17 @@ from recon.body.soles import Soles, Stance
 from recon.core import rotations as so3
 from recon.core.errors import ReconError
 from recon.core.motion import Motion
-from recon.core.skeleton import JOINTS, PARENTS, joint_index
+from recon.core.skeleton import JOINTS
 from recon.export.skeleton import one_clip
 from recon.formats.opening import save_arrays
 from recon.formats.smpl import load_smpl
-from recon.ingest.transfer import Transferred, transfer
+from recon.ingest.transfer import Transferred, align, carried, transfer
 
 FPS = 30.0
 """Frames per second that the loader goes on with; it takes frames of other rates apart."""
 _BETAS = 16
 _SMPLX_JOINTS = 55
 _GENDERS = ("female", "male", "neutral")
-_LENGTH_STD = 0.01
-"""Metres that a bone may differ for one standard deviation of shape."""
-_ROUNDS = 8
-_ALONG = {
-    f"{side}_{joint}": f"{side}_{child}"
-    for side in ("left", "right")
-    for joint, child in {
-        "hip": "knee", "knee": "ankle", "collar": "shoulder", "shoulder": "elbow",
-        "elbow": "wrist",
-    }.items()
-}  # fmt: skip
-"""Bones that point in the same direction on both bodies, and the joint at which they end."""
-_SPANS = (
-    *((joint, child) for joint, child in _ALONG.items()),
-    ("left_hip", "right_hip"), ("left_ankle", "left_foot"), ("right_ankle", "right_foot"),
-    ("pelvis", "spine3"), ("spine3", "neck"), ("neck", "head"),
-    ("left_shoulder", "right_shoulder"),
-)  # fmt: skip
-"""Distances between joints of the unposed body that shapes are fitted to."""
 
 
 def write_robot(path: Path, motion: Motion, body: BodyModel, smplx: Path) -> None:
@@ -119,7 +98,7 @@ def _gender(path: Path) -> str | None:
 
 
 def on_body(motion: Motion, body: BodyModel, target: BodyModel) -> Motion:
-    """The motion on another body of the family: its limbs point where ours do, soles on z = 0.
+    """The motion on another body of the family, bones turned as ours are, soles on z = 0.
 
     Args:
         motion: one clip without a batch axis.
@@ -131,53 +110,15 @@ def on_body(motion: Motion, body: BodyModel, target: BodyModel) -> Motion:
     if target.checksum == body.checksum and not bool(motion.shape[count:].any()):
         moved = motion.replace(shape=motion.shape[:count])
     else:
-        moved = _carried_over(motion, body, target, count)
+        own, theirs = body.to(dtype=torch.float64), target.to(dtype=torch.float64)
+        exact = motion.to(dtype=torch.float64)
+        rest = align(own, exact.shape, theirs, count)
+        local, place = carried(exact, own, theirs, rest)
+        moved = exact.replace(rotations=local, translation=place, shape=rest.shape)
+        moved = moved.to(dtype=motion.translation.dtype)
     height = Stance.of(moved, target, Soles.of(target)).height()
     down = moved.translation.new_tensor([0.0, 0.0, height])
     return moved.replace(translation=moved.translation - down)
-
-
-def _carried_over(motion: Motion, body: BodyModel, target: BodyModel, count: int) -> Motion:
-    rest = body.rest_joints(motion.shape)
-    shape = _nearest_shape(rest, target, count)
-    theirs = target.rest_joints(shape)
-    turns = torch.eye(3).to(rest).repeat(len(JOINTS), 1, 1)
-    for name, end in _ALONG.items():
-        joint, child = joint_index(name), joint_index(end)
-        turns[joint] = so3.between(theirs[child] - theirs[joint], rest[child] - rest[joint])
-        if name.endswith("elbow"):
-            # the hand goes on where the forearm ends
-            turns[child] = turns[joint]
-    world = body.pose(motion).orientations @ turns
-    above = world[:, list(PARENTS[1:])]
-    local = torch.cat((world[:, :1], above.mT @ world[:, 1:]), 1)
-    shift = rest[0] - theirs[0]
-    return motion.replace(rotations=local, translation=motion.translation + shift, shape=shape)
-
-
-def _nearest_shape(
-    rest: Float[Tensor, "22 3"], target: BodyModel, count: int
-) -> Float[Tensor, " count"]:
-    """The shape with the distances between joints of another body, by Gauss-Newton.
-
-    min Σ (|bone(s)| - |bone|)² / σ² + |s|², with σ of a centimetre.
-    """
-    starts = [joint_index(start) for start, _ in _SPANS]
-    ends = [joint_index(end) for _, end in _SPANS]
-    asked = (rest[ends] - rest[starts]).norm(dim=-1)
-    shape = rest.new_zeros(count)
-    for _ in range(_ROUNDS):
-        joints = target.rest_joints(shape)
-        spans = joints[ends] - joints[starts]
-        lengths = spans.norm(dim=-1)
-        directions = target.joint_directions[..., :count]
-        slopes = torch.einsum(
-            "bd,bdk->bk", spans / lengths[:, None], directions[ends] - directions[starts]
-        )
-        wanted = asked - lengths + slopes @ shape
-        normal = slopes.mT @ slopes + _LENGTH_STD**2 * torch.eye(count).to(rest)
-        shape = torch.linalg.solve(normal, slopes.mT @ wanted)
-    return shape
 
 
 def write_smpl(path: Path, motion: Motion, body: BodyModel, onto: Path) -> Transferred:

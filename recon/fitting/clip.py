@@ -8,7 +8,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from observations import kinds
 from observations.first_guess import FirstGuess
 from observations.noise import weights_of
 from observations.points import OFFSET_UNIT
@@ -18,7 +17,6 @@ from recon.core.motion import Motion
 from recon.core.residuals import Noise
 from recon.core.scene import GROUND, HEIGHT, LENS, OFFSETS, Scene, UnknownGround, UnknownLens
 from recon.core.skeleton import joint_index
-from recon.core.struct import concatenate
 from recon.fitting.fitted import ClipFit
 from recon.fitting.ground import ground_below, pelvis_path, sole_heights, upright_ground
 from recon.fitting.guess import guessed
@@ -32,10 +30,9 @@ from recon.fitting.stages import (
     without_root,
 )
 from recon.method.reconstruction import Reconstruction, solve
-from recon.method.sensor import Sensor
-from recon.method.stages import Compared, Stage, Stages, Watch
+from recon.method.sensor import Sensor, views_of
+from recon.method.stages import Stage, Stages, Watch
 from recon.method.terms import Term, ground_moved, lens_changed, offsets
-from recon.method.timing import at_observation_times
 
 _BALLS = tuple(joint_index(f"{side}_foot") for side in ("left", "right"))
 LONG = 10.0
@@ -98,19 +95,17 @@ def posed(
         for row, one in enumerate(observations)
     )
     seen, offsets = _with_offsets(observations)
-    return ClipProblem(seen, guess, noises, offsets, body, options, watch).decided()
+    return ClipProblem(seen, guess, noises, offsets, body, options, watch)
 
 
 def _with_offsets(observations: tuple[Sensor, ...]) -> tuple[tuple[Sensor, ...], int]:
     """Several views of one layout tell where this person's keypoints are; and how many rows."""
-    views = kinds.views(observations)
+    views = views_of(observations)
     if len(views) < 2 or len({o.points.names for o in views}) > 1:
         return observations, 0
     count = len(views[0].points.names)
     rows = (0, count)
-    return tuple(
-        o.derived(offset_rows=rows) if kinds.views([o]) else o for o in observations
-    ), count
+    return tuple(o.derived(offset_rows=rows) if o.view else o for o in observations), count
 
 
 @dataclass(frozen=True)
@@ -125,8 +120,6 @@ class ClipProblem:
     body: BodyModel
     options: FitOptions
     watch: Watch | None
-    guesses: Compared | None = None
-    """The first guesses that the one was chosen from."""
 
     def solved(self) -> ClipFit:
         """The motion, and the ground where it is not known."""
@@ -161,7 +154,6 @@ class ClipProblem:
             self.settled(result),
             grounded=grounded,
             ground_seen=grounded and not ground_known and self.ground_seen,
-            guesses=self.guesses,
         )
 
     @property
@@ -180,19 +172,19 @@ class ClipProblem:
     def lens_unknown(self) -> bool:
         """Whether one view of unknown pose is all there is, and its focal length is a guess."""
         # the path of a camera that moves is of the lens that its tracker had
-        return self.size_untold and not kinds.views(self.observations)[0].focal_known
+        return self.size_untold and not views_of(self.observations)[0].focal_known
 
     @property
     def one_view(self) -> bool:
         """Whether one view is all there is: only standing feet tell how large the person is."""
-        return len(self.observations) == len(kinds.views(self.observations)) == 1
+        return len(self.observations) == len(views_of(self.observations)) == 1
 
     @property
     def size_untold(self) -> bool:
         """Whether one view of a camera that stands at an unknown place is all there is."""
         if not self.one_view:
             return False
-        (view,) = kinds.views(self.observations)
+        (view,) = views_of(self.observations)
         return not view.ground_known and view.camera.T_camera_world.shape[-3] == 1
 
     def scene(self, start: Motion, ground: UnknownGround | None = None) -> Scene:
@@ -202,7 +194,7 @@ class ClipProblem:
         if not self.lens_unknown:
             return scene.replace(ground=ground)
         pelvis = self.body.pose(start).joints[..., :1, :].mean(-3, keepdim=True)
-        depth = kinds.views(self.observations)[0].camera.to_camera(pelvis)[..., 2].flatten(1)
+        depth = views_of(self.observations)[0].camera.to_camera(pelvis)[..., 2].flatten(1)
         return scene.replace(ground=ground, lens=UnknownLens.create(depth[:, 0]))
 
     @property
@@ -266,41 +258,13 @@ class ClipProblem:
             watch=self.watch,
         )
 
-    def decided(self) -> "ClipProblem":
-        """The clips with the likeliest of their first guesses.
-
-        Which it is, a quick fit under the pose prior tells: half the moments, few of the points,
-        and of a long recording its first seconds.
-        """
-        if not self.guess.others:
-            return self
-        shown = self.first_seconds() if self.long else self
-        rough = tuple(
-            o.coarse(self.body) if not o.point_names(self.body) else o for o in shown.observations
-        )
-        starts = [one.resample(one.fps / 2) for one in (shown.guess.motion, *shown.guess.others)]
-        found = solve(
-            rough,
-            self.stages(self.rough, frozenset()),
-            self.body,
-            start=starts[0],
-            others=starts[1:],
-            scene=self.scene(starts[0]),
-            weights=weights_of(self.noises),
-            watch=self.watch,
-        )
-        every = (self.guess.motion, *self.guess.others)
-        rows = [every[number][[row]] for row, number in enumerate(found.chosen or ())]
-        guess = FirstGuess(concatenate(rows), self.guess.distance_known)
-        return replace(self, guess=guess, guesses=found.reports[-1].compared)
-
     def on_known_ground(self) -> Motion:
         """A first motion under the pose prior, as far from the one camera as its soles are low.
 
         What a camera sees does not change when everything is farther and larger by one factor.
         """
         free = self.free()
-        view = kinds.views(self.observations)[0]
+        view = views_of(self.observations)[0]
         eye = view.camera.T_world_camera[..., :3, 3].mean(-2)
         factor = eye[:, 2] / (eye[:, 2] - sole_heights(free, self.body))
         factor = torch.where((factor > 1 / _MOST) & (factor < _MOST), factor, 1.0)
@@ -311,16 +275,13 @@ class ClipProblem:
     @property
     def ground_seen(self) -> bool:
         """Whether the recording's z = 0 was laid on a plane that is given or seen."""
-        seen = any(cloud.ground_seen for cloud in kinds.clouds(self.observations))
+        seen = any(one.ground_seen for one in self.observations)
         return seen or self.options.ground_given
 
     def settled(self, result: Reconstruction) -> tuple[Sensor, ...]:
         """The observations with what was found of the scene."""
         scene = result.estimate.scene.detach()
-        return tuple(
-            views[0].settled(scene) if (views := kinds.views([one])) else one
-            for one in self.observations
-        )
+        return tuple(one.settled(scene) for one in self.observations)
 
     def free(self) -> Motion:
         """A first motion under the pose prior, which does not ask where the ground is."""
@@ -329,15 +290,13 @@ class ClipProblem:
 
     def paced(self) -> "ClipProblem":
         """The clips with the unit of the camera's path told by the feet of a first motion."""
-        views = kinds.views(self.observations)
+        views = views_of(self.observations)
         if len(self.observations) > 1 or not views or views[0].unit_known:
             return self
         (view,) = views
         motion = self.free()
         feet = self.body.pose(motion).joints[..., list(_BALLS), :]
-        there, _ = at_observation_times(
-            feet, motion, fps=view.fps, start_time=view.start_time, moments=view.moments
-        )
+        there, _ = view.at_own_times(feet, motion)
         if there.shape[-3] < view.moments:
             return self
         # a carried camera alone has a path
@@ -373,9 +332,5 @@ class ClipProblem:
         begin = self.guess.motion.start_time
         frames = round(WINDOW * self.guess.motion.fps) + 1  # the window has both its ends
         seen = tuple(o.window(begin, begin + WINDOW) for o in self.observations)
-        guess = FirstGuess(
-            self.guess.motion.window(0, frames),
-            self.guess.distance_known,
-            tuple(other.window(0, frames) for other in self.guess.others),
-        )
+        guess = FirstGuess(self.guess.motion.window(0, frames), self.guess.distance_known)
         return replace(self, observations=seen, guess=guess)

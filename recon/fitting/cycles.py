@@ -10,7 +10,6 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from observations import kinds
 from observations.depth import CLOUD_NOISE, PointCloud
 from observations.noise import weights_of
 from observations.surfels import bounded
@@ -23,9 +22,9 @@ from recon.core.scene import OFFSETS, Scene
 from recon.core.struct import concatenate
 from recon.fitting.fitted import ClipFit
 from recon.fitting.methods import FitOptions, loaded
-from recon.method.priors import CyclePrior
+from recon.method.priors import CyclePrior, PriorLike
 from recon.method.protocols import REFERENCE_FPS
-from recon.method.reconstruction import Reconstruction
+from recon.method.reconstruction import Reconstruction, data_terms
 from recon.method.running import Hypotheses, rank, run_hypotheses
 from recon.method.sensor import Sensor
 from recon.method.stages import Stage, Watch
@@ -52,6 +51,11 @@ def on_fast_clock(one: Sensor) -> Sensor:
     """
     times = math.ceil(RATES[0] / one.fps - 1e-6)
     return one if times <= 1 else one.on_faster_clock(times)
+
+
+def in_space(observations: Sequence[Sensor]) -> tuple[Sensor, ...]:
+    """Those that give places in space, metres."""
+    return tuple(one for one in observations if one.places is not None)
 
 
 def moments_per_second(observations: Sequence[Sensor]) -> float:
@@ -226,19 +230,29 @@ def complete(
             "terms out, or fit by another prior"
         )
     device = body.template.device
-    seen = tuple(o.to(device=device) for o in kinds.in_space(observations))
+    seen = tuple(o.to(device=device) for o in in_space(observations))
     if len(seen) < len(observations):
         raise ObservationError(
             "completing a cycle takes scans, landmarks or joints, got 2D keypoints as well; fit "
             "them with another prior"
         )
-    prior = loaded(options.prior, options.weights, body)
-    if not isinstance(prior, CyclePrior):
-        raise ReconError(f"expected a prior of cycles, got a {type(prior).__name__}")
+    prior = cycle_prior(options.prior, options.weights, body)
     seen, rows = _with_offsets(tuple(o.thinned(FITTED) for o in seen))
     noises = tuple(cycle_noise(o, options.noise_of(row)) for row, o in enumerate(seen))
-    dense = any(_fullest(o) >= DENSE for o in kinds.clouds(seen))
+    dense = any(o.cloud and _fullest(o.cloud) >= DENSE for o in seen)
     return _Completion(seen, noises, prior, dense, CycleClock.of(seen), rows).fitted(body, watch)
+
+
+def cycle_prior(prior: PriorLike, weights: str, body: BodyModel) -> CyclePrior[Any]:
+    """A loaded prior of cycles.
+
+    Raises:
+        ReconError: when it is of something else.
+    """
+    found = loaded(prior, weights, body)
+    if not isinstance(found, CyclePrior):
+        raise ReconError(f"expected a prior of cycles, got a {type(found).__name__}")
+    return found
 
 
 @dataclass(frozen=True)
@@ -256,19 +270,22 @@ class _Completion:
 
     def fitted(self, body: BodyModel, watch: Watch | None) -> ClipFit:
         """The best fit of every clip."""
-        prior, step, noise = self.prior, self._rough_step, self.noise
+        prior, noise = self.prior, self.noise
+        # moments of the clock from one to the next while first guesses are compared
+        step = max(round(self.clock.fps / ROUGH_RATE), 1)
         seen = [
             _rough(o, max(round(o.fps / self.clock.fps * step), 1), body)
             for o in self.observations
         ]
-        search = prior.search(self._data(seen), noise)
+        weights = weights_of(self.noises)
+        search = prior.search(data_terms(seen, weights), noise)
         ranking, portion = search[0].terms, partial(_thinned, step=step)
         search = [replace(stage, portion=portion, ranking=ranking) for stage in search]
         shape = prior.typical.new_zeros(body.shape_size)
         began = typical_cycles(prior, self.observations, self.clock, shape, self.offsets)
         every = torch.arange(len(began.unknowns.variables.latent)).split(_AT_ONCE)
         value = torch.cat([rank(search[0], began.rows(some), body) for some in every])
-        data = self._data(self.observations)
+        data = data_terms(self.observations, weights)
         coded = prior.coded(data, noise)
         details = prior.details(data, noise) if self.dense else ()
         stages = (
@@ -285,18 +302,6 @@ class _Completion:
     def noise(self) -> float:
         """Metres by which the least noisy observation is off."""
         return min(one.metres for one in self.noises)
-
-    @property
-    def _rough_step(self) -> int:
-        """Moments of the clock from one to the next while first guesses are compared."""
-        return max(round(self.clock.fps / ROUGH_RATE), 1)
-
-    def _data(self, seen: Sequence[Sensor]) -> tuple[Term, ...]:
-        """Observations of the clips as weighted terms."""
-        return tuple(
-            Term("data" if len(seen) == 1 else f"data {k + 1}", one, weight)
-            for k, (one, weight) in enumerate(zip(seen, weights_of(self.noises), strict=True))
-        )
 
     def _moving(self, stages: Sequence[Stage[Any]]) -> list[Stage[Any]]:
         """The stages with offsets of markers, from the one in which they are near the body."""

@@ -43,6 +43,11 @@ def loaded(prior: str | PriorLike, weights: str, body: BodyModel) -> Any:
     found = prior
     if isinstance(prior, str):
         kind = class_of(prior)
+        if missing := sorted(getattr(kind, "__abstractmethods__", ())):
+            raise WeightsError(
+                f"prior: {prior!r} lacks {' and '.join(missing)}, which every recon.method.Prior "
+                "has; write it"
+            )
         if hasattr(kind, "load"):
             found = kind.load(weights, body)
         elif weights == "open":
@@ -53,7 +58,7 @@ def loaded(prior: str | PriorLike, weights: str, body: BodyModel) -> Any:
             )
     if is_prior(found):
         return as_prior(found)
-    if asked(found, "completes"):
+    if trait_of(found, "completes"):
         return found
     raise WeightsError(
         f"prior: {prior!r} is no recon.method.Prior and has no method stages(data), got a "
@@ -61,7 +66,7 @@ def loaded(prior: str | PriorLike, weights: str, body: BodyModel) -> Any:
     )
 
 
-def asked(prior: str | PriorLike, name: str) -> bool:
+def trait_of(prior: str | PriorLike, name: str) -> bool:
     """Whether a prior `knows_gravity` or `completes`, without its weights."""
     return trait(class_of(prior) if isinstance(prior, str) else prior, name)
 
@@ -135,12 +140,12 @@ class FitOptions:
     @property
     def completes(self) -> bool:
         """Whether the prior knows whole gait cycles, for which beginnings are searched."""
-        return asked(self.prior, "completes")
+        return trait_of(self.prior, "completes")
 
     @property
     def knows_gravity(self) -> bool:
         """Whether the prior judges heights above the ground and which way is up."""
-        return asked(self.prior, "knows_gravity")
+        return trait_of(self.prior, "knows_gravity")
 
     def noise_of(self, row: int) -> float | None:
         """The standard deviation given for an observation, by its number."""

@@ -14,7 +14,6 @@ from typing import ClassVar
 
 import torch
 
-from observations import kinds
 from observations.depth import CLOUD_NOISE
 from recon.body.cycles import LONGEST_CYCLE, SHORTEST_CYCLE, find_cycles
 from recon.body.model import BodyModel
@@ -27,6 +26,8 @@ from recon.fitting.cycles import (
     RATES,
     complete,
     cycle_noise,
+    cycle_prior,
+    in_space,
     moments_per_second,
     on_fast_clock,
     seen_times,
@@ -34,7 +35,6 @@ from recon.fitting.cycles import (
 from recon.fitting.fitted import ClipFit, Stretch
 from recon.fitting.gait import CompletedCycle, CycleData, stretches, told_by_cycles
 from recon.fitting.methods import FitOptions, loaded
-from recon.method.priors import CyclePrior
 from recon.method.sensor import Sensor
 from recon.method.stages import Watch
 
@@ -99,7 +99,7 @@ def complete_recording(
     Raises:
         ObservationError: when at most one moment shows anything.
     """
-    placed = kinds.in_space(observations)
+    placed = in_space(observations)
     if placed and moments_per_second(placed) == 0 and len(placed) == len(observations):
         raise ObservationError(
             "at most one moment shows anything, which tells no motion; give two or more"
@@ -115,7 +115,7 @@ def complete_recording(
     first = fit_clip(seen, any_motion, body, watch)
     motion = first.result.clip(0).detach()
     gait = _gait(first, prior, options, body, motion) if few and first.ground_known else []
-    told = _stretches(gait, kinds.in_space(first.observations), motion, prior)
+    told = _stretches(gait, in_space(first.observations), motion, prior)
     kept = [one for cycles in gait for one in cycles if one.explains]
     if not kept:
         return replace(first, stretches=told)
@@ -129,7 +129,6 @@ def complete_recording(
         result=replace(second.result, reports=reports),
         noises=second.noises[:-1],
         observations=second.observations[:-1],
-        guesses=first.guesses,
         stretches=told,
     )
 
@@ -142,7 +141,7 @@ def _one_cycle(
     watch: Watch | None,
 ) -> ClipFit | None:
     """The recording as one cycle of gait; None where it lasts longer, or its hips tell none."""
-    seen = kinds.in_space(observations)
+    seen = in_space(observations)
     plain = options.physics == 0 and options.shape is None and not options.terms
     plain = plain and options.shape_prior is None and options.grounded
     placed = len(seen) == len(observations) and all(one.ground_known for one in seen)
@@ -159,7 +158,6 @@ def _one_cycle(
     if not covered:
         return None
     start, stop = motion.start_time, float(motion.times[-1])
-    assert prior.cycles is not None
     return replace(fit, stretches=(Stretch(start, stop, prior.cycles, len(times), 1, 1),))
 
 
@@ -187,10 +185,8 @@ def _gait(
     """The cycles of every stretch of gait of a first fit, completed from the data."""
     if prior.cycles is None or not (found := find_cycles(motion.to(device="cpu"))):
         return []
-    cycles = loaded(prior.cycles, prior.cycle_weights, body)
-    if not isinstance(cycles, CyclePrior):
-        raise ObservationError(f"expected a prior of cycles, got a {type(cycles).__name__}")
-    seen = kinds.in_space(first.observations)
+    cycles = cycle_prior(prior.cycles, prior.cycle_weights, body)
+    seen = in_space(first.observations)
     noises = tuple(cycle_noise(one, options.noise_of(row)) for row, one in enumerate(seen))
     data = CycleData(cycles, seen, noises, body)
     made = [[data.completed(motion, one) for one in stretch] for stretch in stretches(found)]

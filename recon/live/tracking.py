@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from observations.moments import Tracker, distances, joined, with_moment, without
+from observations.moments import Tracker, joined, with_moment, without
 from observations.noise import weights_of
 from priors.pose.prior import PosePrior, PoseWeights
 from recon.body.contacts import contact_probabilities, rest_heights
@@ -307,7 +307,7 @@ class Tracking:
         kept: list[Tracker] = []
         seen = far = 0
         for points, one in zip(after.objective.points, moment.seen, strict=True):
-            away = distances(one, points.of(orientations, joints))
+            away = one.distances(points.of(orientations, joints))
             bad = one.shown & (away > allowed)
             seen, far = seen + int(one.shown.sum()), far + int(bad.sum())
             kept.append(without(one, bad) if bool(bad.any()) else one)

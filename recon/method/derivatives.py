@@ -10,7 +10,7 @@ differentiated numerically, coordinate by coordinate.
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, cast
+from typing import Literal
 
 import torch
 from jaxtyping import Float, Int
@@ -26,12 +26,9 @@ from recon.core.scene import TILT, Scene, UnknownGround
 from recon.core.skeleton import FEET, joint_index
 from recon.method.newton import is_pointwise
 from recon.method.protocols import Decoded, Estimate
+from recon.method.quadratic import FRAME
 from recon.method.sensor import Sensor
-from recon.method.stages import Matched
 from recon.solver.banded import Banded
-
-FRAME = 69
-"""Coordinates of a frame: three of the translation, three of every joint's rotation step."""
 
 _HEAD = joint_index("head")
 _ANKLES = [joint_index("left_ankle"), joint_index("right_ankle")]
@@ -160,7 +157,7 @@ class Neighbourhood:
 
     @cached_property
     def translated(self) -> Estimate:
-        """Rows: the motion as it is, moved along each axis, and with each ground that is moved."""
+        """Rows: x, x moved along each axis, and x with each coordinate of the ground moved."""
         rows = 1 + _AXES + self.unknown
         motion = self.motion[torch.zeros(rows, dtype=torch.long)]
         place = motion.translation.clone()
@@ -170,7 +167,7 @@ class Neighbourhood:
 
     @cached_property
     def everywhere(self) -> Estimate:
-        """Rows: the motion as it is, and after a step of each column's coordinate."""
+        """Rows: x, and x after a step of each column's coordinate."""
         shapes, frames = self.motion.shape.shape[-1], self.motion.frames
         rows = 1 + FRAME + shapes + self.unknown
         motion = self.motion[torch.zeros(rows, dtype=torch.long)]
@@ -186,7 +183,7 @@ class Neighbourhood:
         return self._estimate(motion.replace(translation=place, rotations=turned, shape=shape))
 
     def _estimate(self, motion: Motion) -> Estimate:
-        """Motions of some rows; the last ones are of grounds that are moved."""
+        """The motions as estimates, with the coordinates of the ground moved in the last rows."""
         rows = len(motion.translation)
         if self.ground is None:
             scenes = self.scene[torch.zeros(rows, dtype=torch.long)]
@@ -196,14 +193,14 @@ class Neighbourhood:
 
     @cached_property
     def joints(self) -> Float[Tensor, "time 66 columns"]:
-        """Derivatives of the joints in the world, metres."""
+        """Jacobian of the joints in the world, metres."""
         carried = CarriedPoints.joints(self.body, self.motion.shape[0])
         moved = self._by_motion(carried)
         none = moved.new_zeros(*moved.shape[:-1], self.unknown)
         return torch.cat((moved, none), -1).flatten(1, 2)
 
     def _by_motion(self, points: CarriedPoints) -> Float[Tensor, "time points 3 motion"]:
-        """Derivatives of points by the coordinates of frames and shape."""
+        """Jacobian of points by the coordinates of a frame and the shape."""
         posed = self.translated.body
         orientations, joints = posed.orientations[0], posed.joints[0]
         turned = points.by_rotations(orientations, joints)
@@ -213,7 +210,7 @@ class Neighbourhood:
         return torch.cat((moved, turned, points.by_shape(rotations, orientations, self.body)), -1)
 
     def seen(self) -> Float[Tensor, "time 66 columns"]:
-        """Derivatives of the joints in the frame of the recording, metres."""
+        """Jacobian of the joints in the frame of the recording, metres."""
         scenes, world = self.translated.scene, self.translated.body.joints
         if scenes.ground is None:
             return self.joints
@@ -227,18 +224,18 @@ class Neighbourhood:
     def residuals(
         self, one: Sensor, frame: Int[Tensor, " moments"]
     ) -> tuple[Residuals, Float[Tensor, "moments points dims columns"]]:
-        """What a sensor misses, one clip, and its derivatives.
+        """Residuals r(x) of one clip and the Jacobian ∂r/∂x by the columns of this module.
 
         Args:
             one: the sensor.
-            frame: of the motion, for every moment of the sensor.
+            frame: of the motion, for every frame of the sensor.
         """
-        carries = is_pointwise(one)
-        held = cast(Sensor, one.matched(self.here)) if isinstance(one, Matched) else one
+        carries, points_of = is_pointwise(one), getattr(one, "carried", None)
+        held: Sensor = getattr(one, "matched", lambda _: one)(self.here)
         found = _of(held, self.translated if carries else self.everywhere)
         slopes = differences(found.values)
-        if carries:
-            points = one.carried(self.body, self.motion.shape[0], self.scene.offsets[0])
+        if carries and points_of is not None:
+            points = points_of(self.body, self.motion.shape[0], self.scene.offsets[0])
             moved = slopes[..., :_AXES] @ self._by_motion(points)[frame]
             slopes = torch.cat((moved, slopes[..., _AXES:]), -1)
         return found[0], slopes
@@ -252,5 +249,5 @@ def _of(one: Sensor, estimates: Estimate) -> Residuals:
 def differences(
     values: Float[Tensor, "rows time points dims"],
 ) -> Float[Tensor, "time points dims columns"]:
-    """Differences of rows from the first, per unit of the step."""
+    """Forward differences (f(x + h e_k) - f(x)) / h; f(x) is row 0, step k row k + 1."""
     return ((values[1:] - values[:1]) / STEP).movedim(0, -1)

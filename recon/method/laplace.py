@@ -24,7 +24,6 @@ from recon.core.motion import Motion
 from recon.core.residuals import Noise
 from recon.core.scene import Scene
 from recon.method.derivatives import (
-    FRAME,
     STEP,
     GroundBelief,
     GroundDeviation,
@@ -34,6 +33,7 @@ from recon.method.derivatives import (
 )
 from recon.method.priors import Density
 from recon.method.protocols import REFERENCE_FPS, Estimate
+from recon.method.quadratic import FRAME
 from recon.method.sensor import Sensor
 from recon.solver.banded import Banded, Factor, Inverse, add_differences
 
@@ -100,8 +100,7 @@ def deviations(
     cuts = _cuts(motion.frames)
     windows = [motion.window(first, stop) for first, stop in cuts]
     parts = [
-        _of_window(one, scene, body, _during(held, one), noises, density, ground, measure)
-        for one in windows
+        _of_window(one, scene, body, held, noises, density, ground, measure) for one in windows
     ]
     joints = motion.translation.new_zeros(motion.frames, len(body.joint_template))
     root = motion.translation.new_zeros(motion.frames)
@@ -128,11 +127,6 @@ def _cuts(frames: int) -> list[tuple[int, int]]:
     return [(first, min(first + _CHUNK_FRAMES, frames)) for first in firsts]
 
 
-def _during(sensors: Sequence[Sensor], motion: Motion) -> list[Sensor]:
-    """What the sensors saw during a motion; the rest of a long recording costs nothing."""
-    return [one.window(motion.start_time, motion.stop_time) for one in sensors]
-
-
 def _of_window(
     motion: Motion,
     scene: Scene,
@@ -144,6 +138,8 @@ def _of_window(
     measure: Measure | None,
 ) -> Deviations:
     near = Neighbourhood(motion, scene, body, ground)
+    # what was seen in the rest of a long recording costs nothing
+    sensors = [one.window(motion.start_time, motion.stop_time) for one in sensors]
     moved, shaped = near.joints[..., :FRAME], near.joints[..., FRAME:]
     h = Banded.zero(motion.frames, 2, FRAME, shaped.shape[-1], motion.translation)
     h.inner[:, 0].diagonal(dim1=-2, dim2=-1).add_(_LEAST)
@@ -179,7 +175,7 @@ def _of_window(
 def _whitened(
     one: Sensor, noise: Noise, near: Neighbourhood, frame: Int[Tensor, " moments"]
 ) -> tuple[Float[Tensor, "moments residuals columns"], Float[Tensor, "moments residuals"]]:
-    """Derivatives of a sensor's residuals and their weights, standard deviations taken out."""
+    """Jacobian of a sensor's residuals, and the inverse variance of each."""
     found, slopes = near.residuals(one, frame)
     distance = found.values.norm(dim=-1) / (_DISBELIEVED * noise.own)
     # the curvature of Geman-McClure's kernel, as far as it is positive
@@ -215,7 +211,7 @@ def _marginals(
 def _by_rotations(
     measure: Measure, motion: Motion, border: int
 ) -> Float[Tensor, "time measures coordinates"]:
-    """Derivatives of what is measured by the rotation steps; by all else it does not change."""
+    """Jacobian of what is measured by the rotation steps; by all else it does not change."""
     steps = motion.translation.new_zeros(FRAME - 2, 22, 3)
     steps[1:].flatten(1).diagonal().fill_(STEP)
     turned = motion.rotations @ so3.exp(steps)[:, None]

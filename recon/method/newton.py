@@ -1,7 +1,7 @@
 """Gauss-Newton Hessians of a stage's objective, clip by clip."""
 
 from dataclasses import dataclass
-from typing import Any, TypeGuard
+from typing import Any
 
 import torch
 from jaxtyping import Float, Int
@@ -12,7 +12,7 @@ from recon.core import rotations as so3
 from recon.core.camera import transform
 from recon.core.motion import Motion
 from recon.method.protocols import REFERENCE_FPS, Estimate
-from recon.method.quadratic import FRAME, ClipModel, OfScene, PointSensor
+from recon.method.quadratic import FRAME, ClipModel
 from recon.method.stages import Stage
 from recon.method.terms import (
     Term,
@@ -61,10 +61,10 @@ def hessians(
     return found
 
 
-def is_pointwise(energy: Any) -> TypeGuard[PointSensor]:
-    """Whether an energy is a sum over moments of points with a place in the world."""
+def is_pointwise(energy: Any) -> bool:
+    """Whether an energy is a sum over frames of points that have a place in the world."""
     alone = getattr(energy, "placed", True) and getattr(energy, "momentwise", True)
-    return isinstance(energy, PointSensor) and alone
+    return hasattr(energy, "point_model") and alone
 
 
 def _add(term: Term, model: ClipModel) -> bool:
@@ -87,12 +87,11 @@ def _add(term: Term, model: ClipModel) -> bool:
     return True
 
 
-def _add_points(weight: float, sensor: PointSensor, model: ClipModel) -> None:
+def _add_points(weight: float, sensor: Any, model: ClipModel) -> None:
     """Add the curvature of points, which lie between two frames where clocks differ."""
     clip, motion, scene = model.clip, model.motion, model.estimate.scene
-    one: Any = sensor
-    one = one[clip]
-    if isinstance(one, OfScene):
+    one: Any = sensor[clip]
+    if hasattr(one, "settled"):
         one = one.settled(scene[clip])
     carried = sensor.carried(model.body, motion.shape, scene.offsets[clip])
     places = carried.of(*model.posed)
@@ -132,7 +131,7 @@ def _add_points(weight: float, sensor: PointSensor, model: ClipModel) -> None:
 
 
 def _between(
-    motion: Motion, sensor: PointSensor
+    motion: Motion, sensor: Any
 ) -> tuple[Int[Tensor, " seen"], Float[Tensor, " seen"], Int[Tensor, " seen"]]:
     """The frame before each moment, the share of the way to the next, and the moments within."""
     times = sensor.start_time + torch.arange(sensor.moments, dtype=torch.float64) / sensor.fps
@@ -202,12 +201,7 @@ class Local(Problem[Unknowns[Any]]):
         """
         with torch.no_grad():
             estimate = base.estimate(self.stage.prior, self.body)
-            return self._hessians(self.stage, base, estimate)
-
-    def _hessians(
-        self, stage: Stage[Any], base: Unknowns[Any], estimate: Estimate
-    ) -> list[Banded]:
-        return hessians(stage, base.variables, estimate, self.bordered > self.frames)
+            return hessians(self.stage, base.variables, estimate, self.bordered > self.frames)
 
     def stepped(self, base: Unknowns[Any], steps: Float[Tensor, "rows n"]) -> Unknowns[Any]:
         """The unknowns of some clips after steps, with slopes by these."""
@@ -237,7 +231,8 @@ class Local(Problem[Unknowns[Any]]):
             terms = stage.values(estimate)
             (gradient,) = torch.autograd.grad(terms.sum(), zero)
         with torch.no_grad():
-            return Quadratic(terms.detach(), gradient, self._hessians(stage, base, estimate))
+            found = hessians(stage, base.variables, estimate, self.bordered > self.frames)
+        return Quadratic(terms.detach(), gradient, found)
 
     def moved(
         self, x: Unknowns[Any], rows: Int[Tensor, " rows"], steps: Float[Tensor, "rows n"]

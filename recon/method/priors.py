@@ -242,9 +242,13 @@ def trait(kind: object, name: str) -> bool:
 
 def as_prior(given: PriorLike) -> Prior[Any]:
     """A prior, or an object of version 0.2's form as one."""
-    if isinstance(given, Prior) and "noise" in signature(given.stages).parameters:
-        return given
-    return _FormerPrior(given)
+    if not isinstance(given, Prior):
+        return _FormerPrior(given)
+    try:
+        signature(given.stages).bind((), USUAL_NOISE, None, None)
+    except TypeError:  # a class that derived from the protocol `Prior` of 0.2
+        return _FormerPrior(given)
+    return given
 
 
 def is_prior(given: object) -> bool:

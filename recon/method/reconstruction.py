@@ -196,15 +196,19 @@ def reconstruct(
     if scene is None:
         scene = Scene.create(len(start.translation), like=start.translation)
     weights = [1.0] * len(observations) if weights is None else weights
-    many = len(observations) > 1
-    data = tuple(
-        Term(f"data {k + 1}" if many else "data", observation, weight)
-        for k, (observation, weight) in enumerate(zip(observations, weights, strict=True))
-    )
-    stages = stages_for(data)
+    stages = stages_for(data_terms(observations, weights))
     if others and stages[-1].kept is None:
         stages = (*stages[:-1], replace(stages[-1], kept=1))
     began = Hypotheses.of_motions(stages[0].prior, [start, *others], scene, body)
     found, reports = run_hypotheses(stages, body, began, watch)
     chosen = None if found.number is None else tuple(found.number.tolist())
     return Reconstruction(found.estimate(body), tuple(reports), chosen=chosen)
+
+
+def data_terms(observations: Sequence[Sensor], weights: Sequence[float]) -> tuple[Term, ...]:
+    """Weighted observations as terms: `data`, or `data 1`, `data 2` ... where there are more."""
+    many = len(observations) > 1
+    return tuple(
+        Term(f"data {k + 1}" if many else "data", observation, weight)
+        for k, (observation, weight) in enumerate(zip(observations, weights, strict=True))
+    )

@@ -1,5 +1,6 @@
 """A sensor: its data, what it would have measured of a posed body, and what a fit asks of both."""
 
+import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeVar
@@ -97,15 +98,57 @@ class Sensor(TensorStruct):
             values = estimate.scene.to_recording(values)
         elif self.vectors == "directions":
             values = estimate.scene.to_recording_directions(values)
+        return self.at_own_times(values, estimate.motion)
+
+    def at_own_times(
+        self, values: Float[Tensor, "*batch time points dims"], motion: Motion
+    ) -> tuple[Float[Tensor, "*batch seen points dims"], slice]:
+        """Values in the frames of a motion, at the data's frames that it covers, and which."""
         return at_observation_times(
-            values, estimate.motion, fps=self.fps, start_time=self.start_time, moments=self.moments
+            values, motion, fps=self.fps, start_time=self.start_time, moments=self.moments
         )
+
+    def check(self) -> None:
+        """Refuse a sensor of one's own whose fields do not fit each other.
+
+        Raises:
+            ObservationError: naming what is missing, or the shapes.
+        """
+        me: Any = self
+        name, fields = type(self).__name__, {field.name for field in dataclasses.fields(me)}
+        if missing := {"fps", "start_time", "ground_known", *self.timed} - fields:
+            raise ObservationError(
+                f"{name}: expected a dataclass with the fields {', '.join(sorted(missing))}, "
+                "which windows of long recordings change; write them as fields with annotations"
+            )
+        if self.shown.shape != self.values.shape[:-1] or self.shown.dtype != torch.bool:
+            raise ObservationError(
+                f"{name}.shown: expected booleans of {tuple(self.values.shape[:-1])}, values "
+                f"without their last axis, got {self.shown.dtype} of {tuple(self.shown.shape)}"
+            )
+        if self.vectors != "numbers" and self.values.shape[-1] != 3:
+            raise ObservationError(
+                f"{name}.values: expected three coordinates, got {self.values.shape[-1]}; say "
+                'vectors = "numbers" where they are none of the frame'
+            )
+        if not bool(self.values.isfinite().all()):
+            raise ObservationError(
+                f"{name}.values: expected finite numbers, got nan or inf; store zero where "
+                "nothing was measured, and False in shown"
+            )
 
     def residuals(self, estimate: Estimate) -> Residuals:
         """Measured minus predicted values, by frame and by point, in `unit`."""
         expected, seen = self.expected(estimate)
-        away = self.values[..., seen, :, :] - expected
-        return padded(away, self.weights[..., seen, :], seen, self.moments, self.unit)
+        measured = self.values[..., seen, :, :]
+        if expected.shape[-3:] != measured.shape[-3:]:
+            raise ObservationError(
+                f"{type(self).__name__}.predict: expected axes (..., frames, points, dims) of "
+                f"{tuple(measured.shape[-3:])}, those of values, got {tuple(expected.shape[-3:])}"
+            )
+        return padded(
+            measured - expected, self.weights[..., seen, :], seen, self.moments, self.unit
+        )
 
     def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
         """½ Σ kernel(w² |measured - predicted|²), taken at 30 Hz; `unit` squared."""
@@ -204,7 +247,7 @@ class Sensor(TensorStruct):
         clock = {"fps": self.fps, "start_time": self.start_time, "start": start, "stop": stop}
         numbers = moment_numbers(**clock)
         first: dict[str, Any] = {"start_time": self.start_time + numbers.start / self.fps}
-        return self.derived(**first, **self._moments(numbers))
+        return self.derived(**first, **self.some_frames(numbers))
 
     def coarse(self: R, body: BodyModel, step: int = 2) -> R:
         """Every `step`-th frame, all where most are empty, to compare hypotheses quickly."""
@@ -212,7 +255,7 @@ class Sensor(TensorStruct):
         if self._sparse:
             return self
         fewer: dict[str, Any] = {"fps": self.fps / step}
-        return self.derived(**fewer, **self._moments(range(0, self.moments, step)))
+        return self.derived(**fewer, **self.some_frames(range(0, self.moments, step)))
 
     @property
     def _sparse(self) -> bool:
@@ -234,7 +277,7 @@ class Sensor(TensorStruct):
         axis = len(self.clips)
         faster: dict[str, Any] = {"fps": self.fps * times}
         return self.derived(
-            **faster, **self._timed(lambda tensor: between_moments(tensor, axis, times))
+            **faster, **self.by_frame(lambda tensor: between_moments(tensor, axis, times))
         )
 
     def transformed(self: R, T_new_old: Float[np.ndarray, "4 4"]) -> R:
@@ -258,7 +301,7 @@ class Sensor(TensorStruct):
         del distance
         return self
 
-    def _moments(self, numbers: range) -> dict[str, Any]:
+    def some_frames(self, numbers: range) -> dict[str, Any]:
         """What has an axis of frames at some of them; zero where there are none."""
         axis = len(self.clips)
         number = torch.tensor(numbers, dtype=torch.long)
@@ -270,17 +313,17 @@ class Sensor(TensorStruct):
             return tensor.index_select(axis, there) * exists.to(tensor.device).reshape(shape)
 
         camera = {} if self._camera is None else {"camera": self._camera.at(numbers)}
-        return self._timed(at) | camera
+        return self.by_frame(at) | camera
 
-    def _timed(self, function: Callable[[Tensor], Tensor]) -> dict[str, Any]:
-        """A function of the fields that have an axis of frames; None stays."""
+    def by_frame(self, function: Callable[[Tensor], Tensor]) -> dict[str, Any]:
+        """A function of the fields that have an axis of frames and are not None."""
         found: dict[str, Any] = {}
         for name in self.timed:
             value = getattr(self, name)
             if isinstance(value, TensorStruct):
                 found[name] = value.map(function)
-            else:
-                found[name] = None if value is None else function(value)
+            elif value is not None:
+                found[name] = function(value)
         return found
 
 
@@ -302,6 +345,11 @@ def standing(
         (place - rest[0]).expand(*clips, moments, 3).clone(), rotations,
         rest.new_zeros(*clips, body.shape_size), fps, start_time=start_time,
     )  # fmt: skip
+
+
+def views_of(sensors: Sequence[Sensor]) -> list[Keypoints2D]:
+    """The sensors that measure named points in images."""
+    return [view for one in sensors if (view := one.view)]
 
 
 def unposed_camera(sensors: Sequence[Sensor]) -> Float[np.ndarray, "4 4"] | None:

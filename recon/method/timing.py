@@ -14,13 +14,13 @@ _SAME_MOMENT = 1e-4
 
 
 def at_observation_times(
-    values: Float[Tensor, "*batch time points 3"],
+    values: Float[Tensor, "*batch time points dims"],
     motion: Motion,
     *,
     fps: float,
     start_time: float,
     moments: int,
-) -> tuple[Float[Tensor, "*batch seen points 3"], slice]:
+) -> tuple[Float[Tensor, "*batch seen points dims"], slice]:
     """Positions of the estimate at an observation's moments, and which moments those are.
 
     Linear between decoded frames; moments outside the motion are left out, so an estimate of

@@ -147,10 +147,12 @@ class Factor:
         corner = matrix.corner * self._edge_scale[:, None] * self._edge_scale
         own.diagonal(dim1=-2, dim2=-1).fill_(raised)
         corner.diagonal().fill_(raised)
-        identity = torch.eye(own.shape[-1], dtype=own.dtype, device=own.device)
         self._within: list[Tensor] = []
+        """Lower triangles L_ii."""
         self._across: list[Tensor] = []
+        """L_ii⁻¹ U_i, with U_i the block beside the diagonal."""
         self._gathered: list[Tensor] = []
+        """Rows of L_AA⁻¹ B."""
         failures: list[Tensor] = []
         for i, block in enumerate(own):
             side = border[i]
@@ -160,18 +162,18 @@ class Factor:
                 side = torch.addmm(side, before.T, self._gathered[-1], alpha=-1)
             factor, failed = torch.linalg.cholesky_ex(block)
             failures.append(failed.flatten())
-            # the inverse of a triangular block makes every later substitution one product
-            within = torch.linalg.solve_triangular(factor, identity, upper=False)
-            self._within.append(within)
-            self._gathered.append(within @ side)
+            self._within.append(factor)
             if i < len(beside):
-                self._across.append(within @ beside[i])
+                both = _down(factor, torch.cat((beside[i], side), -1))
+                self._across.append(both[:, : len(factor)])
+                self._gathered.append(both[:, len(factor) :])
+            else:
+                self._gathered.append(_down(factor, side))
         self._border = torch.cat(self._gathered).flatten(0, -2)
         rest, failed = torch.linalg.cholesky_ex(corner - self._border.T @ self._border)
         bad = torch.cat((*failures, failed[None])).any() | ~self._border.isfinite().all()
         self.definite = not bool(bad)
-        small = torch.eye(len(corner), dtype=own.dtype, device=own.device)
-        self._corner = torch.linalg.solve_triangular(rest, small, upper=False)
+        self._corner = _down(rest, torch.eye(len(corner), dtype=own.dtype, device=own.device))
 
     def solve(self, right: Float[Tensor, " numbers"]) -> Float[Tensor, " numbers"]:
         """H⁻¹ r."""
@@ -186,7 +188,7 @@ class Factor:
             here = right[i]
             if i > 0:
                 here = torch.addmm(here, self._across[i - 1].T, found[-1], alpha=-1)
-            found.append(within @ here)
+            found.append(_down(within, here))
         whole = torch.cat(found).flatten()
         edge = self._corner.mv((edge * self._edge_scale).addmv(self._border.T, whole, alpha=-1))
         return torch.cat((whole[: frames.numel()], edge))
@@ -209,10 +211,10 @@ class Factor:
         1973; for Gaussian chains Rauch, Tung and Striebel 1965).
         """
         time, n = self._frames
-        inverses = [self._within[-1].mT @ self._within[-1]]
+        inverses = [torch.cholesky_inverse(self._within[-1])]
         for within, across in zip(self._within[-2::-1], self._across[::-1], strict=True):
-            ahead = within.mT @ across
-            inverses.append(torch.addmm(within.mT @ within, ahead @ inverses[-1], ahead.mT))
+            ahead, own = _up(within, across), torch.cholesky_inverse(within)
+            inverses.append(torch.addmm(own, ahead @ inverses[-1], ahead.mT))
         blocks = torch.stack(inverses[::-1]).flatten(0, -3)
         blocks = blocks.unflatten(-1, (self._reach, n)).unflatten(-3, (self._reach, n))
         own = blocks.diagonal(dim1=1, dim2=3).movedim(-1, 1).flatten(0, 1)[:time]
@@ -227,10 +229,10 @@ class Factor:
 
     def _substituted(self, right: list[Tensor]) -> Float[Tensor, "blocks *some columns"]:
         """Columns x of L_AA ᵀ x = r, scaled, from the last block to the first."""
-        found = [self._within[-1].mT @ right[-1]]
+        found = [_up(self._within[-1], right[-1])]
         for i in range(len(self._across) - 1, -1, -1):
             here = torch.addmm(right[i], self._across[i], found[-1], alpha=-1)
-            found.append(self._within[i].T @ here)
+            found.append(_up(self._within[i], here))
         return torch.stack(found[::-1])
 
     def _parted(
@@ -245,6 +247,18 @@ class Factor:
         time, n = self._frames
         missing = math.prod(self._shape) - time * n
         return pad(frames.flatten(0, 1), (0, 0, 0, missing)).view(*self._shape, frames.shape[-1])
+
+
+def _down(
+    lower: Float[Tensor, "*some size size"], right: Float[Tensor, "*some size columns"]
+) -> Float[Tensor, "*some size columns"]:
+    return torch.linalg.solve_triangular(lower, right, upper=False)
+
+
+def _up(
+    lower: Float[Tensor, "*some size size"], right: Float[Tensor, "*some size columns"]
+) -> Float[Tensor, "*some size columns"]:
+    return torch.linalg.solve_triangular(lower.mT, right, upper=True)
 
 
 def _inverse_roots(matrix: Float[Tensor, "*batch n n"]) -> Float[Tensor, "*batch n"]:

@@ -27,8 +27,7 @@ X = TypeVar("X")
 
 _RAISE, _LOWER = 10.0, 0.1
 _MIN_DAMPING = 1e-6
-_FIRST_RAISE = 1e-3
-"""Damping after the first step that was refused, at least."""
+"""Damping is not lowered beyond this, so that it is raised quickly when a step is refused."""
 
 
 @dataclass(frozen=True)
@@ -145,6 +144,7 @@ def _stepped(
         steps[waiting] = trial
         taken += good
         waiting = [k for k in waiting if k not in good and runs[k].end is None]
+    taken.sort()
     return problem.moved(x, active[taken], steps[taken]) if taken else x
 
 
@@ -196,7 +196,7 @@ class _Run:
         return False
 
     def _raise_damping(self, options: GaussNewton) -> None:
-        self.damping = max(_RAISE * self.damping, _FIRST_RAISE)
+        self.damping = max(_RAISE * self.damping, _MIN_DAMPING)
         if self.damping > options.max_damping:
             self.end = Termination.LINE_SEARCH
 

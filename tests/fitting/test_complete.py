@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from priors.anchor.fit import AnchorFit
+from priors.anchor.prior import AnchorFrames
 from recon import cli
 from recon.body.cycles import find_cycles
 from recon.body.landmarks import LANDMARKS_16
@@ -48,13 +48,12 @@ def _quick(monkeypatch) -> None:  # pyright: ignore[reportUnusedFunction]
     """Few beginnings and few steps: the prior of these tests knows little else than the truth."""
     monkeypatch.setattr(completion, "TRIED", 2)
     monkeypatch.setattr(completion, "KEPT", 1)
-    for name in ("search", "stages"):
-        every = getattr(AnchorFit, name)
+    search = AnchorFrames.search
 
-        def some(self: AnchorFit, data: tuple[Term, ...], every=every) -> tuple[Stage, ...]:
-            return tuple(replace(stage, minimiser=LBFGS(10)) for stage in every(self, data))
+    def some(self: AnchorFrames, data: tuple[Term, ...], noise: float) -> tuple[Stage, ...]:
+        return tuple(replace(stage, minimiser=LBFGS(10)) for stage in search(self, data, noise))
 
-        monkeypatch.setattr(AnchorFit, name, some)
+    monkeypatch.setattr(AnchorFrames, "search", some)
 
 
 @pytest.fixture(scope="module")

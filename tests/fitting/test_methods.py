@@ -46,7 +46,7 @@ def test_the_prior_asked_for_with_weights_for_the_noise():
 
 
 def test_weights_that_the_caller_chose_are_kept():
-    chosen = PoseWeights.published_joints()
+    chosen = PoseWeights(2e-4, 1.67e-4, velocity=10.0)
     prior = PosePrior.load(weights=chosen)
     last = prior_stages(FitOptions(prior=prior), 0.02, bundled())(data())[-1]
     assert isinstance(last.prior, PosePrior)

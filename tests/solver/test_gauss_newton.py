@@ -224,3 +224,16 @@ def test_a_matrix_that_is_not_positive_definite_is_damped() -> None:
         Indefinite(lambda x, _: x), torch.ones(1, 2).double(), GaussNewton(100, 1e-12)
     )
     assert float(solution.value[0]) < 1e-5
+
+
+def test_steps_that_are_taken_in_another_order_stay_with_their_problems() -> None:
+    """The first problem needs more damping than the second, whose step is taken before it."""
+
+    class Ordered(Squares):
+        def moved(self, x: Tensor, rows: Tensor, steps: Tensor) -> Tensor:
+            assert rows.tolist() == sorted(rows.tolist())
+            return super().moved(x, rows, steps)
+
+    start = torch.tensor([[-1.2, 1.0], [0.9, 0.85]]).double()
+    x, _ = minimise(Ordered(rosenbrock), start, GaussNewton(100, 1e-12, damping=0.0), 2)
+    torch.testing.assert_close(x, torch.ones(2, 2).double(), rtol=0, atol=1e-5)

@@ -109,7 +109,7 @@ def quick_fits(versions: Sequence[Points], body: BodyModel) -> list[QuickFit]:
         return fits
     best = min(range(len(fits)), key=lambda row: fits[row].cost)
     whole = versions[best].replace(kernel=partial(geman_mcclure, sigma=ROBUST_SCALE))
-    start = smoothed(NamedPoints.of(whole, body)).into(whole).start(body)
+    start = smoothed(NamedPoints.of(whole, body)).observation.start(body)
     # an excerpt of a long recording is not the whole of it
     from recon.fitting.long import fit_long
 
@@ -120,7 +120,7 @@ def quick_fits(versions: Sequence[Points], body: BodyModel) -> list[QuickFit]:
 
 def _fitted(versions: Sequence[Points], method: Stages, body: BodyModel) -> list[QuickFit]:
     robust = concatenate(list(versions)).replace(kernel=partial(geman_mcclure, sigma=ROBUST_SCALE))
-    starts = [smoothed(NamedPoints.of(one, body)).into(one).start(body) for one in versions]
+    starts = [smoothed(NamedPoints.of(one, body)).observation.start(body) for one in versions]
     result = solve([robust], method, body, start=concatenate(starts))
     value = result.reports[-1].solution.value / robust.visible.sum((-2, -1)).clamp(min=1)
     return [

@@ -3,11 +3,13 @@
 Every frame has variables and an energy of its own; ties between neighbours are springs. All
 frames step at once, by the solution of one banded system, but each frame has its own damping, is
 refused its step where that would raise its energy, and leaves when it has converged. A curvature
-is kept as long as the steps that are made with it shrink well.
+is kept as long as the steps that are made with it shrink well. `recon.solver.gauss_newton` damps a
+whole sequence and computes all of its curvature in every iteration.
 """
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Generic, Protocol, runtime_checkable
+from typing import Generic
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -30,43 +32,40 @@ _CHUNK_FRAMES = 128
 """Frames whose curvatures are computed together: what they need stays in the cache."""
 
 
-@runtime_checkable
-class TiedFrames(Protocol[S]):
+class TiedFrames(ABC, Generic[S]):
     """A sequence of frames whose energies are minimised."""
 
+    linked: Bool[Tensor, " between"]
+    """Whether a frame is tied to the next one."""
+
     @property
+    @abstractmethod
     def stiffness(self) -> Float[Tensor, " n"]:
         """Second derivatives of a tie by the variables of one of its frames."""
-        ...
 
-    @property
-    def linked(self) -> Bool[Tensor, " between"]:
-        """Whether a frame is tied to the next one."""
-        ...
-
+    @abstractmethod
     def look(
         self, state: S, rows: Int[Tensor, " rows"]
     ) -> tuple[Float[Tensor, " rows"], Float[Tensor, "rows n"]]:
         """Energies of some frames without ties, and their gradients by a step of each frame."""
-        ...
 
+    @abstractmethod
     def curvature(self, state: S, rows: Int[Tensor, " rows"]) -> Float[Tensor, "rows n n"]:
-        """Their LevenbergMarquardt-Newton Hessians, positive semidefinite, without ties."""
-        ...
+        """Their Gauss-Newton Hessians, positive semidefinite, without ties."""
 
+    @abstractmethod
     def alike(
         self, some: Int[Tensor, " rows"], others: Int[Tensor, " rows"]
     ) -> Bool[Tensor, " rows"]:
         """Which frames have data of one kind, so that one curvature will do for both."""
-        ...
 
+    @abstractmethod
     def tied(self, state: S) -> tuple[Float[Tensor, " between"], Float[Tensor, "frames n"]]:
         """Energies of the ties from frame to frame, and their gradients by steps."""
-        ...
 
+    @abstractmethod
     def moved(self, state: S, rows: Int[Tensor, " rows"], steps: Float[Tensor, "rows n"]) -> S:
         """The state after steps of some frames."""
-        ...
 
 
 @dataclass(frozen=True)
