@@ -111,7 +111,7 @@ def given_back(seen: Markers3D, weights: str, body: BodyModel) -> dict[str, floa
         result = recon.fit(data, prior, weights=own, body=body, noise=NOISE, repair=False)
         times = torch.arange(seen.positions.shape[1], dtype=torch.float64) / seen.fps
         kept = times <= result.motion.stop_time + 1e-6
-        there = seen.on(body.pose(result.motion.at(times[kept], seen.fps)))
+        there = seen.predict(body.pose(result.motion.at(times[kept], seen.fps)))
         away = (there - seen.positions[0, kept]).norm(dim=-1)
         errors[label] = 100 * away[hidden[0, kept]].mean().item()
     return errors

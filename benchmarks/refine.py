@@ -3,7 +3,7 @@
     python -m benchmarks.refine CORPUS --out FOLDER
     python -m benchmarks.refine CORPUS --part validation --only 8
 
-Estimates have the errors of `recon.simulation.regressor`: biased and wandering joints, jitter, a
+Estimates have the errors of `benchmarks.regressor`: biased and wandering joints, jitter, a
 limb hidden for a second, legs exchanged for moments, a path that drifts. Columns: mean error of
 joints in the world and about the pelvis, of accelerations; speed of feet that stand along the
 ground; and, of hands and toes that are faster than 3 m/s in truth, the ratio of their highest
@@ -29,11 +29,11 @@ from benchmarks.protocol import (
     over_windows,
     tell,
 )
+from benchmarks.regressor import RegressorErrors, estimated
 from recon import BodyModel, Joints3D, Motion
 from recon.benchmark.dataset import Splits
 from recon.benchmark.windows import FPS, load_windows
 from recon.core.skeleton import FEET, JOINTS, TOES
-from recon.simulation.regressor import RegressorErrors, estimated
 
 SEED = 0
 FAST = 3.0

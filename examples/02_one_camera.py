@@ -6,34 +6,18 @@ Needed are the keypoints of a detector, their layout and the lens. The fit finds
 the pose of the camera above it, from the way people stand.
 """
 
-from importlib import resources
-
-import numpy as np
+from pathlib import Path
 
 import recon
-from recon.core.camera import full_hd_camera
-from recon.formats.observations import CameraArrays, KeypointsFile
-from recon.reading.images import keypoints_of
-from recon.simulation.images import dome, keypoints2d
-from recon.simulation.points import Corruption
 
-
-def detector() -> KeypointsFile:
-    """Stands for your detector: the bundled walk as a camera saw it, with errors of 3 pixels."""
-    body = recon.BodyModel.load()
-    with resources.as_file(resources.files("recon") / "assets" / "demo.npz") as path:
-        truth = recon.load_motion(path).motion.window(0, 30)
-    (camera,) = dome(truth, body, full_hd_camera(), 1)
-    return keypoints2d(truth, body, camera, Corruption(noise=3.0), seed=0)
+WALK = Path(recon.__file__).parent / "assets" / "demo.npz"
 
 
 def main() -> None:
-    found = detector()
-    lens = np.asarray(found.camera.camera_matrix)  # (3, 3) pixels
-    camera = CameraArrays(lens, (1920, 1080))  # no distortion, no pose
-    file = KeypointsFile(found.pixels, found.confidence, "openpose25", 30.0, camera)
+    # stands for your detector, with errors of 3 pixels: recon.read opens its files
+    (seen,) = recon.simulate(WALK, "keypoints2d", noise=3.0, frames=(0, 30), unknown_ground=True)
 
-    result = recon.fit(keypoints_of(file, recon.BodyModel.load()))
+    result = recon.fit(seen)
 
     print(result)
     assert result.T_world_camera is not None

@@ -6,32 +6,23 @@ Every view is an observation; observations of one clip add up. The poses of the 
 here, so the world is that of the calibration.
 """
 
-from importlib import resources
+from pathlib import Path
 
 import recon
-from recon.core.camera import full_hd_camera
-from recon.reading.images import keypoints_of
-from recon.simulation.images import dome, keypoints2d
-from recon.simulation.points import Corruption
+
+WALK = Path(recon.__file__).parent / "assets" / "demo.npz"
 
 
 def main() -> None:
-    body = recon.BodyModel.load()
-    with resources.as_file(resources.files("recon") / "assets" / "demo.npz") as path:
-        truth = recon.load_motion(path).motion.window(0, 30)
+    truth = recon.load_motion(WALK).motion.window(0, 30)
 
-    # stands for your detector and your calibration: a KeypointsFile per view
-    cameras = dome(truth, body, full_hd_camera(), 3)
-    files = [
-        keypoints2d(truth, body, camera, Corruption(noise=3.0), seed)
-        for seed, camera in enumerate(cameras)
-    ]
+    # stands for your detector and your calibration: recon.read opens their files
+    views = list(recon.simulate(truth, "keypoints2d", views=3, noise=3.0))
 
-    views = [keypoints_of(file, body) for file in files]
     for count in (1, 3):
         result = recon.fit(views[:count])
-        error = (result.joints - body.pose(truth).joints).norm(dim=-1).mean()
-        print(f"{count} view(s): {100 * float(error):.1f} cm in the world")
+        error = recon.evaluate(result, truth)["joints_all"]
+        print(f"{count} view(s): {100 * error:.1f} cm in the world")
     print(result)
 
 

@@ -7,32 +7,24 @@ how far away the body is, keypoints tell which limb is which. Together they are 
 alone.
 """
 
-from importlib import resources
+from pathlib import Path
 
 import recon
-from recon.core.camera import depth_camera
-from recon.reading.clouds import cloud_of
-from recon.reading.images import keypoints_of
-from recon.simulation.depth import depth_points
-from recon.simulation.images import dome, keypoints2d
-from recon.simulation.points import Corruption
+
+WALK = Path(recon.__file__).parent / "assets" / "demo.npz"
 
 
 def main() -> None:
-    body = recon.BodyModel.load()
-    with resources.as_file(resources.files("recon") / "assets" / "demo.npz") as path:
-        truth = recon.load_motion(path).motion.window(0, 20)
+    truth = recon.load_motion(WALK).motion.window(0, 20)
 
-    # stands for your sensor: points and keypoints in the files that recon reads
-    (camera,) = dome(truth, body, depth_camera(), 1)
-    points = depth_points(truth, body, camera, Corruption(), seed=0, points=512)
-    pixels = keypoints2d(truth, body, camera, Corruption(noise=2.0), seed=0)
+    # stands for your sensor: recon.read opens its clouds, depth images and detections
+    (cloud,) = recon.simulate(truth, "depth", points=512)
+    (view,) = recon.simulate(truth, "keypoints2d", noise=2.0)
 
-    cloud, view = cloud_of(points, body).cloud, keypoints_of(pixels, body)
     for name, seen in (("depth", [cloud]), ("keypoints", [view]), ("both", [cloud, view])):
         result = recon.fit(seen, prior="pose")
-        error = (result.joints - body.pose(truth).joints).norm(dim=-1).mean()
-        print(f"{name}: {100 * float(error):.1f} cm in the world")
+        error = recon.evaluate(result, truth)["joints_all"]
+        print(f"{name}: {100 * error:.1f} cm in the world")
 
 
 if __name__ == "__main__":

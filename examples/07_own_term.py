@@ -13,8 +13,7 @@ from torch import Tensor
 
 import recon
 from recon.core.skeleton import joint_index
-from recon.method.protocols import Estimate
-from recon.method.terms import Term
+from recon.method import Estimate, Term
 from recon.simulation.points import Corruption, joints3d
 
 HEAD = joint_index("head")

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
 from recon.core.camera import NEAREST, Camera
@@ -14,29 +14,24 @@ from recon.method.quadratic import PointModel
 def of_places(
     points: Float[Tensor, "*batch moments points 3"],
     positions: Float[Tensor, "*batch moments points 3"],
-    visible: Bool[Tensor, "*batch moments points"],
+    weights: Tensor,
     kernel: Callable[[Tensor], Tensor],
-    weights: Float[Tensor, "*batch moments points"] | None,
     rate: float,
 ) -> PointModel:
-    """The model of rate ½ Σ kernel(w² |p - observed|²) over visible points; w is 1 by default."""
+    """The model of rate ½ Σ kernel(w² |p - observed|²); weights w (*batch, moments, points)."""
     away = points - positions
-    counts = visible.to(points)
-    scale = counts if weights is None else weights.square()
-    size = away.square().sum(-1)
-    if weights is not None:
-        size = scale * size
-    value, slope = size, scale
+    slope = weights.to(points).square()
+    value = slope * away.square().sum(-1)
     if kernel is not squared:
         with torch.enable_grad():
-            variable = size.detach().requires_grad_()
-            value = kernel(variable)
-            (slope,) = torch.autograd.grad(value.sum(), variable)
-        value, slope = value.detach(), slope * scale
-    slope = rate * slope * counts
+            variable = value.detach().requires_grad_()
+            counted = kernel(variable)
+            (by_square,) = torch.autograd.grad(counted.sum(), variable)
+        value, slope = counted.detach(), by_square * slope
+    slope = rate * slope
     identity = torch.eye(3, dtype=points.dtype, device=points.device)
     return PointModel(
-        0.5 * rate * (value * counts).sum((-2, -1)),
+        0.5 * rate * value.sum((-2, -1)),
         slope[..., None] * away,
         slope[..., None, None] * identity,
     )

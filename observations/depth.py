@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar
+from functools import cache
 
 import numpy as np
 import torch
@@ -10,28 +10,21 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from observations.checks import checked_clock, checked_positions, checked_view
-from observations.records.sensor import SensorRecord
-from observations.start.depth import depth_start
 from observations.start.labelled import labelled_start
 from observations.start.surface_steps import costs_of_points, kinds_of_surfels
 from observations.surfels import Surfels, to_discs, tukey, tukey_scale, within
-from observations.timing import (
-    at_observation_times,
-    between_moments,
-    moment_numbers,
-    moments_between,
-    padded,
-)  # fmt: skip
-from priors.labels.looking import PointLabels
+from priors.labels.looking import CloudLabeller, PointLabels
 from recon.body.model import BodyModel
 from recon.core.arrays import Numbers, float_tensor
-from recon.core.camera import Camera, transform
+from recon.core.camera import Camera
 from recon.core.errors import ObservationError
 from recon.core.motion import Motion
 from recon.core.nearest import nearest, nearest_alike
 from recon.core.raster import facing
-from recon.core.residuals import Noise, Residuals, Unit
+from recon.core.residuals import Noise, Residuals
 from recon.method.protocols import REFERENCE_FPS, Estimate
+from recon.method.sensor import Sensor
+from recon.method.timing import padded
 
 _FEW_POINTS, _FEW_SURFELS = 96, 500
 _FLESH, _FLESH_POINTS = 0.15, 3
@@ -45,7 +38,7 @@ Chosen on validation windows among 16, 64 and 128."""
 
 
 @dataclass(frozen=True, init=False)
-class PointCloud(SensorRecord):
+class PointCloud(Sensor):
     """Points of the body's surface that a depth sensor or a scanner measured.
 
     The energy is half the robust squared distance of every point from the surface, in metres².
@@ -53,7 +46,7 @@ class PointCloud(SensorRecord):
     """
 
     sees = "surface"
-    unit: ClassVar[Unit] = "metres"
+    timed = ("points", "present", "labels", "std")
     points: Float[Tensor, "*batch moments points 3"]
     """Positions in metres, in the frame of the recording; zero where not present."""
     present: Bool[Tensor, "*batch moments points"]
@@ -134,19 +127,14 @@ class PointCloud(SensorRecord):
         return "points"
 
     @property
-    def places(self) -> Float[Tensor, "*batch moments points 3"]:
+    def values(self) -> Tensor:  # pyright: ignore[reportIncompatibleVariableOverride]
         """Positions of the points, frame of the recording, metres."""
         return self.points
 
     @property
-    def shown(self) -> Bool[Tensor, "*batch moments points"]:
+    def shown(self) -> Tensor:  # pyright: ignore[reportIncompatibleVariableOverride]
         """Which points exist; the rows of shorter clouds are padded."""
         return self.present
-
-    def point_names(self, body: BodyModel) -> tuple[str, ...]:
-        """No names: the points of a moment are not those of the next."""
-        del body
-        return ()
 
     def noise(self, guess: Motion, body: BodyModel, given: float | None = None) -> Noise:
         """The noise of the sensor, given or `CLOUD_NOISE`; see `CLOUD_WORTH` for its weight."""
@@ -158,10 +146,8 @@ class PointCloud(SensorRecord):
 
     def shown_joints(self, estimate: Estimate) -> Bool[np.ndarray, "moments 22"]:
         """Joints of the first clip with points on the flesh around them, at every moment."""
-        joints, covered = at_observation_times(
-            estimate.scene.to_recording(estimate.body.joints), estimate.motion,
-            fps=self.fps, start_time=self.start_time, moments=self.moments,
-        )  # fmt: skip
+        joints = estimate.scene.to_recording(estimate.body.joints)
+        joints, covered = self.at_own_times(joints, estimate.motion)
         found = np.zeros((self.moments, joints.shape[-2]), dtype=bool)
         for moment in range(covered.start, covered.stop):
             points = self.points[0, moment][self.present[0, moment]]
@@ -189,7 +175,7 @@ class PointCloud(SensorRecord):
         One-way Chamfer: every point belongs to the nearest vertex of the body at its moment that
         faces the sensor. Where no vertex faces the sensor, all of them are searched.
         """
-        squared, present, seen = self._squared_distances(estimate)
+        squared, present, seen = self.squared_distances(estimate)
         variance, worth = self._relative(seen)
         relative, present = (squared / variance).flatten(-2), present.flatten(-2)
         held = self.scale
@@ -213,13 +199,8 @@ class PointCloud(SensorRecord):
         count = self.present[..., seen, :].sum(-1, keepdim=True).clamp(min=CLOUD_WORTH)
         return 1 + added, (1 + added) / (1 + added * CLOUD_WORTH / count)
 
-    def squared_distances(self, estimate: Estimate) -> tuple[Tensor, Tensor]:
-        """Squared distances (*batch, seen, points), metres², and which points are present."""
-        squared, present, _ = self._squared_distances(estimate)
-        return squared, present
-
-    def _squared_distances(self, estimate: Estimate) -> tuple[Tensor, Tensor, slice | Tensor]:
-        """Squared distances, presence, and the moments that they are of."""
+    def squared_distances(self, estimate: Estimate) -> tuple[Tensor, Tensor, slice | Tensor]:
+        """Squared distances (*batch, seen, points), metres², which exist, and their moments."""
         if self.pairs is not None and estimate.body.model.pose_directions is None:
             return self._from_pairs(estimate, self.pairs)
         middles, normals, seen = self._surface(estimate)
@@ -235,9 +216,9 @@ class PointCloud(SensorRecord):
 
         Where the cloud is `matched`, from the discs that its points were given.
         """
-        squared, present, seen = self._squared_distances(estimate)
+        squared, present, seen = self.squared_distances(estimate)
         away = squared.clamp(min=0).sqrt()[..., None]
-        return padded(away, present, seen, self.points.shape[-3])
+        return padded(away, present, seen, self.moments)
 
     def _between(
         self, middles: Tensor, normals: Tensor, seen: slice, index: Tensor
@@ -248,10 +229,8 @@ class PointCloud(SensorRecord):
 
     def _from_pairs(self, estimate: Estimate, pairs: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Squared distances, presence and moments; only the discs of these pairs are posed."""
-        bones, seen = at_observation_times(
-            estimate.body.bones.flatten(-3, -2), estimate.motion,
-            fps=self.fps, start_time=self.start_time, moments=self.points.shape[-3],
-        )  # fmt: skip
+        bones = estimate.body.bones.flatten(-3, -2)
+        bones, seen = self.at_own_times(bones, estimate.motion)
         full = self.present[..., seen, :].any(-1).flatten(0, -2).any(0).nonzero()[:, 0]
         moments = full + seen.start
         index = pairs[..., moments, :]
@@ -281,9 +260,7 @@ class PointCloud(SensorRecord):
         """
         points, present = self.points[..., seen, :, :], self.present[..., seen, :]
         allowed = torch.ones_like(middles[..., 0], dtype=torch.bool)
-        if self.camera is not None:
-            eye = self.camera.at(range(seen.start, seen.stop)).T_world_camera[..., :3, 3]
-            eye = eye.expand(*middles.shape[:-2], 3)
+        if (eye := self.eye(range(seen.start, seen.stop))) is not None:
             allowed = facing(middles.detach(), normals.detach(), eye)
         if self.labels is None:
             return nearest(points, present, middles, allowed)
@@ -296,97 +273,62 @@ class PointCloud(SensorRecord):
 
     def _surface(self, estimate: Estimate) -> tuple[Tensor, Tensor, slice]:
         """Middles and normals of the discs in the recording, at the moments that are covered."""
-        middles, normals = self.surfels.posed(estimate.body)
-        clock = {"fps": self.fps, "start_time": self.start_time, "moments": self.points.shape[-3]}
-        middles, seen = at_observation_times(
-            estimate.scene.to_recording(middles), estimate.motion, **clock
-        )
-        normals, _ = at_observation_times(
-            estimate.scene.to_recording_directions(normals), estimate.motion, **clock
-        )
-        return middles, normals, seen
+        (middles, normals), scene = self.surfels.posed(estimate.body), estimate.scene
+        middles, seen = self.at_own_times(scene.to_recording(middles), estimate.motion)
+        normals = scene.to_recording_directions(normals)
+        return middles, self.at_own_times(normals, estimate.motion)[0], seen
 
-    def window(self, start: float, stop: float) -> "PointCloud":
-        """What was seen from one time to another, both included, seconds; the clock goes on."""
-        clock = {"fps": self.fps, "start_time": self.start_time, "start": start, "stop": stop}
-        points, present, first = moments_between(self.points, self.present, **clock)
-        numbers = moment_numbers(**clock)
-        camera = None if self.camera is None else self.camera.at(numbers)
-        there = torch.tensor(numbers).clamp(0, self.moments - 1)
-        labels = self._labels(lambda one: one.index_select(self.present.ndim - 2, there))
-        if labels is not None:
-            labels = labels.derived(present=present)
-        return self.derived(
-            points=points, present=present, camera=camera, start_time=first, labels=labels,
-            std=None if self.std is None else self.std[..., there],
-        )  # fmt: skip
-
-    def _labels(self, function: Callable[[Tensor], Tensor]) -> PointLabels | None:
-        """The labels, if there are any, with a function applied to each of their tensors."""
-        return None if self.labels is None else self.labels.map(function)
-
-    def transformed(self, T_new_old: Float[np.ndarray, "4 4"]) -> "PointCloud":
-        """Points and sensor after a rigid transform of the frame that they live in."""
-        T = torch.from_numpy(T_new_old).to(self.points)
-        points = transform(T, self.points).where(self.present[..., None], 0.0)
-        camera = None if self.camera is None else self.camera.moved(T_new_old)
-        return self.derived(points=points, camera=camera)
+    def eye(self, moments: range) -> Float[Tensor, "*batch moments 3"] | None:
+        """Where the sensor was at some moments, recording, metres; None for scans."""
+        if self.camera is None:
+            return None
+        place = self.camera.at(moments).T_world_camera[..., :3, 3]
+        return place.expand(*self.clips, len(moments), 3)
 
     def thinned(self, most: int) -> "PointCloud":
         """A cloud of at most `most` points in every moment; points come in no order."""
         if self.points.shape[-2] <= most:
             return self
         number = torch.linspace(0, self.points.shape[-2] - 1, most).long()
-        return self._few(number, slice(None))
+        return self._few(number)
 
-    def _few(self, number: Tensor, every: slice) -> "PointCloud":
-        """Some of the points of some of the moments."""
-        axis, moments = self.present.ndim - 1, range(self.moments)[every]
+    def _few(self, number: Tensor) -> "PointCloud":
+        """Some of the points of every moment."""
+        axis = self.present.ndim - 1
 
         def taken(values: Tensor) -> Tensor:
-            there = torch.tensor(moments, device=values.device)
-            some = values.index_select(axis - 1, there)
-            return some.index_select(axis, number.to(values.device))
+            return values.index_select(axis, number.to(values.device))
 
-        camera = None if self.camera is None else self.camera.at(moments)
-        return self.derived(
-            points=taken(self.points),
-            present=taken(self.present),
-            labels=self._labels(taken),
-            std=None if self.std is None else self.std[..., every],
-            camera=camera,
-        )
+        labels = None if self.labels is None else self.labels.map(taken)
+        return self.derived(points=taken(self.points), present=taken(self.present), labels=labels)
 
     def coarse(self, body: BodyModel, step: int = 2) -> "PointCloud":
         """Few points of every `step`-th moment, of all where most are empty; a rough surface."""
-        if 2 * int(self.present.any(-1).sum()) < self.present[..., 0].numel():
-            step = 1
         last = self.points.shape[-2] - 1
         number = torch.linspace(0, last, min(_FEW_POINTS, last + 1)).long()
-        return self._few(number, slice(None, None, step)).derived(
-            surfels=Surfels.of(body, _FEW_SURFELS), fps=self.fps / step
-        )
-
-    def on_faster_clock(self, times: int) -> "PointCloud":
-        """Points with empty moments in between them; a sensor that moves keeps its clock."""
-        if self.camera is not None and self.camera.T_camera_world.shape[-3] > 1:
-            return self
-        axis = self.present.ndim - 2
-        points, present = (between_moments(t, axis, times) for t in (self.points, self.present))
-        std = None if self.std is None else self.std.repeat_interleave(times, -1)
-        return self.derived(
-            points=points, present=present, fps=self.fps * times,
-            labels=self._labels(lambda one: between_moments(one, axis, times)),
-            std=None if std is None else std[..., : present.shape[axis]],
-        )  # fmt: skip
+        few = super().coarse(body, step)._few(number)
+        return few.derived(surfels=Surfels.of(body, _FEW_SURFELS))
 
     def start(self, body: BodyModel) -> Motion:
-        """Poses that labels tell (`labelled_start`), or without any a posture (`depth_start`)."""
-        eye = None
-        if self.camera is not None:
-            eye = self.camera.at(range(self.moments)).T_world_camera[..., :3, 3]
-            eye = eye.expand(*self.points.shape[:-2], 3)
-        clock = {"fps": self.fps, "start_time": self.start_time}
+        """The average body in the poses that labels tell; see `labelled_start`."""
+        seen = self.labelled()
+        assert seen.labels is not None
+        return labelled_start(
+            body, seen.points, seen.present, seen.labels, self.eye(range(self.moments)),
+            fps=self.fps, start_time=self.start_time,
+        )  # fmt: skip
+
+    def labelled(self) -> "PointCloud":
+        """The cloud with what the bundled network believes of its points, unless it has labels."""
         if self.labels is not None:
-            return labelled_start(body, self.points, self.present, self.labels, eye, **clock)
-        return depth_start(body, self.surfels, self.points, self.present, eye, **clock)
+            return self
+        level = self.ground_known or self.ground_seen
+        eye = self.eye(range(self.moments))
+        found = _labeller()(self.points, self.present, self.fps, eye, level=level)
+        return self.derived(labels=found.to(dtype=self.points.dtype))
+
+
+@cache
+def _labeller() -> CloudLabeller:
+    """The bundled network, loaded once, and with the first cloud."""
+    return CloudLabeller.load()

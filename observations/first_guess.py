@@ -1,24 +1,19 @@
 """The first guess of a fit, from all observations of a clip together."""
 
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
-from typing import Any
+from typing import TYPE_CHECKING
 
 import torch
-from jaxtyping import Float
-from torch import Tensor
 
-from observations import kinds
-from observations.kinds import Keypoints2D, PointCloud
-from observations.timing import at_observation_times
 from recon.body.model import BodyModel
-from recon.core import rotations as so3
 from recon.core.motion import Motion
-from recon.method.protocols import Sensor
+from recon.method.sensor import Sensor, views_of
 
-_OTHER_HEADINGS = (math.pi / 2, math.pi, 3 * math.pi / 2)
+if TYPE_CHECKING:
+    from observations.keypoints2d import Keypoints2D
+else:
+    Keypoints2D = Sensor  # the code of a sensor is loaded with its data
 
 
 @dataclass(frozen=True)
@@ -32,8 +27,6 @@ class FirstGuess:
     Placing the rest body better, stage 1, helps the first and spoils the second: it would trade
     stretched limbs against distance.
     """
-    others: tuple[Motion, ...] = ()
-    """What it may be as well; only a fit can tell."""
 
 
 def first_guess(observations: Sequence[Sensor], body: BodyModel) -> FirstGuess:
@@ -43,8 +36,9 @@ def first_guess(observations: Sequence[Sensor], body: BodyModel) -> FirstGuess:
     sees, at the distance and in the posture of the depth where there is depth, and depth alone
     last. Where there is none of these, the first sensor's own guess is taken.
     """
-    named, views = kinds.tracked(observations), kinds.views(observations)
-    clouds = kinds.clouds(observations)
+    named = [named for one in observations if (named := one.named)]
+    views = views_of(observations)
+    clouds = [cloud for one in observations if (cloud := one.cloud)]
     if not named and not views and not clouds:
         return FirstGuess(observations[0].start(body), True)
     if named:
@@ -55,28 +49,10 @@ def first_guess(observations: Sequence[Sensor], body: BodyModel) -> FirstGuess:
 
         if tell_distance(alike):
             return FirstGuess(views_start(body, alike), True)
-    if views and clouds:
-        placed, posed = views[0].start(body), clouds[0].start(body)
-        if clouds[0].labels is not None:  # headings were compared already
-            return FirstGuess(_moved_like(posed, placed), True)
-        stretched = _at_cloud(placed, clouds[0], body)
-        moved = _moved_like(posed, stretched)
-        root, others = stretched.rotations[..., :1, :, :], moved.rotations[..., 1:, :, :]
-        moved = moved.replace(rotations=torch.cat((root, others), -3))
-        return FirstGuess(moved, True, (stretched,))
     if clouds:
-        motion = clouds[0].start(body)
-        if clouds[0].labels is not None:  # headings were compared already
-            return FirstGuess(motion, True)
-        return FirstGuess(motion, True, tuple(_turned(motion, angle) for angle in _OTHER_HEADINGS))
+        posed = clouds[0].start(body)
+        return FirstGuess(_moved_like(posed, views[0].start(body)) if views else posed, True)
     return FirstGuess(views[0].start(body), False)
-
-
-def _turned(motion: Motion, angle: float) -> Motion:
-    """The body in the same place with another heading, as points do not tell headings well."""
-    about = so3.about_z(motion.translation.new_tensor(angle))
-    root = about @ motion.rotations[..., :1, :, :]
-    return motion.replace(rotations=torch.cat((root, motion.rotations[..., 1:, :, :]), -3))
 
 
 def one_clock(views: Sequence[Keypoints2D]) -> list[Keypoints2D]:
@@ -86,21 +62,6 @@ def one_clock(views: Sequence[Keypoints2D]) -> list[Keypoints2D]:
         return (view.fps, view.start_time, *view.pixels.shape[:-1])
 
     return [view for view in views if clock(view) == clock(views[0])]
-
-
-def _at_cloud(motion: Motion, cloud: PointCloud, body: BodyModel) -> Motion:
-    """The motion moved, frame by frame, so that its pelvis is in the middle of the points.
-
-    The middle of the points is on the near side of the body, a few centimetres before the pelvis.
-    """
-    points = cloud.points.where(cloud.present[..., None], torch.nan)
-    middle = points.nanmedian(-2).values
-    pelvis = body.pose(motion).joints[..., :1, :]
-    there, seen = at_observation_times(
-        pelvis, motion, fps=cloud.fps, start_time=cloud.start_time, moments=cloud.points.shape[-3]
-    )
-    away = middle[..., seen, :] - there[..., 0, :]
-    return motion.replace(translation=motion.translation + _typical(away))
 
 
 def _moved_like(posed: Motion, placed: Motion) -> Motion:
@@ -121,38 +82,11 @@ def _moved_like(posed: Motion, placed: Motion) -> Motion:
     return placed.replace(translation=placed.translation + away, rotations=there.rotations)
 
 
-def _typical(away: Float[Tensor, "batch seen 3"]) -> Float[Tensor, "batch 1 3"]:
-    """The median over the moments that have points; zero without any."""
-    return away.nanmedian(-2, keepdim=True).values.nan_to_num(0.0)
-
-
 def labelled(observations: Sequence[Sensor]) -> tuple[Sensor, ...]:
     """The observations with labels for their clouds, unless other points in space have names.
 
     Those tell the posture better than labels do.
     """
-    if kinds.tracked(observations):
+    if any(one.named for one in observations):
         return tuple(observations)
-    return tuple(
-        with_labels(*cloud) if (cloud := kinds.clouds([one])) else one for one in observations
-    )
-
-
-def with_labels(cloud: PointCloud) -> PointCloud:
-    """The cloud with what the bundled network believes of its points, unless it has labels."""
-    if cloud.labels is not None:
-        return cloud
-    eyes = None
-    if cloud.camera is not None:
-        eyes = cloud.camera.at(range(cloud.moments)).T_world_camera[..., :3, 3]
-    level = cloud.ground_known or cloud.ground_seen
-    found = _labeller()(cloud.points, cloud.present, cloud.fps, eyes, level=level)
-    return cloud.derived(labels=found.to(dtype=cloud.points.dtype))
-
-
-@cache
-def _labeller() -> Callable[..., Any]:
-    """The bundled network, loaded once, and with the first cloud."""
-    from priors.labels.looking import CloudLabeller
-
-    return CloudLabeller.load()
+    return tuple(one.cloud.labelled() if one.cloud else one for one in observations)

@@ -5,23 +5,20 @@ from typing import ClassVar
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
 from observations.checks import checked_clock, checked_pixels, checked_places, checked_view
-from observations.correspondences import BodyPoints, joints_shown, told_joints
+from observations.correspondences import BodyPoints, told_joints
 from observations.curvature import of_pixels
 from observations.noise import LIMITS, estimate_noise
-from observations.records.sensor import SensorRecord
-from observations.records.tracked import OFFSET_UNIT, displaced
+from observations.points import OFFSET_UNIT, PointsOfBody
 from observations.start.images import image_start
-from observations.timing import at_observation_times, moment_numbers, moments_between, padded
-from recon.body.derivatives import CarriedPoints
 from recon.body.model import BodyModel
 from recon.core.arrays import Numbers, positive
-from recon.core.camera import Camera, Projection
+from recon.core.camera import NEAREST, Camera, Projection
 from recon.core.motion import Motion
-from recon.core.residuals import Noise, Residuals, Unit
+from recon.core.residuals import Noise, Unit
 from recon.core.robust import geman_mcclure
 from recon.core.scene import Scene
 from recon.method.protocols import REFERENCE_FPS, Estimate
@@ -34,7 +31,7 @@ FAINT = 0.2
 
 
 @dataclass(frozen=True, init=False)
-class Keypoints2D(SensorRecord):
+class Keypoints2D(PointsOfBody):
     """2D keypoints that one calibrated camera saw.
 
     The energy is half the robust squared distance of every keypoint from the projection of the
@@ -43,6 +40,8 @@ class Keypoints2D(SensorRecord):
 
     sees = "image"
     unit: ClassVar[Unit] = "pixels"
+    timed = ("pixels", "confidence")
+    offset_unit: ClassVar[float] = OFFSET_UNIT
     pixels: Float[Tensor, "*batch moments points 2"]
     """Pixels without lens distortion; zero where the confidence is zero."""
     confidence: Float[Tensor, "*batch moments points"]
@@ -110,42 +109,59 @@ class Keypoints2D(SensorRecord):
         return self.derived(camera=scene.lens.of(self.camera), focal_known=True)
 
     @property
-    def shown(self) -> Bool[Tensor, "*batch moments points"]:
+    def values(self) -> Tensor:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """Pixels of the keypoints."""
+        return self.pixels
+
+    @property
+    def shown(self) -> Tensor:  # pyright: ignore[reportIncompatibleVariableOverride]
         """Which keypoints were seen."""
         return self.confidence > 0
 
-    def point_names(self, body: BodyModel) -> tuple[str, ...]:
-        """Names of the keypoints."""
-        del body
-        return self.points.names
+    @property
+    def weights(self) -> Float[Tensor, "*batch moments points"]:
+        """Confidences."""
+        return self.confidence
 
     def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
         """½ Σ c² (ρ(Δu) + ρ(Δv)) with ρ(e) = σ² e² / (σ² + e²), taken at 30 Hz.
 
-        Twice of it is HuMoR's joints2d (section 6.5). A point that the estimate has behind the
-        camera counts as the farthest error.
+        Twice of it is HuMoR's joints2d (section 6.5).
         """
-        projected, seen = self.project(estimate)
-        error = geman_mcclure(
-            (projected.pixels - self.pixels[..., seen, :, :]).square(), self.sigma
-        )
+        points, seen = super().expected(estimate)
+        part = self.settled(estimate.scene)
+        if points.shape[-3] < self.moments:
+            part = part.derived(**part.some_frames(range(seen.start, seen.stop)))
+        return part.energy(points)
+
+    def energy(self, points: Float[Tensor, "*batch frames points 3"]) -> Float[Tensor, "*batch"]:
+        """The energy of predicted points, frame of the recording, in all frames of the data.
+
+        A point behind the camera counts as the farthest error.
+        """
+        projected = self.camera.project(points)
+        error = geman_mcclure((projected.pixels - self.pixels).square(), self.sigma)
         error = torch.where(projected.in_front[..., None], error, self.sigma**2).sum(-1)
-        counted = self.confidence[..., seen, :].square() * error
+        counted = self.confidence.square() * error
         return 0.5 * counted.sum((-2, -1)) * (REFERENCE_FPS / self.fps)
 
-    def predict(self, estimate: Estimate) -> Float[Tensor, "*batch time points 3"]:
-        """The keypoints on the estimated body, world, metres, in the frames of the estimate."""
-        points = self.points.of(estimate.body)
-        return displaced(points, estimate, self.points.bones, self.offset_rows, OFFSET_UNIT)
+    def distances(self, points: Float[Tensor, "*batch frames points 3"]) -> Tensor:
+        """Metres between measured and predicted points, at the depth of the latter."""
+        projected = self.camera.project(points)
+        focal = self.camera.camera_matrix[..., [0, 1], [0, 1]].mean()
+        pixels = (projected.pixels - self.pixels).norm(dim=-1)
+        return pixels * projected.depth.clamp(min=NEAREST) / focal
 
     def project(self, estimate: Estimate) -> tuple[Projection, slice]:
         """The estimate's keypoints in the image, at the moments that it covers, and which."""
-        points, seen = at_observation_times(
-            estimate.scene.to_recording(self.predict(estimate)), estimate.motion,
-            fps=self.fps, start_time=self.start_time, moments=self.pixels.shape[-3],
-        )  # fmt: skip
+        points, seen = super().expected(estimate)
         camera = self.settled(estimate.scene).camera
         return camera.at(range(seen.start, seen.stop)).project(points), seen
+
+    def expected(self, estimate: Estimate) -> tuple[Float[Tensor, "*batch seen points 2"], slice]:
+        """Pixels of the estimate's keypoints at the moments that it covers, and which."""
+        projected, seen = self.project(estimate)
+        return projected.pixels, seen
 
     def point_model(self, points: Float[Tensor, "*batch moments points 3"]) -> PointModel:
         """The energy about predicted points, frame of the recording, metres."""
@@ -153,40 +169,6 @@ class Keypoints2D(SensorRecord):
             points, self.camera, self.pixels, self.confidence, self.sigma,
             REFERENCE_FPS / self.fps,
         )  # fmt: skip
-
-    def carried(
-        self, body: BodyModel, shape: Float[Tensor, " shape"], offsets: Float[Tensor, "rows 3"]
-    ) -> CarriedPoints:
-        """The keypoints on a body of some shape; offsets as in `Scene.offsets`."""
-        points = self.points
-        found = CarriedPoints.create(
-            body, shape, points.of_joints, points.of_vertices, points.vertices
-        )
-        if self.offset_rows is None:
-            return found
-        return found.displaced(points.bones, OFFSET_UNIT * offsets[slice(*self.offset_rows)])
-
-    def residuals(self, estimate: Estimate) -> Residuals:
-        """Observed minus predicted pixels of every keypoint at every moment."""
-        projected, seen = self.project(estimate)
-        return padded(
-            self.pixels[..., seen, :, :] - projected.pixels, self.confidence[..., seen, :],
-            seen, self.pixels.shape[-3], unit="pixels",
-        )  # fmt: skip
-
-    def window(self, start: float, stop: float) -> "Keypoints2D":
-        """What was seen from one time to another, both included, seconds; the clock goes on."""
-        clock = {"fps": self.fps, "start_time": self.start_time, "start": start, "stop": stop}
-        pixels, _, first = moments_between(self.pixels, self.confidence > 0, **clock)
-        confidence, _, _ = moments_between(
-            self.confidence[..., None], self.confidence > 0, **clock
-        )
-        return self.derived(
-            pixels=pixels,
-            confidence=confidence[..., 0],
-            camera=self.camera.at(moment_numbers(**clock)),
-            start_time=first,
-        )
 
     def transformed(self, T_new_old: Float[np.ndarray, "4 4"]) -> "Keypoints2D":
         """Images whose camera is given in another frame, after a rigid transform of it."""
@@ -221,15 +203,7 @@ class Keypoints2D(SensorRecord):
         keypoint of less than a fifth of the greatest confidence tells nothing.
         """
         greatest = self.confidence.amax((-2, -1), keepdim=True)
-        return told_joints(self.shown & (self.confidence > FAINT * greatest), self._shows(body))
-
-    def shown_joints(self, estimate: Estimate) -> Bool[np.ndarray, "moments 22"]:
-        """Joints of the first clip that a keypoint tells the place of, at every moment."""
-        return self.shown[0].cpu().numpy() @ self._shows(estimate.body.model)
-
-    def _shows(self, body: BodyModel) -> Bool[np.ndarray, "points 22"]:
-        rest = self.points.at_rest(body, body.template.new_zeros(body.shape_size))
-        return joints_shown(self.points.bones, rest.double().cpu().numpy(), body)
+        return told_joints(self.shown & (self.confidence > FAINT * greatest), self.shows(body))
 
     def start(self, body: BodyModel) -> Motion:
         """The rest pose where the torso's keypoints suggest; see `image_start`."""

@@ -2,60 +2,41 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import ClassVar
 
-from jaxtyping import Bool, Float
+import torch
+from jaxtyping import Float
 from torch import Tensor
 
-from observations.checks import (
-    checked_clock,
-    checked_offsets,
-    checked_places,
-    checked_positions,
-    checked_std,
-)
-from observations.records.tracked import Offset, VertexPoints
+from observations.checks import checked_offsets
+from observations.points import TrackedPoints
+from recon.body.derivatives import CarriedPoints
+from recon.body.landmarks import landmarks
+from recon.body.model import BodyModel, PosedBody
 from recon.core.arrays import Numbers
 from recon.core.robust import squared
+from recon.core.skeleton import JOINTS
+
+Offset = tuple[float, float, float]
+"""A vector in the frame of a bone, metres."""
 
 
 @dataclass(frozen=True, init=False)
-class Markers3D(VertexPoints):
+class Markers3D(TrackedPoints):
     """Measured 3D positions of markers on the skin.
 
     The energy is half the squared distance of every visible marker from its vertex of the body,
     in metres².
     """
 
-    sees = "points"
-    positions: Float[Tensor, "*batch moments points 3"]
-    """Positions in metres, in the frame of the recording (z up); zero where not visible."""
-    visible: Bool[Tensor, "*batch moments points"]
-    """Whether a marker was seen at a moment."""
-    vertices: tuple[int, ...]
+    on_skin: ClassVar[bool] = True
+    vertices: tuple[int, ...] = field(kw_only=True)
     """Number of the vertex of the body that each marker sits on."""
-    fps: float
-    """Rate of the moments in Hz."""
-    start_time: float = 0.0
-    """Time of the first moment, in seconds of the clock that all observations of a clip share."""
-    kernel: Callable[[Tensor], Tensor] = squared
-    """Robust kernel that is applied to squared distances in metres²; see `recon.core.robust`."""
-    ground_known: bool = True
-    """Whether the plane z = 0 of the recording is the ground."""
-    offset_rows: tuple[int, int] | None = None
-    """First row, and the row after the last, of `Scene.offsets` that these markers own: constant
-    offsets from the body model that are estimated with the motion. None estimates none."""
-    std: Float[Tensor, "*batch moments points"] | None = None
-    """Standard deviation of the coordinates of every marker at every moment, metres; zero where it
-    was not visible. Weights go with the inverse square, and their root mean square is the noise
-    where a fit is given none. None counts all markers alike and estimates the noise."""
     offsets: tuple[Offset, ...] | None = None
     """Constant offset of every marker from its vertex, in the frame of the bone that moves it
     most, metres: how far off the landmark it was taped. None puts it on the vertex."""
     labels: tuple[str, ...] | None = None
     """What the recording calls every marker; None where landmarks name them."""
-    rms_std: float | None = field(init=False, default=None)
-    """Root mean square of `std` over the visible markers of the whole recording, metres. Its
-    parts keep it, so that a marker weighs the same in every window."""
 
     def __init__(
         self,
@@ -79,15 +60,51 @@ class Markers3D(VertexPoints):
         Raises:
             ValueError: naming the array, what was expected and what came.
         """
-        positions, visible = checked_positions(
-            "Markers3D", "positions", positions, "visible", visible
-        )
-        places = checked_places("Markers3D", "vertices", vertices, positions.shape[-2])
-        fps, start_time = checked_clock("Markers3D", fps, start_time)
-        std, rms_std = checked_std("Markers3D", std, visible, positions)
-        self._settle(
-            positions=positions, visible=visible, vertices=places, fps=fps, start_time=start_time,
+        places = self._measured(
+            positions, visible, (fps, start_time), std, ("vertices", vertices),
             kernel=kernel, ground_known=ground_known, offset_rows=offset_rows,
-            std=std, rms_std=rms_std, offsets=checked_offsets("Markers3D", offsets, len(places)),
+        )  # fmt: skip
+        self._settle(
+            vertices=places, offsets=checked_offsets("Markers3D", offsets, len(places)),
             labels=None if labels is None else tuple(labels),
         )  # fmt: skip
+
+    def predict(self, body: PosedBody) -> Float[Tensor, "*batch time points 3"]:
+        """The points on a posed body, world, metres."""
+        points = body.points(torch.tensor(self.vertices, device=self.positions.device))
+        if self.offsets is None:
+            return points
+        turns = body.orientations[..., list(self.bones(body.model)), :, :]
+        return points + (turns @ points.new_tensor(self.offsets)[..., None])[..., 0]
+
+    @property
+    def marks(self) -> tuple[int, ...]:
+        """Numbers of the vertices."""
+        return self.vertices
+
+    def on_bones(self, body: BodyModel, shape: Float[Tensor, " shape"]) -> CarriedPoints:
+        """The points on a body of some shape."""
+        vertices = torch.tensor(self.vertices, device=shape.device)
+        identity = torch.eye(len(vertices), dtype=shape.dtype, device=shape.device)
+        none = shape.new_zeros(len(vertices), len(JOINTS))
+        found = CarriedPoints.create(body, shape, none, identity, vertices)
+        if self.offsets is None:
+            return found
+        return found.displaced(self.bones(body), shape.new_tensor(self.offsets))
+
+    def at_rest(self, body: BodyModel) -> Float[Tensor, "points 3"]:
+        """The points on the average body in its rest pose, metres."""
+        rest = body.template[list(self.vertices)]
+        return rest if self.offsets is None else rest + rest.new_tensor(self.offsets)
+
+    def bones(self, body: BodyModel) -> tuple[int, ...]:
+        """The bone that moves each marker most."""
+        return tuple(body.weights[list(self.vertices)].argmax(-1).tolist())
+
+    def point_names(self, body: BodyModel) -> tuple[str, ...]:
+        """Labels of the recording, or landmarks that points sit on, or numbers of vertices."""
+        del body
+        if self.labels is not None:
+            return self.labels
+        named = {vertex: name for name, vertex in landmarks().items()}
+        return tuple(named.get(vertex, f"vertex {vertex}") for vertex in self.vertices)

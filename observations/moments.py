@@ -2,21 +2,14 @@
 
 from typing import Any
 
-import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 from torch import Tensor
 
-from observations.correspondences import joints_shown
 from observations.keypoints2d import Keypoints2D
-from observations.kinds import camera_frame_is_recording
-from observations.records.tracked import TrackedPoints
-from recon.body.model import BodyModel
+from observations.points import TrackedPoints
 from recon.core.arrays import Numbers, float_tensor
-from recon.core.camera import NEAREST
 from recon.core.errors import ObservationError
-from recon.core.robust import geman_mcclure
-from recon.method.protocols import REFERENCE_FPS
 
 Tracker = TrackedPoints | Keypoints2D
 """A sensor whose points have names: in space, or in the image of a calibrated camera."""
@@ -38,7 +31,7 @@ def followed(given: Any) -> Tracker:
         raise ObservationError(f"expected one person, got leading axes {given.clips}")
     one = given[0] if given.clips else given
     if isinstance(one, Keypoints2D):
-        if camera_frame_is_recording(one):
+        if one.unposed:
             raise ObservationError(
                 "a stream needs cameras whose pose is known: give Camera.T_camera_world; fit a "
                 "camera of unknown pose with recon.fit, which finds the ground"
@@ -56,20 +49,6 @@ def followed(given: Any) -> Tracker:
     return one.to(dtype=torch.float32, device="cpu")
 
 
-def timed(sensor: Tracker) -> tuple[str, ...]:
-    """Names of the tensors that have an axis of moments, the first one."""
-    if isinstance(sensor, Keypoints2D):
-        return ("pixels", "confidence")
-    return ("positions", "visible")
-
-
-def places(sensor: Tracker) -> tuple[object, ...]:
-    """What tells the points of a sensor apart: names, numbers of joints or of vertices."""
-    if isinstance(sensor, Keypoints2D):
-        return sensor.points.names
-    return tuple(getattr(sensor, "joints", ()) or getattr(sensor, "vertices", ()))
-
-
 def filled(sensor: Tracker, array: Numbers) -> Tracker:
     """A moment of a sensor from its array, checked as a new observation is.
 
@@ -81,7 +60,7 @@ def filled(sensor: Tracker, array: Numbers) -> Tracker:
         ObservationError: when there are other points.
     """
     values = float_tensor(array, "push").to(torch.float32).cpu()
-    count = len(places(sensor))
+    count = len(sensor.marks)
     if values.shape != (count, 3):
         raise ObservationError(
             f"the points changed: expected an array of shape ({count}, 3), got "
@@ -96,68 +75,26 @@ def filled(sensor: Tracker, array: Numbers) -> Tracker:
 
 def moments(sensor: Tracker, start: int, stop: int) -> Tracker:
     """Some moments by their numbers; the record keeps its own start."""
-    return sensor.derived(**{name: getattr(sensor, name)[start:stop] for name in timed(sensor)})
+    return sensor.derived(**sensor.by_frame(lambda tensor: tensor[start:stop]))
 
 
 def joined(before: Tracker, after: Tracker) -> Tracker:
     """What was seen and what was seen next."""
-    names = timed(before)
-    return before.derived(
-        **{name: torch.cat((getattr(before, name), getattr(after, name))) for name in names}
-    )
+    later = iter(after.by_frame(lambda tensor: tensor).values())
+    return before.derived(**before.by_frame(lambda tensor: torch.cat((tensor, next(later)))))
 
 
 def with_moment(sensor: Tracker, row: int, moment: Tracker) -> Tracker:
     """The sensor with another moment in a row."""
-    changed = {name: getattr(sensor, name).clone() for name in timed(sensor)}
-    for name, values in changed.items():
-        values[row] = getattr(moment, name)[0]
-    return sensor.derived(**changed)
+    later = moments(sensor, row + 1, sensor.moments)
+    return joined(joined(moments(sensor, 0, row), moments(moment, 0, 1)), later)
 
 
 def without(sensor: Tracker, bad: Bool[Tensor, "moments points"] | None = None) -> Tracker:
     """The sensor without some points, or, by default, without all."""
     bad = torch.ones_like(sensor.shown) if bad is None else bad
-    if isinstance(sensor, Keypoints2D):
-        return sensor.derived(
-            pixels=sensor.pixels.masked_fill(bad[..., None], 0.0),
-            confidence=sensor.confidence.masked_fill(bad, 0.0),
-        )
-    return sensor.derived(
-        positions=sensor.positions.masked_fill(bad[..., None], 0.0),
-        visible=sensor.visible & ~bad,
-    )
 
+    def kept(tensor: Tensor) -> Tensor:
+        return tensor.masked_fill(bad if tensor.ndim == bad.ndim else bad[..., None], 0)
 
-def distances(
-    sensor: Tracker, points: Float[Tensor, "moments points 3"]
-) -> Float[Tensor, "moments points"]:
-    """Metres between what was seen and predicted points; of pixels, at the depth of the points."""
-    if not isinstance(sensor, Keypoints2D):
-        return (sensor.positions - points).norm(dim=-1)
-    projected = sensor.camera.project(points)
-    focal = sensor.camera.camera_matrix[..., [0, 1], [0, 1]].mean()
-    pixels = (projected.pixels - sensor.pixels).norm(dim=-1)
-    return pixels * projected.depth.clamp(min=NEAREST) / focal
-
-
-def shows(sensor: Tracker, body: BodyModel) -> Bool[np.ndarray, "points 22"]:
-    """Joints whose place each point of a sensor tells."""
-    if isinstance(sensor, Keypoints2D):
-        bones = sensor.points.bones
-        rest = sensor.points.at_rest(body, body.template.new_zeros(body.shape_size))
-    else:
-        bones, rest = sensor.bones(body), sensor.at_rest(body)
-    return joints_shown(bones, rest.double().numpy(), body)
-
-
-def energy_of(sensor: Tracker, points: Float[Tensor, "moments points 3"]) -> Float[Tensor, ""]:
-    """The value of the sensor's `point_model` alone."""
-    rate = REFERENCE_FPS / sensor.fps
-    if isinstance(sensor, Keypoints2D):
-        projected = sensor.camera.project(points)
-        error = geman_mcclure((projected.pixels - sensor.pixels).square(), sensor.sigma)
-        error = torch.where(projected.in_front[..., None], error, sensor.sigma**2).sum(-1)
-        return 0.5 * rate * (sensor.confidence.square() * error).sum()
-    away = (points - sensor.positions).square().sum(-1)
-    return 0.5 * rate * sensor.kernel(away).where(sensor.visible, 0.0).sum()
+    return sensor.derived(**sensor.by_frame(kept))

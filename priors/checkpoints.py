@@ -15,6 +15,7 @@ from torch import Tensor, nn
 
 from recon.core.errors import WeightsError
 from recon.core.limits import BINARY, NETWORK_WEIGHT
+from recon.core.struct import TensorStruct
 from recon.formats.opening import replacing
 from recon.formats.weight_files import weights_path
 
@@ -52,7 +53,7 @@ class Checkpoint:
     def under(self, prefix: str) -> "Checkpoint":
         """The tensors whose names begin so, without the beginning, in single precision."""
         own = {
-            name.removeprefix(prefix): tensor.float()
+            name.removeprefix(prefix): tensor.float() if tensor.is_floating_point() else tensor
             for name, tensor in self.tensors.items()
             if name.startswith(prefix)
         }
@@ -67,10 +68,40 @@ class Checkpoint:
         }
         return Checkpoint(self.path, others, self.settings)
 
+    def sizes(self, *names: str, least: int = 1, **words: str) -> list[int]:
+        """Settings that are whole numbers, of a file whose other settings are the given words.
+
+        Raises:
+            ValueError: naming the file and what it says, when they are not.
+        """
+        found = [self.settings.get(name) for name in names]
+        right = [size for size in found if isinstance(size, int) and size >= least]
+        told = {name: self.settings.get(name) for name in words}
+        if len(right) < len(found) or told != words:
+            expected = [f"{name} ({least} or more)" for name in names]
+            expected += [f"{name} = {word!r}" for name, word in words.items()]
+            raise WeightsError(
+                f"{self.path}: expected the settings {', '.join(expected)}, got "
+                f"{dict(self.settings)}; weights of other versions must be trained anew"
+            )
+        return right
+
     def into(self, network: nn.Module) -> None:
         """Copy all tensors into a network of the same layers; raises as `require`."""
         layers = {name: tuple(value.shape) for name, value in network.state_dict().items()}
         network.load_state_dict(self.require(layers), strict=True)
+
+
+def half_precision(networks: nn.Module, **parts: TensorStruct) -> dict[str, Tensor]:
+    """Tensors of networks, and under the name of each part those that are not learned.
+
+    All are in half precision but what scales others: of parts only `directions` are.
+    """
+    tensors = {name: tensor.half() for name, tensor in networks.state_dict().items()}
+    for part, own in parts.items():
+        for name, tensor in own.tensors().items():
+            tensors[f"{part}.{name}"] = tensor.half() if name == "directions" else tensor.float()
+    return tensors
 
 
 def save_checkpoint(

@@ -1,4 +1,4 @@
-"""The demo: a real recording, spoiled in two ways, given back without and with HuMoR."""
+"""The demo: a real recording with added noise or hidden points, reconstructed with two priors."""
 
 import json
 from collections.abc import Mapping
@@ -19,7 +19,8 @@ from recon.formats.motions import load_motion, save_motion
 from recon.formats.outputs import Kind, Output
 from recon.formats.reports import versions
 from recon.formats.writing import writing, writing_file
-from recon.method.reconstruction import Method, Reconstruction, solve
+from recon.method.priors import Prior
+from recon.method.reconstruction import Reconstruction, solve
 from recon.metrics.evaluation import (
     ObservedPoints,
     evaluate,
@@ -76,7 +77,7 @@ class Demo(dict[str, dict[str, Metrics]]):
 
 
 def demo(out: Path | str = "demo", *, overwrite: bool = False) -> Demo:
-    """Spoil a real recording in two ways and give it back.
+    """Add noise to a real recording, hide parts of it, and reconstruct it.
 
     Writes demo.json (all metrics), demo.html and noisy.html (pages to play), demo.png and the
     motions.
@@ -106,7 +107,7 @@ def _demo(out: Path) -> dict[str, dict[str, Metrics]]:
         see = simulate.joints3d if case.sensor == "joints3d" else simulate.markers3d
         seen = see(truth, body, case.corruption, SEED)
         noise = estimate_noise(seen.positions, seen.visible)
-        methods: dict[str, Method] = {
+        methods: dict[str, Prior] = {
             "pose prior": PosePrior.load(weights=PoseWeights.for_noise(noise)),
             "HuMoR": Collocation.for_noise(humor, noise),
         }
@@ -120,7 +121,7 @@ def _demo(out: Path) -> dict[str, dict[str, Metrics]]:
         with writing_file(out / f"{name}.npz", said) as staged:
             save_motion(staged, described(motion, body))
         write_html(out / ("demo.html" if name == "occluded" else f"{name}.html"), shows[-1])
-    write_png(out / "demo.png", shows)
+    write_png(out / "demo.png", *shows)
     (out / "demo.json").write_text(json.dumps(table, indent=1))
     return table
 
@@ -128,15 +129,15 @@ def _demo(out: Path) -> dict[str, dict[str, Metrics]]:
 def _metrics(
     result: Reconstruction, seen: Joints3D | Markers3D, truth: Motion, body: BodyModel
 ) -> Metrics:
-    predicted = seen[None].predict(result.estimate)[0].detach()
-    exact = simulate.exact(seen, truth, body)
+    predicted = seen[None].predicted(result.estimate)[0].detach()
+    exact = seen.predict(body.pose(truth))
     points = ObservedPoints(predicted.double(), exact.double(), seen.visible)
     return evaluate(result.clip(0).detach(), truth, body, observed=points)
 
 
 def _observed(seen: Joints3D | Markers3D, truth: Motion, body: BodyModel) -> Metrics:
-    """The data as it is, without any reconstruction; None where it says nothing."""
-    exact = simulate.exact(seen, truth, body)
+    """Errors of the data themselves; None where they tell no joints."""
+    exact = seen.predict(body.pose(truth))
     errors = observed_errors(ObservedPoints(seen.positions, exact, seen.visible))
     metrics: Metrics = {"observed_visible": errors["observed_visible"]}
     if not seen.on_skin:
@@ -146,7 +147,7 @@ def _observed(seen: Joints3D | Markers3D, truth: Motion, body: BodyModel) -> Met
 
 
 def _show(title: str, seen: Joints3D | Markers3D, result: Reconstruction, truth: Motion) -> Show:
-    predicted = seen[None].predict(result.estimate)[0].detach()
+    predicted = seen[None].predicted(result.estimate)[0].detach()
     model = result.body.model
     figures = (
         Figure(model, result.clip(0).detach(), "reconstruction"),

@@ -11,8 +11,9 @@ from recon.core.motion import Motion
 from recon.core.scene import Scene
 from recon.core.struct import TensorStruct
 from recon.method.free import FreeMotion
+from recon.method.priors import Prior
 from recon.method.protocols import Decoded as Decoded
-from recon.method.protocols import Energy, Estimate, Prior
+from recon.method.protocols import Energy, Estimate
 from recon.method.running import Hypotheses, run_hypotheses
 from recon.method.stages import Stage, Watch
 from recon.method.unknowns import Unknowns

@@ -30,4 +30,5 @@ def turns(motion: Motion, body: BodyModel, noise: float = 0.05) -> torch.Tensor:
 
 def units(motion: Motion, body: BodyModel, noise: float = 0.05):
     """The units' data as a sensor."""
-    return Imus.of(turns(motion, body, noise), BONES, motion.fps)
+    axes = turns(motion, body, noise).mT.flatten(-3, -2)
+    return Imus(axes, torch.ones(axes.shape[:-1], dtype=torch.bool), BONES, motion.fps)

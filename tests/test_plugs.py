@@ -22,7 +22,7 @@ VERBS = {
 }  # fmt: skip
 """Files about what one prior alone can do: training it, drawing from it, changing bodies."""
 TOOLS = {
-    "recon/live/tracking.py", "recon/live/objective.py", "recon/live/smoother.py",
+    "recon/live/tracking.py", "recon/live/objective.py",
     "recon/live/stream.py", "recon/diagnosis/points/quick.py", "recon/fitting/retargeting.py",
     "recon/ingest/markers/poses.py",
 }  # fmt: skip

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import torch
 
-from priors.anchor.frames import Alignment, Anchors, CycleBasis, rest_pelvis
+from priors.anchor.frames import Anchors, CycleBasis, rest_pelvis
 from priors.anchor.networks import AnchorNetworks, AnchorWeights, CodeSpread, save_weights
 from recon.body.cycles import Cycle, find_cycles
 from recon.body.model import BodyModel
@@ -46,11 +46,11 @@ def tiny_weights(path: Path, *, cycles: int = 40) -> Path:
             rotations=so3.exp(torch.cat((vectors[:, :1], (1 + lively) * vectors[:, 1:]), 1)),
             times=walked.times * (1 + faster),
         )
-        rows.append(anchors.aligned(Alignment.YAW, rest_pelvis(body, clip.shape))[0].pack())
+        rows.append(anchors.aligned(rest_pelvis(body, clip.shape))[0].pack())
     basis = CycleBasis.fit(torch.stack(rows), 2 * LATENT)
     networks = AnchorNetworks(basis, LATENT, body.shape_size, 16).eval()
     with torch.no_grad():
         means, log_variances = networks.posterior(torch.stack(rows))
     spread = CodeSpread.fit(means, log_variances.exp(), typical=2)
-    save_weights(path, AnchorWeights(networks, spread, Alignment.YAW), {})
+    save_weights(path, AnchorWeights(networks, spread), {})
     return path

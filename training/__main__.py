@@ -1,7 +1,6 @@
 """`python -m training PRIOR CORPUS --out FILE`: learn a prior from a converted corpus."""
 
-from collections.abc import Callable
-from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal
 
@@ -69,6 +68,8 @@ def train(
 
     asked = {"steps": steps, "latent": latent}
     asked = {name: value for name, value in asked.items() if value is not None}
+    if latent is not None and prior not in ("anchor", "humos"):
+        raise ValueError(f"{prior} has no size of a code to choose: leave --latent out")
     if prior in ("anchor", "humos", "labels") and device != "cpu":
         raise ValueError(f"{prior} is trained on the processor: give --device cpu")
 
@@ -86,56 +87,25 @@ def train(
             train_pose(PoseTraining(corpus=corpus, out=made, log=log, data=data))
         console.last(str(out))
         return
-    ask = {"corpus": corpus, "out": out.with_suffix(""), "data": data, "seed": seed, **asked}
-    kinds = {"anchor": _anchor, "humos": _humos, "humor": _humor, "labels": _labels}
-    export = kinds[prior](ask, device)
+    ask: dict[str, Any] = {"corpus": corpus, "out": out.with_suffix(""), "data": data}
+    ask |= {"seed": seed, **asked}
+    if prior == "humor":
+        ask["device"] = device
+    kind = import_module(f"training.{prior}.train")
+    settings = getattr(kind, _SETTINGS[prior])(**ask)
+    kind.train(settings)
     with writing_file(out, report, overwrite=overwrite) as made:
-        export(made)
+        kind.export_weights(settings, made)
     console.last(str(out))
 
 
-Export = Callable[[Path], object]
-"""Writes the weights of a run that is done."""
-
-
-def _anchor(ask: dict[str, Any], _: str) -> Export:
-    from training.anchor.run import AnchorTraining, export_weights
-    from training.anchor.train import train as train_anchor
-
-    run = AnchorTraining(**ask)
-    train_anchor(run)
-    return partial(export_weights, run)
-
-
-def _humos(ask: dict[str, Any], _: str) -> Export:
-    from training.humos.export import export_weights
-    from training.humos.run import HumosTraining
-    from training.humos.train import train as train_humos
-
-    run = HumosTraining(**ask)
-    train_humos(run)
-    return partial(export_weights, run)
-
-
-def _labels(ask: dict[str, Any], _: str) -> Export:
-    from training.labels.shards import make_training_clouds
-    from training.labels.train import LabelTraining, export_weights
-    from training.labels.train import train as train_labels
-
-    corpus, data, out = ask.pop("corpus"), ask.pop("data"), ask["out"]
-    learned, checked = make_training_clouds(corpus, out / "clouds", data, ask["seed"])
-    run = LabelTraining(corpus=learned, checked=checked, **ask)
-    train_labels(run)
-    return partial(export_weights, run)
-
-
-def _humor(ask: dict[str, Any], device: str) -> Export:
-    from training.humor.run import HumorTraining, export_weights
-    from training.humor.train import train as train_humor
-
-    run = HumorTraining(**{name: ask[name] for name in ask if name != "latent"}, device=device)
-    train_humor(run)
-    return partial(export_weights, run)
+_SETTINGS = {
+    "humor": "HumorTraining",
+    "anchor": "AnchorTraining",
+    "humos": "HumosTraining",
+    "labels": "LabelTraining",
+}
+"""Settings in `training.PRIOR.train`, beside `train` and `export_weights`."""
 
 
 if __name__ == "__main__":

@@ -1,60 +1,25 @@
-"""One step of an optimiser, and the average of the weights over time that is the result."""
+"""What trainings share: draws of codes, Muon for matrices, and GradNorm, which weighs losses."""
 
-import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import torch
 from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
 
 
-@runtime_checkable
-class Descending(Protocol):
-    """A training run, as far as a step of it goes."""
-
-    optimiser: torch.optim.Optimizer
-    step: int
-
-    @property
-    def networks(self) -> nn.Module:
-        """The networks that are trained."""
-        ...
-
-    @property
-    def averaged(self) -> nn.Module:
-        """Their average over time."""
-        ...
+def drawn_code(mean: Tensor, log_variance: Tensor, random: torch.Generator | None) -> Tensor:
+    """One draw of a normal distribution through which gradients pass; None takes its mean."""
+    if random is None:
+        return mean
+    noise = torch.randn(mean.shape, generator=random).to(mean)
+    return mean + noise * (0.5 * log_variance).exp()
 
 
-def descend(run: Descending, loss: Tensor, rate: float, clip: float, average: float) -> None:
-    """One step against the gradient of a loss; none where the gradient is not finite.
-
-    Args:
-        run: whose step it is.
-        loss: one number.
-        rate: learning rate of this step.
-        clip: longest gradient.
-        average: share of the averaged weights that is kept; less in the first steps.
-    """
-    run.optimiser.zero_grad()
-    loss.backward()
-    norm = torch.nn.utils.clip_grad_norm_(run.networks.parameters(), clip)
-    for group in run.optimiser.param_groups:
-        group["lr"] = rate
-    if bool(norm.isfinite()):
-        run.optimiser.step()
-    run.step += 1
-    keep = min(average, run.step / (run.step + 10))
-    with torch.no_grad():
-        for mean, now in zip(run.averaged.parameters(), run.networks.parameters(), strict=True):
-            mean.lerp_(now, 1 - keep)
-
-
-def cosine(progress: float) -> float:
-    """Factor of a learning rate that falls from 1 to a hundredth as progress goes from 0 to 1."""
-    return 0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * progress))
+def divergence_from_normal(mean: Tensor, log_variance: Tensor) -> Tensor:
+    """KL(N(mean, variance) || N(0, 1)) of every number, nats."""
+    return 0.5 * (mean.square() + log_variance.exp() - 1 - log_variance)
 
 
 _QUINTIC = (3.4445, -4.7750, 2.0315)

@@ -4,7 +4,6 @@ The fit has a closed form, so there is nothing to resume: a run takes seconds, w
 one step at the end, and gives the same file for the same corpus and settings.
 """
 
-import logging
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,9 +15,8 @@ from priors.checkpoints import save_checkpoint
 from priors.pose.density import COORDINATES, PoseDensity, fit_density
 from recon.benchmark.dataset import SPLITS, Licence, Splits, load_clips, poses
 from recon.body.model import BodyModel
-from training.run import logged_to
-
-_LOG = logging.getLogger(__name__)
+from training.run import LOG, logged_to
+from training.settings import told_settings
 
 
 @dataclass(frozen=True)
@@ -51,11 +49,11 @@ def train(settings: PoseTraining) -> Path:
         ValueError: when no clip of the corpus may be learned from.
     """
     with logged_to(settings.log or settings.out.with_suffix(".log"), "w"):
-        return _train(settings)
+        return _fitted(settings)
 
 
-def _train(settings: PoseTraining) -> Path:
-    _LOG.info("settings: %s", settings)
+def _fitted(settings: PoseTraining) -> Path:
+    LOG.info("settings: %s", settings)
     splits = Splits.load(settings.splits)
     learned = load_clips(settings.corpus, splits, "train", settings.data)
     held_out = load_clips(settings.corpus, splits, "validation", settings.data)
@@ -64,22 +62,16 @@ def _train(settings: PoseTraining) -> Path:
 
     rotations = poses(learned, settings.rate, settings.most)[:, 1:]
     density = fit_density(rotations, settings.floor, BodyModel.load())
-    _LOG.info("trained on %d poses: %.2f nats per pose", len(rotations), score(density, rotations))
+    LOG.info("trained on %d poses: %.2f nats per pose", len(rotations), score(density, rotations))
     if len(held_out) > 0:
         unseen = poses(held_out, settings.rate, settings.most)[:, 1:]
-        _LOG.info("%d poses of held-out people: %.2f nats", len(unseen), score(density, unseen))
+        LOG.info("%d poses of held-out people: %.2f nats", len(unseen), score(density, unseen))
 
     tensors = {name: tensor.float() for name, tensor in density.tensors().items()}
-    about = {
-        "data": settings.data,
-        "floor": settings.floor,
-        "rate": settings.rate,
-        "most": settings.most,
-        "poses": len(rotations),
-        "subjects": sorted({clip.subject for clip in learned}),
-    }
+    subjects = sorted({clip.subject for clip in learned})
+    about = told_settings(settings) | {"poses": len(rotations), "subjects": subjects}
     save_checkpoint(settings.out, "pose", tensors, about)
-    _LOG.info("wrote %s", settings.out)
+    LOG.info("wrote %s", settings.out)
     return settings.out
 
 

@@ -1,135 +1,51 @@
-"""Settings of a training run in its files, and whether a folder holds that same run."""
+"""A training run: a folder in which it goes on where it was cut, and one loop for all priors.
 
-import dataclasses
+A prior's own run (`training.humor.train`, `training.anchor.train`, ...) says which networks learn,
+what they lose on a batch, and how wrong they are about held-out people.
+"""
+
 import logging
+import math
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from copy import deepcopy
-from dataclasses import dataclass, field
-from enum import Enum
 from pathlib import Path
-from typing import Any, Generic, Literal, TypeVar
+from typing import Any, ClassVar, Generic, Literal, TypeVar
 
 import torch
-from torch import nn
+from torch import Tensor, nn
 
-from recon.benchmark.dataset import clip_files
 from recon.formats.opening import replacing
-from recon.formats.replacing import file_checksum, files_checksum
+from training.settings import TrainingSettings, identity, plain, same_run
 
-FREE = ("out", "threads", "save_every", "device")
-"""Settings that may change while a run goes on: where it is written, and how fast it goes."""
-_CONTENTS = "sha256:"
-
-
-def plain(settings: Any) -> dict[str, Any]:
-    """A dataclass of settings as JSON holds it."""
-    return {name: _plain(value) for name, value in dataclasses.asdict(settings).items()}
-
-
-def told_settings(settings: Any) -> dict[str, Any]:
-    """The settings of a run that a weights file tells: all but places on the trainer's disk."""
-    return {
-        k: v for k, v in plain(settings).items() if k not in ("corpus", "out", "splits", "warm")
-    }
-
-
-def identity(settings: Any) -> dict[str, Any]:
-    """All that decides what a run learns: its settings, and the contents of the files they name.
-
-    A folder counts by the motions and notes of its corpus, another file by its bytes, wherever
-    they lie. Where a run is written and how fast it goes (`FREE`) is no part of it.
-
-    Raises:
-        FileNotFoundError: when a file that is named is not there.
-        ValueError: when a folder holds no corpus.
-    """
-    found = plain(settings)
-    for one in dataclasses.fields(settings):
-        value = getattr(settings, one.name)
-        if isinstance(value, Path) and one.name not in FREE:
-            found[one.name] = _contents(value)
-    return {name: value for name, value in found.items() if name not in FREE}
-
-
-def same_run(path: Path, own: dict[str, Any], found: dict[str, Any] | None) -> None:
-    """Refuse to go on with a checkpoint of a run that learns something else.
-
-    Args:
-        path: of the checkpoint, for the message.
-        own: `identity` of the run that is asked for.
-        found: the one in the checkpoint; None where an older version wrote none.
-
-    Raises:
-        ValueError: when they differ; the message says in what.
-    """
-    if found is None:
-        raise ValueError(
-            f"{path}: an older version wrote this checkpoint without saying what it learned "
-            "from, so it cannot be continued; take another folder"
-        )
-    names = [name for name in (own | found) if not _same(own.get(name), found.get(name))]
-    if len(names) > 0:
-        said = [_difference(name, found.get(name), own.get(name)) for name in names]
-        raise ValueError(
-            f"{path}: a run with other {', '.join(said)}; take another folder, or the settings "
-            "and files of that run"
-        )
-
-
-def _same(here: Any, there: Any) -> bool:
-    """Whether a setting is the same; a part that is zero counts as one that is not there.
-
-    Parts that are added to a group of settings, such as a new variation, are zero where nothing
-    changes, and checkpoints from before them hold the same run.
-    """
-    if isinstance(here, dict) and isinstance(there, dict):
-        return all(here.get(name, 0) == there.get(name, 0) for name in here | there)
-    return here == there
-
-
-def _difference(name: str, there: Any, here: Any) -> str:
-    if any(isinstance(value, str) and value.startswith(_CONTENTS) for value in (there, here)):
-        return f"{name} (its contents differ)"
-    return f"{name} ({there} there, {here} here)"
-
-
-def _contents(path: Path) -> str:
-    if not path.is_dir():
-        return _CONTENTS + file_checksum(path)
-    motions = clip_files(path).values()
-    notes = [motion.with_suffix(".json") for motion in motions]
-    return _CONTENTS + files_checksum([*motions, *(n for n in notes if n.is_file())], path)
-
-
-def _plain(value: Any) -> Any:
-    match value:
-        case Path():
-            return str(value)
-        case Enum():
-            return value.value
-        case tuple():
-            return list(value)
-        case _:
-            return value
+LOG = logging.getLogger("training")
+"""Logger of all trainings; what it is told also stands in the log of the run."""
 
 
 @contextmanager
 def logged_to(path: Path, mode: Literal["a", "w"]) -> Iterator[None]:
-    """A context in which messages of `training` also go to a file, each line with its time."""
+    """A context in which messages of trainings also go to a file, each line with its time."""
     log = logging.FileHandler(path, mode=mode)
     log.setFormatter(logging.Formatter("%(asctime)s %(message)s"))
-    package = logging.getLogger("training")
-    before = package.level
-    package.addHandler(log)
-    package.setLevel(logging.INFO)
+    before = LOG.level
+    LOG.addHandler(log)
+    LOG.setLevel(logging.INFO)
     try:
         yield
     finally:
-        package.removeHandler(log)
-        package.setLevel(before)
+        LOG.removeHandler(log)
+        LOG.setLevel(before)
         log.close()
+
+
+@contextmanager
+def in_folder(settings: TrainingSettings) -> Iterator[None]:
+    """A context in which a run has its folder and its log, which begins with its settings."""
+    settings.out.mkdir(parents=True, exist_ok=True)
+    with logged_to(settings.out / "train.log", "a"):
+        LOG.info("settings: %s", settings)
+        yield
 
 
 def write_losses(
@@ -166,53 +82,82 @@ def _draw(rows: Sequence[dict[str, float]], panels: Sequence[Sequence[str]], pat
         figure.savefig(beside, format="png", dpi=100)
 
 
-CHECKPOINT = "checkpoint.pt"
-"""File in the folder of a run from which the run goes on."""
+CHECKPOINT, BEST = "checkpoint.pt", "best.pt"
+"""Files in the folder of a run: from which it goes on, and the networks of the lowest score."""
 
+S = TypeVar("S", bound=TrainingSettings)
 N = TypeVar("N", bound=nn.Module)
 
 
-@dataclass
-class Run(Generic[N]):
-    """All that a training run needs to go on exactly where it was."""
+class Run(Generic[S, N]):
+    """Networks that learn, and all that a run needs to go on exactly where it was."""
 
-    settings: Any
-    """The prior's settings; they name the folder of the run as `out`."""
-    networks: N
-    averaged: N
-    """The average of the networks' weights over time, which is the result of the run."""
-    optimiser: torch.optim.Optimizer
-    random: torch.Generator
-    """Generator that draws the batches; dropout and blur draw from torch's own."""
-    identity: dict[str, Any]
-    """What the run learns and from which contents; a checkpoint of another is refused."""
-    step: int = 0
-    rows: list[dict[str, float]] = field(default_factory=list)
-    """Losses, one row for every validation."""
-    sums: dict[str, float] = field(default_factory=dict)
-    """Sums of the training losses since the last row."""
+    panels: ClassVar[Sequence[Sequence[str]]]
+    """Losses that are drawn together."""
+    keeps_best: ClassVar[bool] = False
+    """Whether the networks of the lowest `score` are kept; else the last ones are the result."""
+    betas: ClassVar[tuple[float, float]] = (0.9, 0.999)
+    """Shares of gradients and of their squares that AdamW keeps in every step."""
+    warm_up_steps: ClassVar[int] = 1
+    """Steps over which the learning rate rises at the beginning of every part of a run."""
 
-    @classmethod
-    def of(cls, settings: Any, networks: N, random: torch.Generator, **optimiser: Any) -> "Run[N]":
-        """A run before its first step, with AdamW at the rate of the settings."""
-        return cls(
-            settings=settings,
-            networks=networks,
-            averaged=deepcopy(networks).requires_grad_(False).eval(),
-            optimiser=torch.optim.AdamW(
-                networks.parameters(), lr=settings.rate, fused=True, **optimiser
-            ),
-            random=random,
-            identity=identity(settings),
-        )
-
-    def resume(self, state: Mapping[str, Any]) -> None:
-        """Go on from a checkpoint.
+    def __init__(self, settings: S) -> None:
+        """A run before its first step, or the one whose checkpoint is in the folder.
 
         Raises:
             ValueError: when another run wrote it.
         """
-        same_run(self.settings.out / CHECKPOINT, self.identity, state.get("identity"))
+        torch.set_num_threads(settings.threads)
+        torch.manual_seed(settings.seed)
+        self.settings, self.identity = settings, identity(settings)
+        self.random = torch.Generator().manual_seed(settings.seed)
+        """Draws the batches; dropout and blur draw from torch's own generator."""
+        self.step = 0
+        self.rows: list[dict[str, float]] = []
+        """Losses, one row for every validation."""
+        self.sums: dict[str, float] = {}
+        """Sums of the training losses since the last row."""
+        path = settings.out / CHECKPOINT
+        state = read_state(path)
+        if state is not None:
+            same_run(path, self.identity, state.get("identity"))
+        self.networks = self.untrained(state)
+        self.averaged = deepcopy(self.networks).requires_grad_(False).eval()
+        """The average of the networks' weights over time, which is the result of the run."""
+        self.optimiser = self.optimiser_of(self.networks)
+        if state is not None:
+            self.resume(state)
+
+    def untrained(self, state: Mapping[str, Any] | None) -> N:
+        """Networks before the first step; those of a checkpoint get its weights later."""
+        raise NotImplementedError
+
+    def losses(self) -> dict[str, Tensor]:
+        """Losses of one batch by name; `total` is what is descended."""
+        raise NotImplementedError
+
+    def errors(self) -> dict[str, float]:
+        """Errors of the averaged networks on held-out data by name, among them `score`, if any."""
+        raise NotImplementedError
+
+    def optimiser_of(self, networks: N) -> torch.optim.Optimizer:
+        """What takes the steps."""
+        rate, decay = self.settings.rate, self.settings.decay
+        return torch.optim.AdamW(
+            networks.parameters(), rate, self.betas, weight_decay=decay, fused=True
+        )
+
+    @property
+    def parts(self) -> tuple[tuple[int, float], ...]:
+        """Steps and learning rate of every part of the run, one after the other."""
+        return ((self.settings.steps, self.settings.rate),)
+
+    def more(self) -> dict[str, Any]:
+        """What files of the run hold besides weights and losses."""
+        return {}
+
+    def resume(self, state: Mapping[str, Any]) -> None:
+        """Go on from a checkpoint of this run."""
         self.networks.load_state_dict(state["networks"])
         self.averaged.load_state_dict(state["averaged"])
         self.optimiser.load_state_dict(state["optimiser"])
@@ -220,36 +165,87 @@ class Run(Generic[N]):
         torch.set_rng_state(state["torch_random"])
         self.step, self.rows, self.sums = state["step"], state["rows"], state["sums"]
 
-    def save(self, **more: Any) -> None:
-        """Write the checkpoint in one step, with what else the prior's run goes on from."""
-        state = {
-            "settings": plain(self.settings),
-            "identity": self.identity,
-            "networks": self.networks.state_dict(),
-            "averaged": self.averaged.state_dict(),
-            "optimiser": self.optimiser.state_dict(),
-            "random": self.random.get_state(),
-            "torch_random": torch.get_rng_state(),
-            "step": self.step,
-            "rows": self.rows,
-            "sums": self.sums,
-        }
-        self.keep(CHECKPOINT, **state, **more)
+    def save(self) -> None:
+        """Write the checkpoint in one step."""
+        self._write(
+            CHECKPOINT,
+            settings=plain(self.settings),
+            identity=self.identity,
+            networks=self.networks.state_dict(),
+            optimiser=self.optimiser.state_dict(),
+            random=self.random.get_state(),
+            torch_random=torch.get_rng_state(),
+            rows=self.rows,
+            sums=self.sums,
+        )
 
-    def keep(self, name: str, **state: Any) -> None:
-        """Write a file of the run in one step."""
+    def _write(self, name: str, **state: Any) -> None:
+        state |= {"averaged": self.averaged.state_dict(), "step": self.step, **self.more()}
         with replacing(self.settings.out / name) as beside:
             torch.save(state, beside)
 
-    def note(self, row: Mapping[str, float], panels: Sequence[Sequence[str]]) -> None:
-        """Remember losses, and write all of them as a table and as curves."""
-        self.rows.append({"step": float(self.step), **row})
-        write_losses(self.settings.out, self.rows, panels)
+    def go(self) -> Path:
+        """Train to the end; the checkpoint's path."""
+        settings, steps = self.settings, sum(length for length, _ in self.parts)
+        LOG.info("from step %d of %d", self.step, steps)
+        saved = began = time.monotonic()
+        first = self.step
+        while self.step < steps:
+            losses = self.losses()
+            self.descend(losses["total"], self.rate())
+            for name, value in losses.items():
+                self.sums[name] = self.sums.get(name, 0.0) + value.item()
+            last = self.step == steps
+            if self.step % settings.validate_every == 0 or last:
+                self._validate((self.step - first) / (time.monotonic() - began))
+                first, began = self.step, time.monotonic()
+            if time.monotonic() - saved > settings.save_every or last:
+                self.save()
+                saved = time.monotonic()
+        return settings.out / CHECKPOINT
 
-    @property
-    def best(self) -> bool:
-        """Whether no row has a lower score than the last one."""
-        return self.rows[-1]["score"] == min(row["score"] for row in self.rows)
+    def rate(self) -> float:
+        """The learning rate of the next step: each part warms up and falls along a cosine."""
+        here = self.step
+        for length, most in self.parts:
+            if here < length:
+                return most * cosine(here / length) * min(1.0, (here + 1) / self.warm_up_steps)
+            here -= length
+        return 0.0
+
+    def descend(self, loss: Tensor, rate: float) -> None:
+        """One step against the gradient of a loss; none where the gradient is not finite."""
+        self.optimiser.zero_grad()
+        loss.backward()
+        norm = nn.utils.clip_grad_norm_(self.networks.parameters(), self.settings.clip)
+        for group in self.optimiser.param_groups:
+            group["lr"] = rate
+        if bool(norm.isfinite()):
+            self.optimiser.step()
+        self.step += 1
+        keep = min(self.settings.average, self.step / (self.step + 10))
+        pairs = zip(self.averaged.parameters(), self.networks.parameters(), strict=True)
+        with torch.no_grad():
+            for mean, now in pairs:
+                mean.lerp_(now, 1 - keep)
+
+    def _validate(self, pace: float) -> None:
+        """A row of means of the training losses and of errors: logged, kept and drawn."""
+        count = (self.step - 1) % self.settings.validate_every + 1
+        row = {f"train_{name}": value / count for name, value in self.sums.items()}
+        row |= self.errors()
+        self.sums = {}
+        self.rows.append({"step": float(self.step), **row})
+        shown = ", ".join(f"{name} {value:.4g}" for name, value in row.items())
+        LOG.info("step %d, %.1f steps/s: %s", self.step, pace, shown)
+        write_losses(self.settings.out, self.rows, self.panels)
+        if self.keeps_best and row["score"] == min(row["score"] for row in self.rows):
+            self._write(BEST)
+
+
+def cosine(progress: float) -> float:
+    """Factor of a learning rate that falls from 1 to a hundredth as progress goes from 0 to 1."""
+    return 0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * progress))
 
 
 def read_state(path: Path) -> dict[str, Any] | None:
@@ -269,45 +265,3 @@ def trained_state(path: Path) -> dict[str, Any]:
     if found is None:
         raise FileNotFoundError(f"{path}: no networks there yet; train first")
     return found
-
-
-def run_steps(
-    run: Run[Any],
-    steps: int,
-    one_step: Callable[[], Mapping[str, float]],
-    check: Callable[[], Mapping[str, float]],
-    note: Callable[[dict[str, float]], None],
-    save: Callable[[], None],
-    log: logging.Logger,
-) -> Path:
-    """Train up to a number of steps; the checkpoint's path.
-
-    Args:
-        run: whose settings say how often to validate and to save.
-        steps: of the whole run.
-        one_step: makes a step and returns its losses by name.
-        check: errors of the averaged networks on held-out data, by name.
-        note: remembers a row of training losses (`train_...`) and errors.
-        save: writes the checkpoint.
-        log: is told every row.
-    """
-    settings = run.settings
-    saved = began = time.monotonic()
-    first = run.step
-    while run.step < steps:
-        for name, value in one_step().items():
-            run.sums[name] = run.sums.get(name, 0.0) + value
-        last = run.step == steps
-        if run.step % settings.validate_every == 0 or last:
-            count = (run.step - 1) % settings.validate_every + 1
-            row = {f"train_{name}": value / count for name, value in run.sums.items()}
-            row |= check()
-            note(row)
-            shown = ", ".join(f"{name} {value:.4g}" for name, value in row.items())
-            pace = (run.step - first) / (time.monotonic() - began)
-            log.info("step %d, %.1f steps/s: %s", run.step, pace, shown)
-            run.sums, first, began = {}, run.step, time.monotonic()
-        if time.monotonic() - saved > settings.save_every or last:
-            save()
-            saved = time.monotonic()
-    return settings.out / CHECKPOINT

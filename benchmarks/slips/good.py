@@ -33,7 +33,7 @@ from recon.diagnosis.findings import Code, Finding
 from recon.formats.mocap.reader import read_recording
 from recon.formats.mocap.recording import MarkerRecording
 from recon.ingest.markers.coverage import full_body_markers
-from recon.method.protocols import Sensor as Seen
+from recon.method.sensor import Sensor as Seen
 from recon.simulation.points import Corruption
 
 LIST = Path(__file__).with_name("good_windows.json")

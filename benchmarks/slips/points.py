@@ -11,7 +11,7 @@ from observations.keypoints2d import Keypoints2D
 from observations.markers3d import Markers3D
 from recon.body.landmarks import KEYPOINTS_43
 from recon.core.skeleton import JOINTS
-from recon.method.protocols import Sensor as Seen
+from recon.method.sensor import Sensor as Seen
 
 Values = Float[Tensor, "clips time points dims"]
 _WILD = 0.5

@@ -9,7 +9,7 @@ from recon.body.model import BodyModel
 from recon.core.camera import Camera, full_hd_camera
 from recon.core.motion import Motion
 from recon.core.struct import stack
-from recon.method.protocols import Sensor as Seen
+from recon.method.sensor import Sensor as Seen
 from recon.simulation.images import dome
 from recon.simulation.points import Corruption, joints3d, markers3d
 

@@ -10,7 +10,7 @@ from benchmarks.slips.points import edited, values_of, weights_of
 from observations.keypoints2d import Keypoints2D
 from recon.core import rotations as so3
 from recon.core.camera import Camera
-from recon.method.protocols import Sensor as Seen
+from recon.method.sensor import Sensor as Seen
 
 
 def mirrored(view: Seen) -> Seen:

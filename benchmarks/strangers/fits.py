@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from jaxtyping import Bool, Float
@@ -20,7 +21,8 @@ from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.skeleton import FEET
 from recon.core.struct import concatenate
-from recon.method.reconstruction import Method, solve
+from recon.method.priors import Prior
+from recon.method.reconstruction import solve
 from recon.metrics.evaluation import ObservedPoints, evaluate
 
 SEED, AT_ONCE = 0, 16
@@ -87,7 +89,7 @@ def seen(protocol: str, windows: TrueWindows, body: BodyModel) -> Seen:
     return Seen(observed, NOISE, gap, "joints_all")
 
 
-def methods(priors: FoldPriors, noise: float) -> dict[str, Method]:
+def methods(priors: FoldPriors, noise: float) -> dict[str, Prior[Any]]:
     """Methods of fitting, with the fold's own pose density in each."""
     return {
         POSE: PosePrior(priors.density, PoseWeights.for_noise(noise)),
@@ -122,7 +124,7 @@ class Fitted:
         return Fitted(self.motion.window(part.start, part.stop), self.points[:, part], network)
 
 
-def fit_windows(observed: Joints3D | Markers3D, method: Method, body: BodyModel) -> Fitted:
+def fit_windows(observed: Joints3D | Markers3D, method: Prior[Any], body: BodyModel) -> Fitted:
     """Fit all clips of an observation, a few at once to bound memory."""
     motions: list[Motion] = []
     network: list[Tensor] = []
@@ -131,7 +133,7 @@ def fit_windows(observed: Joints3D | Markers3D, method: Method, body: BodyModel)
         some = observed[first : first + AT_ONCE]
         result = solve([some], method, body)
         motions.append(result.motion.detach())
-        points.append(some.predict(result.estimate).detach())
+        points.append(some.predicted(result.estimate).detach())
         said = result.estimate.decoded.contacts
         if said is not None:
             network.append(said.detach())

@@ -9,12 +9,12 @@ from priors.pose.density import PoseDensity
 from priors.pose.prior import PosePrior
 from recon.benchmark.dataset import files_on_flat_ground
 from recon.formats.replacing import file_checksum
-from training.humor.run import HumorTraining, export_weights
-from training.humor.train import train
+from training.humor.train import HumorTraining, export_weights, train
 from training.humor.variation import VARIED
 from training.pose import PoseTraining
 from training.pose import train as train_pose
-from training.run import CHECKPOINT, identity, read_state, same_run, trained_state
+from training.run import CHECKPOINT, read_state, trained_state
+from training.settings import identity, same_run
 
 SAVED_EVERY = 60.0
 """Seconds."""

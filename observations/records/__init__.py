@@ -1,1 +1,1 @@
-"""What kinds of sensors have in common, to derive a sensor from."""
+"""The place where plug-ins of 0.2.0 find what they derive a sensor from."""

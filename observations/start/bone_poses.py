@@ -6,11 +6,13 @@ of targets and of their products), and a Gauss-Newton step costs the same for an
 All moments, and all hypotheses about them, step at once.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
+from torch.nn.functional import pad
 
 from priors.pose.density import COORDINATES, ROTATIONS, PoseDensity
 from recon.body.derivatives import BELOW, turned_by
@@ -18,6 +20,8 @@ from recon.body.kinematics import forward_kinematics
 from recon.core import rotations as so3
 from recon.core.skeleton import JOINTS
 from recon.core.struct import TensorStruct
+from recon.solver.banded import Banded
+from recon.solver.gauss_newton import GaussNewton, Problem, Quadratic, minimise
 
 _BONES = len(JOINTS)
 _HANGING = BELOW.nonzero(as_tuple=True)
@@ -140,45 +144,28 @@ class PoseSolver(TensorStruct):
     def minimised(
         self,
         state: BonePoses,
-        targets: BoneTargets,
+        targets: Callable[[BonePoses], BoneTargets],
         sigmas: tuple[float, ...],
         ties: "Springs | None",
     ) -> BonePoses:
-        """The poses after one damped step for every scale of the robust kernel.
+        """The poses after one damped Gauss-Newton step for every scale of the robust kernel.
 
-        The energy of a moment is ½ Σ w ρ(|predicted - seen|²) + ½ |z|², with Geman and McClure's
+        The energy of a frame is ½ Σ w ρ(|predicted - seen|²) + ½ |z|², with Geman and McClure's
         kernel ρ, whose scale shrinks from step to step: what is far away counts at first and not
         in the end.
 
         Args:
             state: where to begin.
-            targets: the points.
+            targets: the points as they are matched with poses.
             sigmas: scales of the kernel, metres, one for each step.
-            ties: what holds neighbouring moments together; None leaves them independent.
+            ties: what holds neighbouring frames together; None leaves them independent.
         """
-        for sigma in sigmas:
-            state = self._stepped(state, targets, sigma, ties)
-        return state
+        annealed = _Annealed(self, targets, sigmas, ties)
+        options = GaussNewton(len(sigmas), tolerance=0.0, damping=0.0)
+        return minimise(annealed, (state, 0), options)[0][0]
 
-    def _stepped(
-        self, state: BonePoses, targets: BoneTargets, sigma: float, ties: "Springs | None"
-    ) -> BonePoses:
-        away = targets.away(state)
-        share = sigma**2 / (sigma**2 + away.square().sum(-1))
-        force, stiffness = _moments(targets, away, targets.weight * share.square())
-        gradient, hessian = _by_coordinates(state, force, stiffness, self.density)
-        gradient[:, 6:] += state.coordinates
-        diagonal = hessian.diagonal(dim1=1, dim2=2)
-        diagonal[:, 6:] += 1
-        diagonal += 1e-3 * diagonal + 1.0
-        if ties is not None:
-            steps = ties.solved(hessian, gradient, state)
-        else:
-            factor = torch.linalg.cholesky_ex(hessian).L
-            steps = -torch.cholesky_solve(gradient[..., None], factor)[..., 0]
-        return self._moved(state, steps.nan_to_num(0.0))
-
-    def _moved(self, state: BonePoses, steps: Float[Tensor, "rows 69"]) -> BonePoses:
+    def moved(self, state: BonePoses, steps: Float[Tensor, "rows 69"]) -> BonePoses:
+        """The poses after steps, shorter where one would turn a joint or go too far."""
         turns = torch.cat((steps[:, None, 3:6], self._turns(steps[:, 6:])), 1).norm(dim=-1)
         long = turns.amax(-1) / _MAX_STEP_RAD
         far = steps[:, :3].norm(dim=-1) / _SHIFT
@@ -206,14 +193,11 @@ class Springs:
     coordinates: float
     """Inverse variance of the change of a coordinate z."""
 
-    def solved(
-        self,
-        hessian: Float[Tensor, "rows n n"],
-        gradient: Float[Tensor, "rows n"],
-        state: BonePoses,
-    ) -> Float[Tensor, "rows n"]:
-        """Steps of all moments: the block tridiagonal system, from the first to the last."""
-        like = gradient
+    def pulls(
+        self, state: BonePoses
+    ) -> tuple[Float[Tensor, "between 69"], Float[Tensor, "between 69"]]:
+        """Stiffness of every spring, and its gradient by the later one of its frames."""
+        like = state.translation
         springs = torch.cat((
             like.new_full((3,), self.place),
             like.new_full((3,), self.turn),
@@ -225,25 +209,51 @@ class Springs:
             so3.log(state.root[1:] @ state.root[:-1].mT),
             state.coordinates.diff(dim=0),
         ), -1)  # fmt: skip
-        pull = weight * between
-        gradient = gradient.clone()
-        gradient[:-1] -= pull
-        gradient[1:] += pull
-        diagonal = hessian.diagonal(dim1=1, dim2=2)
-        diagonal[:-1] += weight
-        diagonal[1:] += weight
-        factors, rights = [torch.linalg.cholesky_ex(hessian[0]).L], [-gradient[0]]
-        for row in range(1, len(hessian)):
-            inner = torch.diag(weight[row - 1])
-            solved = torch.cholesky_solve(torch.cat((inner, rights[-1][:, None]), -1), factors[-1])
-            block = hessian[row] - inner @ solved[:, :-1]
-            factors.append(torch.linalg.cholesky_ex(block).L)
-            rights.append(-gradient[row] + weight[row - 1] * solved[:, -1])
-        steps = [torch.cholesky_solve(rights[-1][:, None], factors[-1])[:, 0]]
-        for row in range(len(hessian) - 2, -1, -1):
-            right = rights[row] + weight[row] * steps[-1]
-            steps.append(torch.cholesky_solve(right[:, None], factors[row])[:, 0])
-        return torch.stack(steps[::-1])
+        return weight, weight * between
+
+
+@dataclass(frozen=True)
+class _Annealed(Problem[tuple[BonePoses, int]]):
+    """Poses of all rows, and the number of the kernel's scale that comes next."""
+
+    solver: PoseSolver
+    targets: Callable[[BonePoses], BoneTargets]
+    sigmas: tuple[float, ...]
+    ties: Springs | None
+
+    def model(self, x: tuple[BonePoses, int], rows: Int[Tensor, " rows"]) -> Quadratic:
+        """Reweighted least squares about the poses, with all rows in one matrix."""
+        state, sigma, targets = x[0], self.sigmas[x[1]], self.targets(x[0])
+        away = targets.away(state)
+        share = sigma**2 / (sigma**2 + away.square().sum(-1))
+        force, stiffness = _moments(targets, away, targets.weight * share.square())
+        gradient, own = _by_coordinates(state, force, stiffness, self.solver.density)
+        gradient[:, 6:] += state.coordinates
+        diagonal = own.diagonal(dim1=1, dim2=2)
+        diagonal[:, 6:] += 1
+        diagonal += 1e-3 * diagonal + 1.0
+        lost = ~gradient.isfinite().all(-1)  # such a row stays where it is, and spoils no other
+        gradient[lost], own[lost] = 0.0, torch.eye(own.shape[-1])
+        inner = own[:, None]
+        if self.ties is not None:
+            weight, pull = self.ties.pulls(state)
+            gradient[:-1] -= pull
+            gradient[1:] += pull
+            diagonal[:-1] += weight
+            diagonal[1:] += weight
+            inner = torch.stack((own, pad(-weight, (0, 0, 0, 1)).diag_embed()), 1)
+        nothing = own.new_zeros(len(own), own.shape[-1], 0)
+        hessian = Banded(inner, nothing, own.new_zeros(0, 0))
+        return Quadratic(self.value(x, rows), gradient.flatten()[None], [hessian])
+
+    def moved(
+        self, x: tuple[BonePoses, int], rows: Int[Tensor, " rows"], steps: Float[Tensor, "rows n"]
+    ) -> tuple[BonePoses, int]:
+        """The poses after steps, and the next scale."""
+        del rows
+        state = x[0]
+        framed = steps[0].view(len(state.translation), -1)
+        return self.solver.moved(state, framed), x[1] + 1
 
 
 def placed_rigidly(

@@ -9,13 +9,13 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from observations.correspondences import BodyPoints
-from observations.start.rigid import TORSO, nearest_placed
-from observations.start.standing import UPRIGHT
+from observations.start.rigid import TORSO, cheapest_path, nearest_placed
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.camera import Camera
 from recon.core.motion import Motion
 from recon.core.skeleton import joint_index
+from recon.method.sensor import UPRIGHT
 
 HEADINGS = 36
 """Directions the body may face, evenly spread."""
@@ -173,15 +173,7 @@ def smooth_path(
     """The heading of every frame that minimises residuals and turning together."""
     away = (angles[:, None] - angles + math.pi).remainder(math.tau) - math.pi
     turning = 0.1 * (away * fps / _TURNING).square() / fps
-    best, back = misfit[:, 0], []
-    for frame in misfit.unbind(1)[1:]:
-        reached = (best[:, :, None] + turning).min(1)
-        back.append(reached.indices)
-        best = reached.values + frame
-    path = [best.argmin(-1)]
-    for step in reversed(back):
-        path.append(step.gather(1, path[-1][:, None])[:, 0])
-    return torch.stack(path[::-1], 1)
+    return cheapest_path(misfit, turning.expand(misfit.shape[1] - 1, -1, -1))
 
 
 def _running_median(

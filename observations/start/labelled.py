@@ -19,8 +19,8 @@ from observations.start.bone_poses import (
     Springs,
     placed_rigidly,
 )
-from observations.start.depth import evidence
-from observations.start.surface_steps import SeenSurface
+from observations.start.rigid import cheapest_path
+from observations.start.surface_steps import SeenSurface, evidence
 from observations.surfels import Surfels
 from priors.labels.looking import PointLabels
 from priors.labels.regions import MIRRORED_REGIONS, REGION_OF_JOINT, REGIONS
@@ -106,7 +106,8 @@ def labelled_start(
         return values[None].flatten(0, axes)
 
     eyes = [None] * rows(present).shape[0] if eye is None else list(rows(eye).cpu())
-    known, tracker = labels.to(device="cpu").map(rows), _Tracker.of(body)
+    known = labels.to(device="cpu", dtype=torch.float32).map(rows)
+    tracker = _Tracker.of(body)
     seen = zip(rows(points).cpu(), rows(present).cpu(), eyes, strict=True)
     clips = [
         tracker.tracked(cloud, here, known[k], at, fps) for k, (cloud, here, at) in enumerate(seen)
@@ -208,12 +209,12 @@ class _Tracker:
             place.new_zeros(len(place), 63),
             self.solver,
         )
-        return self.solver.minimised(start, targets, _POSED, None)
+        return self.solver.minimised(start, lambda _: targets, _POSED, None)
 
     def _path(
         self, moments: _Moments, posed: BonePoses, found: BoneTargets
     ) -> Int[Tensor, " rows"]:
-        """The reading of every moment (Viterbi's algorithm)."""
+        """The reading of every moment."""
         rows, readings = len(moments.number), len(_READINGS)
         motion = Motion.create(
             posed.translation, posed.rotations, self.body.template.new_zeros(self.body.shape_size),
@@ -232,7 +233,7 @@ class _Tracker:
         cost = seen.misfit + _AGAINST * seen.contradicted + _LABELS * share
         cost = cost.view(readings, rows).mT
         change = _changes(posed, readings, moments.seconds)
-        return _viterbi(cost, change)
+        return cheapest_path(cost[None], change)[0]
 
 
 def _chosen(
@@ -293,21 +294,6 @@ def _changes(
     speed = moved / seconds[:, None, None]
     cost = _CHANGE_COST * ((spin / _SPIN).square() + (speed / _SPREAD).square())
     return cost.clamp(max=_MAX_CHANGE_COST)
-
-
-def _viterbi(
-    cost: Float[Tensor, "rows readings"], change: Float[Tensor, "between readings readings"]
-) -> Int[Tensor, " rows"]:
-    """The sequence that costs least in all."""
-    total, back = cost[0], list[Tensor]()
-    for own, between in zip(cost[1:], change, strict=True):
-        reached = (total[:, None] + between).min(0)
-        back.append(reached.indices)
-        total = reached.values + own
-    path = [int(total.argmin())]
-    for came in reversed(back):
-        path.append(int(came[path[-1]]))
-    return torch.tensor(path[::-1])
 
 
 def _between(

@@ -1,40 +1,9 @@
-"""A first guess for data that do not tell where the body is."""
-
-import math
-from collections.abc import Sequence
+"""Where a person is whose keypoints tell only how it stands: by feet that do not slide."""
 
 import numpy as np
-import torch
 from jaxtyping import Bool, Float
 
-from recon.body.model import BodyModel
-from recon.core import rotations as so3
-from recon.core.motion import Motion
 from recon.core.skeleton import JOINT
-
-UPRIGHT = (math.pi / 2, 0.0, 0.0)
-"""Rotation vector from the rest pose (y up, facing z) to the recording (z up, facing -y)."""
-
-
-def standing(
-    body: BodyModel, clips: Sequence[int], moments: int, *, fps: float, start_time: float
-) -> Motion:
-    """The average body in its rest pose, upright, over the origin; its soles stand at z = 0.
-
-    It faces the negative y axis of the world, as the rest pose that is turned upright does.
-    """
-    rest = body.joint_template
-    turn = so3.exp(rest.new_tensor(UPRIGHT))
-    placed = (body.template - rest[0]) @ turn.T
-    place = rest.new_zeros(3)
-    place[2] = -placed[:, 2].min()
-    rotations = torch.eye(3).to(rest).repeat(*clips, moments, len(rest), 1, 1)
-    rotations[..., 0, :, :] = turn
-    return Motion.create(
-        (place - rest[0]).expand(*clips, moments, 3).clone(), rotations,
-        rest.new_zeros(*clips, body.shape_size), fps, start_time=start_time,
-    )  # fmt: skip
-
 
 _PARTS = {"heel": 0.015, "big_toe": 0.015, f"foot{JOINT}": 0.02, "ankle": 0.08}
 """Points of a foot, and metres above the ground of each where the foot stands."""

@@ -6,7 +6,6 @@ so that cycles of any duration are of one size; each carries the time it stands 
 
 import math
 from dataclasses import dataclass
-from enum import Enum
 
 import torch
 from jaxtyping import Float
@@ -27,15 +26,6 @@ POSE_NUMBERS = 6 * len(POSED)
 ROW_NUMBERS = POSE_NUMBERS + 3 + 1
 """Numbers of an anchor: pose, translation, time."""
 _IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0)
-
-
-class Alignment(Enum):
-    """The part of a cycle's place and orientation that aligning its first anchor removes."""
-
-    YAW = "yaw"
-    """Heading and place on the ground: gravity and height stay."""
-    FULL = "full"
-    """All of its rotation and translation, as published; which way is up is lost."""
 
 
 @dataclass(frozen=True)
@@ -102,18 +92,16 @@ class Anchors(TensorStruct):
         )
 
     def aligned(
-        self, alignment: Alignment, pelvis: Float[Tensor, "*batch 3"]
+        self, pelvis: Float[Tensor, "*batch 3"]
     ) -> tuple["Anchors", Float[Tensor, "*batch 4 4"]]:
         """The cycles in the frame of their first anchor, and T_world_cycle, which takes them back.
 
-        `FULL`: the first root rotation is the identity, the first translation zero. `YAW`: the
-        first root faces +y, and its translation is zero but for the height.
+        The first root faces +y, and its translation is zero but for the height. The published
+        alignment takes away all rotation and translation, so that which way is up is lost.
         """
-        first, start = self.rotations[..., 0, 0, :, :], self.translation[..., 0, :]
-        if alignment is Alignment.YAW:
-            turn, kept = so3.heading(first), start * start.new_tensor([0.0, 0.0, 1.0])
-        else:
-            turn, kept = first.mT, torch.zeros_like(start)
+        start = self.translation[..., 0, :]
+        turn = so3.heading(self.rotations[..., 0, 0, :, :])
+        kept = start * start.new_tensor([0.0, 0.0, 1.0])
         shift = kept + pelvis - (turn @ (start + pelvis)[..., None])[..., 0]
         return self.carried(so3.rigid(turn, shift), pelvis), so3.rigid(
             turn.mT, -(turn.mT @ shift[..., None])[..., 0]

@@ -10,9 +10,8 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
-from priors.anchor.frames import CODES, Alignment, CycleBasis
-from priors.checkpoints import named_checkpoint, save_checkpoint
-from recon.core.errors import WeightsError
+from priors.anchor.frames import CODES, CycleBasis
+from priors.checkpoints import half_precision, named_checkpoint, save_checkpoint
 from recon.core.struct import TensorStruct
 
 _LOG_VARIANCE = (-10.0, 4.0)
@@ -102,7 +101,8 @@ def _residual(inputs: int, width: int, outputs: int, dropout: float) -> nn.Seque
 
 
 _BASIS, _SPREAD = "basis.", "spread."
-_SETTINGS = ("latent", "shape", "width", "basis")
+_ALIGNMENT = "yaw"
+"""What is taken away from cycles: heading and place on the ground."""
 
 
 @dataclass(frozen=True)
@@ -140,25 +140,19 @@ class AnchorWeights:
 
     networks: AnchorNetworks
     spread: CodeSpread
-    alignment: Alignment
 
 
 def save_weights(path: Path, weights: AnchorWeights, settings: Mapping[str, Any]) -> None:
     """Write networks and directions in half precision, what scales them in single."""
     networks, basis = weights.networks, weights.networks.basis
-    tensors = {name: tensor.half() for name, tensor in networks.state_dict().items()}
-    for name, tensor in basis.tensors().items():
-        tensors[_BASIS + name] = tensor.half() if name == "directions" else tensor.float()
-    for name, tensor in weights.spread.tensors().items():
-        tensors[_SPREAD + name] = tensor.float()
     sizes = {
         "latent": networks.latent,
         "shape": networks.shape,
         "width": networks.width,
         "basis": len(basis.deviation),
     }
-    about = {**settings, **sizes, "alignment": weights.alignment.value}
-    save_checkpoint(path, "anchor", tensors, about)
+    tensors = half_precision(networks, basis=basis, spread=weights.spread)
+    save_checkpoint(path, "anchor", tensors, {**settings, **sizes, "alignment": _ALIGNMENT})
 
 
 def load_weights(path: str | Path) -> AnchorWeights:
@@ -173,17 +167,8 @@ def load_weights(path: str | Path) -> AnchorWeights:
         ValueError: when it holds something else.
     """
     found = named_checkpoint(path, "anchor")
-    sizes = [found.settings.get(name) for name in _SETTINGS]
-    known = {alignment.value for alignment in Alignment}
-    if found.settings.get("alignment") not in known or not all(
-        isinstance(size, int) and size >= (0 if name == "width" else 1)
-        for name, size in zip(_SETTINGS, sizes, strict=True)
-    ):
-        raise WeightsError(
-            f"{found.path}: expected the settings {', '.join(_SETTINGS)} (whole numbers) and "
-            f"alignment ({' or '.join(sorted(known))}), got {dict(found.settings)}"
-        )
-    latent, shape, width, size = (int(one) for one in sizes if one is not None)
+    latent, shape, size = found.sizes("latent", "shape", "basis", alignment=_ALIGNMENT)
+    (width,) = found.sizes("width", least=0)
     basis = CycleBasis(**found.under(_BASIS).require({
         "low": (4,), "high": (4,), "mean": (CODES,), "directions": (size, CODES),
         "deviation": (size,),
@@ -195,4 +180,4 @@ def load_weights(path: str | Path) -> AnchorWeights:
         "mean": (latent,), "root": (latent, latent), "typical": (count, latent),
     }))  # fmt: skip
     networks.eval().requires_grad_(False)
-    return AnchorWeights(networks, spread, Alignment(found.settings["alignment"]))
+    return AnchorWeights(networks, spread)

@@ -5,14 +5,14 @@ world, and reading them at even moments gives the motion. So data at any times m
 what the duration of the cycle is, they tell as well.
 """
 
-from dataclasses import dataclass
-from typing import ClassVar
+from dataclasses import dataclass, replace
+from typing import Any
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from priors.anchor.frames import ANCHORS, POSED, Alignment, Anchors, rest_pelvis
+from priors.anchor.frames import ANCHORS, POSED, Anchors, rest_pelvis
 from priors.anchor.networks import AnchorWeights, load_weights
 from priors.cosines import cosines
 from recon.body.model import BodyModel
@@ -20,9 +20,11 @@ from recon.core import rotations as so3
 from recon.core.errors import ReconError
 from recon.core.motion import Motion
 from recon.core.struct import TensorStruct, stack
-from recon.method.plugins import imported
-from recon.method.priors import CycleMethod, Traits
+from recon.method.priors import CyclePrior
 from recon.method.protocols import Decoded
+from recon.method.stages import Stage
+from recon.method.terms import Term, prior_energy
+from recon.solver.lbfgs import LBFGS
 
 MODES = 16
 """Cosines of time that details may have."""
@@ -32,6 +34,11 @@ _BEND, _SHIFT = 0.08, 0.02
 """Standard deviations of the slowest details: radians per joint and axis, metres."""
 _FAST = 4
 """Cosines beyond which details are ever less likely."""
+_ENDS = 0.02
+"""Seconds by which the ends of cycle and recording are apart."""
+_PLACING = frozenset({"turn", "place"})
+_CYCLE = _PLACING | {"latent", "begin"}
+_BODY = _CYCLE | {"shape"}
 _SINK = 0.03
 """Metres by which soles may be above or below the ground."""
 
@@ -43,8 +50,8 @@ class AnchorVariables(TensorStruct):
     latent: Float[Tensor, "*batch latent"]
     """Whitened code: z = mean + root · latent."""
     shape: Float[Tensor, "*batch shape"]
-    turn: Float[Tensor, "*batch turn"]
-    """Rotation of the cycle from `base`: about the vertical alone, or about three axes."""
+    turn: Float[Tensor, "*batch 1"]
+    """Rotation of the cycle from `base` about the vertical."""
     place: Float[Tensor, "*batch 3"]
     """Translation of the cycle from `base`."""
     begin: Float[Tensor, "*batch"]
@@ -67,10 +74,9 @@ class AnchorVariables(TensorStruct):
 
 
 @dataclass(frozen=True)
-class AnchorFrames:
+class AnchorFrames(CyclePrior[AnchorVariables]):
     """The prior of whole gait cycles: a normal distribution of codes, and small, slow details."""
 
-    traits: ClassVar[Traits] = Traits(completes=True)
     weights: AnchorWeights
     body: BodyModel
 
@@ -93,11 +99,6 @@ class AnchorFrames:
         return cls(found, body)
 
     @property
-    def alignment(self) -> Alignment:
-        """The part of a cycle's place and orientation that codes do not hold."""
-        return self.weights.alignment
-
-    @property
     def code_size(self) -> int:
         """Numbers in a code."""
         return self.weights.networks.latent
@@ -112,9 +113,39 @@ class AnchorFrames:
         rows = self.weights.networks.decode(self.typical, shape.expand(len(self.typical), -1))
         return rows[..., -4:-1] + rest_pelvis(self.body, shape)
 
-    def cycle_method(self, noise: float, *, detailed: bool) -> CycleMethod:
-        """A method for observations whose coordinates are off by about `noise` metres."""
-        return imported("priors.anchor.fit:AnchorFit", "method")(self, noise, detailed=detailed)
+    def search(self, data: tuple[Term, ...], noise: float) -> tuple[Stage[Any], ...]:
+        """Place alone, then the code: it tells good beginnings from bad ones."""
+        return (
+            self._stage("place", data, noise, _PLACING, LBFGS(12)),
+            self._stage("rough", data, noise, _CYCLE, LBFGS(30)),
+        )
+
+    def coded(self, data: tuple[Term, ...], noise: float) -> tuple[Stage[Any], ...]:
+        """The code, then the body as well."""
+        return (
+            self._stage("cycle", data, noise, _CYCLE, LBFGS(30, tolerance_decrease=1e-4)),
+            self._stage("body", data, noise, _BODY, LBFGS(60, tolerance_decrease=1e-5)),
+        )
+
+    def details(self, data: tuple[Term, ...], noise: float) -> tuple[Stage[Any], ...]:
+        """The last stage, where data are dense: details that codes cannot express."""
+        minimiser = LBFGS(60, tolerance_decrease=1e-5)
+        stage = self._stage("details", data, noise, _BODY | {"bend", "shift"}, minimiser)
+        held = Term("details", prior_energy("details"), noise**2)
+        return (replace(stage, terms=(*stage.terms, held)),)
+
+    def _stage(
+        self,
+        name: str,
+        data: tuple[Term, ...],
+        noise: float,
+        free: frozenset[str],
+        minimiser: LBFGS,
+    ) -> Stage[AnchorVariables]:
+        """A stage with the densities of codes, shapes and ends: -log p in nats, times noise²."""
+        weights = {"latent": 1.0, "shape": 1.0, "ends": _ENDS**-2, "sink": 1.0}
+        likely = (Term(one, prior_energy(one), w * noise**2) for one, w in weights.items())
+        return Stage(name, self, (*data, *likely), free, minimiser)
 
     def encode(self, motion: Motion) -> AnchorVariables:
         """The code of each clip, taken as one cycle from its first to its last frame.
@@ -127,7 +158,7 @@ class AnchorFrames:
         ]
         anchors = stack([Anchors.of(clip) for clip in clips])
         pelvis = rest_pelvis(self.body, motion.shape)
-        aligned, T = anchors.aligned(self.alignment, pelvis)
+        aligned, T = anchors.aligned(pelvis)
         with torch.no_grad():
             mean, _ = self.weights.networks.posterior(aligned.pack())
         return self.variables(mean, motion.shape, T, motion.valid, motion.fps, motion.start_time)
@@ -145,13 +176,11 @@ class AnchorFrames:
         spread = self.weights.spread
         away = (codes - spread.mean)[..., None]
         latent = torch.linalg.solve_triangular(spread.root, away, upper=False)[..., 0]
-        axes = 1 if self.alignment is Alignment.YAW else 3
-        like = latent[..., :1]
-        zero = torch.zeros_like(like)
+        zero = torch.zeros_like(latent[..., :1])
         return AnchorVariables(
             latent=latent,
             shape=shape,
-            turn=zero.repeat_interleave(axes, -1),
+            turn=zero,
             place=zero.repeat_interleave(3, -1),
             begin=zero[..., 0],
             bend=zero[..., None].expand(*zero.shape[:-1], MODES, 3 * len(POSED)).clone(),
@@ -218,9 +247,7 @@ class AnchorFrames:
         return since / rows[..., -1, -1:].clamp(min=1e-3) * (ANCHORS - 1)
 
     def _placing(self, x: AnchorVariables) -> Float[Tensor, "*batch 4 4"]:
-        vector = TURN * x.turn
-        if vector.shape[-1] == 1:
-            vector = torch.nn.functional.pad(vector, (2, 0))
+        vector = torch.nn.functional.pad(TURN * x.turn, (2, 0))
         turn = x.base[..., :3, :3] @ so3.exp(vector)
         return so3.rigid(turn, x.base[..., :3, 3] + PLACE * x.place)
 

@@ -10,13 +10,12 @@ only, so a network sees all steps of all clips as one batch.
 """
 
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Any, ClassVar
 
 from jaxtyping import Float
 from torch import Tensor
 
-from priors.humor.likely import LikelyStates, as_read, at_tempo, tempo
+from priors.humor.likely import as_read, at_tempo
 from priors.humor.prior import Humor
 from priors.humor.state import contact_probabilities, posed_states
 from priors.humor.steps import (
@@ -30,16 +29,17 @@ from priors.humor.steps import (
 )
 from priors.humor.terms import contact_velocity
 from priors.pose.density import PoseDensity
-from priors.pose.prior import PoseBelief, PosePrior, PoseVariables, PoseWeights
+from priors.pose.prior import PosePrior, PoseVariables, PoseWeights
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.skeleton import KNEES
 from recon.method.marquardt import Preconditioned
-from recon.method.protocols import Decoded, TrackedJoints
+from recon.method.priors import USUAL_NOISE, Density, Prior
+from recon.method.protocols import Decoded
 from recon.method.quadratic import ClipModel
+from recon.method.sensor import Sensor
 from recon.method.stages import Stage
 from recon.method.terms import PriorEnergy, Term, joint_acceleration, prior_energy, shape
-from recon.physics.support import Support
 from recon.solver.banded import add_differences
 from recon.solver.lbfgs import LBFGS
 
@@ -51,14 +51,37 @@ _MIN_SEEN_SHARE = 0.9
 
 
 @dataclass(frozen=True, eq=False)
-class CollocatedHumor:
-    """A prior over motions in the variables of the pose prior, with an energy for every step."""
+class Collocation(Prior[PoseVariables]):
+    """HuMoR over motions in the variables of the pose prior, with an energy for every step.
+
+    Fitted by stages 1 and 2 under the pose prior, then by all steps under HuMoR.
+    """
 
     reach: ClassVar[int] = SPAN - 1
     humor: Humor
-    poses: PosePrior
+    weights: CollocationWeights = field(
+        default_factory=lambda: CollocationWeights.for_noise(USUAL_NOISE)
+    )
+    poses: PosePrior = field(default_factory=PosePrior.load)
+    """Prior of stages 1 and 2, with its weights there; its density is that of all stages."""
     tempo: float = 1.0
     """Share of its speed at which the networks read a motion (`priors.humor.likely`)."""
+
+    @classmethod
+    def for_noise(
+        cls, humor: Humor, noise: float, density: PoseDensity | None = None
+    ) -> "Collocation":
+        """The prior for observations of a standard deviation of `noise` metres per coordinate.
+
+        Args:
+            humor: whose networks judge the steps.
+            noise: of the observation.
+            density: of poses; None is the bundled one.
+        """
+        density = PosePrior.load().density if density is None else density
+        poses = PosePrior(density, PoseWeights.for_noise(noise))
+        poses = poses.to(device=humor.body.template.device)
+        return cls(humor, CollocationWeights.for_noise(noise), poses)
 
     def encode(self, motion: Motion) -> PoseVariables:
         """The motion at 30 Hz of the time that the networks see; exact but for the resampling.
@@ -74,10 +97,9 @@ class CollocatedHumor:
             )
         return self.poses.encode(motion)
 
-    def belief(self, noise: float) -> PoseBelief:
+    def belief(self, noise: float) -> Density:
         """The pose prior with all of its smoothness, which stands for the steps here."""
-        weights = PoseWeights.for_noise(noise)
-        return PosePrior(self.poses.density, weights).belief(noise)
+        return PosePrior(self.poses.density, PoseWeights.for_noise(noise)).belief(noise)
 
     def from_steps(
         self, variables: PoseVariables, steps: Float[Tensor, "clips time 69"]
@@ -99,12 +121,10 @@ class CollocatedHumor:
             weight = term.weight * contacts[clip.clip, 1:].where(exists, 0.0)
             add_differences(clip.joints, (-1.0, 1.0), weight.repeat_interleave(3, -1))
             return True
-        energy = term.energy
-        if isinstance(energy, Support):
+        energy: Any = term.energy
+        if hasattr(energy, "add_curvature"):
             energy.add_curvature(term.weight, clip.estimate, clip.clip, clip.joints)
             return True
-        if isinstance(energy, LikelyStates):
-            return True  # steps are stiffer: L-BFGS learns what this one adds
         if not isinstance(energy, PriorEnergy) or energy.name not in ("step", "latents"):
             return self.poses.add_curvature(term, clip)
         name = energy.name
@@ -144,37 +164,13 @@ class CollocatedHumor:
             posed=posed,
         )
 
-
-@dataclass(frozen=True, eq=False)
-class Collocation:
-    """The default method: stages 1 and 2 under the pose prior, then all steps under HuMoR."""
-
-    humor: Humor
-    weights: CollocationWeights = field(default_factory=lambda: CollocationWeights.for_noise(0.04))
-    start: PoseWeights = field(default_factory=lambda: PoseWeights.for_noise(0.04))
-    """Weights of stages 1 and 2."""
-    density: PoseDensity = field(default_factory=lambda: PosePrior.load().density)
-    """Density of poses in all stages; the bundled one unless another is given."""
-
-    @classmethod
-    def for_noise(
-        cls, humor: Humor, noise: float, density: PoseDensity | None = None
-    ) -> "Collocation":
-        """The method for observations of a standard deviation of `noise` metres per coordinate.
-
-        Args:
-            humor: whose networks judge the steps.
-            noise: of the observation.
-            density: of poses; None is the bundled one.
-        """
-        weights = CollocationWeights.for_noise(noise), PoseWeights.for_noise(noise)
-        return cls(humor, *weights) if density is None else cls(humor, *weights, density)
-
-    @cached_property
-    def _poses(self) -> PosePrior:
-        return PosePrior(self.density, self.start).to(device=self.humor.body.template.device)
-
-    def stages(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
+    def stages(
+        self,
+        data: tuple[Term, ...],
+        noise: float = USUAL_NOISE,
+        body: BodyModel | None = None,
+        method: str | None = None,
+    ) -> tuple[Stage[Any], ...]:
         """First the root, then smooth poses, then likely steps, and at last held feet as well.
 
         Feet come last, because wrongly standing feet of a first guess would be held there; and
@@ -186,36 +182,7 @@ class Collocation:
         likely then, where legs are unseen, gravity asks for a foot that carries the body, and who
         moves faster than the networks know is read slower.
         """
-        root, poses, steps = self.without_feet(data)
-        held = Term("contact velocity", contact_velocity, self.weights.contact_velocity)
-        last = LBFGS(max_iterations=400, tolerance_decrease=1e-5, scale=_FITTED, history=40)
-        feet = replace(
-            steps, name="contacts", terms=(*steps.terms, held), minimiser=last,
-            second_order=Preconditioned(),
-        )  # fmt: skip
-        if seen_whole(data, self.humor.body):
-            rough = replace(poses.minimiser, tolerance_decrease=1e-2)
-            return root, replace(poses, minimiser=rough), feet
-        # where every joint is seen, no limbs are drawn from the networks
-        from priors.humor.limbs import UnseenLimbs, unseen_limbs
-
-        unseen = unseen_limbs(data, self.humor.body)
-        if unseen is None:
-            return root, poses, steps, feet
-        carried = Term("support", Support(unseen[:, KNEES].any(-1)), self.weights.support)
-        likely = Term("state", LikelyStates(self.humor, unseen), self.weights.state)
-        read = CollocatedHumor(self.humor, self._poses, tempo(data))
-        steps, feet = (
-            replace(s, prior=read, terms=(*s.terms, carried, likely)) for s in (steps, feet)
-        )
-        limbs = replace(
-            feet, name="limbs", proposals=UnseenLimbs(self.humor, unseen), kept=1,
-            minimiser=replace(last, tolerance_decrease=1e-3),
-        )  # fmt: skip
-        return root, poses, steps, limbs, feet
-
-    def without_feet(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
-        """The stages before the last: root, smooth poses, likely steps."""
+        del noise, body, method  # its weights are chosen
         w = self.weights
         terms = (
             *data,
@@ -225,19 +192,47 @@ class Collocation:
             Term("step", prior_energy("step"), w.step),
             Term("latents", prior_energy("latents"), w.latents),
         )
-        prior = CollocatedHumor(self.humor, self._poses)
         free = frozenset({"translation", "root", "pose", "shape"})
-        root, poses = self._poses.stages(data)
+        root, poses = self.poses.stages(data)
         poses = replace(poses, minimiser=replace(poses.minimiser, tolerance_decrease=1e-3))
         slow = LBFGS(max_iterations=200, tolerance_decrease=2e-3)
-        return root, poses, Stage("steps", prior, terms, free, slow)
+        steps = Stage("steps", self, terms, free, slow)
+        held = Term("contact velocity", contact_velocity, w.contact_velocity)
+        last = LBFGS(max_iterations=400, tolerance_decrease=1e-5, scale=_FITTED, history=40)
+        feet = replace(
+            steps, name="contacts", terms=(*steps.terms, held), minimiser=last,
+            second_order=Preconditioned(),
+        )  # fmt: skip
+        if seen_whole(data, self.humor.body):
+            rough = replace(poses.minimiser, tolerance_decrease=1e-2)
+            return root, replace(poses, minimiser=rough), feet
+        # where every joint is seen, no limbs are drawn from the networks
+        from priors.humor.likely import LikelyStates, tempo
+        from priors.humor.limbs import UnseenLimbs, unseen_limbs
+        from recon.physics.support import Support
+
+        unseen = unseen_limbs(data, self.humor.body)
+        if unseen is None:
+            return root, poses, steps, feet
+        carried = Term("support", Support(unseen[:, KNEES].any(-1)), w.support)
+        likely = Term("state", LikelyStates(self.humor, unseen), w.state)
+        read = replace(self, tempo=tempo(data))
+        steps, feet = (
+            replace(s, prior=read, terms=(*s.terms, carried, likely)) for s in (steps, feet)
+        )
+        limbs = replace(
+            feet, name="limbs", proposals=UnseenLimbs(self.humor, unseen), kept=1,
+            minimiser=replace(last, tolerance_decrease=1e-3),
+        )  # fmt: skip
+        return root, poses, steps, limbs, feet
 
 
 def seen_whole(data: tuple[Term, ...], body: BodyModel) -> bool:
     """Whether one sensor tells the place in space of every joint in most moments of every clip."""
     return any(
-        isinstance(term.energy, TrackedJoints)
+        isinstance(term.energy, Sensor)
         and term.energy.unit == "metres"
-        and bool((term.energy.told_joints(body) >= _MIN_SEEN_SHARE).all())
+        and (told := term.energy.told_joints(body)) is not None
+        and bool((told >= _MIN_SEEN_SHARE).all())
         for term in data
     )

@@ -9,7 +9,7 @@ of all states of the training corpus, with their velocities, and knows better.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Any
 
 import torch
 from jaxtyping import Bool, Float
@@ -31,31 +31,6 @@ _SPEED_SPAN_S = 0.5
 matters."""
 
 
-@runtime_checkable
-class SeenPoints(Protocol):
-    """A sensor that places points of the body in space."""
-
-    @property
-    def places(self) -> Float[Tensor, "clips moments points 3"]:
-        """Positions of the points, metres."""
-        ...
-
-    @property
-    def shown(self) -> Bool[Tensor, "clips moments points"]:
-        """Which points were seen."""
-        ...
-
-    @property
-    def placed(self) -> bool:
-        """Whether positions are places in the world rather than relative to the body."""
-        ...
-
-    @property
-    def fps(self) -> float:
-        """Moments per second."""
-        ...
-
-
 def tempo(data: Sequence[Term]) -> float:
     """Share of their speed at which the motions of a batch are read; 1 as they are.
 
@@ -63,7 +38,7 @@ def tempo(data: Sequence[Term]) -> float:
     of them, both about as the root of the speed. v is that of the slowest clip, by the sensor
     that tells most of it; clips of which no sensor tells a speed are read as they are.
     """
-    told = [_speed(term.energy) for term in data if isinstance(term.energy, SeenPoints)]
+    told = [_speed(term.energy) for term in data if getattr(term.energy, "placed", False)]
     if len(told) == 0:
         return 1.0
     slowest = float(torch.stack(told).amax(0).min())
@@ -87,12 +62,10 @@ def as_read(motion: Motion) -> Motion:
     return motion.replace(fps=REFERENCE_FPS)
 
 
-def _speed(sensor: SeenPoints) -> Float[Tensor, " clips"]:
-    """Mean speed of the middle of the points that two moments `_SPEED_SPAN_S` show, m/s."""
+def _speed(sensor: Any) -> Float[Tensor, " clips"]:
+    """Mean speed of the middle of points in space that two moments `_SPEED_SPAN_S` show, m/s."""
     places, shown = sensor.places, sensor.shown
     lag = max(1, min(round(_SPEED_SPAN_S * sensor.fps), places.shape[1] - 1))
-    if not sensor.placed:
-        return places.new_zeros(len(places))
     both = (shown[:, lag:] & shown[:, :-lag])[..., None].to(places)
     moved = (places[:, lag:] - places[:, :-lag]).where(both > 0, 0.0)
     middle = moved.sum(2) / both.sum(2).clamp(min=1)
@@ -123,3 +96,8 @@ class LikelyStates(TensorStruct):
         rarity = humor.initial.rarity(initial_features(states))
         exists = motion.valid & self.unseen.any(-1)[:, None]
         return heavy_tailed(rarity, RARITY).where(exists, 0.0).sum(-1)
+
+    def add_curvature(
+        self, weight: float, estimate: Estimate, clip: int, joints: Float[Tensor, "time 3 66"]
+    ) -> None:
+        """Add nothing: steps are stiffer, and L-BFGS learns what this energy adds."""

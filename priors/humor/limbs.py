@@ -15,7 +15,8 @@ from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS, PARENTS, TOES, descendants
-from recon.method.protocols import Estimate, TrackedJoints
+from recon.method.protocols import Estimate
+from recon.method.sensor import Sensor
 from recon.method.terms import Term
 
 _SELDOM = 1 / 3
@@ -36,9 +37,10 @@ def unseen_limbs(data: Sequence[Term], body: BodyModel) -> Bool[Tensor, "clips 2
     or where a sensor knows no points of the body, as a depth sensor does not.
     """
     told = [
-        term.energy.told_joints(body) >= _SELDOM
+        joints >= _SELDOM
         for term in data
-        if isinstance(term.energy, TrackedJoints)
+        if isinstance(term.energy, Sensor)
+        and (joints := term.energy.told_joints(body)) is not None
     ]
     if len(told) == 0 or len(told) < len(data):
         return None

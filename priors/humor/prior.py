@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import torch
 from jaxtyping import Bool, Float
@@ -14,7 +14,6 @@ from torch import Tensor
 
 from priors.humor.mixture import Mixture
 from priors.humor.networks import HumorNetworks
-from priors.humor.rollout import FrozenDecoder, roll_out
 from priors.humor.state import (
     Frame,
     State,
@@ -35,11 +34,14 @@ from recon.core import rotations as so3
 from recon.core.motion import Motion, carried_translation
 from recon.core.struct import TensorStruct
 from recon.method.plugins import imported
+from recon.method.priors import USUAL_NOISE, Prior
 from recon.method.protocols import REFERENCE_FPS, Decoded
-from recon.method.reconstruction import Method
+from recon.method.stages import Stage
+from recon.method.terms import Term
 
 if TYPE_CHECKING:
     from priors.humor.live import LiveSteps
+    from priors.humor.loop import FrozenDecoder
 
 _LOG = logging.getLogger(__name__)
 
@@ -95,7 +97,7 @@ class HumorVariables(TensorStruct):
 
 
 @dataclass(frozen=True, eq=False)
-class Humor:
+class Humor(Prior[HumorVariables]):
     """Rempe et al., ICCV 2021: p(x_0) Π p(z_t | x_(t-1)), x_t = decoder(z_t, x_(t-1)).
 
     `decode(encode(m))` is near m but not m: the posterior's means say what the network can say.
@@ -152,13 +154,17 @@ class Humor:
         assert whitening is not None
         return cls(networks.requires_grad_(False), initial, body, whitening)
 
-    def method(self, noise: float, body: BodyModel, name: str | None = None) -> Method:
-        """One of the `methods`, for observations whose coordinates are off by `noise` metres.
-
-        None is `collocation`, all frames at once; `rollout` moves a first state and latents.
-        """
-        kind = imported(_METHODS[self.methods[0] if name is None else name], "method")
-        return kind.for_noise(self.like(body.template), noise)
+    def stages(
+        self,
+        data: tuple[Term, ...],
+        noise: float = USUAL_NOISE,
+        body: BodyModel | None = None,
+        method: str | None = None,
+    ) -> tuple[Stage[Any], ...]:
+        """All frames at once by `collocation`; `rollout` moves a first state and latents."""
+        kind = imported(_METHODS[self.methods[0] if method is None else method], "method")
+        humor = self if body is None else self.like(body.template)
+        return kind.for_noise(humor, noise).stages(data)
 
     def live(self, noise: float) -> "LiveSteps":
         """The energies of steps for a stream whose points are off by `noise` metres."""
@@ -219,6 +225,9 @@ class Humor:
         `energies["transition"]` is -Σ log p(z_t | x_(t-1)), `energies["initial"]` -log p(x_0),
         nats.
         """
+        # fits by collocation unroll nothing
+        from priors.humor.rollout import roll_out
+
         own = self.like(variables.translation)
         first, pelvis = own._first(variables), own.pelvis(variables.shape)
         frame = Frame.of(first)
@@ -280,7 +289,9 @@ class Humor:
         return self.body.rest_joints(shape)[:, 0] * shape.new_tensor([1.0, 1.0, 0.0])
 
     @cached_property
-    def _decoder(self) -> FrozenDecoder:
+    def _decoder(self) -> "FrozenDecoder":
+        from priors.humor.loop import FrozenDecoder
+
         return FrozenDecoder.of(self.networks.decoder)
 
 

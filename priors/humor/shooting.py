@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from jaxtyping import Float
@@ -18,8 +18,10 @@ from priors.humor.terms import (
     joint_consistency,
 )
 from priors.pose.prior import PosePrior, PoseWeights
-from recon.method.protocols import Energy, Estimate
-from recon.method.reconstruction import Method
+from recon.body.model import BodyModel
+from recon.core.motion import Motion
+from recon.method.priors import USUAL_NOISE, Prior
+from recon.method.protocols import Decoded, Energy, Estimate
 from recon.method.stages import Stage
 from recon.method.terms import Term, ground_moved, prior_energy, shape
 from recon.solver.lbfgs import LBFGS
@@ -60,28 +62,25 @@ class HumorWeights:
         variance = max(noise, _LEAST_NOISE) ** 2
         return cls(transition=0.2 * variance, initial=0.02 * variance, shape=5e-6)
 
-    @classmethod
-    def published_joints(cls) -> "HumorWeights":
-        """Published for joints with noise of 4 cm (fit_amass_joints.cfg, stage 3)."""
-        return cls(transition=1e-3, initial=1e-3)
 
-    @classmethod
-    def published_points(cls) -> "HumorWeights":
-        """Published for surface points, some hidden (fit_amass_keypts.cfg, stage 3)."""
-        return cls(transition=5e-4, initial=5e-4)
-
-    @classmethod
-    def published_images(cls) -> "HumorWeights":
-        """Published for keypoints of one camera, of weight 0.002 (fit_rgb_demo_*.cfg, stage 3)."""
-        return cls(
-            transition=0.075, initial=0.075, shape=0.05, consistency=100.0, bones=2000.0,
-            contact_velocity=100.0, contact_height=10.0, ground=0.167,
-        )  # fmt: skip
-
-    @classmethod
-    def published_depth(cls) -> "HumorWeights":
-        """Published for keypoints, of weight 0.002, with depth (fit_proxd.cfg, stage 3)."""
-        return replace(cls.published_images(), shape=0.034, ground=1.0)
+_IMAGES = HumorWeights(
+    transition=0.075, initial=0.075, shape=0.05, consistency=100.0, bones=2000.0,
+    contact_velocity=100.0, contact_height=10.0, ground=0.167,
+)  # fmt: skip
+PUBLISHED: Mapping[str, tuple[HumorWeights, PoseWeights]] = MappingProxyType(
+    {
+        "joints": (HumorWeights(1e-3, 1e-3), PoseWeights(2e-4, 1.67e-4, velocity=10.0)),
+        "points": (HumorWeights(5e-4, 5e-4), PoseWeights(2e-4, 1.67e-4, velocity=0.1)),
+        "images": (_IMAGES, PoseWeights(0.04, 0.05, velocity=100.0)),
+        "depth": (
+            replace(_IMAGES, shape=0.034, ground=1.0),
+            PoseWeights(0.1, 0.034, velocity=100.0),
+        ),
+    }
+)
+"""Published weights of stage 3 and of stages 1 and 2: for joints with noise of 4 cm
+(fit_amass_joints.cfg), surface points, some of them hidden (fit_amass_keypts.cfg), keypoints of
+one camera, of weight 0.002 (fit_rgb_demo_*.cfg), and these with depth (fit_proxd.cfg)."""
 
 
 @dataclass(frozen=True)
@@ -111,7 +110,7 @@ _AS_PUBLISHED = MappingProxyType({"metres": 1.0, "pixels": 0.002})
 
 
 @dataclass(frozen=True, eq=False)
-class Shooting:
+class Shooting(Prior[HumorVariables]):
     """The motion is what the decoder makes of a first state and latents, which are moved.
 
     The shape is moved with them, and so is the ground where it is not known. The first state has
@@ -120,10 +119,11 @@ class Shooting:
     (section 6.8).
     """
 
-    prior: Humor
-    weights: HumorWeights = field(default_factory=HumorWeights.published_joints)
+    level: ClassVar[bool] = True
+    humor: Humor
+    weights: HumorWeights = PUBLISHED["joints"][0]
     schedule: Schedule = field(default_factory=Schedule)
-    start: Method = field(default_factory=PosePrior.load)
+    start: Prior[Any] = field(default_factory=PosePrior.load)
     """Finds the motion from which first state and latents are encoded."""
     data_weights: Mapping[str, float] | None = None
     """Weights of observations by their unit, instead of those of the fit."""
@@ -140,30 +140,32 @@ class Shooting:
         )
 
     @classmethod
-    def published_joints(cls, humor: Humor) -> "Shooting":
-        """The publication's fit to joints in space."""
-        return _published(humor, HumorWeights.published_joints(), PoseWeights.published_joints())
+    def published(cls, humor: Humor, sensor: str) -> "Shooting":
+        """The publication's fit to what a sensor saw, one of `PUBLISHED`."""
+        weights, poses = PUBLISHED[sensor]
+        start = PosePrior.load(weights=poses).to(device=humor.body.template.device)
+        return cls(humor, weights, Schedule.published(), start, _AS_PUBLISHED)
 
-    @classmethod
-    def published_points(cls, humor: Humor) -> "Shooting":
-        """The publication's fit to points of the surface, some of them hidden."""
-        return _published(humor, HumorWeights.published_points(), PoseWeights.published_points())
+    def encode(self, motion: Motion) -> HumorVariables:
+        """First state and latents; see `Humor.encode`."""
+        return self.humor.encode(motion)
 
-    @classmethod
-    def published_images(cls, humor: Humor) -> "Shooting":
-        """The publication's fit to the keypoints of one camera."""
-        return _published(humor, HumorWeights.published_images(), PoseWeights.published_images())
+    def decode(self, variables: HumorVariables) -> Decoded:
+        """The motion of a first state and latents; see `Humor.decode`."""
+        return self.humor.decode(variables)
 
-    @classmethod
-    def published_depth(cls, humor: Humor) -> "Shooting":
-        """The publication's fit to the keypoints and the depth of one camera."""
-        return _published(humor, HumorWeights.published_depth(), PoseWeights.published_depth())
-
-    def stages(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
+    def stages(
+        self,
+        data: tuple[Term, ...],
+        noise: float = USUAL_NOISE,
+        body: BodyModel | None = None,
+        method: str | None = None,
+    ) -> tuple[Stage[Any], ...]:
         """The start, the first 15 frames, all latents (the first state held), and then all.
 
         Contacts count in the first and the last phase. Phases without iterations are left out.
         """
+        del noise, body, method  # its weights are chosen
         if self.data_weights is not None:
             data = tuple(_weighted(term, self.data_weights) for term in data)
         return (*self.start.stages(data), *self._phases(data))
@@ -198,7 +200,7 @@ class Shooting:
                 tolerance_decrease=schedule.tolerance,
                 scale=schedule.scale,
             )
-            found: Stage[Any] = Stage(name, self.prior, terms, free, minimiser, portion)
+            found: Stage[Any] = Stage(name, self.humor, terms, free, minimiser, portion)
             return (found,) if iterations > 0 else ()
 
         return (
@@ -213,11 +215,6 @@ class Shooting:
 def _first_frames(variables: HumorVariables) -> HumorVariables:
     """What the publication's first phase moves."""
     return variables.first(FIRST_FRAMES)
-
-
-def _published(humor: Humor, weights: HumorWeights, poses: PoseWeights) -> Shooting:
-    start = PosePrior.load(weights=poses).to(device=humor.body.template.device)
-    return Shooting(humor, weights, Schedule.published(), start, _AS_PUBLISHED)
 
 
 def _weighted(term: Term, weights: Mapping[str, float]) -> Term:

@@ -2,7 +2,6 @@
 
 import pickle
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -69,38 +68,31 @@ def save_weights(
 
 def networks_from(weights: Checkpoint) -> HumorNetworks:
     """Networks of the width that the weights have."""
-    others = (_INITIAL, _WHITENING)
-    own = {k: v.float() for k, v in weights.tensors.items() if not k.startswith(others)}
-    networks = HumorNetworks(width_of(own))
-    replace(weights, tensors=own).into(networks)
+    own = weights.besides(_INITIAL, _WHITENING)
+    networks = HumorNetworks(width_of(own.tensors))
+    own.into(networks)
     return networks
 
 
 def mixture_from(weights: Checkpoint) -> Mixture | None:
     """The mixture beside the networks, if there is one."""
-    own = {
-        k.removeprefix(_INITIAL): v for k, v in weights.tensors.items() if k.startswith(_INITIAL)
-    }
-    if len(own) == 0:
+    own = weights.under(_INITIAL)
+    if len(own.tensors) == 0:
         return None
-    count, size = own["means"].shape if "means" in own else (12, 138)
+    count, size = own.tensors["means"].shape if "means" in own.tensors else (12, 138)
     shapes = {
         "features": (size,),
         "log_weights": (count,),
         "means": (count, size),
         "whitening": (count, size, size),
     }
-    return Mixture(**replace(weights, tensors=own).require(shapes))
+    return Mixture(**own.require(shapes))
 
 
 def whitening_from(weights: Checkpoint) -> Float[Tensor, "207 207"] | None:
     """The matrix that whitens the decoder's errors, where the file has one."""
-    found = weights.tensors.get(_WHITENING)
-    if found is None:
-        return None
-    return replace(weights, tensors={_WHITENING: found}).require({_WHITENING: (207, 207)})[
-        _WHITENING
-    ]
+    own = weights.under(_WHITENING)
+    return own.require({"": (207, 207)})[""] if own.tensors else None
 
 
 def _pytorch(path: Path) -> Checkpoint:

@@ -2,11 +2,11 @@
 
 The motion itself is moved, in the well-scaled variables of the pose prior, and judged by the
 networks: how surprising are its codes, and how far from it do they decode. Both together bound
--log p(motion), as in training. Moving codes instead (`priors.humos.collocation`) converges slowly.
+-log p(motion), as in training. Moving codes instead converges slowly (abaa3a0: `CodesFit`).
 """
 
-from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Any
 
 import torch
@@ -14,9 +14,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from priors.humos.frames import BodyFrames
-from priors.humos.prior import FPS, Humos, HumosVariables, frames_at_rate
+from priors.humos.prior import FPS, Humos, frames_at_rate
 from priors.pose.prior import PosePrior, PoseVariables, PoseWeights
+from recon.body.model import BodyModel
 from recon.core.motion import Motion
+from recon.method.priors import MODEL_NOISE, USUAL_NOISE, Prior
 from recon.method.protocols import Decoded
 from recon.method.stages import Stage
 from recon.method.terms import Term, joint_acceleration, prior_energy, shape
@@ -25,47 +27,19 @@ from recon.solver.lbfgs import LBFGS
 
 _ERROR = 0.02
 """Metres by which codes miss a number of a frame."""
+_LEAST_NOISE = 0.014
+"""Metres; nobody moves just like the people of the corpus, however exact points are."""
 _DEPTH, _STEP = 0.002, 0.003
 """Metres by which bodies sink, and soles slide in 1/30 s."""
 _FREE = frozenset({"translation", "root", "pose", "shape"})
 
 
-@dataclass(frozen=True)
-class WholeWeights:
-    """Multipliers of the unweighted energies, for an observation of weight one."""
-
-    pose: PoseWeights
-    """Weights of the pose density, the shape and plain smoothness."""
-    codes: float
-    """Weight of the density of codes that follow each other, nats."""
-    error: float
-    """Weight of ½ Σ |error|² / (2 cm)² of the motion that codes decode to, nats."""
-    physics: float
-    """Weight of penetration and slide, nats."""
-
-    @classmethod
-    def for_noise(cls, noise: float) -> "WholeWeights":
-        """Weights for observations of a standard deviation of about `noise` metres.
-
-        Chosen on eight validation windows among thirteen settings; a calibrated bound would have
-        noise² for all. Errors of neighbouring frames repeat each other, so less is better, and
-        codes of 0.4 s do not see trembling: smoothness keeps its weight of stages 1 and 2.
-        """
-        variance = max(noise, 0.014) ** 2
-        return cls(
-            pose=PoseWeights.for_noise(noise),
-            codes=0.3 * variance,
-            error=0.1 * variance,
-            physics=max(noise, 0.008) ** 2,
-        )
-
-
 @dataclass(frozen=True, eq=False)
-class CollocatedHumos:
+class CollocatedHumos(Prior[PoseVariables]):
     """The HUMOS density of a whole motion, over the variables of the pose prior."""
 
     humos: Humos
-    poses: PosePrior
+    poses: PosePrior = field(default_factory=PosePrior.load)
 
     def encode(self, motion: Motion) -> PoseVariables:
         """The motion itself; exact."""
@@ -94,43 +68,39 @@ class CollocatedHumos:
         }
         return Decoded(motion, {**decoded.energies, **energies})
 
+    def stages(
+        self,
+        data: tuple[Term, ...],
+        noise: float = USUAL_NOISE,
+        body: BodyModel | None = None,
+        method: str | None = None,
+    ) -> tuple[Stage[Any], ...]:
+        """Root; poses, smoothly; all as one motion; feet held, too.
 
-@dataclass(frozen=True, eq=False)
-class HumosFit:
-    """A method: stages 1 and 2 under the pose prior, the whole motion, then the ground."""
-
-    humos: Humos
-    weights: WholeWeights
-    start: PoseWeights
-    """Weights of stages 1 and 2."""
-
-    @classmethod
-    def for_noise(cls, humos: Humos, noise: float) -> "HumosFit":
-        """A fit of observations of a standard deviation of about `noise` metres."""
-        return cls(humos, WholeWeights.for_noise(noise), PoseWeights.for_noise(noise))
-
-    @cached_property
-    def _poses(self) -> PosePrior:
-        return PosePrior.load(weights=self.start)
-
-    def stages(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
-        """Root; poses, smoothly; all as one motion; feet held, too."""
-        w, prior = self.weights, CollocatedHumos(self.humos, self._poses)
+        Weights were chosen on eight validation windows among thirteen settings; a calibrated
+        bound would have noise² for all. Errors of neighbouring frames repeat each other, so less
+        is better, and codes of 0.4 s do not see trembling: smoothness keeps its weight of the
+        poses.
+        """
+        del body, method
+        pose = PoseWeights.for_noise(noise)
+        prior = replace(self, poses=self.poses.replace(weights=pose))
+        variance, ground = max(noise, _LEAST_NOISE) ** 2, max(noise, MODEL_NOISE) ** 2
         whole = (
             *data,
-            Term("pose", prior_energy("pose"), w.pose.pose),
-            Term("shape", shape, w.pose.shape),
-            Term("acceleration", joint_acceleration, w.pose.acceleration),
-            Term("codes", prior_energy("codes"), w.codes),
-            Term("error", prior_energy("error"), w.error),
+            Term("pose", prior_energy("pose"), pose.pose),
+            Term("shape", shape, pose.shape),
+            Term("acceleration", joint_acceleration, pose.acceleration),
+            Term("codes", prior_energy("codes"), 0.3 * variance),
+            Term("error", prior_energy("error"), 0.1 * variance),
         )
         held = (
-            Term("penetration", physics.penetration, w.physics / _DEPTH**2),
-            Term("slide", physics.slide, w.physics / _STEP**2),
+            Term("penetration", physics.penetration, ground / _DEPTH**2),
+            Term("slide", physics.slide, ground / _STEP**2),
         )
         minimiser = LBFGS(max_iterations=60, tolerance_decrease=1e-5)
         return (
-            *self._poses.stages(data),
+            *prior.poses.stages(data),
             Stage("whole", prior, whole, _FREE, minimiser),
             Stage("ground", prior, (*whole, *held), _FREE, minimiser),
         )
@@ -147,91 +117,3 @@ def _linear(frames: int, fps: float) -> Float[Tensor, "coarse frames"]:
     rows[count, before] = 1 - share
     rows[count, (before + 1).clamp(max=frames - 1)] += share
     return rows
-
-
-_CODES = frozenset({"latent", "turn", "place", "shape"})
-_DETAILS = _CODES | {"bend", "shift"}
-
-
-@dataclass(frozen=True, eq=False)
-class HumosCodes:
-    """The prior where a first guess is noisy: it gives codes, and no details."""
-
-    humos: Humos
-
-    def encode(self, motion: Motion) -> HumosVariables:
-        """Mean codes of a motion."""
-        found = self.humos.encode(motion)
-        return found.replace(bend=0 * found.bend, shift=0 * found.shift)
-
-    def decode(self, variables: HumosVariables) -> Decoded:
-        """The motion of the variables and its energies; see `Humos.decode`."""
-        return self.humos.decode(variables)
-
-
-@dataclass(frozen=True)
-class CodesWeights:
-    """Multipliers of the unweighted energies, for an observation of weight one."""
-
-    latent: float
-    """Weight of the density of codes that follow each other, nats."""
-    details: float
-    """Weight of the density of details, nats."""
-    shape: float
-    """Weight of the density of the body's shape, nats."""
-    acceleration: float
-    """Weight of ½ Σ |second difference|² of joints, metres²."""
-    ground: float
-    """Weight of penetration and slide, metres²."""
-
-    @classmethod
-    def for_noise(cls, noise: float) -> "CodesWeights":
-        """Weights for observations of a standard deviation of about `noise` metres.
-
-        A negative log-probability counts noise² for each nat.
-        """
-        variance = max(noise, 0.01) ** 2
-        return cls(
-            latent=variance, details=variance, shape=variance,
-            acceleration=PoseWeights.for_noise(noise).acceleration, ground=1.0,
-        )  # fmt: skip
-
-
-@dataclass(frozen=True, eq=False)
-class CodesFit:
-    """A method: stages 1 and 2 under the pose prior, then codes, then all variables."""
-
-    humos: Humos
-    weights: CodesWeights
-    start: PoseWeights = field(default_factory=lambda: PoseWeights.for_noise(0.04))
-    """Weights of stages 1 and 2."""
-
-    @classmethod
-    def for_noise(cls, humos: Humos, noise: float) -> "CodesFit":
-        """A fit of observations of a standard deviation of about `noise` metres."""
-        return cls(humos, CodesWeights.for_noise(noise), PoseWeights.for_noise(noise))
-
-    @cached_property
-    def _poses(self) -> PosePrior:
-        return PosePrior.load(weights=self.start).to(device=self.humos.body.template.device)
-
-    def stages(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
-        """Root; poses, smoothly; codes; codes and details on the ground."""
-        w, prior = self.weights, HumosCodes(self.humos)
-        terms = (
-            *data,
-            Term("latent", prior_energy("latent"), w.latent),
-            Term("shape", prior_energy("shape"), w.shape),
-            Term("acceleration", joint_acceleration, w.acceleration),
-        )
-        held = (
-            Term("details", prior_energy("details"), w.details),
-            Term("penetration", physics.penetration, w.ground),
-            Term("slide", physics.slide, w.ground),
-        )
-        minimiser = LBFGS(max_iterations=60, tolerance_decrease=1e-5)
-        return (
-            *self._poses.stages(data),
-            Stage("codes", prior, terms, _CODES, minimiser),
-            Stage("details", prior, (*terms, *held), _DETAILS, minimiser),
-        )

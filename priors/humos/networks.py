@@ -15,9 +15,8 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 from torch.nn import functional
 
-from priors.checkpoints import named_checkpoint, save_checkpoint
+from priors.checkpoints import half_precision, named_checkpoint, save_checkpoint
 from priors.humos.frames import NUMBERS, WINDOW, LappedBasis
-from recon.core.errors import WeightsError
 from recon.core.struct import TensorStruct
 
 LOG_VARIANCE = (-12.0, 4.0)
@@ -130,7 +129,9 @@ class _Layer(nn.Module):
 
 
 _BASIS, _DENSITY = "basis.", "density."
-_SIZES = ("latent", "basis", "shape", "width", "layers")
+_SIZES = ("latent", "basis", "shape", "width", "layers", "frames")
+_CODES = "windows"
+"""What has a code of its own; in files of versions up to 0.2.0 also a whole clip."""
 _MEMORY = 0.98
 """Most that any direction of a code keeps to the next."""
 
@@ -230,13 +231,9 @@ class HumosWeights:
 
 def save_weights(path: Path, weights: HumosWeights, settings: Mapping[str, Any]) -> None:
     """Write networks and directions in half precision, what scales them in single."""
-    networks, basis = weights.networks, weights.networks.basis
-    tensors = {name: tensor.half() for name, tensor in networks.state_dict().items()}
-    for name, tensor in basis.tensors().items():
-        tensors[_BASIS + name] = tensor.half() if name == "directions" else tensor.float()
-    for name, tensor in weights.density.tensors().items():
-        tensors[_DENSITY + name] = tensor.float()
-    about = {"codes": "windows", **settings, "frames": weights.frames}
+    networks = weights.networks
+    tensors = half_precision(networks, basis=networks.basis, density=weights.density)
+    about = {"codes": _CODES, **settings, "frames": weights.frames}
     save_checkpoint(path, "humos", tensors, about)
 
 
@@ -252,15 +249,7 @@ def load_weights(path: str | Path) -> HumosWeights:
         ValueError: when it holds something else.
     """
     found = named_checkpoint(path, "humos")
-    sizes = [found.settings.get(name) for name in (*_SIZES, "frames")]
-    kind = found.settings.get("codes")
-    if kind != "windows" or not all(isinstance(size, int) and size > 0 for size in sizes):
-        raise WeightsError(
-            f"{found.path}: expected the settings {', '.join(_SIZES)}, frames (whole numbers) and "
-            f"codes = 'windows', got {dict(found.settings)}; files with codes = 'clip' are of "
-            "versions up to 0.2.0: train anew"
-        )
-    latent, size, shape, width, layers, frames = (int(one) for one in sizes if one is not None)
+    latent, size, shape, width, layers, frames = found.sizes(*_SIZES, codes=_CODES)
     numbers = WINDOW * NUMBERS
     basis = LappedBasis(**found.under(_BASIS).require({
         "mean": (numbers,), "directions": (size, numbers), "deviation": (size,),

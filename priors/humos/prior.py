@@ -7,6 +7,7 @@ variables of a motion is the same motion as another body performs it.
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import torch
@@ -30,8 +31,10 @@ from recon.core.errors import ReconError, WeightsError
 from recon.core.motion import Motion
 from recon.core.struct import TensorStruct
 from recon.method.plugins import imported
+from recon.method.priors import USUAL_NOISE, Prior
 from recon.method.protocols import Decoded
-from recon.method.reconstruction import Method
+from recon.method.stages import Stage
+from recon.method.terms import Term
 
 FPS = 20.0
 """Frames per second of the codes."""
@@ -74,7 +77,7 @@ class HumosVariables(TensorStruct):
 
 
 @dataclass(frozen=True)
-class Humos:
+class Humos(Prior[HumosVariables]):
     """The HUMOS prior: codes of 0.8 s that follow each other as recorded ones do."""
 
     weights: HumosWeights
@@ -97,16 +100,23 @@ class Humos:
             )
         return cls(found, body)
 
-    def method(self, noise: float, body: BodyModel) -> Method:
-        """A method for observations whose coordinates are off by about `noise` metres.
+    def stages(
+        self,
+        data: tuple[Term, ...],
+        noise: float = USUAL_NOISE,
+        body: BodyModel | None = None,
+        method: str | None = None,
+    ) -> tuple[Stage[Any], ...]:
+        """Those of the whole motion (`priors.humos.collocation`).
 
         Raises:
             WeightsError: when the body is not on the processor.
         """
-        if body.template.device.type != "cpu":
+        del method
+        if body is not None and body.template.device.type != "cpu":
             raise WeightsError("the HUMOS prior runs on the processor: leave --device at cpu")
-        kind = imported("priors.humos.collocation:HumosFit", "method")
-        return kind.for_noise(self, noise)
+        fitted = imported("priors.humos.collocation:CollocatedHumos", "method")
+        return fitted(self).stages(data, noise)
 
     def encode(self, motion: Motion) -> HumosVariables:
         """Mean codes of each clip, and as details all that they leave out: exact.
@@ -142,7 +152,7 @@ class Humos:
         """
         x = variables
         made = self.frames(x)
-        waves = _waves(made.clearance.shape[-1], x.fps).rows.to(x.bend)
+        waves = _waves(made.clearance.shape[-1], x.fps)[0].to(x.bend)
         steps = (waves @ x.bend.flatten(-2)).unflatten(-1, (-1, 3))
         shift = waves @ x.shift
         detailed = made.replace(
@@ -197,7 +207,7 @@ class Humos:
         pelvis = (posed.joints[..., 0, :] - base[..., None, :3, 3]) @ base[..., :3, :3]
         place = (pelvis[..., :2] / legs[..., None] - made.place) / _SHIFT
         lift = (lowest_of(posed) / legs - made.clearance)[..., None] / _LIFT
-        inverse = _waves(motion.frames, x.fps).inverse.to(x.bend)
+        inverse = _waves(motion.frames, x.fps)[1].to(x.bend)
         return x.replace(
             bend=(inverse @ steps.flatten(-2)).unflatten(-1, (-1, 3)),
             shift=inverse @ torch.cat((place, lift), -1),
@@ -245,19 +255,14 @@ def spline(coarse: int, frames: int, fps: float) -> Float[Tensor, "frames coarse
     return torch.from_numpy(through(np.arange(frames) / fps)).float()
 
 
-@dataclass(frozen=True)
-class _Waves:
-    """Cosines over a clip, each as large as details of its rate may be, and back."""
-
-    rows: Float[Tensor, "frames frames"]
-    inverse: Float[Tensor, "frames frames"]
-
-
 @lru_cache(maxsize=16)
-def _waves(frames: int, fps: float) -> _Waves:
-    """All cosines; together they have unit variance in every frame."""
+def _waves(frames: int, fps: float) -> tuple[Tensor, Tensor]:
+    """All cosines, each as large as details of its rate may be, and back; (frames, frames) each.
+
+    Together they have unit variance in every frame.
+    """
     waves = cosines(frames, frames)
     hertz = torch.arange(frames) * fps / (2 * frames)
     size = 1 / (1 + (hertz / _SLOW) ** 2)
     size = size * frames**0.5 / size.norm()
-    return _Waves((waves * size).float(), (waves / size).mT.float())
+    return (waves * size).float(), (waves / size).mT.float()

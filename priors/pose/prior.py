@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import torch
 from jaxtyping import Bool, Float
@@ -19,7 +19,7 @@ from recon.core.skeleton import JOINTS
 from recon.core.struct import TensorStruct
 from recon.method.free import FreeMotion
 from recon.method.marquardt import Marquardt
-from recon.method.priors import Traits
+from recon.method.priors import MODEL_NOISE, SHAPE_WEIGHT, SMOOTHNESS, USUAL_NOISE, Density, Prior
 from recon.method.protocols import REFERENCE_FPS, Decoded
 from recon.method.quadratic import ClipModel
 from recon.method.stages import Stage
@@ -75,26 +75,6 @@ class PoseWeights:
                 raise ValueError(f"weight {name} must be at least 0, got {getattr(self, name)}")
 
     @classmethod
-    def published_joints(cls) -> "PoseWeights":
-        """HuMoR's weights for noisy joints (fit_amass_joints.cfg, stage 2; noise of 4 cm)."""
-        return cls(pose=2e-4, shape=1.67e-4, velocity=10.0)
-
-    @classmethod
-    def published_points(cls) -> "PoseWeights":
-        """HuMoR's weights for surface points, some hidden (fit_amass_keypts.cfg, stage 2)."""
-        return cls(pose=2e-4, shape=1.67e-4, velocity=0.1)
-
-    @classmethod
-    def published_images(cls) -> "PoseWeights":
-        """HuMoR's weights for one camera's keypoints of weight 0.002 (fit_rgb_demo, stage 2)."""
-        return cls(pose=0.04, shape=0.05, velocity=100.0)
-
-    @classmethod
-    def published_depth(cls) -> "PoseWeights":
-        """HuMoR's weights for keypoints of weight 0.002 with depth (fit_proxd, stage 2)."""
-        return cls(pose=0.1, shape=0.034, velocity=100.0)
-
-    @classmethod
     def for_noise(cls, noise: float) -> "PoseWeights":
         """Weights for observations of a standard deviation of `noise` metres per coordinate.
 
@@ -102,8 +82,8 @@ class PoseWeights:
         of the noise, the shape's matters little. Even perfect points need the 8 mm by which a
         body differs from its model.
         """
-        variance = max(noise, 0.008) ** 2
-        return cls(pose=0.125 * variance, shape=5e-6, acceleration=9400.0 * variance)
+        variance = max(noise, MODEL_NOISE) ** 2
+        return cls(0.125 * variance, SHAPE_WEIGHT, acceleration=SMOOTHNESS * variance)
 
 
 @dataclass(frozen=True)
@@ -143,34 +123,17 @@ class PoseVariables(TensorStruct):
 
 
 @dataclass(frozen=True)
-class PoseBelief:
-    """The pose prior with its weights as a density (`recon.method.protocols.Density`)."""
-
-    density: PoseDensity
-    pose: float
-    """Inverse variance of every coordinate z of a pose, for every frame at 30 Hz."""
-    acceleration: float
-    shape: float
-
-    def by_rotations(self, motion: Motion) -> Float[Tensor, "*batch time 63 63"]:
-        """Derivatives of z over its standard deviation by steps R_j Exp(w_j), per radian."""
-        like = motion.translation
-        density = self.density.to(dtype=like.dtype, device=like.device)
-        return density.by_rotations(motion.rotations[..., 1:, :, :]) * self.pose**0.5
-
-
-@dataclass(frozen=True)
-class PosePrior(TensorStruct):
+class PosePrior(TensorStruct, Prior[PoseVariables]):
     """Poses are Gaussian, frame by frame; motion is smooth. HuMoR's stages 1 and 2 ("VPoser-t").
 
-    As a prior it is an exact change of variables: every motion has variables, `decode(encode(m))`
-    is m. As a method it fits translation and root first, then everything.
+    It is an exact change of variables: every motion has variables, `decode(encode(m))` is m.
     """
 
-    traits: ClassVar[Traits] = Traits(knows_gravity=False)
+    knows_gravity: ClassVar[bool] = False
     reach: ClassVar[int] = 2
     density: PoseDensity
-    weights: PoseWeights
+    weights: PoseWeights | None = None
+    """Weights of its energies; None takes those for the noise of the data."""
 
     @classmethod
     def load(
@@ -180,40 +143,41 @@ class PosePrior(TensorStruct):
         *,
         weights: PoseWeights | None = None,
     ) -> "PosePrior":
-        """The bundled density, or one of `python -m training pose`; by default for noisy joints.
+        """The bundled density, or one of `python -m training pose`.
 
         Args:
             path: `open` or None for the bundled density, or a file.
             body: whose poses they are: any body's.
-            weights: of its energies; None takes those for joints with 4 cm of noise.
+            weights: of its energies; None takes those for the noise of the data.
 
         Raises:
             FileNotFoundError: when there is no such file.
             ValueError: when it holds no pose density; the message names the layer.
         """
         del body
-        weights = PoseWeights.for_noise(0.04) if weights is None else weights
         tensors = named_checkpoint("open" if path is None else path, "pose").require(_SHAPES)
         return cls(PoseDensity(**tensors), weights)
 
-    def method(self, noise: float, body: BodyModel) -> "PosePrior":
-        """A prior with the weights for a standard deviation of `noise` metres per coordinate."""
-        fitting = self.replace(weights=PoseWeights.for_noise(noise))
-        return fitting.to(device=body.template.device)
+    @property
+    def weighed(self) -> PoseWeights:
+        """The weights, or those for 4 cm of noise where none were chosen."""
+        return PoseWeights.for_noise(USUAL_NOISE) if self.weights is None else self.weights
 
-    def belief(self, noise: float) -> PoseBelief:
+    def belief(self, noise: float) -> Density:
         """The density that the weights stand for beside data of this standard deviation, metres.
 
         An objective of weights w beside ½ |residual|² is noise² times a -log p, were frames
         independent; they repeat each other, so only a share `_TRUST` of it is believed.
         """
-        w, precision = self.weights, _TRUST * noise**-2
-        return PoseBelief(
-            self.density,
-            2 * w.pose * precision,
-            w.acceleration * precision,
-            2 * w.shape * precision,
-        )
+        w, precision = self.weighed, _TRUST * noise**-2
+        scale = (2 * w.pose * precision) ** 0.5
+
+        def by_rotations(motion: Motion) -> Float[Tensor, "*batch time 63 63"]:
+            like = motion.translation
+            density = self.density.to(dtype=like.dtype, device=like.device)
+            return density.by_rotations(motion.rotations[..., 1:, :, :]) * scale
+
+        return Density(by_rotations, w.acceleration * precision, 2 * w.shape * precision)
 
     def encode(self, motion: Motion) -> PoseVariables:
         """Steps of zero about the motion; exact."""
@@ -285,9 +249,18 @@ class PosePrior(TensorStruct):
         diagonal[:, 6:] += 2 * term.weight * exists[:, None]
         return True
 
-    def stages(self, data: tuple[Term, ...]) -> tuple[Stage, ...]:
+    def stages(
+        self,
+        data: tuple[Term, ...],
+        noise: float = USUAL_NOISE,
+        body: BodyModel | None = None,
+        method: str | None = None,
+    ) -> tuple[Stage[Any], ...]:
         """Root first, from the data alone; then all, under the pose density and smoothness."""
-        w = self.weights
+        del method
+        fitting = self if self.weights else self.replace(weights=PoseWeights.for_noise(noise))
+        fitting = fitting if body is None else fitting.to(device=body.template.device)
+        w = fitting.weighed
         smooth = (
             Term("velocity", joint_velocity, w.velocity),
             Term("acceleration", joint_acceleration, w.acceleration),
@@ -303,7 +276,7 @@ class PosePrior(TensorStruct):
             ),
             Stage(
                 name="pose",
-                prior=self,
+                prior=fitting,
                 terms=(*data, *prior, *(term for term in smooth if term.weight > 0)),
                 free=frozenset({"translation", "root", "pose", "shape"}),
                 minimiser=LBFGS(max_iterations=120, tolerance_decrease=1e-5),
@@ -315,7 +288,7 @@ class PosePrior(TensorStruct):
     def _scales(self) -> "_Scales":
         """Inverse square roots of the stiffness of the data, with the prior's own added."""
         stiffness = self.density.stiffness.double()
-        pose = stiffness[3:, 3:] + max(2 * self.weights.pose, _SOFTEST) * torch.eye(
+        pose = stiffness[3:, 3:] + max(2 * self.weighed.pose, _SOFTEST) * torch.eye(
             COORDINATES, dtype=torch.float64, device=stiffness.device
         )
         turn, bend = _inverse_root(stiffness[:3, :3]), _inverse_root(pose)
@@ -345,7 +318,7 @@ class PosePrior(TensorStruct):
         cosine = amplitude * (torch.pi * (t + 0.5) * k / count.clamp(min=1)).cos()
         rate = fps / REFERENCE_FPS
         bend = (2 - 2 * (torch.pi * k / count.clamp(min=1)).cos()) * rate**2
-        w = self.weights
+        w = self.weighed
         stiffness = 1 + w.velocity * bend + w.acceleration * bend.square()
         return torch.where(inside, cosine / stiffness.sqrt(), (t == k).double())
 

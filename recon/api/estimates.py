@@ -1,4 +1,4 @@
-"""Motions that another program estimated, as something observed."""
+"""Motions that another program estimated, as observations."""
 
 from pathlib import Path
 
@@ -99,7 +99,7 @@ def _shape(
 
 
 def _to_z(up: tuple[int, Axis]) -> np.ndarray:
-    """The turn by the least angle that brings an axis to z."""
+    """The smallest rotation that brings an axis to z."""
     sign, axis = up
     T = np.eye(4)
     if axis == "y":

@@ -102,7 +102,8 @@ def evaluate(
     The truth is interpolated at the estimate's times. `slip_speed` and `slip_speed_truth` are both
     taken while the *truth* is in contact. Heights for `penetration_*` are those of the toe joints
     less their rest height above the sole; `sole_penetration_*` use the lowest point of either
-    foot's skin. The metrics are computed in double precision.
+    foot's skin. `w_mpjpe`, `wa_mpjpe`, `rte`, `jitter` and `foot_sliding` are those of papers
+    on video (`recon.metrics.world`). The metrics are computed in double precision.
 
     Where the observation's camera did not know its pose and the simulation kept it
     (`truth_T_world_camera`), errors are taken in the true world, into which the camera carries
@@ -195,6 +196,7 @@ def _of_joints(
     return {
         **evaluation.joint_errors(joints, truth, visible),
         **evaluation.smoothness(joints, truth, motion.fps),
+        **evaluation.world_errors(joints, truth, motion.fps),
     }
 
 
@@ -267,7 +269,7 @@ def _observed(
     adapter = positions_of(file, path, body.to(dtype=torch.float32))
     truth = theirs.motion.at(ours.motion.times, ours.motion.fps)
     predicted, actual = (
-        adapter.predict(Estimate.of_clip(motion, body))[0] for motion in (ours.motion, truth)
+        adapter.predicted(Estimate.of_clip(motion, body))[0] for motion in (ours.motion, truth)
     )
     seen = torch.from_numpy(file.visible)
     times = file.start_time + torch.arange(len(seen), dtype=torch.float64) / file.fps

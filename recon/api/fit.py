@@ -29,11 +29,13 @@ from recon.core.errors import ObservationError, ReconError
 from recon.core.limits import FRAME_RATE
 from recon.core.motion import Motion
 from recon.core.units import Axis
-from recon.diagnosis.findings import Finding
-from recon.fitting.methods import FitOptions, PriorObject, traits
+from recon.diagnosis.examination import Check
+from recon.diagnosis.findings import Finding, Findings
+from recon.fitting.methods import FitOptions, trait_of
 from recon.fitting.observed import Clip
 from recon.fitting.settings import ReadOptions
 from recon.formats.foreign import is_estimate
+from recon.method.priors import PriorLike
 from recon.method.stages import Watch
 from recon.method.terms import Term
 
@@ -42,7 +44,7 @@ _LOG = logging.getLogger("recon")
 
 def fit(
     observations: ObservationsLike,
-    prior: str | PriorObject = "humor",
+    prior: str | PriorLike = "humor",
     *,
     weights: str = "open",
     method: str | None = None,
@@ -60,6 +62,7 @@ def fit(
     callback: Watch | None = None,
     max_seconds: float | None = None,
     repair: bool = True,
+    checks: Sequence[Check] | None = None,
     **reading: Any,
 ) -> Result:
     """Reconstruct the motion that explains all that was observed of one clip.
@@ -83,8 +86,8 @@ def fit(
         observations: files and folders of one clip; in Python also one or several of `Joints3D`,
             `Markers3D`, `Keypoints2D`, `PointCloud`, without a leading axis or with one of length
             one, and what `recon.simulate` returned.
-        prior: a name (`humor`, `pose`, `anchor` for one gait cycle), a loaded prior, a
-            method with `stages(data)`, or "package.module:Class".
+        prior: a name (`humor`, `pose`, `anchor` for one gait cycle), a loaded prior, or
+            "package.module:Class".
         weights: of a prior given by its name: `open`, `nc` (not for commercial use) or a file.
         method: the way in which the prior is fitted, one of its `methods`; None is the usual one.
         body: a body, a SMPL-family file, or None for the bundled body.
@@ -114,6 +117,8 @@ def fit(
         max_seconds: time after which the fit is ended. Checks before and after the fit are not
             counted. A fit that is ended early has a warning and its last finite estimate.
         repair: whether what is surely wrong with the data is repaired before the fit.
+        checks: what is looked for in the data and in the fit: any of `recon.diagnosis.checks`, and
+            functions of your own, in that order; None are all, () is none.
         reading: how to read files, by the names of `recon.fitting.settings.ReadOptions`:
             `frame_rate`, `camera`, `unit`, `up`, `layout`, `person`, ...
 
@@ -132,7 +137,7 @@ def fit(
             frame_rate=how_read.frame_rate, up=how_read.up, person=how_read.person,  # pyright: ignore[reportArgumentType]
             ground="unknown" if ground == "auto" else ground, terms=terms, noise=noise,
             robust=robust, physics=physics, between=between, fps=fps, device=device,
-            callback=callback, max_seconds=max_seconds,
+            callback=callback, max_seconds=max_seconds, checks=checks,
         )  # fmt: skip
     model = body_given(body).to(device=device, dtype=torch.float32)
     sighting = observed(
@@ -160,11 +165,13 @@ def fit(
         limit = None if max_seconds is None else positive(max_seconds, "max_seconds")
         stopper = Stopper(callback, limit)
     examined = fitted(
-        clip.observations, clip.names, options, model, stopper, _start(start, sighting, model)
-    )
+        clip.observations, clip.names, options, model, stopper, _start(start, sighting, model),
+        checks,
+    )  # fmt: skip
     arguments = _plain(options) | {
         "ground": ground, "between": between, "robust": robust, "fps": fps,
         "max_seconds": max_seconds, "device": device,
+        "checks": "all" if checks is None else [one.__name__ for one in checks],
     }  # fmt: skip
     result = result_of(
         examined, clip, model.to(device="cpu"), fps, options.completes, arguments,
@@ -176,7 +183,7 @@ def fit(
 
 
 def complete(
-    observations: ObservationsLike, prior: str | PriorObject = "recording", **how: Any
+    observations: ObservationsLike, prior: str | PriorLike = "recording", **how: Any
 ) -> Result:
     """Complete a recording of which little was seen, of any length and any motion.
 
@@ -203,7 +210,7 @@ def complete(
             for one cycle, what was seen does not last as long as one.
         FileNotFoundError: when there is no such file, body or weights.
     """
-    if not traits(prior).completes:
+    if not trait_of(prior, "completes"):
         raise ReconError(
             f"`complete` is `fit` with the priors recording and anchor; for {prior}, run "
             f"`recon fit --prior {prior}`"
@@ -213,7 +220,7 @@ def complete(
 
 def refine(
     motion: MotionLike,
-    prior: str | PriorObject = "humor",
+    prior: str | PriorLike = "humor",
     *,
     body: BodyLike = None,
     shape: ShapeLike | None = None,
@@ -251,7 +258,7 @@ def refine(
     """
     if ground not in ("known", "unknown"):
         raise ReconError(f"ground: expected known or unknown, got {ground!r}")
-    # reading estimates loads scipy, which other fits need not wait for
+    # only estimates need scipy
     from recon.api.estimates import LEAST_FRAMES, estimate_given
     from recon.diagnosis.estimates import believed
 
@@ -266,12 +273,13 @@ def refine(
     seen = found.seen.replace(ground_known=ground == "known")
     how |= {"body": model, "shape": given.shape, "start": found.motion, "repair": False}
     result = fit(seen, prior, **how)
-    examined = replace(result.examined, repairs=(*found.repairs, *result.repairs))
+    repairs = Findings(found.repairs)
+    examined = replace(result.examined, found=repairs + result.examined.found)
     return replace(result, notes=(*notes, *result.notes), examined=examined)
 
 
 def _refuse_others(path: Path, options: ReadOptions, start: object) -> None:
-    """Refuse options that an estimate of a motion does not heed."""
+    """Refuse options that have no effect on an estimate of a motion."""
     heeded = ("frame_rate", "up", "person")
     given = [name for name in options.given() if name not in heeded]
     given += [] if start is None else ["start"]
@@ -284,7 +292,7 @@ def _refuse_others(path: Path, options: ReadOptions, start: object) -> None:
 def _noises(
     given: float | Sequence[float | None] | Mapping[str, float | None] | None, clip: Clip
 ) -> tuple[float | None, ...]:
-    """One for every observation; empty where all are estimated."""
+    """A standard deviation for every observation; empty where all are estimated."""
     if given is None:
         return ()
     if isinstance(given, Mapping):
@@ -336,7 +344,7 @@ def _stopped(stopper: Stopper | None) -> Finding | None:
 
 
 def _plain(options: FitOptions) -> dict[str, Any]:
-    """Options as a report holds them."""
+    """Options in plain values, for a report."""
     prior, shape, expected = options.prior, options.shape, options.shape_prior
     return {
         "prior": prior if isinstance(prior, str) else type(prior).__name__,

@@ -1,4 +1,4 @@
-"""`recon.sample` and `recon.predict`: motions out of nothing, or after the end of a motion."""
+"""`recon.sample` and `recon.predict`: random motions, and continuations of a motion."""
 
 from dataclasses import replace
 from typing import Literal
@@ -101,7 +101,7 @@ def predict(
     seed: int = 0,
     device: Literal["cpu", "cuda"] = "cpu",
 ) -> MotionResults:
-    """Go on from the last frame of a motion, in one way or in several.
+    """Continue a motion from its last frame, in one way or in several.
 
     Every continuation begins with the frame that it continues, at that frame's time, and has 30
     frames per second. The report (`about` of each) says whether it stays on its feet.

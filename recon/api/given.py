@@ -1,4 +1,4 @@
-"""Motions and bodies as callers give them: records, results, files, arrays."""
+"""Arguments that name a motion, body, shape or prior: records, results, files or arrays."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -18,9 +18,10 @@ from recon.core.arrays import Numbers, finite, float_tensor, positive
 from recon.core.errors import ReconError, WeightsError
 from recon.core.limits import SHAPE
 from recon.core.motion import Motion
-from recon.fitting.methods import PriorObject, checked_method, class_of
+from recon.fitting.methods import checked_method, class_of, trait_of
 from recon.formats.motions import MotionFile, load_motion, motion_from
 from recon.method.plugins import PRIORS, registered
+from recon.method.priors import PriorLike, is_prior
 from recon.method.shape_prior import ShapePrior
 
 MotionLike = Motion | MotionResult | MotionFile | Mapping[str, Any] | Path | str
@@ -165,7 +166,7 @@ class Shape:
 def shape_known(
     given: "ShapeLike | Shape | float | None", body: BodyModel
 ) -> tuple[Float[Tensor, " shape"] | None, ShapePrior | None]:
-    """What a fit holds, or what it heeds beside the data; one of them at most.
+    """Shape coefficients that a fit holds, or a prior over them; one of the two at most.
 
     Raises:
         FileNotFoundError: when there is no such motion file.
@@ -181,7 +182,7 @@ def shape_known(
 
 
 def shape_given(given: ShapeLike, body: BodyModel) -> Float[Tensor, " shape"]:
-    """Shape coefficients of the body, those that are missing at the end zero.
+    """Shape coefficients of the body; missing trailing ones are zero.
 
     Raises:
         FileNotFoundError: when there is no such motion file.
@@ -206,13 +207,12 @@ def shape_name(given: ShapeLike) -> str:
     return str(given) if isinstance(given, str | Path) else "shape"
 
 
-def prior_of(given: Any, weights: str, method: str | None = None) -> str | PriorObject:
-    """A name or place whose class is there, or a prior that is loaded.
+def prior_of(given: Any, weights: str, method: str | None = None) -> str | PriorLike:
+    """The prior that an argument names, checked: a name or place whose class exists, or an object.
 
     Args:
         given: a registered name (ours are humor, pose, anchor and recording), a place
-            "package.module:Class", or an object: a loaded prior, or anything with `stages(data)`,
-            a method.
+            "package.module:Class", or an object: a loaded prior, or anything with `stages(data)`.
         weights: of a prior that is given by its name or place.
         method: the way to fit it, one of its `methods`; None is the usual one.
 
@@ -230,10 +230,10 @@ def prior_of(given: Any, weights: str, method: str | None = None) -> str | Prior
             f"weights: {weights!r} are of a prior that is given by its name ({names}); "
             "load the prior with them instead"
         )
-    if isinstance(given, type) or not isinstance(given, PriorObject):
+    if isinstance(given, type) or not (is_prior(given) or trait_of(given, "completes")):
         raise WeightsError(
-            f"prior: expected {names}, 'package.module:Class', a loaded prior or an object with a "
-            f"method stages(data), got {given!r:.80}"
+            f"prior: expected {names}, 'package.module:Class', or a loaded recon.method.Prior, "
+            f"got {given!r:.80}"
         )
     checked_method(given, method)
     return given

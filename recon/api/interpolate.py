@@ -29,7 +29,7 @@ def interpolate(
     body: BodyLike = None,
     fps: float | None = None,
 ) -> Made:
-    """Make the cycle of gait that lies between those of two motions.
+    """Make a gait cycle between the gait cycles of two motions.
 
     Of each the best cycle is taken. Best are those that look like gait and stand on the same feet:
     backward walking, whose hips swing as those of forward walking do, stands on the other foot

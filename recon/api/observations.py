@@ -1,4 +1,4 @@
-"""What the caller observed as one clip: one leading axis, one precision, one frame, names."""
+"""Observations of a caller as one clip: one batch axis, one precision, one frame, with names."""
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -9,12 +9,11 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 
-from observations.kinds import camera_frame_is_recording, unposed_camera
 from recon.body.model import BodyModel
 from recon.core.errors import ObservationError, ReconError
 from recon.fitting.ground import LEVEL_CAMERA, camera_above, world_above
 from recon.fitting.observed import Clip
-from recon.method.protocols import Sensor
+from recon.method.sensor import Sensor, unposed_camera
 
 Plane = tuple[float, float, float, float]
 """(nx, ny, nz, d): the points x of the ground have n·x = d in the observations' frame, metres."""
@@ -26,7 +25,7 @@ GroundChoice = Literal["auto", "known", "unknown"] | Plane | None
 
 @dataclass(frozen=True)
 class Sighting:
-    """A clip as it is fitted."""
+    """A clip in the frame in which it is fitted."""
 
     clip: Clip
     T_recording_given: Float[np.ndarray, "4 4"] | None = None
@@ -62,7 +61,7 @@ def clip_of(given: Any, body: BodyModel) -> Clip:
 
 
 def on_ground(clip: Clip, ground: Any) -> Sighting:
-    """The clip with what the caller knows about the ground.
+    """The clip in a frame that agrees with what the caller knows about the ground.
 
     A camera whose pose is the identity has none: the recording's frame is its own, and the ground
     is searched from that of a level camera, whose frame is kept where there is no ground.
@@ -74,29 +73,28 @@ def on_ground(clip: Clip, ground: Any) -> Sighting:
     Raises:
         ReconError: when the choice is none, or a plane is not below the camera.
     """
-    if ground is None:
-        if any(camera_frame_is_recording(one) for one in clip.observations):
-            return _carried(clip, camera_above(LEVEL_CAMERA), known=False)
+    unposed = any(one.unposed for one in clip.observations)
+    if ground is None and not unposed:
         ungrounded = tuple(one.derived(ground_known=False) for one in clip.observations)
         return Sighting(replace(clip, observations=ungrounded))
-    if isinstance(ground, str):
-        if ground not in ("auto", "known", "unknown"):
+    if ground is None or isinstance(ground, str):
+        if ground not in (None, "auto", "known", "unknown"):
             raise ReconError(
                 "ground: expected 'auto', 'known', 'unknown', None or a plane (nx, ny, nz, d), "
                 f"got {ground!r}"
             )
-        if any(camera_frame_is_recording(one) for one in clip.observations):
-            if ground == "known":
-                raise ReconError(
-                    "ground: a camera has no pose (T_camera_world is the identity), so its ground "
-                    "is not at z = 0; give the pose, the plane (nx, ny, nz, d), or 'unknown'"
-                )
+        if unposed and ground == "known":
+            raise ReconError(
+                "ground: a camera has no pose (T_camera_world is the identity), so its ground "
+                "is not at z = 0; give the pose, the plane (nx, ny, nz, d), or 'unknown'"
+            )
+        if unposed:
             return _carried(clip, camera_above(LEVEL_CAMERA), known=False)
         return Sighting(clip if ground == "auto" else _declared(clip, known=ground == "known"))
     plane = _checked_plane(ground)
     if clip.T_recording_camera is not None and clip.notes:
         raise ReconError("ground: the files were read with a ground; give the plane to the reader")
-    if any(camera_frame_is_recording(one) for one in clip.observations):
+    if unposed:
         found = _carried(clip, camera_above(plane), known=False)
     else:
         level = all(one.level for one in clip.observations)
@@ -138,13 +136,15 @@ def _names(seen: Sequence[Any]) -> tuple[str, ...]:
 def _no_observation(given: object) -> ObservationError:
     return ObservationError(
         "expected observations (recon.Joints3D, Markers3D, Keypoints2D, PointCloud or a sensor of "
-        "your own that keeps recon.method.protocols.Sensor; "
+        "your own that derives from recon.method.Sensor; "
         f"recon.load_observation reads files), got {type(given).__name__}"
     )
 
 
 def _one_clip(one: Sensor) -> Sensor:
     """An observation with a leading axis of length one."""
+    if one.sees is None and type(one).predict is not Sensor.predict:
+        one.check()
     if one.clips == ():
         return one[None]
     if one.clips != (1,):

@@ -13,15 +13,14 @@ from recon.body.model import BodyModel
 from recon.core.arrays import finite
 from recon.core.errors import ReconError
 from recon.core.motion import Motion
-from recon.diagnosis.examination import Examined, examine, screen
-from recon.diagnosis.motions.belt import on_belt
+from recon.diagnosis.examination import Check, CheckedClip, Examined, checked
 from recon.fitting.clip import posed
 from recon.fitting.fitted import ClipFit
 from recon.fitting.guess import guessed
 from recon.fitting.methods import FitOptions, loaded
 from recon.fitting.observed import window
 from recon.fitting.settings import FitSettings, ReadOptions
-from recon.method.protocols import Sensor
+from recon.method.sensor import Sensor
 from recon.method.stages import Watch
 
 
@@ -76,6 +75,7 @@ def fitted(
     body: BodyModel,
     watch: Watch | None = None,
     start: Motion | None = None,
+    checks: Sequence[Check] | None = None,
 ) -> Examined:
     """Fit one clip's observations, checked before and after.
 
@@ -86,6 +86,7 @@ def fitted(
         body: whose motion it is.
         watch: told about every iteration.
         start: a first guess in the frame of the observations, axes (1, time).
+        checks: of the data and of the fit; None are all, an empty tuple is none.
 
     Raises:
         ValueError: when observations contradict each other, or the start or the prior does not
@@ -93,20 +94,33 @@ def fitted(
     """
     if options.completes and start is not None:
         raise ValueError("gait cycles are searched from many starts: leave `start` out")
+    if checks is None:
+        # a fit without checks loads none
+        from recon.diagnosis.checks import AFTER, BEFORE
+
+        checks = (*BEFORE, *AFTER)
+    of_data = [one for one in checks if getattr(one, "comes_before_fit", False)]
+    of_fit = [one for one in checks if one not in of_data]
     # check: what is surely wrong with the data is repaired, what is doubtful is said
-    clip = screen(observations, names, options, body)
+    clip = CheckedClip(
+        observations=tuple(observations), names=tuple(names), options=options, body=body
+    )
+    clip = checked(clip, of_data if options.repair else ())
     if options.completes:
-        return examine(_completed(clip.observations, options, body, watch), names, clip)
-    if clip.belt is not None and start is not None:
-        start = on_belt(start, clip.belt)
-    # first guess: the motion that the data tell without a prior, or the caller's
-    seen, guess = guessed(clip.observations, options, body, start)
-    # the problem: each sensor's residuals with its noise; scene, ground and lens that are found
-    problem = posed(seen, guess, options, body, watch)
-    # stages: the prior's own, minimised one after the other
-    fit = problem.solved()
+        fit = _completed(clip.observations, options, body, watch)
+    else:
+        if clip.belt is not None and start is not None:
+            from recon.diagnosis.motions.belt import on_belt  # there are few treadmills
+
+            start = on_belt(start, clip.belt)
+        # first guess: the motion that the data tell without a prior, or the caller's
+        seen, guess = guessed(clip.observations, options, body, start)
+        # the problem: each sensor's residuals with its noise; scene, ground, lens to be found
+        problem = posed(seen, guess, options, body, watch)
+        # stages: the prior's own, minimised one after the other
+        fit = problem.solved()
     # examine: residuals, standard deviations, other hypotheses, laws of movement
-    return examine(fit, names, clip)
+    return checked(Examined.of(clip, fit), of_fit)
 
 
 def _completed(

@@ -1,4 +1,4 @@
-"""What comes out of a fit: the motion, what is known about it, and how to keep it."""
+"""The result of a fit: the motion, what is known about it, and its report."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
@@ -9,7 +9,6 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from observations.kinds import unposed_camera
 from recon.api.results import MotionResult, described_residuals, in_ten_lines
 from recon.body.contacts import contact_labels, rest_heights
 from recon.body.model import BodyModel
@@ -21,13 +20,13 @@ from recon.diagnosis.certainty import certainty_report
 from recon.diagnosis.doubts import Alternative
 from recon.diagnosis.examination import Examined
 from recon.diagnosis.findings import Finding
-from recon.diagnosis.motions.belt import in_room, path_of_belt
 from recon.fitting.fitted import Stretch
 from recon.fitting.observed import Clip
 from recon.formats.motions import MotionFile
 from recon.formats.reports import versions
 from recon.method.derivatives import GroundDeviation
 from recon.method.reconstruction import Reconstruction
+from recon.method.sensor import unposed_camera
 from recon.method.stages import StageReport, Watch
 from recon.solver.lbfgs import Progress, Termination
 
@@ -35,7 +34,7 @@ from recon.solver.lbfgs import Progress, Termination
 def describe(
     result: Reconstruction, inputs: Mapping[str, str], settings: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """What happened, and to what: the beginning of OUT.json.
+    """Stages, windows, settings and inputs of a fit: the beginning of OUT.json.
 
     Args:
         result: of the fit.
@@ -56,7 +55,7 @@ def describe(
 
 
 def _stage(report: StageReport) -> dict[str, Any]:
-    """One line; of several windows the most steps, the sums of energies, all reasons to end."""
+    """A stage in plain values; of several windows the most steps and the sums of energies."""
     solution = report.solution
     energies = solution.trace[:, -1].sum(0).tolist()
     reasons = [reason for reason in Termination if reason in solution.termination]
@@ -298,7 +297,7 @@ def result_of(
     found = examined.fit
     motion = found.result.clip(0).detach().to(device="cpu")
     first = clip.observations[0]
-    # the clock of few scans is too slow to show a motion
+    # a few scans a second are too few frames to show a motion
     rate = max(first.fps, motion.fps) if completes else first.fps
     motion = motion.resample(rate if fps is None else fps)
     T, ground = found.T_world_recording[0].double(), 0.0 if found.grounded else None
@@ -322,10 +321,12 @@ def result_of(
         cycle = cycle_report(found, examined.residuals)
     belt = None
     if examined.belt is not None:
+        from recon.diagnosis.motions.belt import in_room, path_of_belt  # there are few treadmills
+
         belt = path_of_belt(motion, examined.belt)
         motion = in_room(motion, examined.belt)
     observed = torch.from_numpy(examined.observed_at(motion))
-    # on a belt, what the prior took for the ground is not that of the room
+    # on a treadmill the prior's ground is the belt, not the floor of the room
     probability = None if belt is not None else examined.contact_probability_at(motion)
     return Result(
         file=described(
@@ -354,7 +355,7 @@ def result_of(
 
 
 class Stopper:
-    """Watches a fit and stops all that is left of it once it was asked to.
+    """Ends a fit when the callback asks for it or its time is over.
 
     A fit is several minimisations in turn, and some of them are needed to make a motion at all.
     After the first stop each of them ends at its first step, so that the estimate so far passes
@@ -379,7 +380,7 @@ class Stopper:
         return self.reason is not None
 
     def _why(self, stage: str, progress: Progress) -> str | None:
-        """A reason to stop now."""
+        """Why the fit should stop now; None where it should go on."""
         if self._callback is not None and self._callback(stage, progress) is True:
             return "the callback"
         if self._deadline is not None and self._clock() > self._deadline:

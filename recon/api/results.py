@@ -215,7 +215,7 @@ class MotionResult(ABC):
 
 @dataclass(frozen=True, repr=False)
 class Made(MotionResult):
-    """A motion that was made from other motions, by a prior, or from a recording."""
+    """A motion made from other motions, by a prior, or from a recording."""
 
     about: Mapping[str, Any]
     """What the function knows about it, in plain values, as its report has it."""
@@ -248,7 +248,7 @@ class Made(MotionResult):
 
 @dataclass(frozen=True, repr=False)
 class MotionResults:
-    """Motions in a row: indexed, counted and walked through as a tuple of results is."""
+    """Several motions, used like a tuple."""
 
     made: tuple[Made, ...]
     """Each with its motion, joints, contacts and ground."""
@@ -342,7 +342,7 @@ class MotionResults:
 
 
 def told(inputs: Mapping[str, str] | None, settings: Mapping[str, Any] | None) -> dict[str, Any]:
-    """What every report ends with: settings and inputs, where they are known, and versions."""
+    """The end of every report: settings and inputs where they are known, and versions."""
     known = {"settings": settings, "inputs": inputs}
     return {key: dict(one) for key, one in known.items() if one is not None} | {
         "versions": versions()
@@ -350,7 +350,7 @@ def told(inputs: Mapping[str, str] | None, settings: Mapping[str, Any] | None) -
 
 
 def file_names(out: Path, count: int, noun: str) -> list[str]:
-    """Names of files: of one, or of several in a folder.
+    """Names of the files to write: one file, or several in a folder.
 
     Raises:
         ReconError: when there is no motion, or there are several for one file.

@@ -173,7 +173,7 @@ def raised(motion: Motion, metres: float) -> Motion:
 
 
 def _rate_warnings(name: str, source: Motion, body: BodyModel) -> Iterator[Finding]:
-    """Motions that are sampled too rarely, or move as nobody does."""
+    """Warnings about a low frame rate, or about speeds that nobody reaches."""
     if source.fps < RATE:
         yield Finding(
             "rate",
@@ -192,7 +192,7 @@ def _rate_warnings(name: str, source: Motion, body: BodyModel) -> Iterator[Findi
 
 
 def _ground_warnings(name: str, samples: PhysicsSamples, told: bool) -> Iterator[Finding]:
-    """What is wrong where a body never touches the ground z = 0.
+    """Warnings about a body that never touches the ground z = 0.
 
     Raises:
         ReconError: when nobody told where the ground is.

@@ -18,7 +18,7 @@ from recon.formats.observations import ObservationFile, PointsFile, save_observa
 from recon.formats.outputs import Kind, Output
 from recon.formats.scans import write_scans
 from recon.formats.writing import writing
-from recon.method.protocols import Sensor
+from recon.method.sensor import Sensor
 from recon.reading.clip import together
 from recon.simulation.points import Corner, Corruption
 from recon.simulation.sensors import seen_by

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from recon.batch.workers import Failure, Run, run_jobs
 from recon.batch.worklog import BatchClip, Record, open_log
-from recon.fitting.methods import traits
+from recon.fitting.methods import trait_of
 from recon.fitting.settings import FitSettings
 from recon.formats.outputs import Output, check_outputs, paths_in
 from recon.formats.replacing import file_checksum, value_checksum
@@ -129,7 +129,7 @@ def shapes_of_subjects(
     known = [clip for clip in clips if clip.subject is not None]
     if not known:
         return {}
-    if traits(settings.prior).completes:
+    if trait_of(settings.prior, "completes"):
         raise ValueError(
             "subject: cycles are completed with shapes of their own; leave `subject` out of the "
             "manifest, or fit with another prior"

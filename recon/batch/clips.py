@@ -11,8 +11,8 @@ from recon.api.fit import fit
 from recon.api.observations import ObservationsLike
 from recon.api.result import Result
 from recon.core.errors import ReconError
-from recon.fitting.methods import PriorObject
-from recon.method.protocols import Sensor
+from recon.method.priors import PriorLike
+from recon.method.sensor import Sensor
 
 _FIRST = ("weights", "method", "physics", "terms", "shape", "start")
 """Arguments of a fit that do not concern the first look at shapes."""
@@ -20,7 +20,7 @@ _FIRST = ("weights", "method", "physics", "terms", "shape", "start")
 
 def fit_clips(
     clips: Sequence[ObservationsLike] | Sensor,
-    prior: str | PriorObject = "humor",
+    prior: str | PriorLike = "humor",
     *,
     subject: bool = False,
     **arguments: Any,
@@ -84,7 +84,7 @@ def _clips(given: Any) -> list[Any]:
 
 
 def _fitted(
-    clips: Sequence[Any], prior: str | PriorObject, arguments: dict[str, Any]
+    clips: Sequence[Any], prior: str | PriorLike, arguments: dict[str, Any]
 ) -> list[Result]:
     results: list[Result] = []
     for number, clip in enumerate(clips):

@@ -1,6 +1,7 @@
 """Methods that are judged: built-in ones by name, and anybody's own class."""
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -17,7 +18,8 @@ from recon.core.skeleton import JOINTS
 from recon.formats.motions import MotionFile
 from recon.formats.observations import PositionsFile
 from recon.method.plugins import imported
-from recon.method.reconstruction import Method, solve
+from recon.method.priors import Prior
+from recon.method.reconstruction import solve
 
 
 def butterworth(
@@ -101,11 +103,12 @@ def method_named(name: str, body: BodyModel) -> BenchMethod:
     return _BUILT_IN[name](body)
 
 
-def _fitted(body: BodyModel, method: Callable[[float], Method]) -> BenchMethod:
-    """A fit by the method that suits the noise that the record tells."""
+def _fitted(body: BodyModel, prior: Prior[Any], method: str | None = None) -> BenchMethod:
+    """A fit under a prior with the weights for the noise that the record tells."""
 
     def given_back(seen: PositionsFile) -> MotionFile:
-        found = solve([sensor_of(seen)], method(noise_of(seen)), body)
+        stages = partial(prior.stages, noise=noise_of(seen), body=body, method=method)
+        found = solve([sensor_of(seen)], stages, body)
         return MotionFile(found.motion[0].detach())
 
     return given_back
@@ -137,16 +140,11 @@ def _smoothed(smooth: Callable[[torch.Tensor, float], torch.Tensor]) -> BenchMet
 
 
 def _humor(way: str) -> Callable[[BodyModel], BenchMethod]:
-    def made(body: BodyModel) -> BenchMethod:
-        humor = Humor.load(body=body)
-        return _fitted(body, lambda noise: humor.method(noise, body, way))
-
-    return made
+    return lambda body: _fitted(body, Humor.load(body=body), way)
 
 
 def _pose(body: BodyModel) -> BenchMethod:
-    prior = PosePrior.load(body=body)
-    return _fitted(body, lambda noise: prior.method(noise, body))
+    return _fitted(body, PosePrior.load(body=body))
 
 
 _BUILT_IN: Mapping[str, Callable[[BodyModel], BenchMethod]] = {

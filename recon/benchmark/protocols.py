@@ -222,7 +222,7 @@ def _seen_window(
         seen=file,
         truth=truth[0],
         touching=touching,
-        points=sensor.on(body.pose(truth))[0],
+        points=sensor.predict(body.pose(truth))[0],
         vertices=tuple(landmark(name) for name in names) if sensor.on_skin else (),
     )
 

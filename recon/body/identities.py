@@ -1,4 +1,4 @@
-"""Bodies as people ask for them: a height, a weight, a few words, somebody's own; as shapes."""
+"""Shape coefficients from descriptions: height, weight, words, coefficients or a motion file."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -35,7 +35,7 @@ FORMS = (
 
 
 class Lean(Enum):
-    """The side of the average on which a measure lies."""
+    """Whether a measure lies below or above the average."""
 
     LESS = -1
     MORE = 1
@@ -59,7 +59,7 @@ Measure = Callable[[Float[Tensor, " shape"]], Float[Tensor, ""]]
 
 @dataclass(frozen=True)
 class _Wishes:
-    """What somebody asked for: a side, a number (metres, kilograms), or nothing."""
+    """What a description asks for: below or above average, a number (m, kg), or None."""
 
     sex: Lean | None = None
     """More is a man."""
@@ -101,7 +101,7 @@ def weight(body: BodyModel, shape: Float[Tensor, "*batch shape"]) -> Float[Tenso
 
 
 def doubts(body: BodyModel, shape: Float[Tensor, " shape"]) -> list[str]:
-    """Reasons why nobody has a shape, in words; empty where somebody may have it."""
+    """Reasons, in words, why no adult has this shape; empty where an adult may have it."""
     tall, odd = float(height(body, shape)), float(shape.abs().max())
     found: list[str] = []
     if not SHORTEST_BODY < tall < TALLEST_BODY:
@@ -170,7 +170,7 @@ def _coefficients(spec: str, words: list[str], body: BodyModel) -> Tensor:
 
 
 def _wishes(spec: str, words: list[str]) -> _Wishes:
-    """What the words and measures say."""
+    """The measures that the words of a description ask for."""
     found: dict[str, Any] = {}
     for word in words:
         name, equals, value = (part.strip() for part in word.partition("="))
@@ -211,7 +211,7 @@ def _person(wishes: _Wishes, body: BodyModel) -> Tensor:
         values, slopes = _linear(base, (tall,), free)
         metres = float(values[0] + metres.value * ONE_IN_TWENTY * slopes[0].norm())
     if isinstance(kilograms, Lean):
-        # for this height
+        # heavy and slim are judged among people of this height
         goal = float(tall(base)) if metres is None else metres
         shape = nearest_shape(base, (tall,), (goal,), free)
         _, slopes = _linear(shape, (tall, heavy), free)

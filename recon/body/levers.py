@@ -47,7 +47,7 @@ def turned(
 def world_turns(
     local: Float[Tensor, "frames 22 3"], orientations: Float[Tensor, "frames 22 3 3"]
 ) -> Float[Tensor, "frames 66"]:
-    """Vectors in the frames of the bones, such as gradients by R_a Exp(d_a), as coordinates."""
+    """Vectors in the frames of bones, such as gradients by R_a Exp(d_a), as step coordinates."""
     return (orientations @ local[..., None])[..., 0].transpose(1, 2).flatten(-2)
 
 
@@ -58,7 +58,7 @@ def gathered(values: Float[Tensor, "*batch 22"]) -> Float[Tensor, "*batch 22"]:
 
 @dataclass(frozen=True)
 class Levers(TensorStruct):
-    """Constant columns of points and of their levers about all joints."""
+    """Constant matrices from bone poses to points and to their lever arms about all joints."""
 
     points: Float[Tensor, "88 points"]
     arms: Float[Tensor, "88 columns"]
@@ -71,7 +71,7 @@ class Levers(TensorStruct):
         columns = torch.cat((points.place, points.share[..., None]), -1)
         below = BELOW.to(columns)
         arms = columns[:, None] * below[None, :, :, None]
-        # p_a itself, as far as the point hangs from joint a
+        # a lever arm is the point minus the joint that turns it
         hung = torch.diag_embed(points.share @ below.mT)
         arms[..., 3] -= hung
         return cls(
@@ -89,7 +89,7 @@ class Levers(TensorStruct):
     def pull(
         self, pose: Float[Tensor, "frames 3 88"], forces: Float[Tensor, "frames 3 points"]
     ) -> Float[Tensor, "frames 69"]:
-        """Derivatives of Σ forces · points by the coordinates of a step."""
+        """Gradient of Σ forces · points by the 69 coordinates of a step."""
         bones = pose.unflatten(-1, (-1, 4))
         loads = (forces @ self.points.mT).unflatten(-1, (-1, 4))
         push = loads[..., 3]
@@ -99,7 +99,7 @@ class Levers(TensorStruct):
         return torch.cat((forces.sum(-1), turns.flatten(1)), -1)
 
     def jacobian(self, pose: Float[Tensor, "frames 3 88"]) -> Float[Tensor, "frames points 3 69"]:
-        """Derivatives of the points by the coordinates of a step."""
+        """Jacobian of the points by the 69 coordinates of a step, metres."""
         arms = self.about(pose).transpose(1, 2)
         out = arms.new_zeros(*arms.shape[:2], 3, COORDINATES)
         out.diagonal(dim1=-2, dim2=-1)[:] = 1  # by the translation
@@ -144,7 +144,7 @@ class Levers(TensorStruct):
         pose: Float[Tensor, "frames 3 88"],
         weights: Float[Tensor, "frames points"],
     ) -> None:
-        """Add Σ weight jᵀj over points, j the derivatives of their heights, to some matrices."""
+        """Add the Gauss-Newton Hessian Σ weight jᵀj of heights to the matrices of some frames."""
         joints = self._joints
         columns = self.arms.unflatten(-1, (-1, len(JOINTS)))[..., joints].flatten(1)
         arms = (pose[:, :2] @ columns).unflatten(-1, (-1, len(joints)))
@@ -174,7 +174,7 @@ class ShapeLevers(TensorStruct):
 
     @classmethod
     def of(cls, points: CarriedPoints, body: BodyModel) -> "ShapeLevers":
-        """The columns of some points of a body: places on the bones and bones themselves grow."""
+        """The matrices of some points; a shape changes places on bones and bone lengths."""
         count = len(points.place_by_shape)
         joints = body.joint_directions[..., :count].to(points.place)
         bones = joints[1:] - joints[list(PARENTS[1:])]
@@ -182,7 +182,7 @@ class ShapeLevers(TensorStruct):
         grown = points.place_by_shape.permute(1, 2, 3, 0).clone()
         for child, parent in enumerate(PARENTS[1:], 1):
             grown[:, parent] += hung[:, child, None, None] * bones[child - 1]
-        columns = torch.nn.functional.pad(grown, (0, 0, 0, 1))  # joints' places do not matter
+        columns = torch.nn.functional.pad(grown, (0, 0, 0, 1))  # places of joints do not enter
         return cls(columns.permute(1, 2, 0, 3).flatten(2).flatten(0, 1), joints[0])
 
     def by_shape(

@@ -1,4 +1,4 @@
-"""Ten parts of a body and their volumes: close, translate, fill.
+"""Ten parts of a body and their volumes; cuts between parts are closed by triangle fans.
 
 Parts are read off the skinning weights, so any body of 22 joints has them.
 """

@@ -1,4 +1,4 @@
-"""A few hundred vertices that stand for the whole skin where height and pressure are concerned."""
+"""A few hundred vertices that represent the whole skin in energies of height and pressure."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -116,7 +116,7 @@ def spread_vertices(body: BodyModel, count: int) -> Int[Tensor, " points"]:
 
 @lru_cache(maxsize=4)
 def _in_order(template: bytes, count: int) -> Int[np.ndarray, " count"]:
-    """Vertices in the order in which farthest point sampling takes them; of a mesh kept once."""
+    """Vertices in the order of farthest point sampling; cached per mesh."""
     return _farthest_from_first(np.frombuffer(template).reshape(-1, 3), count)
 
 

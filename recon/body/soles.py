@@ -122,7 +122,7 @@ class Stance:
         belt: Float[Tensor, " 2"] | None = None,
         frames: Bool[Tensor, " time"] | None = None,
     ) -> "Stance":
-        """Watch a motion's feet.
+        """The soles of a motion's feet, and the frames in which they stand still.
 
         Args:
             motion: one clip.

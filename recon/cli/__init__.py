@@ -24,7 +24,7 @@ OK, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 def main() -> None:
     """The console script."""
-    # a clip's operations are too small to share: more threads only wait for each other
+    # operations of one clip are so small that more threads make them slower
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     signal.signal(signal.SIGTERM, _interrupt)
     sys.exit(run(sys.argv[1:]))
@@ -36,7 +36,7 @@ def _interrupt(_: int, __: FrameType | None) -> None:
 
 
 def run(words: Sequence[str]) -> int:
-    """Run one verb and say how it went; usage errors and `--help` end through SystemExit."""
+    """Run one verb and return its exit code; usage errors and `--help` raise SystemExit."""
     try:
         return _run(words)
     except KeyboardInterrupt:
@@ -54,7 +54,7 @@ def _run(words: Sequence[str]) -> int:
 
 
 def run_command(command: Callable[[], object]) -> int:
-    """Run a command and say how it went, by a line on stderr and the exit code."""
+    """Run a command: errors become one line on stderr and an exit code."""
     from recon.cli.errors import Failed
 
     logging.basicConfig(stream=sys.stderr, level=logging.WARNING, format="%(message)s")
@@ -65,7 +65,7 @@ def run_command(command: Callable[[], object]) -> int:
         sys.stderr.write(f"recon: {failure}\n")
         return FAILED
     except BrokenPipeError:
-        # whoever read the output has seen enough, as `head` has; nor may the end of Python write
+        # the pipe was closed by its reader, as `head` does; Python must not flush into it either
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return OK
     except (ValueError, OSError) as error:
@@ -75,7 +75,7 @@ def run_command(command: Callable[[], object]) -> int:
 
 
 def _version() -> str:
-    """What a report of a fault should begin with; torch is asked without loading it."""
+    """Versions for bug reports; torch is not imported for its own."""
     from importlib.metadata import version
 
     return f"recon {__version__}, torch {version('torch')}, Python {platform.python_version()}"

@@ -1,4 +1,4 @@
-"""What a person sees: progress and tables on stderr, what was asked for on stdout."""
+"""Output of commands: progress and tables on stderr, answers on stdout."""
 
 import json
 import logging
@@ -18,7 +18,7 @@ _DIM, _YELLOW, _PLAIN = "\x1b[2m", "\x1b[33m", "\x1b[0m"
 
 @contextmanager
 def quietly(is_quiet: bool) -> Iterator[None]:
-    """Within it, where it is asked for, only `last`, `complain`, `answer` and `facts` write."""
+    """Suppress all output but that of `last`, `complain`, `answer` and `facts`, if asked to."""
     before, log = _quiet.set(is_quiet), logging.getLogger()
     level = log.level
     log.setLevel(logging.ERROR if is_quiet else level)

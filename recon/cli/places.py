@@ -1,4 +1,4 @@
-"""What a verb writes, declared beside it, and checked before anything else happens.
+"""Outputs of a verb, declared with it and checked before anything is computed.
 
 Every path among a verb's arguments that is not declared as written is something that it reads,
 and must be there.
@@ -73,7 +73,7 @@ def _nothing_else(_: Arguments) -> Iterable[Path]:
 def writes(
     *places: Place, reads: Callable[[Arguments], Iterable[Path]] = _nothing_else
 ) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Declare what a verb writes; it then begins with a check of that and of what it reads.
+    """Declare the outputs of a verb, so that inputs and outputs are checked before it runs.
 
     Args:
         places: every argument that names an output. The verb has an argument `overwrite` besides.
@@ -110,5 +110,5 @@ def writes(
 
 
 def declared(verb: Callable[..., Any]) -> tuple[Place, ...]:
-    """What a verb was declared to write; nothing for one that only reads."""
+    """The declared outputs of a verb; none for one that only reads."""
     return vars(verb).get("writes", ())

@@ -1,4 +1,4 @@
-"""The work of one verb: its function is called, its result written with a report, and told."""
+"""How a verb runs: call its function, write the result with a report, print a summary."""
 
 from collections.abc import Mapping, Sequence
 from importlib import import_module
@@ -12,7 +12,7 @@ from recon.cli.looks import look_at
 
 
 def run(place: str, written: Sequence[str], given: Mapping[str, Any]) -> None:
-    """Call the function of a verb with what a command line gave, write its result and tell of it.
+    """Call the function of a verb with a command line's values, write and print its result.
 
     Args:
         place: of the function, "module:name".
@@ -40,7 +40,7 @@ def run(place: str, written: Sequence[str], given: Mapping[str, Any]) -> None:
     if settings is not None:
         options |= vars(settings)
         more = settings.arguments()
-    # before anything is read: what changes from now on must not pass for what was used
+    # before reading: a file that changes later must not pass for the one that was read
     inputs = input_checksums(how | options)
     with console.fitting({}) as watch:
         result = function(**how, **more, **({"callback": watch} if more else {}))
@@ -54,7 +54,7 @@ def write_and_tell(
     options: Mapping[str, Any],
     given: Mapping[str, Any],
 ) -> None:
-    """Write a result with its report and tell of it; without a place, it is the answer.
+    """Write a result with its report and print a summary; without a path, print the result.
 
     Raises:
         Failed: when a fit met nan or inf.
@@ -75,7 +75,7 @@ def write_and_tell(
 
 
 def tell(report: Mapping[str, Any], tables: Mapping[str, Any], place: str) -> None:
-    """Tell what a person at the terminal should know about a result that was written.
+    """Print a summary of a result that was written.
 
     Args:
         report: of the result.
@@ -112,7 +112,7 @@ def tell(report: Mapping[str, Any], tables: Mapping[str, Any], place: str) -> No
 
 
 def _tell_own(found: Any, given: Mapping[str, Any]) -> None:
-    """Tell of what a function wrote itself, or of the facts that it found."""
+    """Print what a function wrote itself, or the facts that it returned."""
     if given.get("json"):
         console.answer(found)
     elif "json" in given:
@@ -124,7 +124,7 @@ def _tell_own(found: Any, given: Mapping[str, Any]) -> None:
 
 
 def _is_read(parameter: Parameter, value: Any) -> bool:
-    """Whether an argument names what a verb is about, which is no setting."""
+    """Whether an argument is an input of the verb rather than a setting."""
     return parameter.default is Parameter.empty and isinstance(value, Path | tuple)
 
 

@@ -82,7 +82,7 @@ class Camera(TensorStruct):
 
     @staticmethod
     def _different(rows: Tensor) -> list[Tensor]:
-        """The rows that differ from each other: cameras seldom change their lens."""
+        """Unique rows of intrinsics; most cameras never change their lens."""
         return list(rows.detach().cpu().double().reshape(-1, rows.shape[-1]).unique(dim=0))
 
     @classmethod
@@ -146,7 +146,7 @@ class Camera(TensorStruct):
         seen = self.to_camera(points)
         depth = seen[..., 2]
         in_front = (depth > NEAREST)[..., None]
-        # Choosing before dividing keeps the gradient of the unseen finite: it is zero.
+        # selecting before the division keeps gradients of unseen points finite (zero)
         plane = torch.where(in_front, seen[..., :2], 0.0)
         rays = plane / torch.where(in_front, depth[..., None], 1.0)
         if self.distortion is not None:
@@ -315,7 +315,7 @@ class Ground(TensorStruct):
         angle turned, in radians, and the normal stays a unit vector. `shift` is added to d.
         """
         v = (tangent_basis(self.normal) @ tilt[..., None])[..., 0]
-        # The argument of the root is chosen first, so that it is never differentiated at zero.
+        # selected before the root, whose derivative at zero is infinite
         squared = v.square().sum(-1, keepdim=True)
         small = squared < 1e-12
         angle = torch.where(small, 1.0, squared).sqrt()

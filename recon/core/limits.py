@@ -41,7 +41,7 @@ class Limit:
             ValueError: naming file, quantity, the first number outside, and where it stands.
         """
         numbers = np.asarray(values)
-        # numbers of half precision are compared with ranges that it does not hold
+        # half precision cannot hold the limits themselves
         with np.errstate(invalid="ignore", over="ignore"):
             bad = ~((numbers >= self.low) & (numbers <= self.high))
         if seen is not None:
@@ -291,7 +291,7 @@ def check_pose(pose: Any, source: object, key: str) -> None:
     """
     T = np.asarray(pose, np.float64)
     rotation = T[..., :3, :3]
-    # numbers near the end of double precision may overflow here, which the limit then refuses
+    # numbers near the largest double may overflow here; the limit refuses infinity
     with np.errstate(over="ignore", invalid="ignore"):
         off = np.abs(rotation @ np.swapaxes(rotation, -1, -2) - np.eye(3)).max((-1, -2))
         ORTHOGONALITY.check(off, source, key)

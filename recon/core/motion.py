@@ -1,4 +1,4 @@
-"""Motion: the value being reconstructed."""
+"""The record of a body's motion: translation, joint rotations and shape on a clock."""
 
 from dataclasses import dataclass
 

@@ -41,7 +41,7 @@ def _by_trees(points: Tensor, present: Tensor, surface: Tensor, allowed: Tensor)
         if not here.any():
             continue
         candidates = np.flatnonzero(open_)
-        # unbalanced: such a tree is built several times faster and asked almost as fast
+        # an unbalanced tree is built several times faster and answers almost as fast
         tree = KDTree(body[candidates], balanced_tree=False, compact_nodes=False)
         found[row, here] = candidates[tree.query(seen[here])[1]]
     return torch.from_numpy(found)
@@ -111,7 +111,7 @@ _NEAR = 12
 
 @dataclass(frozen=True)
 class SurfacePoints:
-    """Points on triangles, by what they are made of."""
+    """Points on triangles, with their barycentric coordinates."""
 
     triangles: Int[np.ndarray, "points 3"]
     """Vertex numbers of the triangle of every point."""

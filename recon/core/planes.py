@@ -1,4 +1,4 @@
-"""Ground and walls as a sensor sees them: wide planes that stand still, and what is not them."""
+"""Ground and walls in point clouds of a depth sensor, and clusters and noise of the rest."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -154,7 +154,7 @@ class _Sample:
         return cls(np.concatenate(some), frame, len(some))
 
     def by_frame(self, rows: Int[np.ndarray, " rows"]) -> list[Float[np.ndarray, "_ 3"]]:
-        """Some of the points, apart by frame."""
+        """The chosen points, split by frame."""
         ends = np.searchsorted(self.frame[rows], np.arange(1, self.frames))
         return np.split(self.points[rows], ends)
 
@@ -165,7 +165,7 @@ def _planes(
     least: float,
     generator: np.random.Generator,
 ) -> Iterator[tuple[Float[np.ndarray, "3"], float, Int[np.ndarray, " inliers"]]]:
-    """Unit normal, offset and inliers of the largest plane, of the largest that it leaves, ..."""
+    """Unit normal, offset and inliers of the largest plane, then of the next largest, ..."""
     left = np.arange(len(points))
     for _ in range(_CANDIDATES):
         found = largest_plane(points[left], tolerance=tolerance, generator=generator)
@@ -273,7 +273,7 @@ def spacing(clouds: Sequence[np.ndarray]) -> float:
 def clusters(
     points: Float[np.ndarray, "points 3"], reach: float = 0.08
 ) -> Int[np.ndarray, " points"]:
-    """The heap that each point is of, joined by steps of at most `reach`, metres; 0 the biggest.
+    """Cluster number of each point; neighbours within `reach` metres are joined; 0 is the largest.
 
     Points are first gathered into cells of that size, so that any number of them is quick.
     """

@@ -8,10 +8,10 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from observations import kinds
 from recon.core.residuals import Noise, Unit
 from recon.diagnosis.findings import Finding
-from recon.method.protocols import Estimate, Sensor
+from recon.method.protocols import Estimate
+from recon.method.sensor import Sensor
 
 _QUANTILES = (0.5, 0.9, 0.99)
 
@@ -69,29 +69,15 @@ _MIN_SUSPICIOUS_RESIDUAL = {"pixels": 15.0, "metres": 0.06, "radians": 0.4}
 """Median residuals below these are not suspicious, whatever the noise."""
 
 
-def agreement_warnings(
-    summaries: Sequence[ResidualSummary], observations: Sequence[Sensor], estimate: Estimate
-) -> list[Finding]:
+def residual_warnings(summaries: Sequence[ResidualSummary]) -> list[Finding]:
     """Sensors whose residuals are far above their noise: model and data contradict each other."""
-    warnings: list[Finding] = []
-    for summary, seen in zip(summaries, observations, strict=True):
-        warnings += _doubts_about(summary)
-        for view in kinds.views([seen]):
-            # images and clouds load their own checks
-            from recon.diagnosis.views.fitted import distance_warnings
-
-            warnings += distance_warnings(summary.name, view, estimate)
-        for cloud in kinds.clouds([seen]):
-            from recon.diagnosis.basins import basin_findings
-
-            warnings += basin_findings(summary.name, cloud, summary.quantiles, estimate)
-    return warnings
+    return [said.of(one.name) for one in summaries for said in _doubts_about(one)]
 
 
 def _doubts_about(summary: ResidualSummary) -> list[Finding]:
-    name, median, noise = summary.name, summary.median, summary.noise
+    median, noise = summary.median, summary.noise
     if median is None:
-        return [Finding("unseen", f"{name}: nothing was seen at the times of the motion")]
+        return [Finding("unseen", "nothing was seen at the times of the motion")]
     if median <= max(_SUSPECT * noise, _MIN_SUSPICIOUS_RESIDUAL[summary.unit]):
         return []
     worst = sorted(
@@ -103,9 +89,9 @@ def _doubts_about(summary: ResidualSummary) -> list[Finding]:
     return [
         Finding(
             "residual",
-            f"{name}: half of the data is more than {median:.3g} {summary.unit} away from the "
-            f"fitted body{where}, and the data's own noise is {noise:.2g}; what was recorded is "
-            "not what the file says: check which person, which points and which camera it shows",
+            f"half of the data is more than {median:.3g} {summary.unit} away from the fitted "
+            f"body{where}, and the data's own noise is {noise:.2g}; what was recorded is not what "
+            "the file says: check which person, which points and which camera it shows",
             points,
             value=median,
         )

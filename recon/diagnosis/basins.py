@@ -7,12 +7,11 @@ import torch
 from jaxtyping import Bool, Float
 
 from observations.depth import PointCloud
-from observations.first_guess import with_labels
-from observations.timing import at_observation_times
 from recon.core.camera import Camera
 from recon.core.raster import facing
 from recon.diagnosis.findings import Finding
 from recon.method.protocols import Estimate
+from recon.method.timing import at_observation_times
 
 _MOMENTS = 12
 """Moments that are looked at."""
@@ -96,7 +95,7 @@ def basin_findings(
     """
     if quantiles is None:
         return []
-    cloud = with_labels(cloud)  # where another sensor, or the caller, told where to begin
+    cloud = cloud.labelled()  # where another sensor, or the caller, told where to begin
     outside, far = share_outside(cloud, estimate) or 0.0, quantiles[1]
     labelled = label_distance(cloud, estimate) or 0.0
     on_body = share_on_body(cloud)

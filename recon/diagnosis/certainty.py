@@ -8,7 +8,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from observations import kinds
 from recon.body.angles import isb_angles
 from recon.body.contacts import contact_probabilities, rest_heights
 from recon.body.model import BodyModel
@@ -19,9 +18,9 @@ from recon.fitting.clip import GROUND_DEVIATION
 from recon.fitting.fitted import ClipFit
 from recon.formats.joint_table import JointCertainty
 from recon.method.derivatives import GroundBelief, GroundDeviation
-from recon.method.laplace import Believing, Deviations, Measure, deviations
-from recon.method.priors import traits_of
-from recon.method.protocols import Estimate, Sensor
+from recon.method.laplace import Deviations, Measure, deviations
+from recon.method.protocols import Estimate
+from recon.method.sensor import Sensor, views_of
 
 MOST = 360 / 12**0.5
 """Degrees: the standard deviation of an angle of which nothing is known."""
@@ -76,24 +75,22 @@ def certainty(found: ClipFit) -> Deviations | None:
     Clouds are thinned first: neighbouring points err alike.
     """
     estimate = found.result.estimate
-    prior = found.result.reports[-1].stage.prior
-    if not isinstance(prior, Believing) or found.result.failed[0]:
+    least = min(noise.metres for noise in found.noises)
+    density = found.result.reports[-1].stage.prior.belief(least)
+    if density is None or found.result.failed[0]:
         return None
     seen, noises = [], []
     for one, noise in zip(found.observations, found.noises, strict=True):
         thin, noise, worth = _thinned(one, noise, estimate)
         seen.append(thin)
         noises.append(replace(noise, own=noise.own / worth**0.5))
-    least = min(noise.metres for noise in found.noises)
     with torch.no_grad():
         try:
             body = estimate.body.model.to(device="cpu", dtype=torch.float64)
-            known = deviations(
-                estimate, seen, noises, prior.belief(least), _ground(found), angles_of(body)
-            )
-        except RuntimeError:  # a Hessian that is singular to rounding has no inverse
+            known = deviations(estimate, seen, noises, density, _ground(found), angles_of(body))
+        except (ArithmeticError, RuntimeError):  # a Hessian that is singular has no inverse
             return None
-    if not kinds.views(found.observations):
+    if not views_of(found.observations):
         return known
     # images alone leave the size of a person open
     from recon.diagnosis.views.fitted import size_is_unknown, with_unknown_size
@@ -110,7 +107,7 @@ def _ground(found: ClipFit) -> GroundBelief | None:
         return GroundBelief(_STANCE, _LEAN_STD_RAD, 0)
     level = all(one.level for one in found.observations)
     shown = GROUND_DEVIATION**-2 if found.ground_seen else 0.0
-    knows = traits_of(found.result.reports[-1].stage.prior).knows_gravity
+    knows = found.result.reports[-1].stage.prior.knows_gravity
     upright = _LEAN_STD_RAD if knows else _UPRIGHT_ALONE
     return GroundBelief(_STANCE, upright, 1 if level else 3, shown)
 
@@ -161,6 +158,6 @@ def fitted_contacts(fit: ClipFit, deviations: Deviations | None) -> Float[Tensor
     heights = rest_heights(posed.model, motion.shape).cpu()
     if deviations is None:
         return contact_probabilities(joints, heights, motion.fps)
-    held = traits_of(fit.result.reports[-1].stage.prior).knows_gravity
+    held = fit.result.reports[-1].stage.prior.knows_gravity
     std = (_HEIGHT_STD_RATIO if held else _FREE) * deviations.joints[: motion.frames]
     return contact_probabilities(joints, heights, motion.fps, std.to(joints))

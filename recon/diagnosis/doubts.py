@@ -16,7 +16,8 @@ from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS, LEGS, MIRROR
 from recon.diagnosis.findings import Finding, listed, spans, stretches
 from recon.fitting.fitted import ClipFit
-from recon.method.protocols import Estimate, Sensor
+from recon.method.protocols import Estimate
+from recon.method.sensor import Sensor
 from recon.method.stages import Compared
 
 _SAME_MOTION_M = 0.05

@@ -6,8 +6,8 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from observations.estimated import Drifting, EstimatedPoints
 from observations.noise import estimate_noise
-from observations.records.estimated import Drifting, EstimatedPoints
 from recon.body.landmarks import KEYPOINTS_43, landmark
 from recon.body.model import BodyModel
 from recon.core.motion import Motion

@@ -1,15 +1,13 @@
-"""What was found to be wrong with a recording: records for reports, and the words for each cause.
+"""What checks found: records for reports, and the words for each cause."""
 
-A finding is either repaired (the data was changed before it was fitted, and the report says how)
-or it is a warning (the result may be wrong, and the message says what to do).
-"""
-
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from jaxtyping import Bool
+
+Data = TypeVar("Data")
 
 Code = Literal[
     "sides exchanged",
@@ -93,10 +91,55 @@ class Finding:
     """Stretches of frames, first and last, both included; empty means all."""
     value: float | None = None
     """The number that decided, in SI units or pixels."""
+    sensors: tuple[str, ...] = ()
+    """Names of the sensors that it speaks of; empty means all."""
+
+    def of(self, sensor: str) -> "Finding":
+        """The finding as that of one sensor, whose name begins the message."""
+        return replace(self, message=f"{sensor}: {self.message}", sensors=(sensor,))
 
     def report(self) -> dict[str, Any]:
         """The record as it stands in a report's lists `diagnosis`, `repairs` and `warnings`."""
         return asdict(self)
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What checks found, by what a reader should do about it; sums keep the order."""
+
+    repairs: Sequence[Finding] = ()
+    """Faults of the data that were put right before the fit."""
+    warnings: Sequence[Finding] = ()
+    """What should be read before the result is used."""
+    diagnosis: Sequence[Finding] = ()
+    """What is worth knowing but is no fault."""
+
+    def __add__(self, other: "Findings") -> "Findings":
+        """All findings of both."""
+        return Findings(
+            (*self.repairs, *other.repairs),
+            (*self.warnings, *other.warnings),
+            (*self.diagnosis, *other.diagnosis),
+        )
+
+    def of(self, sensor: str) -> "Findings":
+        """The findings as those of one sensor, whose name begins the messages."""
+        every = (self.repairs, self.warnings, self.diagnosis)
+        return Findings(*(tuple(one.of(sensor) for one in some) for some in every))
+
+
+NOTHING = Findings()
+
+
+def in_turn(
+    data: Data, checks: Sequence[Callable[[Data], tuple[Data, Findings]]]
+) -> tuple[Data, Findings]:
+    """What is left after checks that may each repair something, and all that they found."""
+    found = NOTHING
+    for check in checks:
+        data, more = check(data)
+        found += more
+    return data, found
 
 
 def stretches(flags: Bool[np.ndarray, " frames"]) -> tuple[tuple[int, int], ...]:

@@ -1,10 +1,10 @@
 """What a fitted person says about the input: size and soles; in words."""
 
-from observations import kinds
 from recon.body.identities import ODDEST, SHORTEST_BODY, TALLEST_BODY, height
 from recon.diagnosis.findings import Finding
 from recon.fitting.fitted import ClipFit
 from recon.fitting.ground import sole_heights
+from recon.method.sensor import views_of
 
 _ODDEST, _ODDEST_MARKERS = 1.5 * ODDEST, 15.0
 """Standard deviations of shape beyond which a fit is no person's. Noise and acrobatics add to what
@@ -75,16 +75,20 @@ def child_findings(found: ClipFit) -> list[Finding]:
 
 def _is_child(found: ClipFit, tall: float) -> bool:
     """Whether points that are measured in metres show somebody as small as children are."""
-    return not kinds.views(found.observations) and _SHORTEST_CHILD < tall <= SHORTEST_BODY
+    return not views_of(found.observations) and _SHORTEST_CHILD < tall <= SHORTEST_BODY
 
 
 def _sizes(found: ClipFit) -> str:
     """What tells the size of a body, for messages."""
-    if kinds.views(found.observations):
+    if views_of(found.observations):
         return "focal lengths, units and the poses of the cameras"
     return "the unit, the scale and the labels of the points"
 
 
 def _oddest(found: ClipFit) -> float:
     """Standard deviations from which on a shape is odd; markers beside the skin bend it."""
-    return _ODDEST_MARKERS if kinds.markers(found.observations) else _ODDEST
+    return (
+        _ODDEST_MARKERS
+        if any(one.named and one.named.on_skin for one in found.observations)
+        else _ODDEST
+    )

@@ -2,31 +2,36 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from observations import kinds
 from observations.first_guess import FirstGuess
 from observations.noise import weights_of
-from observations.records.tracked import OFFSET_UNIT
-from observations.timing import at_observation_times
+from observations.points import OFFSET_UNIT
 from priors.checkpoints import FIRST
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.residuals import Noise
 from recon.core.scene import GROUND, HEIGHT, LENS, OFFSETS, Scene, UnknownGround, UnknownLens
 from recon.core.skeleton import joint_index
-from recon.core.struct import concatenate
 from recon.fitting.fitted import ClipFit
 from recon.fitting.ground import ground_below, pelvis_path, sole_heights, upright_ground
 from recon.fitting.guess import guessed
-from recon.fitting.methods import FitOptions, WithoutRoot, WithScene, WithSizeHeld, method_of
-from recon.method.protocols import Sensor
-from recon.method.reconstruction import Method, Reconstruction, solve
-from recon.method.shape_prior import WithShape
-from recon.method.stages import Compared, Watch
+from recon.fitting.methods import FitOptions
+from recon.fitting.stages import (
+    prior_stages,
+    shape_found_once,
+    shape_held,
+    with_scene,
+    with_shape_terms,
+    without_root,
+)
+from recon.method.reconstruction import Reconstruction, solve
+from recon.method.sensor import Sensor, views_of
+from recon.method.stages import Stage, Stages, Watch
 from recon.method.terms import Term, ground_moved, lens_changed, offsets
 
 _BALLS = tuple(joint_index(f"{side}_foot") for side in ("left", "right"))
@@ -90,19 +95,17 @@ def posed(
         for row, one in enumerate(observations)
     )
     seen, offsets = _with_offsets(observations)
-    return ClipProblem(seen, guess, noises, offsets, body, options, watch).decided()
+    return ClipProblem(seen, guess, noises, offsets, body, options, watch)
 
 
 def _with_offsets(observations: tuple[Sensor, ...]) -> tuple[tuple[Sensor, ...], int]:
     """Several views of one layout tell where this person's keypoints are; and how many rows."""
-    views = kinds.views(observations)
+    views = views_of(observations)
     if len(views) < 2 or len({o.points.names for o in views}) > 1:
         return observations, 0
     count = len(views[0].points.names)
     rows = (0, count)
-    return tuple(
-        o.derived(offset_rows=rows) if kinds.views([o]) else o for o in observations
-    ), count
+    return tuple(o.derived(offset_rows=rows) if o.view else o for o in observations), count
 
 
 @dataclass(frozen=True)
@@ -117,8 +120,6 @@ class ClipProblem:
     body: BodyModel
     options: FitOptions
     watch: Watch | None
-    guesses: Compared | None = None
-    """The first guesses that the one was chosen from."""
 
     def solved(self) -> ClipFit:
         """The motion, and the ground where it is not known."""
@@ -153,7 +154,6 @@ class ClipProblem:
             self.settled(result),
             grounded=grounded,
             ground_seen=grounded and not ground_known and self.ground_seen,
-            guesses=self.guesses,
         )
 
     @property
@@ -172,19 +172,19 @@ class ClipProblem:
     def lens_unknown(self) -> bool:
         """Whether one view of unknown pose is all there is, and its focal length is a guess."""
         # the path of a camera that moves is of the lens that its tracker had
-        return self.size_untold and not kinds.views(self.observations)[0].focal_known
+        return self.size_untold and not views_of(self.observations)[0].focal_known
 
     @property
     def one_view(self) -> bool:
         """Whether one view is all there is: only standing feet tell how large the person is."""
-        return len(self.observations) == len(kinds.views(self.observations)) == 1
+        return len(self.observations) == len(views_of(self.observations)) == 1
 
     @property
     def size_untold(self) -> bool:
         """Whether one view of a camera that stands at an unknown place is all there is."""
         if not self.one_view:
             return False
-        (view,) = kinds.views(self.observations)
+        (view,) = views_of(self.observations)
         return not view.ground_known and view.camera.T_camera_world.shape[-3] == 1
 
     def scene(self, start: Motion, ground: UnknownGround | None = None) -> Scene:
@@ -194,7 +194,7 @@ class ClipProblem:
         if not self.lens_unknown:
             return scene.replace(ground=ground)
         pelvis = self.body.pose(start).joints[..., :1, :].mean(-3, keepdim=True)
-        depth = kinds.views(self.observations)[0].camera.to_camera(pelvis)[..., 2].flatten(1)
+        depth = views_of(self.observations)[0].camera.to_camera(pelvis)[..., 2].flatten(1)
         return scene.replace(ground=ground, lens=UnknownLens.create(depth[:, 0]))
 
     @property
@@ -203,19 +203,12 @@ class ClipProblem:
         known = self.options
         return replace(ROUGH, shape=known.shape, shape_prior=known.shape_prior)
 
-    def method(self, options: FitOptions, moved: frozenset[str]) -> Method:
+    def stages(self, options: FitOptions, moved: frozenset[str]) -> Stages:
         """The prior's stages with what is known of the shape, the scene and further terms."""
         noise = min(noise.metres for noise in self.noises)
-        method = method_of(options, noise, self.body)
-        if options.shape is not None:
-            # the windows of long recordings hold a shape, too
-            from recon.fitting.long import OneShape
-
-            method = OneShape(method)
-        elif options.shape_prior is not None:
-            method = WithShape(method, options.shape_prior.terms(self.body, noise))
-        elif self.one_view:
-            method = WithSizeHeld(method)
+        prior = prior_stages(options, noise, self.body)
+        known = options.shape_prior
+        of_shape = () if known is None else known.terms(self.body, noise)
         terms = options.terms
         if moved >= OFFSETS:
             weight = (noise * OFFSET_UNIT / KEYPOINT_OFFSET_DEVIATION) ** 2
@@ -224,8 +217,19 @@ class ClipProblem:
             terms = (*terms, Term("lens", lens_changed, (noise / LENS_DEVIATION) ** 2))
         if moved >= GROUND and self.ground_seen:
             terms = (*terms, Term("ground", ground_moved, (noise / GROUND_DEVIATION) ** 2))
-        method = WithScene(method, moved, terms) if moved or terms else method
-        return method if self.guess.distance_known else WithoutRoot(method)
+
+        def rewritten(data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
+            stages = prior(data)
+            if options.shape is not None:
+                stages = shape_held(stages)
+            elif known is not None:
+                stages = with_shape_terms(stages, of_shape)
+            elif self.one_view:
+                stages = shape_found_once(stages)
+            stages = with_scene(stages, moved, terms)
+            return stages if self.guess.distance_known else without_root(stages)
+
+        return rewritten
 
     def fit(
         self, options: FitOptions, scene: Scene, start: Motion, moved: frozenset[str]
@@ -246,7 +250,7 @@ class ClipProblem:
             scene, moved = first.fit(options, scene, shorter, moved).estimate.scene, frozenset()
         return run(
             self.observations,
-            self.method(options, moved),
+            self.stages(options, moved),
             self.body,
             scene=scene,
             start=start,
@@ -254,41 +258,13 @@ class ClipProblem:
             watch=self.watch,
         )
 
-    def decided(self) -> "ClipProblem":
-        """The clips with the likeliest of their first guesses.
-
-        Which it is, a quick fit under the pose prior tells: half the moments, few of the points,
-        and of a long recording its first seconds.
-        """
-        if not self.guess.others:
-            return self
-        shown = self.first_seconds() if self.long else self
-        rough = tuple(
-            o.coarse(self.body) if not o.point_names(self.body) else o for o in shown.observations
-        )
-        starts = [one.resample(one.fps / 2) for one in (shown.guess.motion, *shown.guess.others)]
-        found = solve(
-            rough,
-            self.method(self.rough, frozenset()),
-            self.body,
-            start=starts[0],
-            others=starts[1:],
-            scene=self.scene(starts[0]),
-            weights=weights_of(self.noises),
-            watch=self.watch,
-        )
-        every = (self.guess.motion, *self.guess.others)
-        rows = [every[number][[row]] for row, number in enumerate(found.chosen or ())]
-        guess = FirstGuess(concatenate(rows), self.guess.distance_known)
-        return replace(self, guess=guess, guesses=found.reports[-1].compared)
-
     def on_known_ground(self) -> Motion:
         """A first motion under the pose prior, as far from the one camera as its soles are low.
 
         What a camera sees does not change when everything is farther and larger by one factor.
         """
         free = self.free()
-        view = kinds.views(self.observations)[0]
+        view = views_of(self.observations)[0]
         eye = view.camera.T_world_camera[..., :3, 3].mean(-2)
         factor = eye[:, 2] / (eye[:, 2] - sole_heights(free, self.body))
         factor = torch.where((factor > 1 / _MOST) & (factor < _MOST), factor, 1.0)
@@ -299,16 +275,13 @@ class ClipProblem:
     @property
     def ground_seen(self) -> bool:
         """Whether the recording's z = 0 was laid on a plane that is given or seen."""
-        seen = any(cloud.ground_seen for cloud in kinds.clouds(self.observations))
+        seen = any(one.ground_seen for one in self.observations)
         return seen or self.options.ground_given
 
     def settled(self, result: Reconstruction) -> tuple[Sensor, ...]:
         """The observations with what was found of the scene."""
         scene = result.estimate.scene.detach()
-        return tuple(
-            views[0].settled(scene) if (views := kinds.views([one])) else one
-            for one in self.observations
-        )
+        return tuple(one.settled(scene) for one in self.observations)
 
     def free(self) -> Motion:
         """A first motion under the pose prior, which does not ask where the ground is."""
@@ -317,15 +290,13 @@ class ClipProblem:
 
     def paced(self) -> "ClipProblem":
         """The clips with the unit of the camera's path told by the feet of a first motion."""
-        views = kinds.views(self.observations)
+        views = views_of(self.observations)
         if len(self.observations) > 1 or not views or views[0].unit_known:
             return self
         (view,) = views
         motion = self.free()
         feet = self.body.pose(motion).joints[..., list(_BALLS), :]
-        there, _ = at_observation_times(
-            feet, motion, fps=view.fps, start_time=view.start_time, moments=view.moments
-        )
+        there, _ = view.at_own_times(feet, motion)
         if there.shape[-3] < view.moments:
             return self
         # a carried camera alone has a path
@@ -361,9 +332,5 @@ class ClipProblem:
         begin = self.guess.motion.start_time
         frames = round(WINDOW * self.guess.motion.fps) + 1  # the window has both its ends
         seen = tuple(o.window(begin, begin + WINDOW) for o in self.observations)
-        guess = FirstGuess(
-            self.guess.motion.window(0, frames),
-            self.guess.distance_known,
-            tuple(other.window(0, frames) for other in self.guess.others),
-        )
+        guess = FirstGuess(self.guess.motion.window(0, frames), self.guess.distance_known)
         return replace(self, observations=seen, guess=guess)

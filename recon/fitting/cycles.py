@@ -10,9 +10,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from observations import kinds
 from observations.depth import CLOUD_NOISE, PointCloud
-from observations.kinds import InSpace
 from observations.noise import weights_of
 from observations.surfels import bounded
 from recon.body.cycles import LONGEST_CYCLE, SHORTEST_CYCLE
@@ -24,10 +22,11 @@ from recon.core.scene import OFFSETS, Scene
 from recon.core.struct import concatenate
 from recon.fitting.fitted import ClipFit
 from recon.fitting.methods import FitOptions, loaded
-from recon.method.priors import CycleMethod, CyclePrior
-from recon.method.protocols import REFERENCE_FPS, Sensor
-from recon.method.reconstruction import Reconstruction
+from recon.method.priors import CyclePrior, PriorLike
+from recon.method.protocols import REFERENCE_FPS
+from recon.method.reconstruction import Reconstruction, data_terms
 from recon.method.running import Hypotheses, rank, run_hypotheses
+from recon.method.sensor import Sensor
 from recon.method.stages import Stage, Watch
 from recon.method.terms import Term, offsets
 from recon.method.unknowns import Unknowns
@@ -43,7 +42,7 @@ def completion_rate(fps: float) -> float:
     return fps / math.ceil(fps / RATES[1] - 1e-6)
 
 
-def on_fast_clock(one: InSpace) -> InSpace:
+def on_fast_clock(one: Sensor) -> Sensor:
     """The observation on a clock of at least 30 Hz; moments in between show nothing.
 
     Motions have the clock of their data, and energies are taken at 30 Hz: on a slow clock, a
@@ -54,7 +53,12 @@ def on_fast_clock(one: InSpace) -> InSpace:
     return one if times <= 1 else one.on_faster_clock(times)
 
 
-def moments_per_second(observations: Sequence[InSpace]) -> float:
+def in_space(observations: Sequence[Sensor]) -> tuple[Sensor, ...]:
+    """Those that give places in space, metres."""
+    return tuple(one for one in observations if one.places is not None)
+
+
+def moments_per_second(observations: Sequence[Sensor]) -> float:
     """Moments that show anything, per second of the time in which they lie: of all sensors."""
     times = torch.cat([seen_times(one) for one in observations]).unique()
     if len(times) < 2:
@@ -62,7 +66,7 @@ def moments_per_second(observations: Sequence[InSpace]) -> float:
     return (len(times) - 1) / float(times[-1] - times[0])
 
 
-def seen_times(one: InSpace) -> Float[Tensor, " moments"]:
+def seen_times(one: Sensor) -> Float[Tensor, " moments"]:
     """Times of the moments that show anything in any clip, seconds, to the millisecond."""
     there = one.shown.any(-1).flatten(0, -2).any(0).nonzero()[:, 0].cpu()
     return (one.start_time + there.double() / one.fps).mul(1000).round().div(1000)
@@ -81,7 +85,7 @@ class CycleClock:
     start_time: float
 
     @classmethod
-    def of(cls, observations: Sequence[InSpace]) -> "CycleClock":
+    def of(cls, observations: Sequence[Sensor]) -> "CycleClock":
         """The first observation's rate or a multiple or part of it, over all that is seen.
 
         Raises:
@@ -106,7 +110,7 @@ class CycleClock:
         return cls(torch.arange(int(count.max())) < count[:, None], fps, start)
 
 
-def seen_from_to(one: InSpace) -> tuple[Float[Tensor, " clips"], Float[Tensor, " clips"]]:
+def seen_from_to(one: Sensor) -> tuple[Float[Tensor, " clips"], Float[Tensor, " clips"]]:
     """Times of the first and last moment of each clip that show anything; infinite where none."""
     there = one.shown.any(-1).cpu()
     times = one.start_time + torch.arange(there.shape[-1], dtype=torch.float64) / one.fps
@@ -114,8 +118,8 @@ def seen_from_to(one: InSpace) -> tuple[Float[Tensor, " clips"], Float[Tensor, "
 
 
 def typical_cycles(
-    prior: CyclePrior,
-    observations: Sequence[InSpace],
+    prior: CyclePrior[Any],
+    observations: Sequence[Sensor],
     clock: CycleClock,
     shape: Float[Tensor, " shape"],
     offsets: int,
@@ -159,15 +163,15 @@ def typical_cycles(
 
 
 def _seen_path(
-    observations: Sequence[InSpace], clock: CycleClock
+    observations: Sequence[Sensor], clock: CycleClock
 ) -> tuple[Float[Tensor, "clips moments 3"], Bool[Tensor, "clips moments"]]:
     """The middle of what is seen at the clock's moments, and where anything is."""
     clips, moments = clock.valid.shape
-    total = observations[0].places.new_zeros(clips, moments, 3)
+    total = observations[0].values.new_zeros(clips, moments, 3)
     count = total.new_zeros(clips, moments, 1)
     for one in observations:
         present = one.shown
-        middle = one.places.where(present[..., None], torch.nan).nanmedian(-2).values
+        middle = one.values.where(present[..., None], torch.nan).nanmedian(-2).values
         there = present.any(-1)
         times = one.start_time - clock.start_time + torch.arange(there.shape[1]) / one.fps
         frame = (times * clock.fps).round().long().clamp(0, moments - 1)
@@ -226,50 +230,64 @@ def complete(
             "terms out, or fit by another prior"
         )
     device = body.template.device
-    seen = tuple(o.to(device=device) for o in kinds.in_space(observations))
+    seen = tuple(o.to(device=device) for o in in_space(observations))
     if len(seen) < len(observations):
         raise ObservationError(
             "completing a cycle takes scans, landmarks or joints, got 2D keypoints as well; fit "
             "them with another prior"
         )
-    prior = loaded(options.prior, options.weights, body)
-    if not isinstance(prior, CyclePrior):
-        raise ReconError(f"expected a prior of cycles, got a {type(prior).__name__}")
+    prior = cycle_prior(options.prior, options.weights, body)
     seen, rows = _with_offsets(tuple(o.thinned(FITTED) for o in seen))
     noises = tuple(cycle_noise(o, options.noise_of(row)) for row, o in enumerate(seen))
-    dense = any(_fullest(o) >= DENSE for o in kinds.clouds(seen))
-    noise = min(one.metres for one in noises)
-    method = prior.cycle_method(noise, detailed=dense)
-    return _Completion(seen, noises, method, CycleClock.of(seen), rows).fitted(body, watch)
+    dense = any(o.cloud and _fullest(o.cloud) >= DENSE for o in seen)
+    return _Completion(seen, noises, prior, dense, CycleClock.of(seen), rows).fitted(body, watch)
+
+
+def cycle_prior(prior: PriorLike, weights: str, body: BodyModel) -> CyclePrior[Any]:
+    """A loaded prior of cycles.
+
+    Raises:
+        ReconError: when it is of something else.
+    """
+    found = loaded(prior, weights, body)
+    if not isinstance(found, CyclePrior):
+        raise ReconError(f"expected a prior of cycles, got a {type(found).__name__}")
+    return found
 
 
 @dataclass(frozen=True)
 class _Completion:
     """The stages that lead from typical cycles to the one of every clip."""
 
-    observations: tuple[InSpace, ...]
+    observations: tuple[Sensor, ...]
     noises: tuple[Noise, ...]
-    method: CycleMethod
+    prior: CyclePrior[Any]
+    dense: bool
+    """Whether data are dense enough to tell what no code has."""
     clock: CycleClock
     offsets: int
     """Tracked points whose offset from the model is unknown."""
 
     def fitted(self, body: BodyModel, watch: Watch | None) -> ClipFit:
         """The best fit of every clip."""
-        prior, step = self.method.prior, self._rough_step
+        prior, noise = self.prior, self.noise
+        # moments of the clock from one to the next while first guesses are compared
+        step = max(round(self.clock.fps / ROUGH_RATE), 1)
         seen = [
             _rough(o, max(round(o.fps / self.clock.fps * step), 1), body)
             for o in self.observations
         ]
-        search = self.method.search(self._data(seen))
+        weights = weights_of(self.noises)
+        search = prior.search(data_terms(seen, weights), noise)
         ranking, portion = search[0].terms, partial(_thinned, step=step)
         search = [replace(stage, portion=portion, ranking=ranking) for stage in search]
         shape = prior.typical.new_zeros(body.shape_size)
         began = typical_cycles(prior, self.observations, self.clock, shape, self.offsets)
         every = torch.arange(len(began.unknowns.variables.latent)).split(_AT_ONCE)
         value = torch.cat([rank(search[0], began.rows(some), body) for some in every])
-        data = self._data(self.observations)
-        coded, details = self.method.coded(data), self.method.details(data)
+        data = data_terms(self.observations, weights)
+        coded = prior.coded(data, noise)
+        details = prior.details(data, noise) if self.dense else ()
         stages = (
             *_keeping(search, KEPT),
             *_keeping([replace(stage, ranking=ranking) for stage in self._moving(coded)], 1),
@@ -281,22 +299,15 @@ class _Completion:
         return ClipFit(result, self.noises, True, T, self.observations)
 
     @property
-    def _rough_step(self) -> int:
-        """Moments of the clock from one to the next while first guesses are compared."""
-        return max(round(self.clock.fps / ROUGH_RATE), 1)
-
-    def _data(self, seen: Sequence[InSpace]) -> tuple[Term, ...]:
-        """Observations of the clips as weighted terms."""
-        return tuple(
-            Term("data" if len(seen) == 1 else f"data {k + 1}", one, weight)
-            for k, (one, weight) in enumerate(zip(seen, weights_of(self.noises), strict=True))
-        )
+    def noise(self) -> float:
+        """Metres by which the least noisy observation is off."""
+        return min(one.metres for one in self.noises)
 
     def _moving(self, stages: Sequence[Stage[Any]]) -> list[Stage[Any]]:
         """The stages with offsets of markers, from the one in which they are near the body."""
         if self.offsets == 0:
             return list(stages)
-        held = Term("offsets", offsets, (self.method.noise / MARKER_OFFSET_DEVIATION) ** 2)
+        held = Term("offsets", offsets, (self.noise / MARKER_OFFSET_DEVIATION) ** 2)
         return [
             replace(stage, terms=(*stage.terms, held), free=stage.free | OFFSETS)
             if "shape" in stage.free
@@ -315,17 +326,17 @@ def _thinned(variables: Any, step: int) -> Any:
     return variables.derived(valid=variables.valid[:, ::step], fps=variables.fps / step)
 
 
-def _rough(one: InSpace, step: int, body: BodyModel) -> InSpace:
+def _rough(one: Sensor, step: int, body: BodyModel) -> Sensor:
     """Every `step`-th moment, of clouds few points and a kernel of fixed scale."""
     few = one.coarse(body, step)
-    return few.derived(kernel=bounded) if kinds.clouds([few]) else few
+    return few.derived(kernel=bounded) if few.cloud else few
 
 
 def _fullest(cloud: PointCloud) -> int:
     return int(cloud.present.sum(-1).max())
 
 
-def cycle_noise(one: InSpace, told: float | None) -> Noise:
+def cycle_noise(one: Sensor, told: float | None) -> Noise:
     """A frame's cloud is worth some points that know their place; few frames count one each.
 
     Energies are sums over all frames of the clock, empty or not, taken at 30 Hz.
@@ -337,20 +348,20 @@ def cycle_noise(one: InSpace, told: float | None) -> Noise:
     seen = rate.isfinite() & (rate > 0)
     often = float(rate[seen].median()) if bool(seen.any()) else one.fps
     worth = one.fps / max(often, REFERENCE_FPS)
-    named = bool(kinds.tracked([one]))
+    named = one.named is not None
     usual = NAMED_NOISE if named else CLOUD_NOISE
     noise = usual if told is None else told
     alike = 1.0 if named else max(typical / _WORTH, 1.0)
     return Noise(noise * (alike / worth) ** 0.5, noise)
 
 
-def _with_offsets(observations: tuple[InSpace, ...]) -> tuple[tuple[InSpace, ...], int]:
+def _with_offsets(observations: tuple[Sensor, ...]) -> tuple[tuple[Sensor, ...], int]:
     """Markers stand off the skin: rows of their offsets, and how many."""
-    changed: list[InSpace] = []
+    changed: list[Sensor] = []
     count = 0
     for one in observations:
-        for markers in kinds.markers([one]):
-            rows = (count, count + len(markers.vertices))
-            one, count = markers.replace(offset_rows=rows), rows[1]
+        if one.named and one.named.on_skin:
+            rows = (count, count + one.shown.shape[-1])
+            one, count = one.derived(offset_rows=rows), rows[1]
         changed.append(one)
     return tuple(changed), count

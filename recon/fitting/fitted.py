@@ -7,8 +7,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from recon.core.residuals import Noise
-from recon.method.protocols import Sensor
 from recon.method.reconstruction import Reconstruction
+from recon.method.sensor import Sensor
 from recon.method.stages import Compared
 
 
@@ -58,8 +58,6 @@ class ClipFit:
     and its z = 0 means nothing."""
     ground_seen: bool = False
     """Whether an unknown ground was laid on a plane that is given or seen."""
-    guesses: Compared | None = None
-    """The first guesses among which a quick fit chose; None where there was one only."""
     stretches: tuple[Stretch, ...] = ()
     """Parts of a recording that was completed, in the order of time; none of other fits."""
 
@@ -67,7 +65,7 @@ class ClipFit:
     def compared(self) -> tuple[Compared, ...]:
         """All hypotheses that were compared on the way, the last ones last."""
         stages = [report.compared for report in self.result.reports]
-        return tuple(one for one in (self.guesses, *stages) if one is not None)
+        return tuple(one for one in stages if one is not None)
 
     @property
     def lens_found(self) -> bool:

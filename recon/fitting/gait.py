@@ -1,14 +1,14 @@
 """Gait in a first fit: its cycles completed one by one, and what they say together."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from observations.joints3d import Joints3D
-from observations.kinds import InSpace
 from observations.noise import weights_of
 from recon.body.cycles import Cycle
 from recon.body.model import BodyModel
@@ -16,11 +16,12 @@ from recon.core.motion import Motion
 from recon.core.residuals import Noise
 from recon.core.scene import Scene
 from recon.core.skeleton import JOINTS
+from recon.fitting.stages import shape_held
 from recon.method.priors import CyclePrior
 from recon.method.protocols import Decoded, Estimate
-from recon.method.running import Hypotheses, run_hypotheses
-from recon.method.terms import Term
-from recon.method.unknowns import Unknowns
+from recon.method.reconstruction import data_terms
+from recon.method.running import run_stages
+from recon.method.sensor import Sensor
 
 CYCLE_DEVIATION = 0.03
 """Metres by which joints of a completed cycle are taken to be off where nothing was seen. Of 3 and
@@ -68,8 +69,8 @@ def stretches(cycles: Sequence[Cycle]) -> tuple[tuple[Cycle, ...], ...]:
 class CycleData:
     """What cycles of a first fit are completed from."""
 
-    prior: CyclePrior
-    observations: Sequence[InSpace]
+    prior: CyclePrior[Any]
+    observations: Sequence[Sensor]
     noises: Sequence[Noise]
     body: BodyModel
 
@@ -80,44 +81,36 @@ class CycleData:
             motion: the first fit, without a batch axis.
             cycle: of it.
         """
-        data = self._terms(cycle)
-        if not data:
+        parts = [one.window(cycle.start, cycle.stop) for one in self.observations]
+        shown = [k for k, part in enumerate(parts) if bool(part.shown.any())]
+        if not shown:
             return None
+        # on a clock that begins with the cycle
+        seen = [
+            parts[k].derived(start_time=round(parts[k].start_time - cycle.start, 6)) for k in shown
+        ]
+        weights = weights_of(self.noises)
+        data = data_terms(seen, [weights[k] for k in shown])
         noise = min(one.metres for one in self.noises)
         frames = max(round(cycle.duration * motion.fps), 2) + 1
         part = cycle.of(motion, frames).replace(start_time=0.0).map(lambda tensor: tensor[None])
         scene = Scene.create(1, like=motion.translation)
-        stage = self.prior.cycle_method(noise, detailed=False).coded(data)[-1]
-        with torch.no_grad():
-            began = Hypotheses(self.prior, Unknowns(self.prior.encode(part), scene))
-        found, _ = run_hypotheses([replace(stage, free=stage.free - {"shape"})], self.body, began)
-        estimate = found.estimate(self.body)
+        last = self.prior.coded(data, noise)[-1:]
+        estimate, _ = run_stages(shape_held(last), self.body, part, scene)
         first = Estimate(Decoded(part), self.body.pose(part), scene)
         energies = [
             sum(float(term.weight * term.energy(one)) for term in data) / noise**2
             for one in (estimate, first)
         ]
         made = estimate.motion[0].detach().replace(start_time=cycle.start)
-        return CompletedCycle(cycle, made, *energies, noise=self._noise(cycle))
+        return CompletedCycle(cycle, made, *energies, noise=self._noise(parts))
 
-    def _terms(self, cycle: Cycle) -> tuple[Term, ...]:
-        """What is seen in a cycle, on a clock that begins with it."""
-        terms: list[Term] = []
-        weights = weights_of(self.noises)
-        for row, (one, weight) in enumerate(zip(self.observations, weights, strict=True)):
-            part = one.window(cycle.start, cycle.stop)
-            if part.shown.numel() > 0 and bool(part.shown.any()):
-                part = part.derived(start_time=round(part.start_time - cycle.start, 6))
-                terms.append(Term(f"data {row + 1}", part, weight))
-        return tuple(terms)
-
-    def _noise(self, cycle: Cycle) -> float:
+    def _noise(self, parts: Sequence[Sensor]) -> float:
         """Half the number of coordinates seen in a cycle, neighbours that err alike as one."""
         total = 0.0
-        for one, noise in zip(self.observations, self.noises, strict=True):
-            part = one.window(cycle.start, cycle.stop)
-            coordinates = 1 if not part.point_names(self.body) else part.places.shape[-1]
-            share = (noise.metres / noise.own) ** 2 * 30.0 / one.fps
+        for part, noise in zip(parts, self.noises, strict=True):
+            coordinates = 1 if not part.point_names(self.body) else part.values.shape[-1]
+            share = (noise.metres / noise.own) ** 2 * 30.0 / part.fps
             total += _COUNTED * coordinates * share * int(part.shown.sum())
         return total
 

@@ -2,13 +2,12 @@
 
 from collections.abc import Sequence
 
-from observations import kinds
 from observations.first_guess import FirstGuess, first_guess, labelled
 from recon.body.model import BodyModel
 from recon.core.errors import ObservationError
 from recon.core.motion import Motion
 from recon.fitting.methods import FitOptions
-from recon.method.protocols import Sensor
+from recon.method.sensor import Sensor
 from recon.method.start import checked_start
 
 
@@ -20,7 +19,7 @@ def guessed(
     Arguments and errors as of `recon.fitting.clip.fit_clip`.
     """
     known = {observation.ground_known for observation in observations}
-    if len(known) > 1 and kinds.views(observations):
+    if len(known) > 1 and any(one.view for one in observations):
         raise ObservationError(
             "some observations know where the ground is and some do not: give every camera its "
             "pose (T_camera_world), or none"
@@ -40,8 +39,4 @@ def _of_shape(guess: FirstGuess, options: FitOptions) -> FirstGuess:
     if known is None:
         return guess
     shape = known.to(guess.motion.shape).expand_as(guess.motion.shape)
-    return FirstGuess(
-        guess.motion.replace(shape=shape),
-        guess.distance_known,
-        tuple(other.replace(shape=shape) for other in guess.others),
-    )
+    return FirstGuess(guess.motion.replace(shape=shape), guess.distance_known)

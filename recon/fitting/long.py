@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, cast
 
 import torch
@@ -13,10 +14,13 @@ from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.scene import Scene
 from recon.core.struct import concatenate, stack
-from recon.fitting.long_recording import AT_ONCE, LongRecording, TimedObservation
+from recon.fitting.long_recording import AT_ONCE, LongRecording
+from recon.fitting.stages import shape_held, until_shape
+from recon.method.priors import PriorLike, stages_of
 from recon.method.protocols import Decoded, Estimate
-from recon.method.reconstruction import Method, Reconstruction, admitted, reconstruct
-from recon.method.stages import Stage, StageReport, Watch
+from recon.method.reconstruction import Reconstruction, admitted, reconstruct
+from recon.method.sensor import Sensor
+from recon.method.stages import Stage, StageReport, Stages, Watch
 from recon.method.terms import Term
 from recon.method.windows import join
 from recon.solver.lbfgs import Progress, Solution
@@ -42,8 +46,8 @@ class LongReconstruction(Reconstruction):
 
 
 def fit_long(
-    observations: Sequence[TimedObservation],
-    prior: Method,
+    observations: Sequence[Sensor],
+    prior: PriorLike | Stages,
     body: BodyModel | None = None,
     *,
     window: float = WINDOW,
@@ -64,7 +68,7 @@ def fit_long(
     Args:
         observations: adapters with the data of one clip inside, a leading axis of length one;
             the first one gives the first guess and the span.
-        prior: what is likely, and by which stages it is fitted.
+        prior: as of `recon.solve`.
         body: whose motion it is; None is the bundled body.
         window: seconds that a window lasts at most.
         overlap: seconds that neighbours share, at most 40 % of a window.
@@ -78,22 +82,24 @@ def fit_long(
             cut, or the overlap is none or more than 40 % of a window.
     """
     ready, body, start, scene, weights = admitted(observations, body, start, scene, weights)
-    timed = cast(Sequence[TimedObservation], ready)  # `cut` refuses others
-    recording = LongRecording.cut(timed, body, window, overlap, start)
+    recording = LongRecording.cut(ready, body, window, overlap, start)
     if scene is None:
         scene = Scene.create(1, like=recording.guess.translation)
     job = _Job(recording, body, scene, weights, watch)
     every = list(range(len(recording.windows.starts)))
     some = torch.linspace(0, every[-1], min(len(every), AT_ONCE)).round().int().tolist()
 
-    shapes = job.fit("shape", some, recording.guess.shape, lambda _: _ShapeOnly(prior))
-    shape = shapes.shape()
-    apart = job.fit("apart", every[::2], shape, lambda _: OneShape(prior, ()))
+    stages = stages_of(prior)
 
-    def tied(rows: Sequence[int]) -> Method:
+    def tied(rows: Sequence[int], data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
         ties = [recording.tie(row, apart.beside(row), apart.fps, body) for row in rows]
-        return OneShape(prior, (Term("overlap", stack(ties), TIE),))
+        return shape_held(stages((*data, Term("overlap", stack(ties), TIE))))
 
+    shapes = job.fit(
+        "shape", some, recording.guess.shape, lambda _, data: until_shape(stages(data))
+    )
+    shape = shapes.shape()
+    apart = job.fit("apart", every[::2], shape, lambda _, data: shape_held(stages(data)))
     between = job.fit("tied", every[1::2], shape, tied)
     motions, rate = apart.motions | between.motions, min(apart.fps, between.fps)
     joined = join([motions[row].resample(rate) for row in every])
@@ -104,32 +110,6 @@ def fit_long(
         failed_windows=tuple(sorted({*apart.failed, *between.failed})),
         reports=(*shapes.reports, *apart.reports, *between.reports),
     )
-
-
-@dataclass(frozen=True)
-class _ShapeOnly:
-    """A method up to the first stage that moves the shape."""
-
-    method: Method
-
-    def stages(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
-        stages = self.method.stages(data)
-        moves = ["shape" in stage.free for stage in stages]
-        return stages[: moves.index(True) + 1] if any(moves) else stages[:1]
-
-
-@dataclass(frozen=True)
-class OneShape:
-    """A method that takes the shape as given and heeds some more terms."""
-
-    method: Method
-    terms: tuple[Term, ...] = ()
-
-    def stages(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
-        """Its stages without the shape; those that would move nothing else are left out."""
-        stages = self.method.stages((*data, *self.terms))
-        held = [replace(stage, free=stage.free - {"shape"}) for stage in stages]
-        return tuple(stage for stage in held if stage.free)
 
 
 @dataclass(frozen=True)
@@ -172,9 +152,9 @@ class _Job:
         name: str,
         rows: Sequence[int],
         shape: Float[Tensor, " shape"],
-        method: Callable[[Sequence[int]], Method],
+        stages: Callable[[Sequence[int], tuple[Term, ...]], tuple[Stage[Any], ...]],
     ) -> _Fitted:
-        """Fit some windows, from a shape, by the method of their batch."""
+        """Fit some windows, from a shape, by the stages for their rows and data."""
         motions: dict[int, Motion] = {}
         failed: list[int] = []
         reports: list[tuple[StageReport, ...]] = []
@@ -182,7 +162,7 @@ class _Job:
             parts = zip(*(self.recording.seen(row) for row in batch), strict=True)
             result = reconstruct(
                 [cast(Any, concatenate)(list(part)) for part in parts],
-                method(batch),
+                partial(stages, batch),
                 self.body,
                 start=stack([self.recording.start(row, shape) for row in batch]),
                 scene=concatenate([self.scene] * len(batch)),

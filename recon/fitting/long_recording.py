@@ -5,21 +5,21 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import groupby
-from typing import Any, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from observations.curvature import of_places
-from observations.timing import at_observation_times
 from recon.body.derivatives import CarriedPoints
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.robust import squared
 from recon.core.struct import TensorStruct
-from recon.method.protocols import REFERENCE_FPS, Estimate, Observation
+from recon.method.protocols import REFERENCE_FPS, Estimate
 from recon.method.quadratic import PointModel
+from recon.method.sensor import Sensor
+from recon.method.timing import at_observation_times
 from recon.method.windows import Windows, fade
 
 AT_ONCE = 8
@@ -30,27 +30,6 @@ _LONGEST_STEP = 0.2
 where they do not, results at 30 Hz are interpolated."""
 _MICROSECONDS = 6
 """Digits of a second to which clocks are compared."""
-
-
-@runtime_checkable
-class TimedObservation(Observation, Protocol):
-    """Recorded data of which a stretch of time can be taken; a `TensorStruct`."""
-
-    @property
-    def start_time(self) -> float:
-        """Time of the first moment, seconds."""
-        ...
-
-    def window(self, start: float, stop: float) -> "TimedObservation":
-        """What was seen from one time to another, both included; the clock goes on.
-
-        Stretches of equal length that begin at equal phases of the clock have equal shapes.
-        """
-        ...
-
-    def derived(self, **fields: Any) -> "TimedObservation":
-        """The record with some fields exchanged, which were checked before."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -86,7 +65,7 @@ class Overlap(TensorStruct):
         """The energy about predicted joints, metres."""
         weights = self.weight[..., None].expand(self.joints.shape[:-1]).sqrt()
         rate = REFERENCE_FPS / self.fps
-        return of_places(points, self.joints, weights > 0, squared, weights, rate)
+        return of_places(points, self.joints, weights, squared, rate)
 
     def carried(
         self, body: BodyModel, shape: Float[Tensor, " shape"], offsets: Float[Tensor, "rows 3"]
@@ -100,7 +79,7 @@ class Overlap(TensorStruct):
 class LongRecording:
     """Observations of one clip and its first guess, cut into windows."""
 
-    observations: Sequence[TimedObservation]
+    observations: Sequence[Sensor]
     guess: Motion
     """No batch axis."""
     windows: Windows
@@ -108,7 +87,7 @@ class LongRecording:
     @classmethod
     def cut(
         cls,
-        observations: Sequence[TimedObservation],
+        observations: Sequence[Sensor],
         body: BodyModel,
         window: float,
         overlap: float,
@@ -123,7 +102,7 @@ class LongRecording:
         if len(observations) == 0:
             raise ValueError("nothing to fit: expected at least one observation, got none")
         for observation in observations:
-            if not isinstance(observation, TimedObservation):
+            if not hasattr(observation, "window"):
                 raise ValueError(
                     f"{type(observation).__name__} cannot be cut into windows: give it a method "
                     "window(start, stop), or fit the recording in one piece"
@@ -150,7 +129,7 @@ class LongRecording:
         motion = self.guess.window(first, first + self.windows.frames)
         return motion.replace(start_time=0.0, shape=shape)
 
-    def seen(self, row: int) -> tuple[TimedObservation, ...]:
+    def seen(self, row: int) -> tuple[Sensor, ...]:
         """A window's observations; its clock begins at zero."""
         start, stop = self.span(row)
         parts = [observation.window(start, stop) for observation in self.observations]

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from recon.core.errors import ObservationError
-from recon.method.protocols import Sensor
+from recon.method.sensor import Sensor
 
 
 @dataclass(frozen=True)

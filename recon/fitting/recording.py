@@ -14,9 +14,7 @@ from typing import ClassVar
 
 import torch
 
-from observations import kinds
 from observations.depth import CLOUD_NOISE
-from observations.kinds import InSpace
 from recon.body.cycles import LONGEST_CYCLE, SHORTEST_CYCLE, find_cycles
 from recon.body.model import BodyModel
 from recon.core.errors import ObservationError, WeightsError
@@ -28,6 +26,8 @@ from recon.fitting.cycles import (
     RATES,
     complete,
     cycle_noise,
+    cycle_prior,
+    in_space,
     moments_per_second,
     on_fast_clock,
     seen_times,
@@ -35,9 +35,7 @@ from recon.fitting.cycles import (
 from recon.fitting.fitted import ClipFit, Stretch
 from recon.fitting.gait import CompletedCycle, CycleData, stretches, told_by_cycles
 from recon.fitting.methods import FitOptions, loaded
-from recon.method.priors import CyclePrior, NoisyPrior, Traits
-from recon.method.protocols import Sensor
-from recon.method.reconstruction import Method
+from recon.method.sensor import Sensor
 from recon.method.stages import Watch
 
 FEW = 12.0
@@ -56,7 +54,7 @@ _LEAST = 0.05
 class WholeRecording:
     """What completes a recording: a prior of any motion, and one of cycles of gait."""
 
-    traits: ClassVar[Traits] = Traits(completes=True)
+    completes: ClassVar[bool] = True
     steps: str = "humor"
     """Prior of any motion, by its name."""
     cycles: str | None = "anchor"
@@ -81,12 +79,6 @@ class WholeRecording:
             )
         return cls(weights=weights, cycle_weights=weights)
 
-    def method(self, noise: float, body: BodyModel) -> Method:
-        """How any motion is fitted."""
-        prior = loaded(self.steps, self.weights, body)
-        assert isinstance(prior, NoisyPrior)
-        return prior.method(noise, body)
-
 
 def complete_recording(
     observations: Sequence[Sensor],
@@ -107,14 +99,13 @@ def complete_recording(
     Raises:
         ObservationError: when at most one moment shows anything.
     """
-    placed = kinds.in_space(observations)
+    placed = in_space(observations)
     if placed and moments_per_second(placed) == 0 and len(placed) == len(observations):
         raise ObservationError(
             "at most one moment shows anything, which tells no motion; give two or more"
         )
     seen = [
-        on_fast_clock(one.thinned(FITTED)) if kinds.is_in_space(one) else one
-        for one in observations
+        one if one.places is None else on_fast_clock(one.thinned(FITTED)) for one in observations
     ]
     few = bool(placed) and moments_per_second(placed) < FEW
     if few and (one := _one_cycle(observations, prior, options, body, watch)) is not None:
@@ -124,7 +115,7 @@ def complete_recording(
     first = fit_clip(seen, any_motion, body, watch)
     motion = first.result.clip(0).detach()
     gait = _gait(first, prior, options, body, motion) if few and first.ground_known else []
-    told = _stretches(gait, kinds.in_space(first.observations), motion, prior)
+    told = _stretches(gait, in_space(first.observations), motion, prior)
     kept = [one for cycles in gait for one in cycles if one.explains]
     if not kept:
         return replace(first, stretches=told)
@@ -138,7 +129,6 @@ def complete_recording(
         result=replace(second.result, reports=reports),
         noises=second.noises[:-1],
         observations=second.observations[:-1],
-        guesses=first.guesses,
         stretches=told,
     )
 
@@ -151,7 +141,7 @@ def _one_cycle(
     watch: Watch | None,
 ) -> ClipFit | None:
     """The recording as one cycle of gait; None where it lasts longer, or its hips tell none."""
-    seen = kinds.in_space(observations)
+    seen = in_space(observations)
     plain = options.physics == 0 and options.shape is None and not options.terms
     plain = plain and options.shape_prior is None and options.grounded
     placed = len(seen) == len(observations) and all(one.ground_known for one in seen)
@@ -168,7 +158,6 @@ def _one_cycle(
     if not covered:
         return None
     start, stop = motion.start_time, float(motion.times[-1])
-    assert prior.cycles is not None
     return replace(fit, stretches=(Stretch(start, stop, prior.cycles, len(times), 1, 1),))
 
 
@@ -179,9 +168,9 @@ def noise_told(one: Sensor, given: float | None, few: bool) -> float | None:
     30 Hz whatever the clock: where few moments lie on a fast one, each would count for less than
     a moment, which a smaller noise makes up for.
     """
-    if not few or not kinds.is_in_space(one):
+    if not few or one.places is None:
         return given
-    usual = NAMED_NOISE if kinds.tracked([one]) else CLOUD_NOISE
+    usual = NAMED_NOISE if one.named else CLOUD_NOISE
     often = max(moments_per_second([one]), RATES[0])
     return (usual if given is None else given) * (often / max(one.fps, often)) ** 0.5
 
@@ -196,10 +185,8 @@ def _gait(
     """The cycles of every stretch of gait of a first fit, completed from the data."""
     if prior.cycles is None or not (found := find_cycles(motion.to(device="cpu"))):
         return []
-    cycles = loaded(prior.cycles, prior.cycle_weights, body)
-    if not isinstance(cycles, CyclePrior):
-        raise ObservationError(f"expected a prior of cycles, got a {type(cycles).__name__}")
-    seen = kinds.in_space(first.observations)
+    cycles = cycle_prior(prior.cycles, prior.cycle_weights, body)
+    seen = in_space(first.observations)
     noises = tuple(cycle_noise(one, options.noise_of(row)) for row, one in enumerate(seen))
     data = CycleData(cycles, seen, noises, body)
     made = [[data.completed(motion, one) for one in stretch] for stretch in stretches(found)]
@@ -208,7 +195,7 @@ def _gait(
 
 def _stretches(
     gait: Sequence[Sequence[CompletedCycle]],
-    seen: Sequence[InSpace],
+    seen: Sequence[Sensor],
     motion: Motion,
     prior: WholeRecording,
 ) -> tuple[Stretch, ...]:

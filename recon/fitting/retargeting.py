@@ -144,17 +144,6 @@ def by_physics(motion: Motion, shape: Float[Tensor, " shape"], body: BodyModel) 
     return _in_windows(motion, one)
 
 
-def proposed(motion: Motion, shape: Float[Tensor, " shape"], prior: Humos) -> Motion:
-    """What the prior alone makes of it: codes and details of the motion, another body's shape.
-
-    The height is what the codes say and not what was recorded: they learned to stand on the
-    ground. Arguments and errors as those of `retarget`.
-    """
-    motion, shape = _checked(motion, shape, prior.body)
-    start = _start(motion, prior.body)
-    return _in_windows(motion, lambda window: _proposed(window, shape, prior, start))
-
-
 def _proposed(
     window: Motion, shape: Float[Tensor, " shape"], prior: Humos, start: Float[Tensor, "3"]
 ) -> Motion:

@@ -112,6 +112,9 @@ class FitSettings(ReadOptions):
     """Put right, before the fit, what is surely wrong with the data: zeros for missing points,
     names exchanged in a stretch, outliers, a floor at another height. The report says what was
     done."""
+    checks: Literal["all", "none"] = "all"
+    """Whether the data are checked before the fit and the result after it; `none` saves a part of
+    a second, repairs nothing and warns of nothing."""
     physics: float = 0.0
     """How much physics of a body on flat ground counts, its feet above all: 1 as much as it should
     where there is nothing else to stand, sit or lean on; 0 leaves it out."""
@@ -125,6 +128,7 @@ class FitSettings(ReadOptions):
         given = dict(vars(self))
         given["noise"] = {"metres": self.noise, "pixels": given.pop("noise_pixels")}
         given["ground"] = {None: "auto", "none": None}.get(self.ground, self.ground)
+        given["checks"] = None if self.checks == "all" else ()
         given["robust"] = "auto" if self.robust is None else self.robust
         return given
 

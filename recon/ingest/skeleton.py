@@ -80,7 +80,7 @@ def solve(
     scene = Scene(subject.offsets.expand(clips, -1, -1))
     estimate, _ = run_stages((stage,), body, motion, scene)
     with torch.no_grad():
-        apart = (seen.predict(estimate) - seen.positions).norm(dim=-1)
+        apart = (seen.predicted(estimate) - seen.positions).norm(dim=-1)
     found = estimate.motion.detach()
     solved = []
     for row, f in enumerate(frames):

@@ -15,7 +15,9 @@ from recon.core.nearest import closest_points
 from recon.core.raster import vertex_normals
 from recon.core.skeleton import JOINTS, PARENTS, joint_index
 from recon.ingest.markers.poses import PoseEnergies, Poses, SkinPoints
-from recon.solver.levenberg_marquardt import LevenbergMarquardt, minimise_frames
+from recon.ingest.markers.tied_frames import LevenbergMarquardt, minimise_frames
+from recon.solver.banded import Banded
+from recon.solver.gauss_newton import GaussNewton, Problem, Quadratic, minimise
 
 ROUNDS = 20
 """Most rounds of finding nearest points and moving towards them."""
@@ -30,9 +32,9 @@ _SHAPE_STD, _TURN_STD = 0.02, 0.05
 radian of a joint's turn; there are thousands of points."""
 _FACING = 0.3
 """Cosine between normals below which two points belong to different sides of a limb."""
-_SETTLED = 2e-3
-"""Step, in metres, radians and units of shape, after which no other round is made."""
-_JOINT_ROUNDS = 6
+_SURFACE_OPTIONS = GaussNewton(ROUNDS, tolerance=1e-6, scale=1.0, damping=0.0)
+"""No other round is made when the sum of squared distances falls by less than 1e-6 metres²."""
+_JOINT_OPTIONS = GaussNewton(6, tolerance=0.0, damping=0.0)
 _JOINTS_WEIGH = 10.0
 _POINTS = 1000
 """Vertices of either surface that are compared, about."""
@@ -91,25 +93,8 @@ def align(
     shapes = target.shape_size if count is None else count
     state = torch.zeros(_TURNS.stop + shapes, dtype=torch.float64)
     joints = body.rest_joints(shape)[list(_LIMBS)]
-    for _ in range(_JOINT_ROUNDS):
-        away, slopes = _slopes(target, state, None)
-        away = (away - joints).flatten()
-        state = _moved(state, slopes.flatten(0, 1), away, _JOINTS_WEIGH * torch.ones(len(away)))
-    every = torch.arange(len(target.template))
-    for _ in range(ROUNDS):
-        here = _posed(target, state[None]).points(every)[0, 0].numpy()
-        pairs = met.pairs(here, target.faces.numpy())
-        _, slopes = _slopes(target, state, pairs.vertices)
-        across = torch.einsum("rd,rdk->rk", pairs.directions, slopes)
-        rows = torch.cat((across, slopes.flatten(0, 1)))
-        values = torch.cat(
-            ((pairs.residuals * pairs.directions).sum(-1), pairs.residuals.flatten())
-        )
-        along = _ALONG**2 * pairs.weights.repeat_interleave(3)
-        before = state
-        state = _moved(state, rows, values, torch.cat((pairs.weights, along)))
-        if float((state - before).abs().max()) < _SETTLED:
-            break
+    state, _ = minimise(_Alignment(target, joints), state, _JOINT_OPTIONS)
+    state, _ = minimise(_Alignment(target, met), state, _SURFACE_OPTIONS)
     turns = state[_TURNS].unflatten(0, (len(JOINTS), 3))
     return Aligned(state[_TURNS.stop :], turns, state[:3])
 
@@ -181,20 +166,53 @@ def _slopes(
     return points[0], ((points[1:] - points[0]) / _STEP).movedim(0, -1)
 
 
-def _moved(
-    state: Float[Tensor, " n"],
-    slopes: Float[Tensor, "rows n"],
-    values: Float[Tensor, " rows"],
-    weights: Float[Tensor, " rows"],
-) -> Float[Tensor, " n"]:
-    """The state after one step of Gauss-Newton; turns and shape are drawn to zero."""
-    count = len(state) - _TURNS.stop
-    pull = torch.cat((
-        torch.zeros(3), torch.full((_TURNS.stop - 3,), _TURN_STD), torch.full((count,), _SHAPE_STD)
-    )).double().square()  # fmt: skip
-    weighed = slopes * weights[:, None].to(slopes)
-    normal = weighed.mT @ slopes + torch.diag(pull + 1e-9)
-    return state - torch.linalg.solve(normal, weighed.mT @ values + pull * state)
+@dataclass(frozen=True)
+class _Alignment(Problem[Tensor]):
+    """½ Σ w |away|² of joints from where they should be, or of pairs of points found anew.
+
+    Turns and shape are drawn to zero.
+    """
+
+    target: BodyModel
+    meets: Float[Tensor, "limbs 3"] | _Met
+
+    def model(self, x: Tensor, rows: Int[Tensor, " rows"]) -> Quadratic:
+        """The normal equations about a state."""
+        slopes, away, weights = self._residuals(x)
+        count = len(x) - _TURNS.stop
+        pull = torch.cat((
+            torch.zeros(3), torch.full((_TURNS.stop - 3,), _TURN_STD),
+            torch.full((count,), _SHAPE_STD),
+        )).double().square()  # fmt: skip
+        weighed = slopes * weights[:, None]
+        normal = weighed.mT @ slopes + torch.diag(pull + 1e-9)
+        gradient = weighed.mT @ away + pull * x
+        return Quadratic(self.value(x, rows), gradient[None], [Banded.dense(normal)])
+
+    def moved(
+        self, x: Tensor, rows: Int[Tensor, " rows"], steps: Float[Tensor, "rows n"]
+    ) -> Tensor:
+        """The state after a step."""
+        del rows
+        return x + steps[0]
+
+    def _residuals(self, x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Jacobian, residuals and their weights."""
+        if isinstance(self.meets, Tensor):
+            here, slopes = _slopes(self.target, x, None)
+            away = (here - self.meets).flatten()
+            return slopes.flatten(0, 1), away, torch.full_like(away, _JOINTS_WEIGH)
+        every = torch.arange(len(self.target.template))
+        here = _posed(self.target, x[None]).points(every)[0, 0].numpy()
+        pairs = self.meets.pairs(here, self.target.faces.numpy())
+        _, slopes = _slopes(self.target, x, pairs.vertices)
+        across = torch.einsum("rd,rdk->rk", pairs.directions, slopes)
+        along = _ALONG**2 * pairs.weights.repeat_interleave(3)
+        return (
+            torch.cat((across, slopes.flatten(0, 1))),
+            torch.cat(((pairs.residuals * pairs.directions).sum(-1), pairs.residuals.flatten())),
+            torch.cat((pairs.weights, along)),
+        )
 
 
 POINTS = 700

@@ -6,7 +6,7 @@ from typing import Any
 
 from torch import Tensor
 
-from observations.moments import Tracker, filled, followed, moments, places, timed, without
+from observations.moments import Tracker, filled, followed, moments, without
 from recon.core.arrays import Numbers, finite
 from recon.core.errors import ObservationError
 from recon.core.struct import TensorStruct
@@ -120,12 +120,10 @@ def _alike(sensor: Tracker, given: Any) -> Tracker:
         raise ObservationError(f"expected one moment, got {one.moments}; push them one by one")
     if one.fps != sensor.fps:
         raise ObservationError(f"expected {sensor.fps:g} Hz as before, got {one.fps:g}")
-    before, after = places(sensor), places(one)
+    before, after = sensor.marks, one.marks
     if before != after:
         raise ObservationError(
             f"the points changed: expected the {len(before)} points of before in their order, got "
             f"{len(after)}; mark points that are not seen as missing, or begin another stream"
         )
-    return sensor.derived(
-        start_time=one.start_time, **{name: getattr(one, name) for name in timed(one)}
-    )
+    return sensor.derived(start_time=one.start_time, **one.by_frame(lambda tensor: tensor))

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn.functional import pad
 
-from observations.moments import Tracker, energy_of
+from observations.moments import Tracker
 from priors.pose.density import PoseDensity
 from priors.pose.prior import PoseWeights
 from recon.body.derivatives import CarriedPoints, turned_by
@@ -87,7 +87,7 @@ _BEND = (1.0, -2.0, 1.0)
 
 @runtime_checkable
 class StepEnergies(Protocol):
-    """Energies of a prior over steps between frames, such as `priors.humor.live`."""
+    """What a prior's `live(noise)` gives, energies for steps of frames: `priors.humor.live`."""
 
     reach: ClassVar[int]
     """Frames so far apart are in one energy."""
@@ -112,15 +112,6 @@ class StepEnergies(Protocol):
         ...
 
 
-@runtime_checkable
-class LivePrior(Protocol):
-    """A prior that a stream can have beside the density of poses."""
-
-    def live(self, noise: float) -> StepEnergies:
-        """Its energies beside points of a standard deviation of `noise` metres a coordinate."""
-        ...
-
-
 @dataclass(frozen=True)
 class Equations:
     """Second-order model of a window's energies about where it is.
@@ -142,13 +133,6 @@ class Equations:
     """C, frame by frame."""
     gradient_shape: Float[Tensor, "active shape"]
     """h, frame by frame."""
-
-    def damped(self, damping: float) -> Banded:
-        """The matrix of a damped step."""
-        inner = self.inner.clone()
-        diagonal = inner[:, 0].diagonal(dim1=1, dim2=2)
-        diagonal.add_(damping * self.alone.diagonal(dim1=1, dim2=2))
-        return Banded(inner, self.border, self.corner.sum(0))
 
 
 @dataclass(frozen=True)
@@ -202,7 +186,7 @@ class Objective:
         total = total + 0.5 * self.stiffness * bend.square().sum()
         for scale, points, sensor in zip(self.scales, self.points, seen, strict=True):
             places = points.of(orientations[held:], joints[held:])
-            total = total + scale * energy_of(sensor, places)
+            total = total + scale * sensor.energy(places)
         if self.steps is not None:
             motion = self.motion(window, rotations)
             total = total + self.steps.judged(motion, joints[None], held).energy

@@ -1,17 +1,17 @@
 """Fixed-lag smoothing: a window of the newest frames, moved a little with every moment."""
 
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from observations.moments import Tracker, joined, moments
 from recon.body.derivatives import CarriedPoints
-from recon.live.objective import Equations, Objective, Window
-from recon.solver.banded import Factor, NotPositiveDefinite
+from recon.live.objective import VARIABLES, Equations, Objective, Window
+from recon.solver.banded import Banded
+from recon.solver.gauss_newton import GaussNewton, Problem, Quadratic, minimise
 
 
 @dataclass(frozen=True)
@@ -63,13 +63,7 @@ class ShapeKnowledge:
         )
 
 
-_MIN_DAMPING, _MAX_DAMPING = 1e-6, 1e3
-"""Least share that the diagonal is raised by in an accepted step, and the share at which a frame
-is taken to be as good as it gets."""
-_REFUSED_DAMPING = 1e-2
-"""Share after the first step that gained nothing."""
-_MIN_DECREASE = 1e-4
-"""Relative decrease of the energy below which no further step is taken."""
+_OPTIONS = GaussNewton(tolerance=1e-4, damping=0.0, max_damping=1e3)
 _SLOWED = 0.9
 """Share of the last step with which a new frame begins."""
 
@@ -118,49 +112,60 @@ class Smoothed:
 
     def refined(self, steps: int) -> "Smoothed":
         """After so many damped Gauss-Newton steps, or fewer where they gain nothing."""
-        now = self
-        for _ in range(steps):
-            equations = now.objective.equations(now.window, now.seen, now.learning)
-            now = replace(now, equations=equations)
-            after = now._stepped(equations)
-            if after is None:
-                return now
-            now, gained = after
-            if gained <= _MIN_DECREASE * abs(equations.value):
-                return now
-        return now
+        refinement = _Refinement()
+        options = replace(_OPTIONS, max_iterations=steps)
+        found, _ = minimise(refinement, self, options)
+        return replace(found, equations=refinement.equations)
 
-    def _stepped(self, equations: Equations) -> tuple["Smoothed", float] | None:
-        """After one step that lowers the energy, and by how much; None where none does."""
-        objective, shape = self.objective, self.objective.shape
-        before = equations.value + self._value_of_shape(shape)
-        damping, slope = _MIN_DAMPING, equations.gradient_shape.sum(0)
-        held = slope.new_zeros(len(slope), len(slope))
-        if self.learning:
-            weight = 2 * objective.weights.shape * objective.rate * self.active
-            held = self.knowledge.information + weight * torch.eye(len(shape)).to(shape)
-            slope = slope + self.knowledge.gradient(shape) + weight * shape
-        while damping < _MAX_DAMPING:
-            system = equations.damped(damping)
-            with suppress(NotPositiveDefinite):
-                factor = Factor(replace(system, corner=system.corner + held))
-                steps, reshape = factor.up(*factor.down(-equations.gradient, -slope))
-                window, tried = self.window.moved(steps), objective
-                if self.learning:
-                    tried = reshaped(objective, shape + reshape, self.seen)
-                value = tried.value(window, self.seen) + self._value_of_shape(tried.shape)
-                if value <= before:
-                    return replace(self, window=window, objective=tried), before - value
-            damping = max(100 * damping, _REFUSED_DAMPING)
-        return None
-
-    def _value_of_shape(self, shape: Float[Tensor, " shape"]) -> float:
+    def value_of_shape(self) -> float:
         """Energy of the shape while it is learned."""
-        objective = self.objective
+        shape = self.objective.shape
         if not self.learning:
             return 0.0
-        weight = objective.weights.shape * objective.rate * self.active
-        return self.knowledge.value(shape) + weight * float(shape.square().sum())
+        return self.knowledge.value(shape) + self.shape_weight * float(shape.square().sum())
+
+    @property
+    def shape_weight(self) -> float:
+        """Weight of |b|², the density of shapes, for all active frames."""
+        return self.objective.weights.shape * self.objective.rate * self.active
+
+
+class _Refinement(Problem[Smoothed]):
+    """The energy of one window, in steps of its active frames and of the shape that is learned."""
+
+    equations: Equations | None = None
+    """Those of the last model."""
+
+    def model(self, x: Smoothed, rows: Int[Tensor, " rows"]) -> Quadratic:
+        """The energy to second order about the window."""
+        found = self.equations = x.objective.equations(x.window, x.seen, x.learning)
+        slope, corner = found.gradient_shape.sum(0), found.corner.sum(0)
+        if x.learning:
+            shape, weight = x.objective.shape, 2 * x.shape_weight
+            corner = corner + x.knowledge.information + weight * torch.eye(len(shape)).to(shape)
+            slope = slope + x.knowledge.gradient(shape) + weight * shape
+        return Quadratic(
+            slope.new_tensor([[found.value + x.value_of_shape()]], dtype=torch.float64),
+            torch.cat((found.gradient.flatten(), slope))[None],
+            [Banded(found.inner, found.border, corner)] * len(rows),
+        )
+
+    def moved(
+        self, x: Smoothed, rows: Int[Tensor, " rows"], steps: Float[Tensor, "rows n"]
+    ) -> Smoothed:
+        """The window and the body after a step."""
+        del rows
+        frames, shape = steps[0].tensor_split([x.active * VARIABLES])
+        window = x.window.moved(frames.view(x.active, VARIABLES))
+        objective = x.objective
+        if x.learning:
+            objective = reshaped(objective, objective.shape + shape, x.seen)
+        return replace(x, window=window, objective=objective)
+
+    def value(self, x: Smoothed, rows: Int[Tensor, " rows"]) -> Float[Tensor, "rows 1"]:
+        """The energy."""
+        value = x.objective.value(x.window, x.seen) + x.value_of_shape()
+        return torch.full((len(rows), 1), value, dtype=torch.float64)
 
 
 def reshaped(

@@ -15,8 +15,8 @@ from recon.core.errors import ObservationError, ReconError, WeightsError
 from recon.diagnosis.findings import Finding
 from recon.fitting.methods import loaded
 from recon.live.moments import Door, Moment, MomentLike
-from recon.live.objective import LivePrior
 from recon.live.tracking import LiveEstimate, Person, Tracking
+from recon.method.priors import USUAL_NOISE, Prior
 from recon.method.protocols import REFERENCE_FPS
 
 GONE_S = 0.5
@@ -42,7 +42,7 @@ class Stream:
 
     def __init__(
         self,
-        prior: str | LivePrior | PosePrior = "pose",
+        prior: str | Prior[Any] = "pose",
         lag: int = 15,
         *,
         template: Tracker | Sequence[Tracker] | None = None,
@@ -73,7 +73,8 @@ class Stream:
         self._lag = lag
         self._body = body_given(body).to(dtype=torch.float32, device="cpu")
         found = loaded(prior, "open", self._body) if isinstance(prior, str) else prior
-        if not isinstance(found, PosePrior | LivePrior):
+        live = getattr(found, "live", None)
+        if not isinstance(found, PosePrior) and (live is None or live(USUAL_NOISE) is None):
             raise WeightsError(
                 "prior: expected 'pose', 'humor' or a prior with a method live(noise), got "
                 f"{prior if isinstance(prior, str) else type(prior).__name__!r}"

@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from observations.moments import Tracker, distances, joined, shows, with_moment, without
+from observations.moments import Tracker, joined, with_moment, without
 from observations.noise import weights_of
 from priors.pose.prior import PosePrior, PoseWeights
 from recon.body.contacts import contact_probabilities, rest_heights
@@ -21,8 +21,9 @@ from recon.diagnosis.findings import Finding
 from recon.fitting.clip import fit_clip
 from recon.fitting.methods import FitOptions
 from recon.live.moments import Door, Moment
-from recon.live.objective import LivePrior, Objective, Window
+from recon.live.objective import Objective, Window
 from recon.live.smoother import ShapeKnowledge, Smoothed
+from recon.method.priors import USUAL_NOISE, Prior
 from recon.method.stages import Stage
 from recon.method.terms import Term
 
@@ -65,11 +66,17 @@ class LiveEstimate:
 class _FirstPoses(PosePrior):
     """The pose prior, minimised for a short while."""
 
-    def stages(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
+    def stages(
+        self,
+        data: tuple[Term, ...],
+        noise: float = USUAL_NOISE,
+        body: BodyModel | None = None,
+        method: str | None = None,
+    ) -> tuple[Stage[Any], ...]:
         """The root first, then all."""
         return tuple(
             replace(stage, minimiser=replace(stage.minimiser, max_iterations=_ITERATIONS))
-            for stage in super().stages(data)
+            for stage in super().stages(data, noise, body, method)
         )
 
 
@@ -89,7 +96,7 @@ def begin(
     person: Person,
     body: BodyModel,
     poses: PosePrior,
-    prior: LivePrior | None,
+    prior: Prior[Any] | None,
 ) -> Smoothed:
     """A window of these moments, each one frame after the other, fitted under the pose prior.
 
@@ -100,7 +107,7 @@ def begin(
     for moment in moments[1:]:
         seen = [joined(a, b) for a, b in zip(seen, moment.seen, strict=True)]
     seen = [one.derived(start_time=0.0) for one in seen]
-    first = _FirstPoses(poses.density, poses.weights)
+    first = _FirstPoses(poses.density, poses.weighed)
     options = FitOptions(prior=first, noise=noise, shape=person.shape)
     batch: Any = [one[None] for one in seen]
     with torch.enable_grad():
@@ -164,7 +171,7 @@ class Tracking:
     person: Person
     body: BodyModel
     poses: PosePrior
-    prior: LivePrior | None = None
+    prior: Prior[Any] | None = None
     """The prior over steps, beside the density of poses."""
     gathered: list[Moment] = field(default_factory=list)
     """Moments before the first motion, or those that lie astray."""
@@ -178,7 +185,7 @@ class Tracking:
 
     @cached_property
     def _shown(self) -> list[Bool[np.ndarray, "points 22"]]:
-        return [shows(one, self.body) for one in self.door.sensors]
+        return [one.shows(self.body) for one in self.door.sensors]
 
     @property
     def _now(self) -> Smoothed:
@@ -300,7 +307,7 @@ class Tracking:
         kept: list[Tracker] = []
         seen = far = 0
         for points, one in zip(after.objective.points, moment.seen, strict=True):
-            away = distances(one, points.of(orientations, joints))
+            away = one.distances(points.of(orientations, joints))
             bad = one.shown & (away > allowed)
             seen, far = seen + int(one.shown.sum()), far + int(bad.sum())
             kept.append(without(one, bad) if bool(bad.any()) else one)

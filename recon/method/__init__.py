@@ -1,1 +1,53 @@
-"""How a fit is put together and run: protocols, terms, stages and their loop."""
+"""How a fit is put together and run; all that a prior or sensor of your own needs comes from here.
+
+A `Prior` changes variables into a motion with energies (`Decoded`), and is fitted by stages: each
+`Stage` minimises the sum of weighted energies (`Term`) of an `Estimate`.
+A `Sensor` has data and says what it would have measured of a `PosedBody`.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from recon.body.model import PosedBody as PosedBody
+    from recon.method.free import FreeMotion as FreeMotion
+    from recon.method.priors import CyclePrior as CyclePrior
+    from recon.method.priors import Density as Density
+    from recon.method.priors import Prior as Prior
+    from recon.method.protocols import Decoded as Decoded
+    from recon.method.protocols import Estimate as Estimate
+    from recon.method.sensor import Sensor as Sensor
+    from recon.method.stages import Stage as Stage
+    from recon.method.terms import Term as Term
+    from recon.method.terms import joint_acceleration as joint_acceleration
+    from recon.method.terms import prior_energy as prior_energy
+    from recon.method.terms import shape as shape
+    from recon.solver.lbfgs import LBFGS as LBFGS
+
+_HOMES = {
+    "CyclePrior": "recon.method.priors",
+    "Decoded": "recon.method.protocols",
+    "Density": "recon.method.priors",
+    "Estimate": "recon.method.protocols",
+    "FreeMotion": "recon.method.free",
+    "LBFGS": "recon.solver.lbfgs",
+    "PosedBody": "recon.body.model",
+    "Prior": "recon.method.priors",
+    "Sensor": "recon.method.sensor",
+    "Stage": "recon.method.stages",
+    "Term": "recon.method.terms",
+    "joint_acceleration": "recon.method.terms",
+    "prior_energy": "recon.method.terms",
+    "shape": "recon.method.terms",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """A name of the list, loaded on first use."""
+    if name in _HOMES:
+        return getattr(import_module(_HOMES[name]), name)
+    raise AttributeError(f"module 'recon.method' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *_HOMES])

@@ -10,7 +10,7 @@ differentiated numerically, coordinate by coordinate.
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, cast
+from typing import Literal
 
 import torch
 from jaxtyping import Float, Int
@@ -25,98 +25,10 @@ from recon.core.residuals import Residuals
 from recon.core.scene import TILT, Scene, UnknownGround
 from recon.core.skeleton import FEET, joint_index
 from recon.method.newton import is_pointwise
-from recon.method.protocols import Decoded, Estimate, Sensor
-from recon.method.stages import Matched
-from recon.solver.blocks import Bordered
-
-FRAME = 69
-"""Coordinates of a frame: three of the translation, three of every joint's rotation step."""
-LEAST = 0.1
-"""Curvature that every coordinate has at least, 1 / metres² or 1 / radians²: what nothing holds is
-unknown by no more than three metres and half a turn."""
-
-
-@dataclass(frozen=True)
-class Accumulated:
-    """Blocks of the Hessian while residuals are added, in place."""
-
-    frames: Float[Tensor, "time 3 n n"]
-    """[t, k]: the block that couples frame t with frame t + k."""
-    border: Float[Tensor, "time n m"]
-    shape: Float[Tensor, "m m"]
-
-    @classmethod
-    def zero(cls, frames: int, size: int, like: Tensor) -> "Accumulated":
-        """Nothing but the least curvature of every coordinate."""
-        m = size - FRAME
-        blocks = like.new_zeros(frames, 3, FRAME, FRAME)
-        blocks[:, 0].diagonal(dim1=-2, dim2=-1).add_(LEAST)
-        corner = LEAST * torch.eye(m, dtype=like.dtype, device=like.device)
-        return cls(blocks, like.new_zeros(frames, FRAME, m), corner)
-
-    def add_sensor(self, frame: Tensor, jacobian: Tensor, weight: Tensor) -> None:
-        """Residuals of single moments, each at its frame."""
-        whole = jacobian.mT @ (jacobian * weight[..., None])
-        self._add(frame, whole)
-
-    def add_poses(self, jacobian: Float[Tensor, "time residuals 63"]) -> None:
-        """Whitened residuals of poses, by the rotation steps of all joints but the root."""
-        first = FRAME - jacobian.shape[-1]
-        self.frames[:, 0, first:, first:] += jacobian.mT @ jacobian
-
-    def add_frames(self, jacobian: Tensor) -> None:
-        """Whitened residuals of single frames."""
-        self._add(torch.arange(len(jacobian)), jacobian.mT @ jacobian)
-
-    def _add(self, frame: Tensor, whole: Tensor) -> None:
-        self.frames[:, 0].index_add_(0, frame, whole[:, :FRAME, :FRAME])
-        self.border.index_add_(0, frame, whole[:, :FRAME, FRAME:])
-        self.shape.add_(whole[:, FRAME:, FRAME:].sum(0))
-
-    def add_accelerations(self, joints: Tensor, weight: float) -> None:
-        """½ weight |p_(t-1) - 2 p_t + p_(t+1)|² of all joints."""
-        if len(joints) < 3:
-            return
-        moved, shaped = joints[..., :FRAME], joints[..., FRAME:]
-        sign = joints.new_tensor([1.0, -2.0, 1.0])
-        inner = len(joints) - 2
-        bend = shaped[:-2] - 2 * shaped[1:-1] + shaped[2:]
-        self.shape.add_(weight * (bend.mT @ bend).sum(0))
-        for a in range(3):
-            left = moved[a : a + inner]
-            self.border[a : a + inner] += weight * sign[a] * (left.mT @ bend)
-            for b in range(a, 3):
-                right = moved[b : b + inner]
-                pair = weight * sign[a] * sign[b] * (left.mT @ right)
-                self.frames[a : a + inner, b - a] += pair
-
-    def bordered(self) -> Bordered:
-        """Two frames to a block, so that only neighbouring blocks couple."""
-        count = len(self.frames)
-        pairs = -(-count // 2)
-        n = 2 * FRAME
-        own = self.frames.new_zeros(pairs, 2, 2, FRAME, FRAME)
-        beside = self.frames.new_zeros(pairs, 2, 2, FRAME, FRAME)
-        even, odd = self.frames[::2], self.frames[1::2]
-        full = len(odd)
-        own[:, 0, 0] = even[:, 0]
-        own[:full, 1, 1] = odd[:, 0]
-        own[full:, 1, 1] = torch.eye(FRAME, dtype=own.dtype, device=own.device)
-        own[:full, 0, 1] = even[:full, 1]
-        own[:full, 1, 0] = even[:full, 1].mT
-        beside[: pairs - 1, 0, 0] = even[:-1, 2]
-        beside[: pairs - 1, 1, 0] = odd[: pairs - 1, 1]
-        if full > 1:
-            beside[: full - 1, 1, 1] = odd[:-1, 2]
-        border = self.border.new_zeros(pairs, 2, FRAME, self.border.shape[-1])
-        border[:, 0], border[:full, 1] = self.border[::2], self.border[1::2]
-        return Bordered(
-            diagonal=own.transpose(2, 3).reshape(pairs, n, n),
-            upper=beside[: pairs - 1].transpose(2, 3).reshape(pairs - 1, n, n),
-            border=border.reshape(pairs, n, -1),
-            corner=self.shape,
-        )
-
+from recon.method.protocols import Decoded, Estimate
+from recon.method.quadratic import FRAME
+from recon.method.sensor import Sensor
+from recon.solver.banded import Banded
 
 _HEAD = joint_index("head")
 _ANKLES = [joint_index("left_ankle"), joint_index("right_ankle")]
@@ -167,7 +79,7 @@ def perturbed(scene: Scene, rows: int, belief: GroundBelief, step: float) -> Sce
 
 
 def add_stance(
-    hessian: Accumulated,
+    hessian: Banded,
     estimate: Estimate,
     joints: Float[Tensor, "time 66 coordinates"],
     belief: GroundBelief,
@@ -191,14 +103,16 @@ def add_stance(
         return False
     rows = joints.unflatten(1, (22, 3))
     share = standing / standing.sum() / belief.stance**2
-    hessian.add_frames(rows[:, feet, 2] * share.sqrt()[..., None])
+    whitened = rows[:, feet, 2] * share.sqrt()[..., None]
     if belief.coordinates == 3:
         rise = places[:, _HEAD] - places[:, _ANKLES].mean(1)
         lean = (rows[:, _HEAD] - rows[:, _ANKLES].mean(1))[:, :2]
         tall = rise.norm(dim=-1).clamp(min=0.1)[:, None, None]
-        hessian.add_frames(lean / tall / (len(places) ** 0.5 * belief.upright))
+        leaning = lean / tall / (len(places) ** 0.5 * belief.upright)
+        whitened = torch.cat((whitened, leaning), 1)
+    hessian.add_frames(torch.arange(len(places)), whitened.mT @ whitened)
     if belief.coordinates > 0:
-        corner = hessian.shape.diagonal()[-belief.coordinates :]
+        corner = hessian.corner.diagonal()[-belief.coordinates :]
         corner += belief.shown
     return True
 
@@ -243,7 +157,7 @@ class Neighbourhood:
 
     @cached_property
     def translated(self) -> Estimate:
-        """Rows: the motion as it is, moved along each axis, and with each ground that is moved."""
+        """Rows: x, x moved along each axis, and x with each coordinate of the ground moved."""
         rows = 1 + _AXES + self.unknown
         motion = self.motion[torch.zeros(rows, dtype=torch.long)]
         place = motion.translation.clone()
@@ -253,7 +167,7 @@ class Neighbourhood:
 
     @cached_property
     def everywhere(self) -> Estimate:
-        """Rows: the motion as it is, and after a step of each column's coordinate."""
+        """Rows: x, and x after a step of each column's coordinate."""
         shapes, frames = self.motion.shape.shape[-1], self.motion.frames
         rows = 1 + FRAME + shapes + self.unknown
         motion = self.motion[torch.zeros(rows, dtype=torch.long)]
@@ -269,7 +183,7 @@ class Neighbourhood:
         return self._estimate(motion.replace(translation=place, rotations=turned, shape=shape))
 
     def _estimate(self, motion: Motion) -> Estimate:
-        """Motions of some rows; the last ones are of grounds that are moved."""
+        """The motions as estimates, with the coordinates of the ground moved in the last rows."""
         rows = len(motion.translation)
         if self.ground is None:
             scenes = self.scene[torch.zeros(rows, dtype=torch.long)]
@@ -279,14 +193,14 @@ class Neighbourhood:
 
     @cached_property
     def joints(self) -> Float[Tensor, "time 66 columns"]:
-        """Derivatives of the joints in the world, metres."""
+        """Jacobian of the joints in the world, metres."""
         carried = CarriedPoints.joints(self.body, self.motion.shape[0])
         moved = self._by_motion(carried)
         none = moved.new_zeros(*moved.shape[:-1], self.unknown)
         return torch.cat((moved, none), -1).flatten(1, 2)
 
     def _by_motion(self, points: CarriedPoints) -> Float[Tensor, "time points 3 motion"]:
-        """Derivatives of points by the coordinates of frames and shape."""
+        """Jacobian of points by the coordinates of a frame and the shape."""
         posed = self.translated.body
         orientations, joints = posed.orientations[0], posed.joints[0]
         turned = points.by_rotations(orientations, joints)
@@ -296,7 +210,7 @@ class Neighbourhood:
         return torch.cat((moved, turned, points.by_shape(rotations, orientations, self.body)), -1)
 
     def seen(self) -> Float[Tensor, "time 66 columns"]:
-        """Derivatives of the joints in the frame of the recording, metres."""
+        """Jacobian of the joints in the frame of the recording, metres."""
         scenes, world = self.translated.scene, self.translated.body.joints
         if scenes.ground is None:
             return self.joints
@@ -310,18 +224,18 @@ class Neighbourhood:
     def residuals(
         self, one: Sensor, frame: Int[Tensor, " moments"]
     ) -> tuple[Residuals, Float[Tensor, "moments points dims columns"]]:
-        """What a sensor misses, one clip, and its derivatives.
+        """Residuals r(x) of one clip and the Jacobian ∂r/∂x by the columns of this module.
 
         Args:
             one: the sensor.
-            frame: of the motion, for every moment of the sensor.
+            frame: of the motion, for every frame of the sensor.
         """
-        carries = is_pointwise(one)
-        held = cast(Sensor, one.matched(self.here)) if isinstance(one, Matched) else one
+        carries, points_of = is_pointwise(one), getattr(one, "carried", None)
+        held: Sensor = getattr(one, "matched", lambda _: one)(self.here)
         found = _of(held, self.translated if carries else self.everywhere)
         slopes = differences(found.values)
-        if carries:
-            points = one.carried(self.body, self.motion.shape[0], self.scene.offsets[0])
+        if carries and points_of is not None:
+            points = points_of(self.body, self.motion.shape[0], self.scene.offsets[0])
             moved = slopes[..., :_AXES] @ self._by_motion(points)[frame]
             slopes = torch.cat((moved, slopes[..., _AXES:]), -1)
         return found[0], slopes
@@ -335,5 +249,5 @@ def _of(one: Sensor, estimates: Estimate) -> Residuals:
 def differences(
     values: Float[Tensor, "rows time points dims"],
 ) -> Float[Tensor, "time points dims columns"]:
-    """Differences of rows from the first, per unit of the step."""
+    """Forward differences (f(x + h e_k) - f(x)) / h; f(x) is row 0, step k row k + 1."""
     return ((values[1:] - values[:1]) / STEP).movedim(0, -1)

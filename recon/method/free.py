@@ -1,6 +1,7 @@
 """No prior: the variables are the motion itself."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import torch
 from jaxtyping import Bool, Float
@@ -10,6 +11,7 @@ from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion, carried_translation
 from recon.core.struct import TensorStruct
+from recon.method.priors import Prior
 from recon.method.protocols import Decoded
 
 
@@ -39,8 +41,10 @@ class FreeVariables(TensorStruct):
 
 
 @dataclass(frozen=True)
-class FreeMotion:
+class FreeMotion(Prior[FreeVariables]):
     """The trivial prior: every motion is equally likely."""
+
+    knows_gravity: ClassVar[bool] = False
 
     def encode(self, motion: Motion) -> FreeVariables:
         """Steps of zero about the motion; exact."""

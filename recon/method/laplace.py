@@ -7,13 +7,12 @@ the covariance of the motion is H⁻¹ and that of a joint G H⁻¹ Gᵀ, with G
 Every frame has 69 coordinates: the translation in metres and the rotation steps of 22 joints in
 radians, R_j Exp(w_j). The shape is shared by all. A residual of a sensor depends on one frame, a
 pose's coordinates likewise, a joint's acceleration on three; so H is banded in time, with the
-shape as a border (`recon.solver.blocks`). Where the ground is unknown, its height and tilt are in
+shape as a border (`recon.solver.banded`). Where the ground is unknown, its height and tilt are in
 the border, too.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float, Int
@@ -25,18 +24,22 @@ from recon.core.motion import Motion
 from recon.core.residuals import Noise
 from recon.core.scene import Scene
 from recon.method.derivatives import (
-    FRAME,
     STEP,
-    Accumulated,
     GroundBelief,
     GroundDeviation,
     Neighbourhood,
     add_stance,
     deviation,
 )
-from recon.method.protocols import REFERENCE_FPS, Density, Estimate, Sensor
-from recon.solver.blocks import Inverse, inverse
+from recon.method.priors import Density
+from recon.method.protocols import REFERENCE_FPS, Estimate
+from recon.method.quadratic import FRAME
+from recon.method.sensor import Sensor
+from recon.solver.banded import Banded, Factor, Inverse, add_differences
 
+_LEAST = 0.1
+"""Curvature that every coordinate has at least, 1 / metres² or 1 / radians²: what nothing holds is
+unknown by no more than three metres and half a turn."""
 _DISBELIEVED = 4.0
 """Standard deviations beyond which residuals say ever less: the fit does not believe them."""
 _PEOPLE = 1.0
@@ -45,15 +48,6 @@ that counts for every frame would be ever surer."""
 _CHUNK_FRAMES = 150
 """Frames that are looked at together; longer motions are cut, and cuts overlap."""
 _OVERLAP = 15
-
-
-@runtime_checkable
-class Believing(Protocol):
-    """A prior that says how likely motions are, as a density that has a curvature."""
-
-    def belief(self, noise: float) -> Density:
-        """The density that the prior's weights stand for beside data of this noise, metres."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -95,6 +89,9 @@ def deviations(
         density: how likely poses, shapes and accelerations are, without the data.
         ground: what is believed of an unknown ground; None where it is known or not asked for.
         measure: numbers of every frame's pose whose standard deviations are asked for, too.
+
+    Raises:
+        ArithmeticError: when the Hessian is not positive definite, and so has no inverse.
     """
     body = estimate.body.model.to(dtype=torch.float64)
     motion = estimate.motion.detach().to(dtype=torch.float64)
@@ -103,8 +100,7 @@ def deviations(
     cuts = _cuts(motion.frames)
     windows = [motion.window(first, stop) for first, stop in cuts]
     parts = [
-        _of_window(one, scene, body, _during(held, one), noises, density, ground, measure)
-        for one in windows
+        _of_window(one, scene, body, held, noises, density, ground, measure) for one in windows
     ]
     joints = motion.translation.new_zeros(motion.frames, len(body.joint_template))
     root = motion.translation.new_zeros(motion.frames)
@@ -131,11 +127,6 @@ def _cuts(frames: int) -> list[tuple[int, int]]:
     return [(first, min(first + _CHUNK_FRAMES, frames)) for first in firsts]
 
 
-def _during(sensors: Sequence[Sensor], motion: Motion) -> list[Sensor]:
-    """What the sensors saw during a motion; the rest of a long recording costs nothing."""
-    return [one.window(motion.start_time, motion.stop_time) for one in sensors]
-
-
 def _of_window(
     motion: Motion,
     scene: Scene,
@@ -147,21 +138,33 @@ def _of_window(
     measure: Measure | None,
 ) -> Deviations:
     near = Neighbourhood(motion, scene, body, ground)
-    h = Accumulated.zero(motion.frames, near.joints.shape[-1], like=motion.translation)
+    # what was seen in the rest of a long recording costs nothing
+    sensors = [one.window(motion.start_time, motion.stop_time) for one in sensors]
+    moved, shaped = near.joints[..., :FRAME], near.joints[..., FRAME:]
+    h = Banded.zero(motion.frames, 2, FRAME, shaped.shape[-1], motion.translation)
+    h.inner[:, 0].diagonal(dim1=-2, dim2=-1).add_(_LEAST)
+    h.corner.diagonal().add_(_LEAST)
     for one, noise in zip(sensors, noises, strict=True):
         frame = _clock(one, motion)
-        h.add_sensor(frame, *_whitened(one, noise, near, frame))
-    h.add_poses(density.by_rotations(motion)[0] * (REFERENCE_FPS / motion.fps) ** 0.5)
-    rate = (motion.fps / REFERENCE_FPS) ** 3
-    h.add_accelerations(near.joints, density.acceleration * rate)
+        jacobian, weight = _whitened(one, noise, near, frame)
+        h.add_frames(frame, jacobian.mT @ (jacobian * weight[..., None]))
+    poses = density.by_rotations(motion)[0] * (REFERENCE_FPS / motion.fps) ** 0.5
+    h.inner[:, 0, -poses.shape[-1] :, -poses.shape[-1] :] += poses.mT @ poses
+    bends = moved.new_zeros(motion.frames, 3, moved.shape[1])
+    weight = density.acceleration * (motion.fps / REFERENCE_FPS) ** 3
+    add_differences(bends, (1.0, -2.0, 1.0), bends.new_tensor([[weight]]))
+    h.add_products(bends, moved, shaped)
     shapes = motion.shape.shape[-1]
-    shape = h.shape.diagonal()[:shapes]
+    shape = h.corner.diagonal()[:shapes]
     shape += min(density.shape * motion.frames * REFERENCE_FPS / motion.fps, _PEOPLE)
     told = ground is not None and add_stance(h, near.translated, near.joints, ground)
-    found = inverse(h.bordered())
+    factor = Factor(h)
+    if not factor.definite:
+        raise ArithmeticError("the Hessian of the fit is not positive definite")
+    found = factor.inverse()
     marginals = _marginals(found, near.seen(), shapes)
     if measure is not None:
-        variance = _variances(found, _by_rotations(measure, motion, h.shape.shape[-1]))
+        variance = _variances(found, _by_rotations(measure, motion, len(h.corner)))
         marginals = replace(marginals, measures=variance.sqrt())
     if ground is None or ground.coordinates == 0 or not told:
         return marginals
@@ -172,7 +175,7 @@ def _of_window(
 def _whitened(
     one: Sensor, noise: Noise, near: Neighbourhood, frame: Int[Tensor, " moments"]
 ) -> tuple[Float[Tensor, "moments residuals columns"], Float[Tensor, "moments residuals"]]:
-    """Derivatives of a sensor's residuals and their weights, standard deviations taken out."""
+    """Jacobian of a sensor's residuals, and the inverse variance of each."""
     found, slopes = near.residuals(one, frame)
     distance = found.values.norm(dim=-1) / (_DISBELIEVED * noise.own)
     # the curvature of Geman-McClure's kernel, as far as it is positive
@@ -196,7 +199,7 @@ def _marginals(
 
     Those of the root are given the ground.
     """
-    own, onto = _own_frames(found, len(joints))
+    own, onto = found.within, found.onto
     variance = _variances(found, joints)
     given, onto_shape = _given_rest(found.border, shapes), onto[..., :shapes]
     turned = own + onto_shape @ given @ onto_shape.mT
@@ -208,7 +211,7 @@ def _marginals(
 def _by_rotations(
     measure: Measure, motion: Motion, border: int
 ) -> Float[Tensor, "time measures coordinates"]:
-    """Derivatives of what is measured by the rotation steps; by all else it does not change."""
+    """Jacobian of what is measured by the rotation steps; by all else it does not change."""
     steps = motion.translation.new_zeros(FRAME - 2, 22, 3)
     steps[1:].flatten(1).diagonal().fill_(STEP)
     turned = motion.rotations @ so3.exp(steps)[:, None]
@@ -223,23 +226,13 @@ def _by_rotations(
     return torch.nn.functional.pad(slopes, (3, border))
 
 
-def _own_frames(
-    found: Inverse, count: int
-) -> tuple[Float[Tensor, "time n n"], Float[Tensor, "time n m"]]:
-    """Covariance of every frame's coordinates given the border, and how the border moves them."""
-    blocks = found.within.unflatten(-1, (2, FRAME)).unflatten(-3, (2, FRAME))
-    own = torch.stack((blocks[:, 0, :, 0], blocks[:, 1, :, 1]), 1).flatten(0, 1)[:count]
-    return own, found.onto.unflatten(1, (2, FRAME)).flatten(0, 1)[:count]
-
-
 def _variances(
     found: Inverse, slopes: Float[Tensor, "time values coordinates"]
 ) -> Float[Tensor, "time values"]:
     """Variances of values of every frame, from their derivatives by its coordinates."""
-    own, onto = _own_frames(found, len(slopes))
     moved, shaped = slopes[..., :FRAME], slopes[..., FRAME:]
-    rest = shaped - moved @ onto
-    return ((moved @ own) * moved).sum(-1) + ((rest @ found.border) * rest).sum(-1)
+    rest = shaped - moved @ found.onto
+    return ((moved @ found.within) * moved).sum(-1) + ((rest @ found.border) * rest).sum(-1)
 
 
 def _given_rest(covariance: Float[Tensor, "m m"], count: int) -> Float[Tensor, "count count"]:

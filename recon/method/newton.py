@@ -1,8 +1,7 @@
 """Gauss-Newton Hessians of a stage's objective, clip by clip."""
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeGuard
+from typing import Any
 
 import torch
 from jaxtyping import Float, Int
@@ -13,7 +12,7 @@ from recon.core import rotations as so3
 from recon.core.camera import transform
 from recon.core.motion import Motion
 from recon.method.protocols import REFERENCE_FPS, Estimate
-from recon.method.quadratic import FRAME, ClipModel, Framewise, OfScene, PointSensor
+from recon.method.quadratic import FRAME, ClipModel
 from recon.method.stages import Stage
 from recon.method.terms import (
     Term,
@@ -24,8 +23,9 @@ from recon.method.terms import (
     offsets,
     shape,
 )
-from recon.method.unknowns import Layout, Unknowns
-from recon.solver.banded import Banded, Factor, add_differences
+from recon.method.unknowns import Layout, Unknowns, rows_of
+from recon.solver.banded import Banded, add_differences
+from recon.solver.gauss_newton import Problem, Quadratic
 
 _SAME_MOMENT = 1e-4
 """Frames; moments closer than this to a frame are that frame's."""
@@ -34,33 +34,37 @@ _OF_SCENE = (offsets, ground_moved, lens_changed)
 """Terms of the scene's own variables, which are minimised as they are."""
 
 
+class NoHessian(LookupError):
+    """The Hessian of a stage is not known: steps that leave a term out would overshoot."""
+
+
 def hessians(
     stage: Stage[Any], variables: Any, estimate: Estimate, with_shape: bool
-) -> list[Banded] | None:
-    """The Hessian of every clip at an estimate, of all terms whose curvature is known.
+) -> list[Banded]:
+    """The Gauss-Newton Hessian of every clip at an estimate, of all terms.
 
-    None where the prior's variables are no steps of frames, nothing is known of the data, or
-    there is a term whose curvature is not known: steps that leave it out overshoot.
+    Raises:
+        NoHessian: when nothing is known of the data, or a term's curvature is not known.
     """
     prior = stage.prior
     known = any(is_pointwise(term.energy) for term in stage.terms)
-    if not isinstance(prior, Framewise) or not known or estimate.motion.frames < 2:
-        return None
+    if not known or estimate.motion.frames < 2:
+        raise NoHessian(stage.name)
     found: list[Banded] = []
     for clip in range(len(estimate.motion.translation)):
         turn = prior.turns(variables, clip)
         model = ClipModel(estimate, clip, turn, prior.reach, with_shape)
         for term in stage.terms:
             if not prior.add_curvature(term, model) and not _add(term, model):
-                return None
+                raise NoHessian(term.name)
         found.append(model.hessian())
     return found
 
 
-def is_pointwise(energy: Any) -> TypeGuard[PointSensor]:
-    """Whether an energy is a sum over moments of points with a place in the world."""
+def is_pointwise(energy: Any) -> bool:
+    """Whether an energy is a sum over frames of points that have a place in the world."""
     alone = getattr(energy, "placed", True) and getattr(energy, "momentwise", True)
-    return isinstance(energy, PointSensor) and alone
+    return hasattr(energy, "point_model") and alone
 
 
 def _add(term: Term, model: ClipModel) -> bool:
@@ -83,12 +87,11 @@ def _add(term: Term, model: ClipModel) -> bool:
     return True
 
 
-def _add_points(weight: float, sensor: PointSensor, model: ClipModel) -> None:
+def _add_points(weight: float, sensor: Any, model: ClipModel) -> None:
     """Add the curvature of points, which lie between two frames where clocks differ."""
     clip, motion, scene = model.clip, model.motion, model.estimate.scene
-    one: Any = sensor
-    one = one[clip]
-    if isinstance(one, OfScene):
+    one: Any = sensor[clip]
+    if hasattr(one, "settled"):
         one = one.settled(scene[clip])
     carried = sensor.carried(model.body, motion.shape, scene.offsets[clip])
     places = carried.of(*model.posed)
@@ -128,7 +131,7 @@ def _add_points(weight: float, sensor: PointSensor, model: ClipModel) -> None:
 
 
 def _between(
-    motion: Motion, sensor: PointSensor
+    motion: Motion, sensor: Any
 ) -> tuple[Int[Tensor, " seen"], Float[Tensor, " seen"], Int[Tensor, " seen"]]:
     """The frame before each moment, the share of the way to the next, and the moments within."""
     times = sensor.start_time + torch.arange(sensor.moments, dtype=torch.float64) / sensor.fps
@@ -145,62 +148,63 @@ _FRAMED = frozenset({"translation", "root", "pose"})
 
 
 @dataclass(frozen=True)
-class Local:
-    """A stage about unknowns whose variables are steps of zero.
+class Local(Problem[Unknowns[Any]]):
+    """The clips of a stage, whose unknowns are moved by steps.
 
-    A row of numbers per clip: the 69 steps of every frame, those of the shape, if it is moved, and
-    what else is moved.
+    A clip's row of numbers: the 69 steps of every frame, those of the shape, if it is moved, and
+    those of the scene that are moved. Steps are of zero: unknowns are encoded anew after each.
     """
 
     stage: Stage[Any]
     body: BodyModel
-    base: Unknowns[Any]
     layout: Layout
-    curvature: list[Banded]
-    """The Hessian of every clip, by frames and shape."""
+    frames: int
+    """Steps of all frames of a clip."""
+    bordered: int
+    """Steps of frames and of the shape."""
 
     @classmethod
-    def about(cls, stage: Stage[Any], body: BodyModel, unknowns: Unknowns[Any]) -> "Local | None":
-        """The stage about unknowns; None where no Hessian of it is known."""
-        if not isinstance(stage.prior, Framewise) or not stage.free >= _FRAMED:
-            return None
-        if stage.portion is not None:
-            return None
+    def about(
+        cls, stage: Stage[Any], body: BodyModel, unknowns: Unknowns[Any]
+    ) -> tuple["Local", Unknowns[Any]]:
+        """The stage about unknowns, and these as steps of zero.
+
+        Raises:
+            NoHessian: when the prior's variables are no steps of frames, or not all are moved.
+        """
+        framed = stage.prior.reach > 0 and stage.free >= _FRAMED
+        if not framed or stage.portion is not None:
+            raise NoHessian(stage.name)
         with torch.no_grad():
             motion = unknowns.motion(stage.prior, body)
             base = Unknowns.of(stage.prior, motion, unknowns.scene, body).detach()
-            estimate = base.estimate(stage.prior, body)
-            found = hessians(stage, base.variables, estimate, "shape" in stage.free)
-        if found is None:
-            return None
-        return cls(stage, body, base, Layout.of(base, stage.free), found)
+        shape = motion.shape.shape[-1] if "shape" in stage.free else 0
+        frames = motion.frames * FRAME
+        return cls(stage, body, Layout.of(base, stage.free), frames, frames + shape), base
 
     @property
-    def frames(self) -> int:
-        """Steps of all frames of a clip."""
-        return self.curvature[0].inner.shape[0] * FRAME
-
-    @property
-    def bordered(self) -> int:
-        """Steps of frames and of the shape."""
-        return self.frames + self.curvature[0].corner.shape[0]
+    def of_scene(self) -> list[tuple[str, torch.Size]]:
+        """Paths of what is moved of the scene, and its shape for one clip."""
+        every = zip(self.layout.paths, self.layout.shapes, strict=True)
+        return [(path[6:], shape) for path, shape in every if path.startswith("scene.")]
 
     @property
     def size(self) -> int:
         """All numbers of a clip."""
-        rest = sum(
-            shape.numel()
-            for path, shape in zip(self.layout.paths, self.layout.shapes, strict=True)
-            if path.startswith("scene.")
-        )
-        return self.bordered + rest
+        return self.bordered + sum(shape.numel() for _, shape in self.of_scene)
 
-    def zero(self) -> Float[Tensor, "rows n"]:
-        """No steps."""
-        return self.base.variables.shape.new_zeros(len(self.curvature), self.size)
+    def hessians(self, base: Unknowns[Any]) -> list[Banded]:
+        """The Hessian of every clip by steps of frames and of the shape.
 
-    def moved(self, base: Unknowns[Any], steps: Float[Tensor, "rows n"]) -> Unknowns[Any]:
-        """The unknowns of some clips after steps."""
+        Raises:
+            NoHessian: when there is a term whose curvature is not known.
+        """
+        with torch.no_grad():
+            estimate = base.estimate(self.stage.prior, self.body)
+            return hessians(self.stage, base.variables, estimate, self.bordered > self.frames)
+
+    def stepped(self, base: Unknowns[Any], steps: Float[Tensor, "rows n"]) -> Unknowns[Any]:
+        """The unknowns of some clips after steps, with slopes by these."""
         prior: Any = self.stage.prior
         framed = steps[:, : self.frames].unflatten(1, (-1, FRAME))
         variables = prior.from_steps(base.variables, framed)
@@ -209,73 +213,42 @@ class Local:
             variables = variables.derived(shape=shape)
         scene, start = base.scene, self.bordered
         moved: dict[str, Tensor] = {}
-        for path, shape in zip(self.layout.paths, self.layout.shapes, strict=True):
-            if path.startswith("scene."):
-                flat = steps[:, start : start + shape.numel()]
-                part = flat.reshape(len(steps), *shape)  # the ground's height has no axis
-                moved[path.removeprefix("scene.")] = part
-                start += shape.numel()
+        for path, shape in self.of_scene:
+            flat = steps[:, start : start + shape.numel()]
+            moved[path] = flat.reshape(len(steps), *shape)  # the ground's height has no axis
+            start += shape.numel()
         if moved:
             paths = iter(scene.tensors())
             scene = scene.map(lambda t: t + moved[p] if (p := next(paths)) in moved else t)
         return Unknowns(variables, scene)
 
-    def objective(
-        self, steps_of: Callable[[Tensor, Tensor], Tensor]
-    ) -> Callable[[Tensor, Tensor], Tensor]:
-        """Weighted terms as a function of a solver's variables and the clips they are of."""
-        bound = self.stage.terms, self.base
-        bound_to: Tensor | None = None
+    def model(self, x: Unknowns[Any], rows: Int[Tensor, " rows"]) -> Quadratic:
+        """The objective of some clips, its gradient by steps and its Hessian."""
+        stage, base = rows_of(self.stage, x, rows)
+        with torch.enable_grad():
+            zero = base.variables.shape.new_zeros(len(rows), self.size, requires_grad=True)
+            estimate = self.stepped(base, zero).estimate(stage.prior, self.body)
+            terms = stage.values(estimate)
+            (gradient,) = torch.autograd.grad(terms.sum(), zero)
+        with torch.no_grad():
+            found = hessians(stage, base.variables, estimate, self.bordered > self.frames)
+        return Quadratic(terms.detach(), gradient, found)
 
-        def terms(u: Float[Tensor, "active n"], active: Int[Tensor, " active"]) -> Tensor:
-            nonlocal bound, bound_to
-            if active is not bound_to:
-                bound = tuple(t.rows(active) for t in self.stage.terms), self.base[active]
-                bound_to = active
-            energies, base = bound
-            unknowns = self.moved(base, steps_of(u, active))
-            estimate = unknowns.estimate(self.stage.prior, self.body)
-            return torch.stack([t.weight * t.energy(estimate) for t in energies], -1)
+    def moved(
+        self, x: Unknowns[Any], rows: Int[Tensor, " rows"], steps: Float[Tensor, "rows n"]
+    ) -> Unknowns[Any]:
+        """The unknowns of all clips after steps of some, as steps of zero."""
+        with torch.no_grad():
+            moved = self.stepped(rows_of(self.stage, x, rows)[1], steps)
+            motion = moved.motion(self.stage.prior, self.body)
+            moved = Unknowns.of(self.stage.prior, motion, moved.scene, self.body)
+            if len(rows) == len(x.scene.offsets):
+                return moved
+            new = iter(moved.tensors().values())
+            return x.map(lambda old: old.index_copy(0, rows, next(new)))
 
-        return terms
-
-    def scaled(self, factors: Sequence[Factor]) -> Callable[[Tensor, Tensor], Tensor]:
-        """Steps of variables u; what belongs to neither frames nor shape is as it is."""
-
-        def steps_of(u: Tensor, active: Tensor) -> Tensor:
-            some = [factors[k] for k in active.tolist()]
-            return _Up.apply(u, some, self.frames, self.bordered)
-
-        return steps_of
-
-
-class _Up(torch.autograd.Function):
-    @staticmethod
-    def forward(
-        ctx: Any, u: Tensor, factors: Sequence[Factor], frames: int, bordered: int
-    ) -> Tensor:
-        ctx.map = factors, frames, bordered
-        return mapped([one.up for one in factors], u, frames, bordered)
-
-    @staticmethod
-    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, None, None, None]:
-        factors, frames, bordered = ctx.map
-        down = [one.down for one in factors]
-        return mapped(down, gradients[0], frames, bordered), None, None, None
-
-
-Substitution = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
-
-
-def mapped(
-    functions: Sequence[Substitution],
-    flat: Float[Tensor, "rows n"],
-    frames: int,
-    bordered: int,
-) -> Float[Tensor, "rows n"]:
-    """Each row through the function of its clip; what is of neither frames nor shape stays."""
-    rows: list[Tensor] = []
-    for function, row in zip(functions, flat, strict=True):
-        moved, border = function(row[:frames].view(-1, FRAME), row[frames:bordered])
-        rows.append(torch.cat((moved.flatten(), border, row[bordered:])))
-    return torch.stack(rows)
+    def value(self, x: Unknowns[Any], rows: Int[Tensor, " rows"]) -> Float[Tensor, "rows terms"]:
+        """Weighted terms of some clips."""
+        stage, base = rows_of(self.stage, x, rows)
+        with torch.no_grad():
+            return stage.values(base.estimate(stage.prior, self.body))

@@ -1,116 +1,202 @@
-"""What a fit asks of a prior; whoever keeps one of these protocols can be given to `recon.fit`."""
+"""A prior: what motions are likely, in variables of its own, and how it is fitted to data."""
 
-from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from inspect import signature
+from typing import TYPE_CHECKING, Any, ClassVar, Generic
 
+import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
 from recon.body.model import BodyModel
-from recon.core.struct import TensorStruct
-from recon.method.protocols import Prior
-from recon.method.reconstruction import Method
-from recon.method.stages import Stage
-from recon.method.terms import Term
+from recon.core.errors import WeightsError
+from recon.core.motion import Motion
+from recon.core.struct import S, TensorStruct
+from recon.method.protocols import Decoded, Estimate
+from recon.method.stages import Stage, Stages
+from recon.method.terms import Term, joint_acceleration, shape
+from recon.solver.lbfgs import LBFGS
+
+if TYPE_CHECKING:
+    from recon.method.quadratic import ClipModel
+
+USUAL_NOISE = 0.04
+"""Metres by which coordinates are taken to be off where nobody says."""
+MODEL_NOISE = 0.008
+"""Metres by which a body differs from its model: even perfect points need so much noise."""
+SHAPE_WEIGHT = 5e-6
+"""Weight of |betas|² per frame beside data in metres²; it matters little."""
+SMOOTHNESS = 9400.0
+"""Inverse variance of a joint coordinate's second differences at 30 Hz, 1 / metres²."""
 
 
 @dataclass(frozen=True)
-class Traits:
-    """What is known of a kind of prior before its weights are loaded.
+class Density:
+    """What a prior believes of a motion without data, as residuals of unit variance.
 
-    A class that differs from these has a class variable `traits`.
+    -log p = ½ Σ |z|² + ½ acceleration Σ |second difference of a joint|² + ½ shape |betas|²,
+    sums over frames at 30 Hz.
     """
 
-    knows_gravity: bool = True
+    by_rotations: Callable[[Motion], Float[Tensor, "*batch time coordinates 63"]]
+    """Derivatives of the coordinates z of a pose, which have unit variance, by the rotation steps
+    of all joints but the root, R_j Exp(w_j), radians."""
+    acceleration: float
+    """Inverse variance of a joint coordinate's second differences at 30 Hz, 1 / metres²."""
+    shape: float
+    """Inverse variance of a shape coefficient, for every frame."""
+
+
+class Prior(ABC, Generic[S]):
+    """A change of variables with a density over them; derive from it, then `recon.fit` takes it.
+
+    `encode` and `decode` are what a prior must have. All else has a usual answer.
+    """
+
+    knows_gravity: ClassVar[bool] = True
     """Whether it judges heights above the ground and which way is up. An unknown ground is then
     moved by its stages, and without any ground (`recon.fit(..., ground=None)`) it is refused."""
-    completes: bool = False
-    """Whether it is of one whole cycle of gait, for which beginnings are searched; it is then a
-    `CyclePrior`."""
+    level: ClassVar[bool] = False
+    """Whether its motions are in the world, z up, and in no recording's frame. Where the ground is
+    unknown, motions are brought to the world before `encode`, and its variables, which need a
+    method `carried(T, body)`, back to the frame of the recording."""
+    methods: ClassVar[tuple[str, ...]] = ()
+    """Names of the ways in which it can be fitted, the usual one first; empty if there is one."""
+    reach: ClassVar[int] = 0
+    """Frames up to so far apart couple in its terms, at least two, where its variables are linear
+    in steps of frames near the motion they begin at (then `from_steps`, `turns` and
+    `add_curvature` serve second-order minimisers); 0 where they are not."""
 
+    @classmethod
+    def load(cls, weights: str, body: BodyModel, /) -> "Prior[S]":
+        """The prior with weights, where it is given by its name or place.
 
-def traits_of(kind: object) -> Traits:
-    """The traits of a prior or of its class; the usual ones where it states none."""
-    return getattr(kind, "traits", Traits())
+        Args:
+            weights: `open`, or what the user wrote: a file, for example.
+            body: whose motion is to be found.
 
-
-def methods_of(kind: object) -> tuple[str, ...]:
-    """Names of the ways in which a prior, or one of its class, can be fitted; none for one way."""
-    return tuple(getattr(kind, "methods", ()))
-
-
-@runtime_checkable
-class NoisyPrior(Protocol):
-    """A prior that is fitted in a way that depends on how noisy the data are."""
-
-    def method(self, noise: float, body: BodyModel) -> Method:
-        """The stages for data whose coordinates are off by about `noise` metres.
-
-        Its terms stand beside ½ |residual|² in metres² of the least noisy observation, so that a
-        negative log-probability is weighted by noise².
+        Raises:
+            WeightsError: when there are no such weights; the usual answer has none.
         """
-        ...
+        del body
+        if weights != "open":
+            raise WeightsError(
+                f"weights: {cls.__name__} has none, got {weights!r}: it has no method "
+                "load(weights, body)"
+            )
+        return cls()
+
+    @abstractmethod
+    def encode(self, motion: Motion) -> S:
+        """Variables of the motion nearest to the given one; axes (clips, ...)."""
+
+    @abstractmethod
+    def decode(self, variables: S) -> Decoded:
+        """The motion of the variables, and the parts of -log p of the variables."""
+
+    def stages(
+        self,
+        data: tuple[Term, ...],
+        noise: float = USUAL_NOISE,
+        body: BodyModel | None = None,
+        method: str | None = None,
+    ) -> tuple[Stage[Any], ...]:
+        """The minimisations that bring a first guess to the reconstruction.
+
+        Usually place and heading from the data alone, then everything under -log p as well (the
+        sum of the energies, nats), small accelerations and usual shapes. For variables that are
+        called `translation`, `root`, `pose` and `shape`, as those of `FreeMotion` are.
+
+        Args:
+            data: terms of the observations. They stand in the unit of ½ |residual|² in metres² of
+                the least noisy one, so that a negative log-probability is weighted by noise².
+            noise: metres by which coordinates of the data are off. A prior whose weights the
+                caller chose keeps these.
+            body: whose motion it is; None is the one that the prior knows.
+            method: one of `methods`; None is the usual one.
+        """
+        del body, method
+        variance = max(noise, MODEL_NOISE) ** 2
+        likely = (
+            Term("prior", all_energies, variance),
+            Term("shape", shape, SHAPE_WEIGHT),
+            Term("acceleration", joint_acceleration, SMOOTHNESS * variance),
+        )
+        place = frozenset({"translation", "root"})
+        return (
+            Stage("root", self, data, place, LBFGS(30, tolerance_decrease=1e-4)),
+            Stage("all", self, (*data, *likely), place | {"pose", "shape"}, LBFGS(120)),
+        )
+
+    def belief(self, noise: float) -> Density | None:
+        """The density that its weights stand for beside data of this noise, metres.
+
+        Standard deviations of a fit follow from it; None, the usual answer, gives none.
+        """
+        del noise
+        return None
+
+    def live(self, noise: float) -> Any:
+        """Energies of steps for a stream whose points are off by `noise` metres.
+
+        None, the usual answer, where there are none; see `recon.live.objective`.
+        """
+        del noise
+        return None
+
+    def from_steps(self, variables: S, steps: Float[Tensor, "clips time 69"]) -> S:
+        """Variables that differ from the given ones, which are steps of zero, by these steps."""
+        raise NotImplementedError(f"{type(self).__name__} has a reach, so it needs from_steps")
+
+    def turns(self, variables: S, clip: int) -> Float[Tensor, "time 63 63"]:
+        """Derivatives of the 21 joints' rotations, R Exp(w), by a clip's last 63 steps."""
+        raise NotImplementedError(f"{type(self).__name__} has a reach, so it needs turns")
+
+    def add_curvature(self, term: Term, clip: "ClipModel") -> bool:
+        """Add the Gauss-Newton Hessian of a term of the prior; False where it knows of none."""
+        del term, clip
+        return False
 
 
-@runtime_checkable
-class ManyMethods(Protocol):
-    """A prior that can be fitted in more than one way."""
+def all_energies(estimate: Estimate) -> Float[Tensor, "*batch"]:
+    """The sum of all energies that the prior decoded: -log p, nats."""
+    none = torch.zeros_like(estimate.motion.shape[..., 0])
+    return sum(estimate.decoded.energies.values(), none)
+
+
+class CyclePrior(Prior[S]):
+    """A prior of whole cycles of gait, each of which is one code; beginnings are searched."""
+
+    completes: ClassVar[bool] = True
+
+    def stages(
+        self,
+        data: tuple[Term, ...],
+        noise: float = USUAL_NOISE,
+        body: BodyModel | None = None,
+        method: str | None = None,
+    ) -> tuple[Stage[Any], ...]:
+        """Stages from a cycle that is roughly right."""
+        del body, method
+        return (*self.coded(data, noise), *self.details(data, noise))
 
     @property
-    def methods(self) -> tuple[str, ...]:
-        """Names of the ways, the usual one first; a variable of the class."""
-        ...
-
-    def method(self, noise: float, body: BodyModel, name: str | None = None) -> Method:
-        """The stages of one way, None being the usual one; see `NoisyPrior.method`."""
-        ...
-
-
-@runtime_checkable
-class CycleMethod(Protocol):
-    """How a prior of cycles is fitted, in parts between which fits are compared."""
-
-    @property
-    def prior(self) -> "CyclePrior":
-        """The prior that the method is of."""
-        ...
-
-    @property
-    def noise(self) -> float:
-        """Metres by which coordinates of the data are off."""
-        ...
-
-    def search(self, data: tuple[Term, ...]) -> tuple[Stage, ...]:
-        """A quick fit that tells good beginnings from bad ones."""
-        ...
-
-    def coded(self, data: tuple[Term, ...]) -> tuple[Stage, ...]:
-        """Stages from a cycle that is roughly right to the best of the prior's."""
-        ...
-
-    def details(self, data: tuple[Term, ...]) -> tuple[Stage, ...]:
-        """Stages for what no code of the prior has; none where data are sparse."""
-        ...
-
-
-@runtime_checkable
-class CyclePrior(Prior[Any], Protocol):
-    """A prior of whole cycles of gait, each of which is one code."""
-
-    @property
+    @abstractmethod
     def code_size(self) -> int:
         """Numbers in a code."""
-        ...
 
     @property
+    @abstractmethod
     def typical(self) -> Float[Tensor, "typical code"]:
         """Codes of a few cycles that are unlike each other, to begin with."""
-        ...
 
+    @abstractmethod
     def paths(self, shape: Float[Tensor, " shape"]) -> Float[Tensor, "typical moments 3"]:
         """The path of the pelvis in each typical cycle, at even moments, metres."""
-        ...
 
+    @abstractmethod
     def variables(
         self,
         codes: Float[Tensor, "*batch code"],
@@ -119,15 +205,91 @@ class CyclePrior(Prior[Any], Protocol):
         valid: Bool[Tensor, "*batch time"],
         fps: float,
         start_time: float = 0.0,
-    ) -> TensorStruct:
+    ) -> S:
         """The cycles of these codes, placed in the world and on a clock."""
-        ...
 
-    def cycle_method(self, noise: float, *, detailed: bool) -> CycleMethod:
-        """A method for data that are off by `noise` metres.
+    @abstractmethod
+    def search(self, data: tuple[Term, ...], noise: float) -> tuple[Stage[Any], ...]:
+        """A quick fit that tells good beginnings from bad ones."""
 
-        Args:
-            noise: standard deviation of every coordinate.
-            detailed: whether data are dense enough to tell what no code has.
-        """
-        ...
+    @abstractmethod
+    def coded(self, data: tuple[Term, ...], noise: float) -> tuple[Stage[Any], ...]:
+        """Stages from a cycle that is roughly right to the best of the prior's."""
+
+    @abstractmethod
+    def details(self, data: tuple[Term, ...], noise: float) -> tuple[Stage[Any], ...]:
+        """Stages for what no code of the prior has; for data that are dense enough to tell it."""
+
+
+PriorLike = Any
+"""A `Prior`, or an object as version 0.2 had them, with `method(noise, body)` that gives an object
+with `stages(data)`, or with `stages(data)` itself."""
+
+
+@dataclass(frozen=True)
+class Traits:
+    """What priors of version 0.2 said of themselves; class variables of `Prior` now."""
+
+    knows_gravity: bool = True
+    completes: bool = False
+
+
+def trait(kind: object, name: str) -> bool:
+    """Whether a prior or its class, of this version's form or of 0.2's, `knows_gravity` ..."""
+    former: Traits = getattr(kind, "traits", Traits())
+    return getattr(kind, name, getattr(former, name))
+
+
+def as_prior(given: PriorLike) -> Prior[Any]:
+    """A prior, or an object of version 0.2's form as one."""
+    if not isinstance(given, Prior):
+        return _FormerPrior(given)
+    try:
+        signature(given.stages).bind((), USUAL_NOISE, None, None)
+    except TypeError:  # a class that derived from the protocol `Prior` of 0.2
+        return _FormerPrior(given)
+    return given
+
+
+def is_prior(given: object) -> bool:
+    """Whether an object is a prior, of this version's form or of 0.2's."""
+    return not isinstance(given, type) and any(hasattr(given, n) for n in ("stages", "method"))
+
+
+def stages_of(given: PriorLike | Stages) -> Stages:
+    """What gives the stages for data: a prior does, and so may a function."""
+    return as_prior(given).stages if is_prior(given) else given
+
+
+_POWERS = ("encode", "decode", "level", "methods", "reach", "from_steps", "turns",
+           "add_curvature", "belief", "live")  # fmt: skip
+
+
+class _FormerPrior(Prior[TensorStruct]):
+    """An object of version 0.2's form, with what it has of the powers of a prior."""
+
+    def __init__(self, given: Any) -> None:
+        powers = {name: getattr(given, name) for name in _POWERS if hasattr(given, name)}
+        vars(self).update(powers, knows_gravity=trait(given, "knows_gravity"), _given=given)
+
+    def encode(self, motion: Motion) -> Any:
+        raise NotImplementedError("an object with stages(data) alone is no change of variables")
+
+    def decode(self, variables: Any) -> Decoded:
+        raise NotImplementedError("an object with stages(data) alone is no change of variables")
+
+    def stages(
+        self,
+        data: tuple[Term, ...],
+        noise: float = USUAL_NOISE,
+        body: BodyModel | None = None,
+        method: str | None = None,
+    ) -> tuple[Stage[Any], ...]:
+        given: Any = vars(self)["_given"]
+        if hasattr(given, "method"):
+            given = given.method(noise, body, *(() if method is None else (method,)))
+        made = given.stages(data)
+        # stages of one prior object go on from its variables
+        priors = {id(stage.prior): stage.prior for stage in made}
+        own = {key: as_prior(prior) for key, prior in priors.items()}
+        return tuple(replace(stage, prior=own[id(stage.prior)]) for stage in made)

@@ -1,18 +1,16 @@
-"""The seams: what a prior, an observation and an energy are to the rest of the library."""
+"""The seams: what an estimate, an energy and an observation are to the rest of the library."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Protocol, TypeVar, runtime_checkable
+from importlib import import_module
+from typing import Any
 
-import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
 from recon.body.model import BodyModel, PosedBody
 from recon.core.motion import Motion
-from recon.core.residuals import Noise, Residuals, Unit
 from recon.core.scene import Scene
-from recon.core.struct import S
 
 REFERENCE_FPS = 30.0
 """Published weights multiply sums over frames at this rate; sums at other rates are scaled."""
@@ -62,173 +60,18 @@ class Estimate:
 Energy = Callable[[Estimate], Float[Tensor, "*batch"]]
 """One unweighted number per clip, in physical units; depends on no other clip of the batch."""
 
-Observed = TypeVar("Observed", bound="Sensor")
+
+_FORMER = {
+    "Prior": "recon.method.priors",
+    "Sensor": "recon.method.sensor",
+    "Observation": "recon.method.sensor",
+}
+"""Names that were here in version 0.2, with the modules where they are now."""
 
 
-@runtime_checkable
-class Prior(Protocol[S]):
-    """A change of variables with a density over them."""
-
-    def encode(self, motion: Motion) -> S:
-        """Variables of the motion nearest to the given one; axes (clips, ...)."""
-        ...
-
-    def decode(self, variables: S) -> Decoded:
-        """The motion of the variables, and the parts of -log p of the variables."""
-        ...
-
-
-@runtime_checkable
-class Observation(Protocol):
-    """Data of one sensor, and the energy that compares them with an estimate."""
-
-    def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
-        """Half the sum of squared residuals, one number per clip, in the sensor's unit squared."""
-        ...
-
-    def residuals(self, estimate: Estimate) -> Residuals:
-        """Observed minus predicted, by moment and by point, in the sensor's own unit."""
-        ...
-
-    def start(self, body: BodyModel) -> Motion:
-        """A first guess from the data alone, at the data's own times."""
-        ...
-
-
-@runtime_checkable
-class TrackedJoints(Protocol):
-    """An observation of points that tell where joints are, in space or in an image."""
-
-    unit: ClassVar[Unit]
-    """Metres in space, pixels in an image."""
-
-    def told_joints(self, body: BodyModel) -> Float[Tensor, "*batch 22"]:
-        """Share of the moments in which the place of each joint is told."""
-        ...
-
-
-@runtime_checkable
-class Density(Protocol):
-    """What a method believes of a motion without data, as residuals of unit variance.
-
-    -log p = ½ Σ |z|² + ½ acceleration Σ |second difference of a joint|² + ½ shape |betas|²,
-    sums over frames at 30 Hz.
-    """
-
-    @property
-    def acceleration(self) -> float:
-        """Inverse variance of a joint coordinate's second differences at 30 Hz, 1 / metres²."""
-        ...
-
-    @property
-    def shape(self) -> float:
-        """Inverse variance of a shape coefficient, for every frame."""
-        ...
-
-    def by_rotations(self, motion: Motion) -> Float[Tensor, "*batch time coordinates 63"]:
-        """Derivatives of a pose's coordinates of unit variance by the joints' rotation steps.
-
-        The steps are those of all joints but the root, R_j Exp(w_j), radians.
-        """
-        ...
-
-
-@runtime_checkable
-class Sensor(Observation, Protocol):
-    """An observation with all that a fit asks of it; one more sensor is one class with these.
-
-    `observations.records.sensor.SensorRecord` has usual answers to derive from. A sensor is a
-    frozen record of tensors (`recon.core.struct.TensorStruct`) with a leading axis of clips. In
-    its own frame, that of the recording, z = 0 may be the ground.
-    """
-
-    unit: ClassVar[Unit]
-    """The unit of its residuals."""
-
-    @property
-    def level(self) -> bool:
-        """Whether the recording's z axis points up even where its ground is not known."""
-        ...
-
-    @property
-    def kind(self) -> str:
-        """The sensor's name in reports."""
-        ...
-
-    @property
-    def fps(self) -> float:
-        """Moments per second."""
-        ...
-
-    @property
-    def start_time(self) -> float:
-        """Seconds, on the clock that all sensors of a clip share."""
-        ...
-
-    @property
-    def ground_known(self) -> bool:
-        """Whether z = 0 of the recording's frame is the ground."""
-        ...
-
-    @property
-    def clips(self) -> tuple[int, ...]:
-        """Sizes of the leading axes; one axis of clips, or none."""
-        ...
-
-    @property
-    def moments(self) -> int:
-        """Number of moments of a clip."""
-        ...
-
-    @property
-    def shown(self) -> Bool[Tensor, "*batch moments points"]:
-        """Which points were seen at every moment."""
-        ...
-
-    def point_names(self, body: BodyModel) -> tuple[str, ...]:
-        """Names of the points, for reports; none where points come in no order."""
-        ...
-
-    def shown_joints(self, estimate: Estimate) -> Bool[np.ndarray, "moments 22"]:
-        """Joints of the first clip whose place the sensor tells, at every moment."""
-        ...
-
-    def noise(self, guess: Motion, body: BodyModel, given: float | None = None) -> Noise:
-        """How noisy the data are: as given, in `unit`, or estimated from the data alone."""
-        ...
-
-    def window(self: Observed, start: float, stop: float) -> Observed:
-        """What was seen from one time to another, both included, seconds; the clock goes on."""
-        ...
-
-    def coarse(self: Observed, body: BodyModel, step: int = 2) -> Observed:
-        """Fewer moments and points, for a quick comparison of hypotheses."""
-        ...
-
-    def thinned(self: Observed, most: int) -> Observed:
-        """Few points of every moment, at most so many, where points come in no order."""
-        ...
-
-    def transformed(self: Observed, T_new_old: Float[np.ndarray, "4 4"]) -> Observed:
-        """Data after a rigid transform of the frame that they are given in, metres."""
-        ...
-
-    def robust_beyond(self: Observed, distance: float) -> Observed:
-        """Points count ever less beyond so many metres; where they do not yet and have names."""
-        ...
-
-    def derived(self: Observed, **fields: Any) -> Observed:
-        """The record with some fields exchanged, unchecked."""
-        ...
-
-    def to(self: Observed, *, device: Any = None, dtype: Any = None) -> Observed:
-        """The record on another device, in another precision."""
-        ...
-
-    def __getitem__(self: Observed, index: Any) -> Observed:
-        """Some clips, or with None one more leading axis."""
-        ...
-
-    def detach(self: Observed) -> Observed:
-        """Cut from the graph that computed it."""
-        ...
+def __getattr__(name: str) -> Any:
+    """Names that plug-ins of version 0.2 import from here; an `Observation` is a `Sensor`."""
+    if name in _FORMER:
+        found = "Sensor" if name == "Observation" else name
+        return getattr(import_module(_FORMER[name]), found)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -6,7 +6,6 @@ radians, and 63 numbers for the other joints, which the prior chooses.
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
@@ -16,9 +15,7 @@ from recon.body.derivatives import CarriedPoints, joints_by_shape
 from recon.body.kinematics import forward_kinematics
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
-from recon.core.scene import Scene
 from recon.method.protocols import Estimate
-from recon.method.terms import Term
 from recon.solver.banded import Banded
 
 FRAME = 69
@@ -27,7 +24,12 @@ FRAME = 69
 
 @dataclass(frozen=True)
 class PointModel:
-    """An energy about given places p of points: E + gᵀ dp + ½ dpᵀ A dp, point by point."""
+    """An energy about given places p of points: E + gᵀ dp + ½ dpᵀ A dp, point by point.
+
+    Energies of points that bones carry have a method `point_model(points)` that gives it at 30 Hz,
+    points in the frame of the recording; `carried(body, shape, offsets)`, the points on a body,
+    offsets as in `Scene.offsets`; and the clock of a sensor: `fps`, `start_time`, `moments`.
+    """
 
     value: Float[Tensor, "*batch"]
     """E, unit of the sensor squared."""
@@ -35,65 +37,6 @@ class PointModel:
     """g; that unit squared per metre."""
     curvature: Float[Tensor, "*batch moments points 3 3"]
     """A, positive semidefinite: second derivatives of the kernel and the camera are left out."""
-
-
-@runtime_checkable
-class PointSensor(Protocol):
-    """An observation of points that bones carry."""
-
-    @property
-    def fps(self) -> float:
-        """Moments per second."""
-        ...
-
-    @property
-    def start_time(self) -> float:
-        """Time of the first moment, seconds."""
-        ...
-
-    @property
-    def moments(self) -> int:
-        """Number of moments."""
-        ...
-
-    def point_model(self, points: Float[Tensor, "*batch moments points 3"]) -> PointModel:
-        """The energy at 30 Hz about predicted points, frame of the recording, metres."""
-        ...
-
-    def carried(
-        self, body: BodyModel, shape: Float[Tensor, " shape"], offsets: Float[Tensor, "rows 3"]
-    ) -> CarriedPoints:
-        """The points on a body of some shape; offsets as in `Scene.offsets`."""
-        ...
-
-
-@runtime_checkable
-class OfScene(Protocol):
-    """An observation that depends on what is unknown of the scene, beside the ground."""
-
-    def settled(self, scene: Scene) -> Any:
-        """The observation as it is in a scene, of which it then asks no more."""
-        ...
-
-
-@runtime_checkable
-class Framewise(Protocol):
-    """A prior whose variables are linear in steps of frames, near the motion they begin at."""
-
-    reach: ClassVar[int]
-    """Frames up to so far apart couple in its terms; at least two, for accelerations."""
-
-    def from_steps(self, variables: Any, steps: Float[Tensor, "clips time 69"]) -> Any:
-        """Variables that differ from the given ones, which are steps of zero, by these steps."""
-        ...
-
-    def turns(self, variables: Any, clip: int) -> Float[Tensor, "time 63 63"]:
-        """Derivatives of the 21 joints' rotations, R Exp(w), by a clip's last 63 steps."""
-        ...
-
-    def add_curvature(self, term: Term, clip: "ClipModel") -> bool:
-        """Add the Gauss-Newton Hessian of a term of the prior; False where it knows of none."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -105,7 +48,7 @@ class ClipModel:
     clip: int
     """Number of the clip."""
     turn: Float[Tensor, "time 63 63"]
-    """See `Framewise.turns`."""
+    """See `recon.method.priors.Prior.turns`."""
     reach: int
     with_shape: bool
     """Whether the shape is moved as well."""

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol, cast, runtime_checkable
 
 import torch
 from jaxtyping import Float
@@ -14,22 +13,14 @@ from recon.core.arrays import finite
 from recon.core.errors import ReconError
 from recon.core.motion import Motion
 from recon.core.scene import Scene
-from recon.core.struct import TensorStruct
-from recon.method.protocols import Estimate, Observation
+from recon.method.priors import PriorLike, stages_of
+from recon.method.protocols import Estimate
 from recon.method.running import Hypotheses, run_hypotheses
-from recon.method.stages import Stage, StageReport, Watch
-from recon.method.start import Recorded, checked_start
+from recon.method.sensor import Sensor
+from recon.method.stages import StageReport, Stages, Watch
+from recon.method.start import checked_start
 from recon.method.terms import Term
 from recon.solver.lbfgs import Termination
-
-
-@runtime_checkable
-class Method(Protocol):
-    """How to fit: a prior with the schedule it is fitted by."""
-
-    def stages(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
-        """The minimisations that bring a first guess to the reconstruction."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -99,8 +90,8 @@ class Reconstruction:
 
 
 def solve(
-    observations: Sequence[Observation],
-    prior: Method,
+    observations: Sequence[Sensor],
+    prior: PriorLike | Stages,
     body: BodyModel | None = None,
     *,
     start: Motion | None = None,
@@ -109,7 +100,7 @@ def solve(
     weights: Sequence[float] | None = None,
     watch: Watch | None = None,
 ) -> Reconstruction:
-    """The raw core of a fit: the stages of a method, from a start, with the weights given.
+    """The raw core of a fit: the stages of a prior, from a start, with the weights given.
 
     `recon.fit` estimates noise, weights, the first guess and the ground and then calls this; here
     they are the caller's: residuals in pixels and in metres are added as they are weighted.
@@ -119,7 +110,8 @@ def solve(
 
     Args:
         observations: adapters with data inside; the first one gives the first guess.
-        prior: what is likely, and by which stages it is fitted.
+        prior: what is likely, and by which stages it is fitted; or a function that gives the
+            stages for data.
         body: whose motion it is; None is the bundled body.
         start: a first guess to continue from instead, for example the previous chunk's motion; it
             covers the time of an observation.
@@ -134,20 +126,19 @@ def solve(
             many weights, or the start does not fit them or the body.
     """
     data, body, start, scene, weights = admitted(observations, body, start, scene, weights)
-    recorded = tuple(one for one in data if isinstance(one, Recorded))
-    hypotheses = [checked_start(other, recorded, body) for other in others]
+    hypotheses = [checked_start(other, data, body) for other in others]
     return reconstruct(
-        data, prior, body, start=start, others=hypotheses, scene=scene, weights=weights,
+        data, stages_of(prior), body, start=start, others=hypotheses, scene=scene, weights=weights,
         watch=watch,
     )  # fmt: skip
 
 
-Admitted = tuple[list[Observation], BodyModel, Motion | None, Scene | None, Sequence[float] | None]
+Admitted = tuple[list[Sensor], BodyModel, Motion | None, Scene | None, Sequence[float] | None]
 """Observations, body, start, scene and weights that fit each other."""
 
 
 def admitted(
-    observations: Sequence[Observation],
+    observations: Sequence[Sensor],
     body: BodyModel | None,
     start: Motion | None,
     scene: Scene | None,
@@ -160,22 +151,22 @@ def admitted(
     """
     if len(observations) == 0:
         raise ReconError("nothing to fit: expected at least one observation, got none")
-    body = _body_beside(observations[0]) if body is None else body
+    if body is None:
+        body = BodyModel.load().to(device=observations[0].shown.device)
     like = body.template
-    data = [_moved(observation, like) for observation in observations]
-    recorded = tuple(one for one in data if isinstance(one, Recorded))
-    if any(len(one.clips) != 1 for one in recorded):
+    data = [one.to(device=like.device, dtype=like.dtype) for one in observations]
+    if any(len(one.clips) != 1 for one in data):
         raise ReconError(
             "expected one leading axis of clips, positions (clips, time, points, 3); got leading "
-            f"axes {recorded[0].clips}; add it by indexing with [None]"
+            f"axes {data[0].clips}; add it by indexing with [None]"
         )
-    if len({one.clips for one in recorded}) > 1:
+    if len({one.clips for one in data}) > 1:
         raise ReconError(
             "expected observations of the same clips, got "
-            f"{', '.join(str(one.clips[0]) for one in recorded)} of them; give all as many"
+            f"{', '.join(str(one.clips[0]) for one in data)} of them; give all as many"
         )
     if start is not None:
-        start = checked_start(start, recorded, body)
+        start = checked_start(start, data, body)
     if weights is not None:
         weights = [finite(weight, "weights") for weight in weights]
         if len(weights) != len(observations) or min(weights) < 0:
@@ -188,8 +179,8 @@ def admitted(
 
 
 def reconstruct(
-    observations: Sequence[Observation],
-    prior: Method,
+    observations: Sequence[Sensor],
+    stages_for: Stages,
     body: BodyModel,
     *,
     start: Motion | None = None,
@@ -205,12 +196,7 @@ def reconstruct(
     if scene is None:
         scene = Scene.create(len(start.translation), like=start.translation)
     weights = [1.0] * len(observations) if weights is None else weights
-    many = len(observations) > 1
-    data = tuple(
-        Term(f"data {k + 1}" if many else "data", observation, weight)
-        for k, (observation, weight) in enumerate(zip(observations, weights, strict=True))
-    )
-    stages = prior.stages(data)
+    stages = stages_for(data_terms(observations, weights))
     if others and stages[-1].kept is None:
         stages = (*stages[:-1], replace(stages[-1], kept=1))
     began = Hypotheses.of_motions(stages[0].prior, [start, *others], scene, body)
@@ -219,16 +205,10 @@ def reconstruct(
     return Reconstruction(found.estimate(body), tuple(reports), chosen=chosen)
 
 
-def _body_beside(observation: Observation) -> BodyModel:
-    """The bundled body, where the observation is."""
-    body = BodyModel.load()
-    if not isinstance(observation, TensorStruct):
-        return body
-    return body.to(device=next(iter(observation.tensors().values())).device)
-
-
-def _moved(observation: Observation, like: Tensor) -> Observation:
-    """An observation in the precision of the body; one that is no record is left as it is."""
-    if not isinstance(observation, TensorStruct):
-        return observation
-    return cast(Observation, observation.to(device=like.device, dtype=like.dtype))
+def data_terms(observations: Sequence[Sensor], weights: Sequence[float]) -> tuple[Term, ...]:
+    """Weighted observations as terms: `data`, or `data 1`, `data 2` ... where there are more."""
+    many = len(observations) > 1
+    return tuple(
+        Term(f"data {k + 1}" if many else "data", observation, weight)
+        for k, (observation, weight) in enumerate(zip(observations, weights, strict=True))
+    )

@@ -15,10 +15,10 @@ from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.scene import Scene
 from recon.core.struct import S, concatenate
-from recon.method.protocols import Estimate, Prior
+from recon.method.priors import Prior
+from recon.method.protocols import Estimate
 from recon.method.stages import Compared, Proposals, Stage, StageReport, Watch
-from recon.method.terms import Term
-from recon.method.unknowns import Layout, Unknowns
+from recon.method.unknowns import Layout, Unknowns, objective
 from recon.solver.solution import Solution, in_turn
 
 _ITERATION_SHARE = 3
@@ -166,7 +166,7 @@ def rank(
     ranked = hypotheses.of(replace(stage, terms=stage.ranking or stage.terms))
     with torch.no_grad():
         estimate = hypotheses.unknowns.estimate(hypotheses.prior, body, stage.portion)
-        return _values(ranked.terms, estimate).sum(-1)
+        return ranked.values(estimate).sum(-1)
 
 
 def _encoded_anew(held: Hypotheses[Any], prior: Prior[Any], body: BodyModel) -> Hypotheses[Any]:
@@ -208,23 +208,6 @@ def _minimised(
         layout = Layout.of(start, stage.free)
     except ValueError as error:
         raise ValueError(f"stage {stage.name!r}: {error}") from error
-    bound = stage.terms, start
-    bound_to: Tensor | None = None
-
-    def objective(x: Float[Tensor, "active n"], active: Int[Tensor, " active"]) -> Tensor:
-        nonlocal bound, bound_to
-        if active is not bound_to:  # the solver hands the same tensor until the rows change
-            bound = tuple(term.rows(active) for term in stage.terms), start[active]
-            bound_to = active
-        terms, fixed = bound
-        return _values(
-            terms, layout.unflatten(fixed, x).estimate(stage.prior, body, stage.portion)
-        )
-
-    solution = stage.minimiser(objective, layout.flatten(start), told)
+    of_layout = objective(stage, body, start, lambda base, x, _: layout.unflatten(base, x))
+    solution = stage.minimiser(of_layout, layout.flatten(start), told)
     return layout.unflatten(start, solution.x), solution
-
-
-def _values(terms: Sequence[Term], estimate: Estimate) -> Float[Tensor, "rows terms"]:
-    """Weighted energies."""
-    return torch.stack([term.weight * term.energy(estimate) for term in terms], -1)

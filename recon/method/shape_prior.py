@@ -1,7 +1,6 @@
 """What is known of a person's shape before a fit, as energies beside the data."""
 
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
@@ -9,13 +8,9 @@ from torch import Tensor
 
 from recon.body.identities import height
 from recon.body.model import BodyModel
+from recon.method.priors import MODEL_NOISE
 from recon.method.protocols import REFERENCE_FPS, Energy, Estimate
-from recon.method.reconstruction import Method
-from recon.method.stages import Stage
 from recon.method.terms import Term
-
-_LEAST_NOISE = 0.008
-"""Metres by which a body differs from its model: even perfect points need so much noise."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +32,7 @@ class ShapePrior:
 
     def terms(self, body: BodyModel, noise: float) -> tuple[Term, ...]:
         """Energies beside observations whose coordinates are off by `noise` metres."""
-        weight = max(noise, _LEAST_NOISE) ** 2
+        weight = max(noise, MODEL_NOISE) ** 2
         found: list[Term] = []
         if self.height is not None:
             energy = _height_energy(body, self.mean, self.height, self.height_std)
@@ -45,21 +40,6 @@ class ShapePrior:
         if self.std is not None:
             found.append(Term("known shape", _nearness(self.mean, self.std), weight))
         return tuple(found)
-
-
-@dataclass(frozen=True)
-class WithShape:
-    """A method with further energies in every stage that moves the shape."""
-
-    method: Method
-    terms: tuple[Term, ...]
-
-    def stages(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
-        """Its stages, in which the shape is held to what is known of it."""
-        return tuple(
-            replace(stage, terms=(*stage.terms, *self.terms)) if "shape" in stage.free else stage
-            for stage in self.method.stages(data)
-        )
 
 
 def _height_energy(

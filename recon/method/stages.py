@@ -1,32 +1,22 @@
-"""A method is a tuple of stages: one minimisation each, and what happens around it."""
+"""A fit is a tuple of stages: one minimisation each, and what happens around it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Generic, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Generic
 
+import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.struct import S
-from recon.method.protocols import Energy, Estimate, Prior
+from recon.method.protocols import Estimate
 from recon.method.terms import Term
 from recon.solver.lbfgs import LBFGS, Progress, Solution
 
-
-@runtime_checkable
-class Matched(Protocol):
-    """An energy over correspondences, such as points and the nearest place of a surface.
-
-    Minimised while it looks for the nearest, it jumps where correspondences change, and line
-    searches end there. So they are held, and found anew between minimisations (iterated closest
-    points).
-    """
-
-    def matched(self, estimate: Estimate) -> Energy:
-        """The energy over the correspondences of this estimate."""
-        ...
+if TYPE_CHECKING:
+    from recon.method.priors import Prior
 
 
 Proposals = Callable[[Estimate, int], Motion | None]
@@ -47,7 +37,7 @@ class Stage(Generic[S]):
     """One minimisation: a prior's variables, the terms of the objective, and the minimiser."""
 
     name: str
-    prior: Prior[S]
+    prior: "Prior[S]"
     terms: tuple[Term, ...]
     free: frozenset[str]
     """Names of the optimised tensors, the prior's (`pose`) or the scene's (`scene.offsets`)."""
@@ -57,7 +47,10 @@ class Stage(Generic[S]):
     other moment; None decodes them all."""
     rounds: int = 5
     """Number of minimisations with correspondences found anew before each, a third of the
-    iterations each; only where an energy is `Matched`, others are minimised once."""
+    iterations each; only where an energy has a method `matched(estimate)`, which gives the energy
+    over the correspondences of an estimate, such as points and the nearest place of a surface.
+    Minimised while it looks for the nearest, it would jump where correspondences change, and line
+    searches end there (iterated closest points)."""
     proposals: Proposals | None = None
     """Finds further hypotheses, which are minimised beside what the stage is handed; None finds
     none."""
@@ -82,21 +75,28 @@ class Stage(Generic[S]):
     @property
     def matches(self) -> bool:
         """Whether any energy is over correspondences."""
-        return any(isinstance(term.energy, Matched) for term in self.terms)
+        return any(hasattr(term.energy, "matched") for term in self.terms)
 
     def matched(self, estimate: Estimate) -> "Stage[S]":
         """The stage with the correspondences of an estimate, fixed while it is minimised."""
-        terms = tuple(
-            replace(term, energy=term.energy.matched(estimate))
-            if isinstance(term.energy, Matched)
-            else term
-            for term in self.terms
-        )
-        return replace(self, terms=terms)
+
+        def held(term: Term) -> Term:
+            matched = getattr(term.energy, "matched", None)
+            return term if matched is None else replace(term, energy=matched(estimate))
+
+        return replace(self, terms=tuple(held(term) for term in self.terms))
+
+    def values(self, estimate: Estimate) -> Float[Tensor, "rows terms"]:
+        """Weighted energies of its terms."""
+        return torch.stack([term.weight * term.energy(estimate) for term in self.terms], -1)
 
     def rows(self, clip: Int[Tensor, " rows"]) -> "Stage[S]":
         """The stage for some clips, or for hypotheses of clips: a row for each."""
         return replace(self, terms=tuple(term.rows(clip) for term in self.terms))
+
+
+Stages = Callable[[tuple[Term, ...]], tuple[Stage[Any], ...]]
+"""Gives the stages by which data are fitted: what a prior has as its method `stages`."""
 
 
 @dataclass(frozen=True)

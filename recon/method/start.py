@@ -1,6 +1,6 @@
 """A first guess that the caller gives: brought to the body's precision, or refused."""
 
-from typing import Protocol, runtime_checkable
+from collections.abc import Sequence
 
 import torch
 
@@ -8,37 +8,13 @@ from recon.body.model import BodyModel
 from recon.core.errors import ReconError
 from recon.core.limits import ORTHOGONALITY, POSITION, SHAPE
 from recon.core.motion import Motion
+from recon.method.sensor import Sensor
 
 _SLACK = 1e-3
 """Frames by which clocks that agree may differ."""
 
 
-@runtime_checkable
-class Recorded(Protocol):
-    """An observation that says which clips it holds and when they were recorded."""
-
-    @property
-    def clips(self) -> tuple[int, ...]:
-        """Its leading axes: (clips,)."""
-        ...
-
-    @property
-    def moments(self) -> int:
-        """How many moments a clip has."""
-        ...
-
-    @property
-    def fps(self) -> float:
-        """Moments per second."""
-        ...
-
-    @property
-    def start_time(self) -> float:
-        """Time of the first moment, seconds."""
-        ...
-
-
-def checked_start(start: Motion, seen: tuple[Recorded, ...], body: BodyModel) -> Motion:
+def checked_start(start: Motion, seen: Sequence[Sensor], body: BodyModel) -> Motion:
     """The start with all shape coefficients of the body, in its precision and on its device.
 
     It covers the time of at least one observation, at any rate; shape coefficients that are
@@ -83,7 +59,7 @@ def checked_start(start: Motion, seen: tuple[Recorded, ...], body: BodyModel) ->
     return start.replace(shape=shape).to(device=like.device, dtype=like.dtype)
 
 
-def _covers(start: Motion, seen: Recorded) -> bool:
+def _covers(start: Motion, seen: Sensor) -> bool:
     """Whether a motion begins with an observation and lasts as long, to within its own frame."""
     first = (start.start_time - seen.start_time) * start.fps
     length = (seen.moments - 1) / seen.fps * start.fps
@@ -91,6 +67,6 @@ def _covers(start: Motion, seen: Recorded) -> bool:
     return abs(first) <= _SLACK and -_SLACK <= spare < 1 - _SLACK
 
 
-def _span(seen: Recorded) -> str:
+def _span(seen: Sensor) -> str:
     stop = seen.start_time + (seen.moments - 1) / seen.fps
     return f"{seen.start_time:g} s to {stop:g} s"

@@ -2,10 +2,10 @@
 
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
-from typing import Any, ClassVar, Generic, Protocol, runtime_checkable
+from typing import Any, Generic
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from recon.body.model import BodyModel
@@ -13,27 +13,10 @@ from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.scene import Scene
 from recon.core.struct import S, TensorStruct
-from recon.method.protocols import Estimate, Prior
-
-
-@runtime_checkable
-class Carried(Protocol):
-    """Variables of a motion that can be had in another frame."""
-
-    def carried(self, T: Float[Tensor, "*batch 4 4"], body: BodyModel) -> Any:
-        """Variables of the same motion after a rigid transform."""
-        ...
-
-
-@runtime_checkable
-class Level(Protocol):
-    """A prior that knows where up is: its motions are in the world, not in a recording's frame.
-
-    Where the ground is unknown, motions are brought to the world before `encode`, and its
-    variables, which are `Carried`, back to the frame of the recording.
-    """
-
-    level: ClassVar[bool]
+from recon.method.priors import Prior
+from recon.method.protocols import Estimate
+from recon.method.stages import Stage
+from recon.solver.solution import Objective
 
 
 @dataclass(frozen=True)
@@ -46,7 +29,7 @@ class Unknowns(TensorStruct, Generic[S]):
     @classmethod
     def of(cls, prior: Prior[S], motion: Motion, scene: Scene, body: BodyModel) -> "Unknowns[S]":
         """The unknowns of a motion; both are in the frame of the recording."""
-        if scene.ground is None or not _is_level(prior):
+        if scene.ground is None or not prior.level:
             return cls(prior.encode(motion), scene)
         T = scene.ground.T_world_recording
         variables: Any = prior.encode(motion.carried(T, body.rest_joints(motion.shape)[..., 0, :]))
@@ -61,7 +44,7 @@ class Unknowns(TensorStruct, Generic[S]):
 
     def motion(self, prior: Prior[S], body: BodyModel) -> Motion:
         """The motion of the variables; both are in the frame of the recording."""
-        if self.scene.ground is None or not _is_level(prior):
+        if self.scene.ground is None or not prior.level:
             return prior.decode(self.variables).motion
         return _in_recording(self.estimate(prior, body).motion, self.scene, body)
 
@@ -72,9 +55,9 @@ class Unknowns(TensorStruct, Generic[S]):
         variables: Any = self.variables
         ground = self.scene.ground
         if ground is not None:
-            if not isinstance(variables, Carried):
+            if not hasattr(variables, "carried"):
                 raise ValueError(
-                    f"{type(prior).__name__} needs to know the ground: its variables cannot be "
+                    "the prior needs to know the ground: its variables cannot be "
                     "carried to another world; give the cameras' poses, or take the default method"
                 )
             variables = variables.carried(ground.T_world_recording, body)
@@ -90,10 +73,6 @@ def _in_recording(motion: Motion, scene: Scene, body: BodyModel) -> Motion:
         return motion
     T = so3.inverse_rigid(scene.ground.T_world_recording)
     return motion.carried(T, body.rest_joints(motion.shape)[..., 0, :])
-
-
-def _is_level(prior: Prior[Any]) -> bool:
-    return isinstance(prior, Level) and prior.level
 
 
 @dataclass(frozen=True)
@@ -137,3 +116,39 @@ class Layout:
         }
         paths = iter(unknowns.tensors())
         return unknowns.map(lambda tensor: freed.get(next(paths), tensor))
+
+
+def rows_of(
+    stage: Stage[S], unknowns: Unknowns[S], rows: Int[Tensor, " rows"]
+) -> tuple[Stage[S], Unknowns[S]]:
+    """The data and unknowns of some clips, in ascending order."""
+    if len(rows) == len(unknowns.scene.offsets):
+        return stage, unknowns
+    return stage.rows(rows), unknowns[rows]
+
+
+def objective(
+    stage: Stage[S],
+    body: BodyModel,
+    start: Unknowns[S],
+    moved: Callable[[Unknowns[S], Tensor, Tensor], Unknowns[S]],
+) -> Objective:
+    """Weighted terms as a function of a solver's variables and of the clips they are of.
+
+    Args:
+        stage: with the data of all clips.
+        body: whose motion it is.
+        start: unknowns of all clips.
+        moved: unknowns of some clips at the solver's variables: called with those of `start`,
+            these variables and the numbers of the clips.
+    """
+    bound, bound_to = (stage, start), torch.arange(len(start.scene.offsets))
+
+    def terms(x: Float[Tensor, "active n"], active: Int[Tensor, " active"]) -> Tensor:
+        nonlocal bound, bound_to
+        if active is not bound_to:  # the solver hands the same tensor until the rows change
+            bound, bound_to = rows_of(stage, start, active), active
+        some, base = bound
+        return some.values(moved(base, x, active).estimate(some.prior, body, some.portion))
+
+    return terms

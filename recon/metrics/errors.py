@@ -41,21 +41,29 @@ def root_aligned(joints: Float[Tensor, "*frames joints 3"]) -> Float[Tensor, "*f
 
 
 def similarity_aligned(
-    points: Float[Tensor, "*frames points 3"], target: Float[Tensor, "*frames points 3"]
+    points: Float[Tensor, "*frames points 3"],
+    target: Float[Tensor, "*frames points 3"],
+    fitted: int | None = None,
 ) -> Float[Tensor, "*frames points 3"]:
     """Every frame's points after the rotation, scale and shift that bring them nearest to target.
 
     Least squares (Umeyama 1991): R maximises tr(Rᵀ H) with H = Σ y xᵀ of the centred points and
     s = tr(Rᵀ H) / Σ |x|². The scale of points that coincide is one.
+
+    Args:
+        points: to be moved.
+        target: where they should be.
+        fitted: number of leading points that the transform is fitted to; None takes all.
     """
-    centre, goal = points.mean(-2, keepdim=True), target.mean(-2, keepdim=True)
-    x, y = points - centre, target - goal
+    some, wanted = points[..., :fitted, :], target[..., :fitted, :]
+    centre, goal = some.mean(-2, keepdim=True), wanted.mean(-2, keepdim=True)
+    x, y = some - centre, wanted - goal
     covariance = y.mT @ x
     rotation = so3.nearest(covariance)
     spread = x.square().sum((-2, -1))
-    fitted = (rotation * covariance).sum((-2, -1))
-    scale = torch.where(spread > 0, fitted / torch.where(spread > 0, spread, 1.0), 1.0)
-    return scale[..., None, None] * (x @ rotation.mT) + goal
+    length = (rotation * covariance).sum((-2, -1))
+    scale = torch.where(spread > 0, length / torch.where(spread > 0, spread, 1.0), 1.0)
+    return scale[..., None, None] * ((points - centre) @ rotation.mT) + goal
 
 
 def accelerations(

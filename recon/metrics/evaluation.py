@@ -14,6 +14,7 @@ from recon.core.motion import Motion
 from recon.core.skeleton import LEGS, TOES
 from recon.core.struct import TensorStruct
 from recon.metrics import errors as metrics
+from recon.metrics.world import world_errors
 
 _CHUNK = 64
 """Frames whose surfaces are compared at once, to bound memory."""
@@ -82,6 +83,7 @@ def evaluate(
         **observed_errors(observed),
         "vertices": _vertex_error(predicted, actual),
         **smoothness(predicted.joints, actual.joints, estimate.fps),
+        **world_errors(predicted.joints, actual.joints, estimate.fps),
         **_contact(None if contacts is None else _labels(contacts)[:count], touching),
         **_penetration("penetration", _toe_heights(predicted), _toe_heights(actual)),
         **_penetration("sole_penetration", sole_heights(predicted), sole_heights(actual)),

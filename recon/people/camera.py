@@ -8,10 +8,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from observations import kinds
 from recon.api.result import Result
 from recon.core.motion import Motion
 from recon.fitting.ground import camera_above
+from recon.method.sensor import views_of
 
 _SIZE = 0.05
 """Standard deviation of the logarithm of a person's size, and so of the distance from the camera,
@@ -51,7 +51,7 @@ class _Alone:
     @classmethod
     def of(cls, result: Result) -> "_Alone":
         """What a fit with a camera of unknown pose found."""
-        (view,) = kinds.views(result.examined.fit.observations)
+        (view,) = views_of(result.examined.fit.observations)
         T = result.T_world_camera
         assert T is not None
         assert result.ground is not None
@@ -95,7 +95,7 @@ def shared_camera(results: Sequence[Result]) -> SharedCamera:
         _moved(one, T_world_camera, focal, float(factor), spots)
         for one, factor, spots in zip(alone, factors, places, strict=True)
     )
-    (view,) = kinds.views(results[0].examined.fit.observations)
+    (view,) = views_of(results[0].examined.fit.observations)
     matrix = view.camera.camera_matrix.reshape(-1, 3, 3)[0].double().cpu()
     zoomed = matrix.clone()
     zoomed[:2, :2] *= focal / alone[0].focal
@@ -118,7 +118,7 @@ def shared_camera(results: Sequence[Result]) -> SharedCamera:
 def _plane(
     places: Sequence[Float[np.ndarray, "places 3"]], ups: Sequence[Float[np.ndarray, "3"]]
 ) -> tuple[Float[np.ndarray, "3"], float, Float[np.ndarray, " people"]]:
-    """Normal, height of the camera above the ground, and everybody's factor of distance."""
+    """Ground normal, height of the camera above the ground, and a distance factor per person."""
     from scipy.optimize import least_squares
 
     mean = np.mean(ups, axis=0)

@@ -54,7 +54,7 @@ class PersonClip:
 def people_in(
     paths: Sequence[Path], settings: FitSettings, body: BodyModel
 ) -> tuple[tuple[PersonClip, ...], tuple[str, ...]]:
-    """Everybody in 2D detections; and who are left out and what else was decided.
+    """Everybody in 2D detections, and notes on who was left out and why.
 
     Raises:
         FileNotFoundError: when something is not there.

@@ -6,7 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from observations import kinds
 from observations.keypoints2d import Keypoints2D
 from recon.api.fit import fit
 from recon.api.given import BodyLike, body_given
@@ -14,9 +13,10 @@ from recon.api.result import Result
 from recon.body.model import BodyModel
 from recon.core.errors import ReconError
 from recon.core.motion import Motion
-from recon.fitting.methods import PriorObject
 from recon.fitting.observed import Clip
 from recon.fitting.settings import FitSettings
+from recon.method.priors import PriorLike
+from recon.method.sensor import views_of
 from recon.people.camera import SharedCamera, shared_camera
 from recon.people.everyone import PersonClip, people_in
 from recon.people.results import People
@@ -56,7 +56,7 @@ def load_people(
 
 def fit_people(
     people: Sequence[PersonClip],
-    prior: str | PriorObject = "humor",
+    prior: str | PriorLike = "humor",
     *,
     body: BodyLike = None,
     notes: Sequence[str] = (),
@@ -129,7 +129,7 @@ def _on_one_floor(result: Result) -> Result:
 
 def _only_view(clip: Clip) -> Keypoints2D | None:
     """The one fixed camera of unknown pose that saw a clip; None where it is otherwise."""
-    views = kinds.views(clip.observations)
+    views = views_of(clip.observations)
     if len(views) != 1 or len(clip.observations) != 1 or clip.ground_given:
         return None
     (view,) = views
@@ -139,7 +139,7 @@ def _only_view(clip: Clip) -> Keypoints2D | None:
 
 def _before(clip: Clip, shared: SharedCamera) -> Clip:
     """The clip as the shared camera saw it, whose pose is known from here on."""
-    (view,) = kinds.views(clip.observations)
+    (view,) = views_of(clip.observations)
     camera = view.camera.derived(
         camera_matrix=shared.matrix.to(view.camera.camera_matrix)[None, None],
         T_camera_world=shared.T_camera_world.to(view.camera.T_camera_world)[None, None],
@@ -152,7 +152,7 @@ def _before(clip: Clip, shared: SharedCamera) -> Clip:
 def _fitted(
     numbers: Sequence[int],
     clips: Sequence[Clip],
-    prior: str | PriorObject,
+    prior: str | PriorLike,
     arguments: Sequence[dict[str, Any]],
 ) -> list[Result]:
     results: list[Result] = []

@@ -55,7 +55,8 @@ def fit_all(
     body = BodyModel.load(settings.body)
     people, notes = people_in(observations, settings, body)
     how = {name: getattr(settings, name) for name in _OF_ALL}
-    ground = settings.arguments()["ground"]
+    arguments = settings.arguments()
+    ground, how["checks"] = arguments["ground"], arguments["checks"]
     how["ground"] = "auto" if isinstance(ground, tuple) else ground  # the reader knows the plane
     with console.fitting({}) as watch:
         found = fit_people(

@@ -161,7 +161,7 @@ def _pairs(
 def _to_restless(
     pairs: Float[Tensor, "inner 10"], unrest: Float[Tensor, "inner 4"]
 ) -> Float[Tensor, "inner 4"]:
-    """Shares of pairs given to the joint of each whose rest the energy asks for."""
+    """Weights of the pairs summed by joint; each counts for the joint with the larger unrest."""
     first, second = (
         unrest.new_tensor(side).long().expand(pairs.shape) for side in (_FIRST, _SECOND)
     )

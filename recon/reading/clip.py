@@ -32,7 +32,7 @@ from recon.formats.observations import (
 )
 from recon.formats.projects import Project, project_at
 from recon.formats.scans import read_scans
-from recon.method.protocols import Sensor
+from recon.method.sensor import Sensor
 from recon.reading.clouds import cloud_of
 from recon.reading.images import keypoints_of
 from recon.reading.keypoints3d import settled

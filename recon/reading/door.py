@@ -8,7 +8,7 @@ from typing import Any, Literal
 from recon.body.model import BodyModel
 from recon.fitting.settings import FitSettings
 from recon.formats.motions import MotionFile, holds_motion, load_motion
-from recon.method.protocols import Sensor
+from recon.method.sensor import Sensor
 from recon.reading.clip import load_clip
 
 _LOG = logging.getLogger("recon")

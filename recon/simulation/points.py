@@ -94,10 +94,27 @@ def markers3d(
     corruption: Corruption,
     seed: int,
     names: tuple[str, ...] = KEYPOINTS_43,
+    skin_offset: float = 0.0,
 ) -> Markers3D:
-    """Points of the surface of one clip (no batch axis); by default 43 spread over the body."""
+    """Points of the surface of one clip (no batch axis); by default 43 spread over the body.
+
+    Each keeps one offset, N(0, skin_offset² I), in the frame of the bone that carries its vertex,
+    as a person places markers beside their landmarks.
+
+    Raises:
+        ValueError: when the offset's standard deviation is negative.
+    """
+    if not skin_offset >= 0:
+        raise ReconError(f"skin_offset is a standard deviation, zero or more, got {skin_offset}")
     vertices = tuple(landmark(name) for name in names)
-    truth = body.pose(motion).points(torch.tensor(vertices))
+    posed = body.pose(motion)
+    truth = posed.points(torch.tensor(vertices))
+    if skin_offset > 0:
+        bones = body.weights[list(vertices)].argmax(-1)
+        # a stream of its own, so that noise of the same seed is not the offsets again
+        generator = Generator().manual_seed(seed ^ 0x5EED)
+        away = skin_offset * torch.randn(len(names), 3, generator=generator, dtype=torch.float64)
+        truth = truth + (posed.orientations[:, bones] @ away.to(truth)[..., None])[..., 0]
     positions, visible = _observe(truth, corruption, seed, motion.times)
     return Markers3D(positions, visible, vertices, motion.fps, motion.start_time)
 
@@ -111,32 +128,8 @@ def landmarks3d(
     skin_offset: float = 0.01,
     names: tuple[str, ...] = LANDMARKS_16,
 ) -> Markers3D:
-    """Markers of one clip (no batch axis) as a person places them: beside their landmarks.
-
-    Each keeps one offset, N(0, skin_offset² I), in the frame of the bone that carries its vertex.
-
-    Raises:
-        ValueError: when the offset's standard deviation is negative.
-    """
-    if not skin_offset >= 0:
-        raise ReconError(f"skin_offset is a standard deviation, zero or more, got {skin_offset}")
-    vertices = tuple(landmark(name) for name in names)
-    posed = body.pose(motion)
-    bones = body.weights[list(vertices)].argmax(-1)
-    # a stream of its own, so that noise of the same seed is not the offsets again
-    generator = Generator().manual_seed(seed ^ 0x5EED)
-    away = skin_offset * torch.randn(len(names), 3, generator=generator, dtype=torch.float64)
-    turned = (posed.orientations[:, bones] @ away.to(posed.joints)[..., None])[..., 0]
-    truth = posed.points(torch.tensor(vertices)) + turned
-    positions, visible = _observe(truth, corruption, seed, motion.times)
-    return Markers3D(positions, visible, vertices, motion.fps, motion.start_time)
-
-
-def exact(
-    seen: Joints3D | Markers3D, truth: Motion, body: BodyModel
-) -> Float[Tensor, "time points 3"]:
-    """True positions of the tracked points, metres."""
-    return seen.on(body.pose(truth))
+    """Markers of one clip as a person places them: beside their landmarks."""
+    return markers3d(motion, body, corruption, seed, names, skin_offset)
 
 
 def visible_joints(

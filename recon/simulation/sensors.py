@@ -22,7 +22,6 @@ from recon.simulation.images import cameras_around, keypoints2d, mean_heading
 from recon.simulation.points import (
     Corruption,
     joints3d,
-    landmarks3d,
     markers3d,
     scan_points,
     visible_joints,
@@ -121,12 +120,11 @@ def _tracked(
     """Joints or markers."""
     if kind == "joints3d":
         seen, names = joints3d(truth, body, corruption, seed), JOINTS
-    elif kind == "markers3d":
-        seen, names = markers3d(truth, body, corruption, seed), KEYPOINTS_43
     else:
-        away = surface.skin_offset
-        seen = landmarks3d(truth, body, corruption, seed, skin_offset=away)
-        names = LANDMARKS_16
+        beside = kind == "landmarks"
+        names = LANDMARKS_16 if beside else KEYPOINTS_43
+        offset = surface.skin_offset if beside else 0.0
+        seen = markers3d(truth, body, corruption, seed, names, offset)
     return PositionsFile(
         kind="joints3d" if kind == "joints3d" else "markers3d",
         positions=seen.positions.double().numpy(),

@@ -2,18 +2,21 @@
 
     H = [[A, B], [Bᵀ, C]],   A_(t, t + k) = 0 for k beyond the reach
 
-Moments of a series couple with a few neighbours, and a few quantities belong to all moments.
+Frames of a series couple with a few neighbours, and a few variables, such as the shape of a body,
+belong to all frames. A vector beside H has the variables of the first frame, of the second, and so
+on, and those of the border last: time · n + m numbers.
 """
 
+import math
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn.functional import pad
 
-_MIN_DIAGONAL_RAISE = 1e-6
-"""Share that every diagonal is raised by at least: what rounding to single precision needs."""
+_ROUNDING = 8.0
+"""Share, in units of the last place, that every diagonal is raised by at least."""
 
 
 @dataclass(frozen=True)
@@ -34,10 +37,25 @@ class Banded:
             like.new_zeros(time, reach + 1, n, n), like.new_zeros(time, n, m), like.new_zeros(m, m)
         )
 
+    @classmethod
+    def dense(cls, matrix: Float[Tensor, "m m"]) -> "Banded":
+        """A matrix that is all corner."""
+        empty = matrix.new_zeros(0, 1, 0, 0)
+        return cls(empty, matrix.new_zeros(0, 0, len(matrix)), matrix)
+
     @property
     def reach(self) -> int:
-        """Moments up to so far apart couple."""
+        """Frames up to so far apart couple."""
         return self.inner.shape[1] - 1
+
+    def add_frames(
+        self, frame: Int[Tensor, " some"], curvature: Float[Tensor, "some n_and_m n_and_m"]
+    ) -> None:
+        """Add curvatures by the variables of single frames together with those of the border."""
+        n = self.inner.shape[-1]
+        self.inner[:, 0].index_add_(0, frame, curvature[:, :n, :n])
+        self.border.index_add_(0, frame, curvature[:, :n, n:])
+        self.corner.add_(curvature[:, n:, n:].sum(0))
 
     def add_products(
         self,
@@ -49,7 +67,7 @@ class Banded:
 
         Args:
             coefficients: c, for k from 0 on.
-            jacobian: derivative of the residuals r_t by the variables of the moment t.
+            jacobian: derivative of the residuals r_t by the variables of frame t.
             shaped: by those of the border.
         """
         time = len(jacobian)
@@ -82,17 +100,34 @@ def add_differences(
             coefficients[a : a + steps, b - a] += left * stencil[b] * weight
 
 
-class NotPositiveDefinite(ArithmeticError):
-    """A matrix has no Cholesky factor in single precision, or numbers that are not finite."""
+@dataclass(frozen=True)
+class Inverse:
+    """The parts of H⁻¹ that marginal covariances need.
+
+    With S = C - Bᵀ A⁻¹ B, the covariance of the border is S⁻¹ and that of frame t is
+    (A⁻¹)_tt + X_t S⁻¹ X_tᵀ, where X = A⁻¹ B; both covary by -X_t S⁻¹.
+    """
+
+    within: Float[Tensor, "time n n"]
+    """(A⁻¹)_tt."""
+    onto: Float[Tensor, "time n m"]
+    """X_t."""
+    border: Float[Tensor, "m m"]
+    """S⁻¹."""
 
 
 class Factor:
     """The Cholesky factor of a matrix, H = L Lᵀ.
 
     With x = L⁻ᵀ u the quadratic ½ xᵀ H x is ½ |u|²: in the variables u all directions are equally
-    stiff. As many moments as the matrix reaches are a block, so that only neighbouring blocks
-    couple. Variables are scaled so that the diagonal is one, for single precision to suffice.
+    stiff. As many frames as the matrix reaches are a block, so that only neighbouring blocks
+    couple; frames that do not couple are factorised all at once. Variables are scaled so that the
+    diagonal is one, for single precision to suffice.
     """
+
+    definite: bool
+    """Whether H is positive definite in its precision, all of it finite; if not, no other result
+    means anything."""
 
     def __init__(self, matrix: Banded, damping: float = 0.0) -> None:
         """Factorise.
@@ -100,78 +135,130 @@ class Factor:
         Args:
             matrix: the matrix.
             damping: share that its diagonal is raised by.
-
-        Raises:
-            NotPositiveDefinite: when it has no factor.
         """
-        self._time, self._reach = matrix.inner.shape[0], max(matrix.reach, 1)
+        self._frames = matrix.inner.shape[0], matrix.inner.shape[-1]
+        self._reach = max(matrix.reach, 1)
         self._scale = _inverse_roots(matrix.inner[:, 0])
         self._edge_scale = _inverse_roots(matrix.corner)
-        own, beside = _blocks(matrix.inner, self._scale, self._reach)
-        border = matrix.border * self._scale[..., None] * self._edge_scale
-        missing = len(own) * self._reach - self._time
-        border = pad(border, (0, 0, 0, 0, 0, missing)).reshape(*own.shape[:2], -1)
+        raised = 1.0 + damping + _ROUNDING * torch.finfo(matrix.corner.dtype).eps
+        own, beside = _blocks(matrix, self._scale)
+        self._shape = own.shape[:-1]
+        border = self._split(matrix.border * self._scale[..., None] * self._edge_scale)
         corner = matrix.corner * self._edge_scale[:, None] * self._edge_scale
-        own.diagonal(dim1=-2, dim2=-1).fill_(1.0 + damping + _MIN_DIAGONAL_RAISE)
-        corner.diagonal().fill_(1.0 + damping + _MIN_DIAGONAL_RAISE)
-        identity = torch.eye(own.shape[-1], dtype=own.dtype, device=own.device)
+        own.diagonal(dim1=-2, dim2=-1).fill_(raised)
+        corner.diagonal().fill_(raised)
         self._within: list[Tensor] = []
+        """Lower triangles L_ii."""
         self._across: list[Tensor] = []
-        gathered: list[Tensor] = []
+        """L_ii⁻¹ U_i, with U_i the block beside the diagonal."""
+        self._gathered: list[Tensor] = []
+        """Rows of L_AA⁻¹ B."""
         failures: list[Tensor] = []
         for i, block in enumerate(own):
             side = border[i]
             if i > 0:
                 before = self._across[-1]
                 block = torch.addmm(block, before.T, before, alpha=-1)
-                side = torch.addmm(side, before.T, gathered[-1], alpha=-1)
+                side = torch.addmm(side, before.T, self._gathered[-1], alpha=-1)
             factor, failed = torch.linalg.cholesky_ex(block)
-            failures.append(failed)
-            # the inverse of a triangular block makes every later substitution one product
-            within = torch.linalg.solve_triangular(factor, identity, upper=False)
-            self._within.append(within)
-            gathered.append(within @ side)
+            failures.append(failed.flatten())
+            self._within.append(factor)
             if i < len(beside):
-                self._across.append(within @ beside[i])
-        self._border = torch.cat(gathered)
+                both = _down(factor, torch.cat((beside[i], side), -1))
+                self._across.append(both[:, : len(factor)])
+                self._gathered.append(both[:, len(factor) :])
+            else:
+                self._gathered.append(_down(factor, side))
+        self._border = torch.cat(self._gathered).flatten(0, -2)
         rest, failed = torch.linalg.cholesky_ex(corner - self._border.T @ self._border)
-        if bool(torch.stack((*failures, failed)).any() | ~self._border.isfinite().all()):
-            raise NotPositiveDefinite("the matrix is not positive definite; raise its diagonal")
-        small = torch.eye(len(corner), dtype=own.dtype, device=own.device)
-        self._corner = torch.linalg.solve_triangular(rest, small, upper=False)
+        bad = torch.cat((*failures, failed[None])).any() | ~self._border.isfinite().all()
+        self.definite = not bool(bad)
+        self._corner = _down(rest, torch.eye(len(corner), dtype=own.dtype, device=own.device))
 
-    def down(
-        self, inner: Float[Tensor, "time n"], border: Float[Tensor, " m"]
-    ) -> tuple[Float[Tensor, "time n"], Float[Tensor, " m"]]:
+    def solve(self, right: Float[Tensor, " numbers"]) -> Float[Tensor, " numbers"]:
+        """H⁻¹ r."""
+        return self.up(self.down(right))
+
+    def down(self, gradient: Float[Tensor, " numbers"]) -> Float[Tensor, " numbers"]:
         """L⁻¹ g, which turns a gradient by x into one by u."""
-        right = self._split(inner * self._scale)
-        found = [self._within[0].mv(right[0])]
-        for i, across in enumerate(self._across):
-            found.append(self._within[i + 1].mv(right[i + 1].addmv(across.T, found[-1], alpha=-1)))
-        whole = torch.cat(found)
-        edge = self._corner.mv((border * self._edge_scale).addmv(self._border.T, whole, alpha=-1))
-        return self._joined(whole, inner), edge
+        frames, edge = self._parted(gradient)
+        right = self._split(frames[..., None] * self._scale[..., None])
+        found: list[Tensor] = []
+        for i, within in enumerate(self._within):
+            here = right[i]
+            if i > 0:
+                here = torch.addmm(here, self._across[i - 1].T, found[-1], alpha=-1)
+            found.append(_down(within, here))
+        whole = torch.cat(found).flatten()
+        edge = self._corner.mv((edge * self._edge_scale).addmv(self._border.T, whole, alpha=-1))
+        return torch.cat((whole[: frames.numel()], edge))
 
-    def up(
-        self, inner: Float[Tensor, "time n"], border: Float[Tensor, " m"]
-    ) -> tuple[Float[Tensor, "time n"], Float[Tensor, " m"]]:
+    def up(self, u: Float[Tensor, " numbers"]) -> Float[Tensor, " numbers"]:
         """L⁻ᵀ u, which turns a step of u into one of x."""
-        edge = self._corner.T.mv(border)
-        blocks = self._split(inner)
-        right = (blocks.flatten().addmv(self._border, edge, alpha=-1)).view_as(blocks)
-        found = [self._within[-1].T.mv(right[-1])]
+        frames, edge = self._parted(u)
+        edge = self._corner.T.mv(edge)
+        right = self._split(frames[..., None])
+        right = right - (self._border.mv(edge)).view_as(right)
+        found = self._substituted(list(right))
+        scaled = found.flatten()[: frames.numel()].view_as(frames) * self._scale
+        return torch.cat((scaled.flatten(), edge * self._edge_scale))
+
+    def inverse(self) -> Inverse:
+        """Diagonal blocks of the inverse, in time and memory linear in the number of frames.
+
+        From the last block i back, with D_i⁻¹ the inverse that elimination leaves and
+        W_i = D_i⁻¹ U_i, (A⁻¹)_ii = D_i⁻¹ + W_i (A⁻¹)_(i+1, i+1) W_iᵀ (Takahashi, Fagan and Chin
+        1973; for Gaussian chains Rauch, Tung and Striebel 1965).
+        """
+        time, n = self._frames
+        inverses = [torch.cholesky_inverse(self._within[-1])]
+        for within, across in zip(self._within[-2::-1], self._across[::-1], strict=True):
+            ahead, own = _up(within, across), torch.cholesky_inverse(within)
+            inverses.append(torch.addmm(own, ahead @ inverses[-1], ahead.mT))
+        blocks = torch.stack(inverses[::-1]).flatten(0, -3)
+        blocks = blocks.unflatten(-1, (self._reach, n)).unflatten(-3, (self._reach, n))
+        own = blocks.diagonal(dim1=1, dim2=3).movedim(-1, 1).flatten(0, 1)[:time]
+        onto = self._substituted(self._gathered).flatten(0, -2)[: time * n]
+        onto = onto.view(time, n, len(self._corner))
+        scale = self._scale[..., None]
+        return Inverse(
+            within=own * scale * scale.mT,
+            onto=onto * scale / self._edge_scale,
+            border=self._corner.mT @ self._corner * self._edge_scale[:, None] * self._edge_scale,
+        )
+
+    def _substituted(self, right: list[Tensor]) -> Float[Tensor, "blocks *some columns"]:
+        """Columns x of L_AA ᵀ x = r, scaled, from the last block to the first."""
+        found = [_up(self._within[-1], right[-1])]
         for i in range(len(self._across) - 1, -1, -1):
-            found.append(
-                self._within[i].T.mv(right[i].addmv(self._across[i], found[-1], alpha=-1))
-            )
-        return self._joined(torch.cat(found[::-1]), inner) * self._scale, edge * self._edge_scale
+            here = torch.addmm(right[i], self._across[i], found[-1], alpha=-1)
+            found.append(_up(self._within[i], here))
+        return torch.stack(found[::-1])
 
-    def _split(self, inner: Float[Tensor, "time n"]) -> Float[Tensor, "blocks size"]:
-        missing = len(self._within) * self._reach - self._time
-        return pad(inner, (0, 0, 0, missing)).reshape(len(self._within), -1)
+    def _parted(
+        self, numbers: Float[Tensor, " numbers"]
+    ) -> tuple[Float[Tensor, "time n"], Float[Tensor, " m"]]:
+        """The parts of frames and of the border."""
+        time, n = self._frames
+        return numbers[: time * n].view(time, n), numbers[time * n :]
 
-    def _joined(self, whole: Float[Tensor, " numbers"], like: Tensor) -> Float[Tensor, "time n"]:
-        return whole.view(-1, like.shape[-1])[: self._time]
+    def _split(self, frames: Float[Tensor, "time n k"]) -> Float[Tensor, "blocks *some size k"]:
+        """Rows of frames, block by block; zeros after the last frame."""
+        time, n = self._frames
+        missing = math.prod(self._shape) - time * n
+        return pad(frames.flatten(0, 1), (0, 0, 0, missing)).view(*self._shape, frames.shape[-1])
+
+
+def _down(
+    lower: Float[Tensor, "*some size size"], right: Float[Tensor, "*some size columns"]
+) -> Float[Tensor, "*some size columns"]:
+    return torch.linalg.solve_triangular(lower, right, upper=False)
+
+
+def _up(
+    lower: Float[Tensor, "*some size size"], right: Float[Tensor, "*some size columns"]
+) -> Float[Tensor, "*some size columns"]:
+    return torch.linalg.solve_triangular(lower.mT, right, upper=True)
 
 
 def _inverse_roots(matrix: Float[Tensor, "*batch n n"]) -> Float[Tensor, "*batch n"]:
@@ -181,10 +268,13 @@ def _inverse_roots(matrix: Float[Tensor, "*batch n n"]) -> Float[Tensor, "*batch
 
 
 def _blocks(
-    inner: Float[Tensor, "time reach_and_one n n"], scale: Float[Tensor, "time n"], reach: int
-) -> tuple[Float[Tensor, "blocks size size"], Float[Tensor, "between size size"]]:
-    """Scaled diagonal blocks of some moments, and those beside them."""
+    matrix: Banded, scale: Float[Tensor, "time n"]
+) -> tuple[Float[Tensor, "blocks *some size size"], Float[Tensor, "between size size"]]:
+    """Scaled diagonal blocks of some frames, and those beside them."""
+    inner, reach = matrix.inner, matrix.reach
     time, _, n, _ = inner.shape
+    if reach == 0:
+        return (inner[:, 0] * scale[..., None] * scale[:, None])[None], inner[:0, 0]
     count = -(-time // reach)
     own = inner.new_zeros(count, reach, n, reach, n)
     beside = inner.new_zeros(max(count - 1, 0), reach, n, reach, n)

@@ -30,16 +30,16 @@ MAP_SHARE = 0.13
 
 
 def write_png(
-    path: str | Path, show: Show, frames: Sequence[int] | None = None, width: int | None = None
+    path: str | Path, *shows: Show, frames: Sequence[int] | None = None, width: int | None = None
 ) -> None:
-    """A sheet: the scene in the first row, then a row per camera; a column per frame, one legend.
+    """A sheet: a row for the scene of each show, then one per camera; a column per frame.
 
-    Images of cameras are squares around the people; a little map shows where in the image they
-    lie.
+    All scenes are seen from one place and share the longest legend. Images of cameras are
+    squares around the people; a little map shows where in the image they lie.
 
     Args:
         path: file to write.
-        show: what is drawn.
+        shows: what is drawn; cameras are those of the first.
         frames: to draw; None is five evenly spread, six with cameras.
         width: of a single picture, pixels; None is 360, 400 with cameras.
 
@@ -47,6 +47,7 @@ def write_png(
         ValueError: when a frame does not exist, or `width` makes no picture.
         FileNotFoundError: when the folder of `path` does not exist.
     """
+    show = shows[0]
     if show.cameras:
         width, wanted = width or 400, 6
         size = (width, 3 * width // 4)
@@ -55,7 +56,8 @@ def write_png(
         size = (width, 11 * width // 9)
     chosen = _spread(show.frames, wanted) if frames is None else frames
     _check(width, chosen, show.frames)
-    rows = [_scene(show, chosen, viewpoints(show, size))]
+    stands = viewpoints(show, size)
+    rows = [_scene(one, chosen, stands) for one in shows]
     for view in show.cameras:
         row: list[Picture] = []
         for frame, part in zip(chosen, close_ups(show, view, chosen), strict=True):
@@ -64,7 +66,8 @@ def write_png(
         _name(row[0], view)
         rows.append(row)
     sheet = join([join(row, axis=1) for row in rows], axis=0)
-    save_picture(Path(path), with_legend(sheet, show.legend, text_size(size)))
+    legend = max((one.legend for one in shows), key=len)
+    save_picture(Path(path), with_legend(sheet, legend, text_size(size)))
 
 
 def write_mp4(path: str | Path, show: Show, width: int | None = None) -> None:

@@ -72,7 +72,7 @@ def _points(
     at = _times(observation.positions.shape[1], observation.start_time, observation.fps)
     nearest, close = nearest_samples(motion.times, at)
     visible = observation.visible[0, nearest] & close[:, None]
-    predicted = observation.predict(Estimate.of_clip(motion, body))[0]
+    predicted = observation.predicted(Estimate.of_clip(motion, body))[0]
     return observation.positions[0, nearest], visible, predicted
 
 

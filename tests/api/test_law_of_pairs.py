@@ -7,7 +7,7 @@ import pytest
 
 import recon
 from recon.core.camera import depth_camera
-from recon.method.protocols import Sensor
+from recon.method.sensor import Sensor
 from recon.reading.clouds import cloud_of
 from recon.simulation.depth import depth_points
 from recon.simulation.images import dome

@@ -10,7 +10,7 @@ from recon import cli
 from recon.core.errors import WeightsError
 from recon.core.skeleton import JOINTS
 from recon.fitting.long import LongReconstruction
-from recon.fitting.methods import FitOptions, class_of, method_of, traits
+from recon.fitting.methods import class_of, loaded, trait_of
 from recon.formats.motions import save_motion
 from recon.formats.observations import PositionsFile, save_observation
 from recon.method import plugins
@@ -35,22 +35,42 @@ def test_it_keeps_the_laws_of_priors(toy_body):
 def test_ours_are_registered_through_the_same_door():
     """A name was written into eight places of the library; now into `pyproject.toml` alone."""
     assert set(OURS) <= set(plugins.registered(plugins.PRIORS))
-    assert [traits(name).completes for name in OURS] == [False, False, True]
-    assert [traits(name).knows_gravity for name in OURS] == [True, False, True]
+    assert [trait_of(name, "completes") for name in OURS] == [False, False, True]
+    assert [trait_of(name, "knows_gravity") for name in OURS] == [True, False, True]
 
 
 def test_what_did_not_earn_a_name_has_a_place():
     """HUMOS is fitted by its place: for some people feet slip more than without it."""
     assert "humos" not in plugins.registered(plugins.PRIORS)
-    assert traits("priors.humos.prior:Humos").knows_gravity
+    assert trait_of("priors.humos.prior:Humos", "knows_gravity")
 
 
 def test_a_registered_prior_has_a_name(monkeypatch):
     names = {**plugins.registered(plugins.PRIORS), "near": PRIOR}
     monkeypatch.setattr("recon.fitting.methods.registered", lambda _: names)
     assert class_of("near") is NearPoses
-    found = method_of(FitOptions(prior="near"), 0.05, bundled())
-    assert found.noise == 0.05
+    assert type(loaded("near", "open", bundled())) is NearPoses
+
+
+def test_a_package_written_for_version_0_2_works_on():
+    """It had no base class: an object with `method(noise, body)`, and traits apart."""
+    former = "tests.former_prior:NearPoses"
+    assert not trait_of(former, "knows_gravity")
+    truth = walk(16)
+    seen = joints3d(truth, bundled(), Corruption(noise=0.02), 0)
+    results = [recon.fit(seen, former, ground=ground) for ground in ("auto", None)]
+    for result in results:
+        assert [stage.name for stage in (r.stage for r in result.reconstruction.reports)] == [
+            "root", "all",
+        ]  # fmt: skip
+        assert joint_error(result.motion, truth) < 0.05
+    with pytest.raises(recon.ReconError, match="fitted in one way only"):
+        recon.fit(seen, former, method="other")
+
+
+def test_a_prior_that_lacks_a_half_is_told_which():
+    with pytest.raises(WeightsError, match="lacks decode and encode"):
+        loaded("recon.method:Prior", "open", bundled())
 
 
 def test_names_of_nobody_are_refused():

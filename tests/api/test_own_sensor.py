@@ -1,6 +1,8 @@
 """A fifth sensor in one file: alone, with others, in long recordings, cameras, from files."""
 
 import json
+from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS
 from recon.fitting.long import LongReconstruction
 from recon.formats.observations import PositionsFile, save_observation
+from recon.method import PosedBody, Sensor
 from recon.simulation.points import Corruption, joints3d
 from tests.filmed import bundled, cameras, joint_error, view, walk
 from tests.own import SENSOR, WORN, turns, units
@@ -89,7 +92,7 @@ def test_files_are_read_by_its_class(tmp_path, capsys):
     both = recon.load_observation([points, file], reader=SENSOR)
     assert isinstance(both, list)
     assert [one.kind for one in both] == ["joints3d", "imus"]
-    torch.testing.assert_close(both[1].axes[0], units(truth, bundled()).axes)
+    torch.testing.assert_close(both[1].values[0], units(truth, bundled()).values)
     words = f"fit {points} {file} --reader {SENSOR} --prior pose --json --out {out}"
     assert cli.run(words.split()) == cli.OK
     report = json.loads(capsys.readouterr().out)
@@ -99,3 +102,37 @@ def test_files_are_read_by_its_class(tmp_path, capsys):
         recon.load_observation(file, reader="nobody:Nothing")
     with pytest.raises(ObservationError, match="reads"):
         recon.load_observation(file, reader="pathlib:Path")
+
+
+def test_a_sensor_whose_fields_do_not_fit_is_refused_by_name():
+    """Shapes that broadcast were compared without a word; nan spoiled a fit after minutes."""
+    seen = units(walk(FRAMES), bundled())
+    spoiled = seen.values.clone()
+    spoiled[0, 0] = torch.nan
+    for wrong, words in (
+        (seen.replace(shown=seen.shown[:, :1]), "Imus.shown: expected booleans"),
+        (seen.replace(values=seen.values[..., :2]), "three coordinates"),
+        (seen.replace(values=spoiled), "nan or inf"),
+        (seen.replace(bones=seen.bones[:1]), "predict: expected axes"),
+    ):
+        with pytest.raises(ObservationError, match=words):
+            recon.fit(wrong, "pose", shape=[0.0])
+
+
+def test_a_sensor_without_the_fields_of_a_clock_is_refused():
+    """Windows of long recordings would all have begun at its one start."""
+
+    @dataclass(frozen=True)
+    class Fixed(Sensor):
+        values: torch.Tensor
+        shown: torch.Tensor
+        fps: float
+        start_time: ClassVar[float] = 0.0
+        ground_known: bool = True
+
+        def predict(self, body: PosedBody) -> torch.Tensor:
+            return body.joints[..., :1, :]
+
+    seen = Fixed(torch.zeros(5, 1, 3), torch.ones(5, 1, dtype=torch.bool), 30.0)
+    with pytest.raises(ObservationError, match="fields start_time"):
+        recon.fit(seen, "pose")

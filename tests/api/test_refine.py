@@ -7,11 +7,11 @@ import pytest
 import torch
 
 import recon
+from benchmarks.regressor import RegressorErrors, estimated
 from recon import cli
 from recon.core import rotations as so3
 from recon.core.skeleton import FEET, JOINTS, MIRROR
 from recon.diagnosis.estimates import exchanged_frames, mirrored_limbs
-from recon.simulation.regressor import RegressorErrors, estimated
 from tests.filmed import bundled, walk
 
 LEGS = tuple(JOINTS.index(f"{s}_{p}") for p in ("hip", "knee", "ankle") for s in ("left", "right"))

@@ -24,7 +24,7 @@ from observations.keypoints2d import Keypoints2D
 from recon.body.model import BodyModel
 from recon.core.skeleton import JOINTS
 from recon.diagnosis.findings import Finding
-from recon.method.protocols import Sensor as Seen
+from recon.method.sensor import Sensor as Seen
 
 FRAMES = 30
 BODY = BodyModel.load()

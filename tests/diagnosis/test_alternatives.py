@@ -102,6 +102,8 @@ def test_a_hypothesis_that_is_not_finite_is_no_alternative(body):
         torch.tensor([True, False, False]),
         rows,
     )
-    (one,) = alternatives(replace(fitted(body, truth, []), guesses=compared))
+    found = fitted(body, truth, [])
+    reports = (replace(found.result.reports[0], compared=compared),)
+    (one,) = alternatives(replace(found, result=replace(found.result, reports=reports)))
     assert one.turn == pytest.approx(180.0, abs=1.0)
     assert one.excess == pytest.approx(0.5)

@@ -7,7 +7,6 @@ from observations.surfels import Surfels
 from priors.labels.looking import PointLabels
 from recon.core.camera import depth_camera
 from recon.core.residuals import Noise
-from recon.diagnosis import basins
 from recon.diagnosis.agreement import summarise
 from recon.diagnosis.basins import basin_findings, label_distance
 from tests import laws
@@ -84,7 +83,7 @@ def test_clouds_without_labels_are_labelled_to_be_judged(monkeypatch):
     """Fits that began at a given motion were 27 cm off without a word: nothing had labels."""
     cloud, motion, body = scene()
     bare = cloud.replace(labels=None)
-    monkeypatch.setattr(basins, "with_labels", lambda one: one.replace(labels=cloud.labels))
+    monkeypatch.setattr(PointCloud, "labelled", lambda one: one.replace(labels=cloud.labels))
     wrong = turned(motion[0], torch.pi)[None]
     pelvis, place = (body.pose(m).joints[:, :, 0] for m in (wrong, motion))
     (finding,) = said(bare, wrong.replace(translation=wrong.translation + place - pelvis), body)

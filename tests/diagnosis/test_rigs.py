@@ -9,12 +9,12 @@ import torch
 
 from observations.keypoints2d import Keypoints2D
 from recon.core import rotations as so3
-from recon.diagnosis.examination import screen
+from recon.diagnosis.checks import BEFORE
+from recon.diagnosis.examination import checked
 from recon.diagnosis.views.images import Images
 from recon.diagnosis.views.registration import registered
 from recon.diagnosis.views.rigs import corrections
-from recon.diagnosis.views.screening import screen_views
-from recon.fitting.methods import FitOptions
+from tests.diagnosis.test_views import checked_clip, screened
 from tests.filmed import bundled, cameras, view, walk
 
 NAMES = ("one", "two", "three")
@@ -93,20 +93,20 @@ def test_a_clean_rig_is_left_alone() -> None:
 
 
 def test_a_fit_is_told_what_was_found() -> None:
-    screened = screen(rig(0.08, 1.0), NAMES, FitOptions(), bundled())
-    assert [found.code for found in screened.repairs] == ["views out of step"]
-    assert screened.warnings == ()
-    message = screened.repairs[0].message
+    clip = checked(checked_clip(*rig(0.08, 1.0)), BEFORE)
+    assert [found.code for found in clip.repairs] == ["views out of step"]
+    assert clip.warnings == ()
+    message = clip.repairs[0].message
     assert message.startswith("two contradicts the other views: its clock is ")
     assert "ms late" in message
     assert "degrees" in message
-    assert screened.observations[0] is rig(0.08, 1.0)[0]
+    assert clip.observations[0] is rig(0.08, 1.0)[0]
 
 
 def test_a_turned_view_is_not_taken_for_one_of_another_size() -> None:
     """Keypoints of a good view were made 1 % larger where another one was turned by 1 degree."""
     for late in (0.08, -0.08):
-        _, repairs, _ = screen_views(rig(late, 1.0), NAMES, bundled())
+        _, repairs, _ = screened(rig(late, 1.0))
         assert ["two contradicts" in found.message for found in repairs] == [True]
 
 
@@ -128,7 +128,7 @@ def test_the_clock_of_a_person_who_stands_still_is_left_as_it_is() -> None:
 def test_two_views_do_not_tell_which_of_them_is_turned() -> None:
     """Rays that missed each other by less than 6 cm passed without a word."""
     views = rig(0.08, 1.0, count=2)
-    out, repairs, warnings = screen_views(views, NAMES[:2], bundled())
+    out, repairs, warnings = screened(views)
     assert repairs == []
     (said,) = warnings
     assert said.code == "view at odds"
@@ -139,7 +139,7 @@ def test_two_views_do_not_tell_which_of_them_is_turned() -> None:
 
 def test_the_clock_of_two_views_is_found_to_a_part_of_a_frame() -> None:
     """The keypoints were moved by whole frames only."""
-    _, repairs, warnings = screen_views(rig(-0.21, count=2), NAMES[:2], bundled())
+    _, repairs, warnings = screened(rig(-0.21, count=2))
     assert warnings == []
     assert [found.code for found in repairs] == ["views out of step"]
     assert repairs[0].value == pytest.approx(-0.21, abs=0.005)

@@ -1,5 +1,7 @@
 """Mistakes in points of space are found, named and put right before the fit."""
 
+from typing import NamedTuple
+
 import numpy as np
 import pytest
 import torch
@@ -7,14 +9,24 @@ import torch
 from observations.joints3d import Joints3D
 from recon.core import rotations as so3
 from recon.core.skeleton import JOINTS
+from recon.diagnosis.checks import BEFORE
+from recon.diagnosis.examination import checked
+from recon.diagnosis.findings import Findings
 from recon.diagnosis.motions.belt import in_room, with_belt
 from recon.diagnosis.points import quick
 from recon.diagnosis.points.exchanged import exchanged_pairs
-from recon.diagnosis.points.named_points import NamedPoints, Predicted
-from recon.diagnosis.points.screening import Screened, screen_points
+from recon.diagnosis.points.named_points import NamedPoints, Points, Predicted
+from recon.diagnosis.points.screening import screen_points
 from recon.method.protocols import Estimate
 from recon.simulation.points import Corruption, joints3d, markers3d
-from tests.filmed import bundled, walk
+from tests.diagnosis.test_views import checked_clip
+from tests.filmed import bundled, cameras, view, walk
+
+
+class Screened(NamedTuple):
+    points: Points
+    said: Findings
+    belt: torch.Tensor | None
 
 
 def seen(noise: float = 0.015) -> Joints3D:
@@ -25,11 +37,15 @@ def changed(change) -> Screened:
     """The clean clip's points after a change of their positions, screened."""
     clip = seen()
     positions = clip.positions.clone()
-    return screen_points(clip.replace(positions=change(positions)), bundled())
+    return screened(clip.replace(positions=change(positions)))
+
+
+def screened(points: Points) -> Screened:
+    return Screened(*screen_points(points, bundled()))
 
 
 def codes(found: Screened) -> tuple[list[str], list[str]]:
-    return [f.code for f in found.repairs], [f.code for f in found.warnings]
+    return [f.code for f in found.said.repairs], [f.code for f in found.said.warnings]
 
 
 def index(name: str) -> int:
@@ -42,7 +58,7 @@ def counterparts() -> list[int]:
 
 def test_good_points_are_left_alone_bit_for_bit():
     for clip in (seen(), markers3d(walk(), bundled(), Corruption(noise=0.01), 0).map(_batched)):
-        found = screen_points(clip, bundled())
+        found = screened(clip)
         assert codes(found) == ([], [])
         assert torch.equal(found.points.positions, clip.positions)
         assert torch.equal(found.points.visible, clip.visible)
@@ -72,7 +88,7 @@ def test_sides_exchanged_in_a_stretch_are_exchanged_back():
 
     found = changed(change)
     assert codes(found) == (["sides exchanged"], [])
-    assert found.repairs[0].frames == ((8, 15),)
+    assert found.said.repairs[0].frames == ((8, 15),)
     assert torch.equal(found.points.positions, seen().positions)
 
 
@@ -104,7 +120,7 @@ def test_a_held_point_is_not_seen_while_it_is_held():
 
     found = changed(change)
     assert codes(found) == (["constant point"], [])
-    assert found.repairs[0].joints == ("left_wrist",)
+    assert found.said.repairs[0].joints == ("left_wrist",)
     assert found.points.visible[0, :, index("left_wrist")].tolist() == [True] * 10 + [False] * 14
 
 
@@ -115,7 +131,7 @@ def test_a_value_that_is_held_while_nobody_moves_is_no_fault():
     still += 1.5e-4 * torch.rand(still.shape, generator=torch.Generator().manual_seed(0))
     wrist = index("left_wrist")
     still[:, 6:10, wrist] = still[:, 6:7, wrist]
-    found = screen_points(clip.replace(positions=still), bundled())
+    found = screened(clip.replace(positions=still))
     assert "constant point" not in codes(found)[0]
 
 
@@ -138,7 +154,7 @@ def test_a_point_away_from_its_place_is_left_out():
 
     found = changed(change)
     assert codes(found) == (["offset point"], ["offset point"])
-    assert found.repairs[0].joints == ("head",)
+    assert found.said.repairs[0].joints == ("head",)
 
 
 def test_a_bone_that_no_person_has_ends_at_a_misplaced_joint():
@@ -150,7 +166,7 @@ def test_a_bone_that_no_person_has_ends_at_a_misplaced_joint():
 
     found = changed(change)
     assert codes(found) == (["offset point"], ["offset point"])
-    assert found.repairs[0].joints == ("head",)
+    assert found.said.repairs[0].joints == ("head",)
 
 
 def test_a_marker_of_one_side_alone_is_misplaced():
@@ -159,9 +175,9 @@ def test_a_marker_of_one_side_alone_is_misplaced():
     knee = NamedPoints.of(clip, bundled()).names.index("right_knee_lateral")
     positions = clip.positions.clone()
     positions[:, :, knee, 2] += 0.1
-    found = screen_points(clip.replace(positions=positions), bundled())
+    found = screened(clip.replace(positions=positions))
     assert codes(found) == (["offset point"], ["offset point"])
-    assert found.repairs[0].joints == ("right_knee_lateral",)
+    assert found.said.repairs[0].joints == ("right_knee_lateral",)
 
 
 def test_exchanged_ankles_are_exchanged_back():
@@ -191,7 +207,7 @@ def test_a_floor_at_another_height_is_estimated():
     for height in (0.1, -0.1):
         found = changed(lambda positions, h=height: positions + torch.tensor([0.0, 0.0, h]))
         assert codes(found) == (["floor"], ["floor"])
-        assert found.repairs[0].value == pytest.approx(height, abs=0.03)
+        assert found.said.repairs[0].value == pytest.approx(height, abs=0.03)
         assert not found.points.ground_known
 
 
@@ -199,7 +215,7 @@ def test_frames_out_of_order_are_said():
     clip = joints3d(walk(60), bundled(), Corruption(noise=0.015), 0).map(_batched)
     order = torch.randperm(60, generator=torch.Generator().manual_seed(1))
     shuffled = clip.replace(positions=clip.positions[:, order])
-    assert codes(screen_points(shuffled, bundled())) == ([], ["frame order"])
+    assert codes(screened(shuffled)) == ([], ["frame order"])
 
 
 def test_short_blocks_out_of_order_are_said():
@@ -208,7 +224,7 @@ def test_short_blocks_out_of_order_are_said():
     blocks = np.arange(60).reshape(15, 4)
     order = np.random.default_rng(0).permuted(blocks, axis=1).ravel()
     shuffled = clip.replace(positions=clip.positions[:, order])
-    assert codes(screen_points(shuffled, bundled())) == ([], ["frame order"])
+    assert codes(screened(shuffled)) == ([], ["frame order"])
 
 
 def test_a_jump_to_somebody_else_is_said():
@@ -218,7 +234,7 @@ def test_a_jump_to_somebody_else_is_said():
 
     found = changed(change)
     assert codes(found) == ([], ["identity change"])
-    assert found.warnings[0].frames == ((12, 12),)
+    assert found.said.warnings[0].frames == ((12, 12),)
 
 
 def test_giants_are_said():
@@ -245,9 +261,15 @@ def test_a_walk_on_a_treadmill_is_told():
     step = motion.translation[-1] - motion.translation[0]
     belt = -step[:2] / ((motion.frames - 1) / motion.fps)
     clip = joints3d(motion, bundled(), Corruption(noise=0.005), 0).map(_batched)
-    found = screen_points(with_belt(clip, -belt), bundled())
+    on_belt = with_belt(clip, -belt)
+    found = checked(checked_clip(on_belt), BEFORE)
     assert [finding.code for finding in found.repairs] == ["treadmill"]
     assert torch.allclose(found.belt, belt, atol=0.15)
+    assert torch.equal(found.observations[0].positions, with_belt(on_belt, found.belt).positions)
+    # a camera that stays in the room
+    beside = checked(checked_clip(on_belt, view(motion, cameras(motion)[0])), BEFORE)
+    assert beside.belt is None
+    assert [finding.code for finding in beside.warnings] == ["treadmill"]
 
 
 def test_a_pair_that_jumps_to_each_other_and_back_is_told_by_its_paths():

@@ -14,7 +14,7 @@ from observations.keypoints2d import Keypoints2D
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.skeleton import keypoint_names
-from recon.diagnosis.examination import screen
+from recon.diagnosis.examination import CheckedClip
 from recon.diagnosis.findings import Finding
 from recon.diagnosis.views.screening import screen_views
 from recon.fitting.methods import FitOptions
@@ -38,7 +38,15 @@ def filmed(count: int) -> tuple[Keypoints2D, ...]:
 def screened(
     views: tuple[Keypoints2D, ...],
 ) -> tuple[list[Keypoints2D], list[Finding], list[Finding]]:
-    return screen_views(views, NAMES[: len(views)], bundled())
+    out, found = screen_views(views, NAMES[: len(views)], bundled())
+    return out, list(found.repairs), list(found.warnings)
+
+
+def checked_clip(*views: Keypoints2D) -> CheckedClip:
+    """The views before any check."""
+    return CheckedClip(
+        observations=views, names=NAMES[: len(views)], options=FitOptions(), body=bundled()
+    )
 
 
 def second(views: tuple[Keypoints2D, ...], other: Keypoints2D) -> tuple[Keypoints2D, ...]:
@@ -378,13 +386,3 @@ def test_views_in_which_nothing_is_seen_say_nothing() -> None:
         _, repairs, warnings = screened(some)
         assert repairs == []
         assert warnings == []
-
-
-def test_a_fit_screens_its_views_unless_told_not_to() -> None:
-    spoilt = renamed(filmed(1)[0], slice(8, 18), SIDES)
-    found = screen([spoilt], ["one"], FitOptions(), bundled())
-    assert [f.code for f in found.repairs] == ["sides exchanged"]
-    assert torch.equal(found.observations[0].pixels, filmed(1)[0].pixels)  # type: ignore[union-attr]
-    left = screen([spoilt], ["one"], FitOptions(repair=False), bundled())
-    assert left.repairs == ()
-    assert left.observations[0] is spoilt

@@ -7,16 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from priors.anchor.fit import AnchorFit
+from priors.anchor.prior import AnchorFrames
 from recon import cli
 from recon.body.cycles import find_cycles
 from recon.body.landmarks import LANDMARKS_16
 from recon.body.model import BodyModel
 from recon.diagnosis.domain import swing_difference
 from recon.fitting import cycles as completion
-from recon.fitting.methods import FitOptions, method_of
+from recon.fitting.methods import FitOptions
 from recon.fitting.recording import SWING
 from recon.fitting.settings import FitSettings
+from recon.fitting.stages import prior_stages
 from recon.formats.motions import load_motion
 from recon.formats.observations import (
     PointsFile,
@@ -47,13 +48,12 @@ def _quick(monkeypatch) -> None:  # pyright: ignore[reportUnusedFunction]
     """Few beginnings and few steps: the prior of these tests knows little else than the truth."""
     monkeypatch.setattr(completion, "TRIED", 2)
     monkeypatch.setattr(completion, "KEPT", 1)
-    for name in ("search", "stages"):
-        every = getattr(AnchorFit, name)
+    search = AnchorFrames.search
 
-        def some(self: AnchorFit, data: tuple[Term, ...], every=every) -> tuple[Stage, ...]:
-            return tuple(replace(stage, minimiser=LBFGS(10)) for stage in every(self, data))
+    def some(self: AnchorFrames, data: tuple[Term, ...], noise: float) -> tuple[Stage, ...]:
+        return tuple(replace(stage, minimiser=LBFGS(10)) for stage in search(self, data, noise))
 
-        monkeypatch.setattr(AnchorFit, name, some)
+    monkeypatch.setattr(AnchorFrames, "search", some)
 
 
 @pytest.fixture(scope="module")
@@ -237,7 +237,7 @@ def test_hips_tell_cycles_of_gait():
 
 def test_the_prior_has_a_way_of_its_own():
     with pytest.raises(ValueError, match="recon complete"):
-        method_of(FitOptions(prior="anchor"), 0.01, BodyModel.load())
+        prior_stages(FitOptions(prior="anchor"), 0.01, BodyModel.load())
 
 
 def test_physics_is_refused_rather_than_left_out():

@@ -10,7 +10,6 @@ from observations.joints3d import Joints3D
 from observations.keypoints2d import Keypoints2D
 from observations.markers3d import Markers3D
 from observations.surfels import Surfels
-from priors.anchor.fit import AnchorFit
 from priors.anchor.networks import save_weights
 from recon.body.landmarks import LANDMARKS_16, landmark
 from recon.body.model import BodyModel
@@ -21,7 +20,7 @@ from recon.core.struct import concatenate
 from recon.fitting.cycles import complete
 from recon.fitting.methods import FitOptions
 from tests.filmed import cameras, view
-from tests.priors.tiny_anchor import tiny_prior, tiny_weights, walks
+from tests.priors.tiny_anchor import tiny_weights, walks
 
 BODY = BodyModel.load()
 
@@ -151,8 +150,3 @@ def test_images_alone_are_refused(settings):
     assert isinstance(seen, Keypoints2D)
     with pytest.raises(ValueError, match="scans, landmarks or joints"):
         complete([seen], settings, BODY)  # pyright: ignore[reportArgumentType]
-
-
-def test_weights_must_be_positive():
-    with pytest.raises(ValueError, match="noise must be above 0"):
-        AnchorFit(tiny_prior(BODY), 0.0)

@@ -5,9 +5,10 @@ import torch
 
 from observations.joints3d import Joints3D
 from priors.humor.collocation import Collocation
-from priors.pose.prior import PosePrior
+from priors.pose.prior import PosePrior, PoseWeights
 from recon.body.model import BodyModel
-from recon.fitting.methods import FitOptions, WithoutRoot, WithPhysics, method_of
+from recon.fitting.methods import FitOptions
+from recon.fitting.stages import prior_stages, with_physics, without_root
 from recon.method.reconstruction import solve
 from recon.method.terms import Term
 from recon.physics import energies as physics
@@ -26,26 +27,37 @@ def data() -> tuple[Term, ...]:
 def test_every_prior_goes_with_physics(prior):
     """Terms of the same name are there once."""
     settings = FitOptions(prior=prior, physics=1.0)
-    stages = method_of(settings, 0.02, BodyModel.load()).stages((Term("data", lambda e: e, 1.0),))
+    stages = prior_stages(settings, 0.02, BodyModel.load())(data())
     names = [term.name for term in stages[-1].terms]
     assert len(names) == len(set(names))
     assert {"penetration", "slide"} <= set(names)
 
 
 def test_the_prior_asked_for_with_weights_for_the_noise():
-    weak = method_of(FitOptions(prior="pose"), 0.02, bundled())
-    strong = method_of(FitOptions(prior="pose"), 0.08, bundled())
+    weak, strong = (
+        prior_stages(FitOptions(prior="pose"), noise, bundled())(data())[-1].prior
+        for noise in (0.02, 0.08)
+    )
     assert isinstance(weak, PosePrior)
     assert isinstance(strong, PosePrior)
-    assert strong.weights.pose == pytest.approx(16 * weak.weights.pose)
-    assert isinstance(method_of(FitOptions(prior="humor"), 0.02, bundled()), Collocation)
+    assert strong.weighed.pose == pytest.approx(16 * weak.weighed.pose)
+    humor = prior_stages(FitOptions(prior="humor"), 0.02, bundled())(data())[-1].prior
+    assert isinstance(humor, Collocation)
+
+
+def test_weights_that_the_caller_chose_are_kept():
+    chosen = PoseWeights(2e-4, 1.67e-4, velocity=10.0)
+    prior = PosePrior.load(weights=chosen)
+    last = prior_stages(FitOptions(prior=prior), 0.02, bundled())(data())[-1]
+    assert isinstance(last.prior, PosePrior)
+    assert last.prior.weights == chosen
 
 
 @pytest.mark.parametrize("prior", ["pose", "humor"])
 def test_one_image_does_not_place_the_rest_body_again(prior):
     """It would trade stretched limbs against distance."""
-    method = method_of(FitOptions(prior=prior), 0.02, bundled())
-    every, some = method.stages(data()), WithoutRoot(method).stages(data())
+    every = prior_stages(FitOptions(prior=prior), 0.02, bundled())(data())
+    some = without_root(every)
     assert [stage.name for stage in every[-len(some) :]] == [stage.name for stage in some]
     assert not some[0].free <= {"translation", "root"}
     dropped = every[: len(every) - len(some)]
@@ -55,17 +67,15 @@ def test_one_image_does_not_place_the_rest_body_again(prior):
 
 def test_missing_weights_are_refused(tmp_path):
     with pytest.raises(FileNotFoundError):
-        method_of(FitOptions(weights=str(tmp_path / "none.safetensors")), 0.02, bundled())
+        prior_stages(FitOptions(weights=str(tmp_path / "none.safetensors")), 0.02, bundled())
 
 
 @pytest.mark.parametrize("prior", ["pose", "humor"])
 def test_physics_is_a_stage_more_that_weighs_what_was_asked_for(prior):
-    plain = method_of(FitOptions(prior=prior), 0.02, bundled())
-    weak, strong = (
-        method_of(FitOptions(prior=prior, physics=much), 0.02, bundled()).stages(data())
-        for much in (1.0, 2.0)
+    before, weak, strong = (
+        prior_stages(FitOptions(prior=prior, physics=much), 0.02, bundled())(data())
+        for much in (0.0, 1.0, 2.0)
     )
-    before = plain.stages(data())
     assert [stage.name for stage in weak] == [*(stage.name for stage in before), "physics"]
     assert weak[-1].prior is weak[-2].prior  # so that it goes on from its variables
     assert weak[-1].free == weak[-2].free
@@ -86,7 +96,7 @@ def test_physics_grows_with_the_noise_as_data_do():
 @pytest.mark.parametrize("much", [-1.0, float("nan"), float("inf")])
 def test_physics_that_rewards_what_it_should_punish_is_refused(much):
     with pytest.raises(ValueError, match="at least 0"):
-        method_of(FitOptions(prior="pose", physics=much), 0.02, bundled())
+        prior_stages(FitOptions(prior="pose", physics=much), 0.02, bundled())
 
 
 def test_physics_puts_a_body_back_on_its_feet():
@@ -106,9 +116,9 @@ def test_physics_puts_a_body_back_on_its_feet():
         fps=30.0,
     )
     plain = PosePrior.load()
-    without, held = (
-        solve([seen], method, body)
-        for method in (plain, WithPhysics(plain, physics_terms(0.04), iterations=20))
+    without = solve([seen], plain, body)
+    held = solve(
+        [seen], lambda data: with_physics(plain.stages(data), physics_terms(0.04), 20), body
     )
     for energy in (physics.penetration, physics.slide):
         assert float(energy(held.estimate)) < 0.1 * float(energy(without.estimate))

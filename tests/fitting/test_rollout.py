@@ -8,22 +8,28 @@ import recon
 from priors.humor.collocation import Collocation
 from priors.humor.prior import Humor
 from priors.humor.shooting import Schedule, Shooting
+from priors.pose.prior import PosePrior
 from recon.core.errors import ReconError
-from recon.fitting.methods import FitOptions, method_of
+from recon.fitting.methods import FitOptions
+from recon.fitting.stages import prior_stages
+from recon.method.free import FreeMotion
 from recon.method.stages import Stage
+from recon.method.terms import Term
 from recon.simulation.points import Corruption, joints3d
 from recon.solver.lbfgs import LBFGS
 from tests.filmed import bundled, cameras, joint_error, view, walk
 
 
 def test_it_is_one_of_the_methods_of_humor():
-    method = method_of(FitOptions(method="rollout"), 0.02, bundled())
-    assert isinstance(method, Shooting)
-    assert isinstance(method.start, Collocation)
-    assert isinstance(method_of(FitOptions(method="collocation"), 0.02, bundled()), Collocation)
-    assert isinstance(
-        method_of(FitOptions(prior=Humor.load(), method="rollout"), 0.02, bundled()), Shooting
-    )
+    data = (Term("data", lambda estimate: estimate.motion.translation.sum((-1, -2)), 1.0),)
+
+    def priors(options: FitOptions) -> list[type]:
+        return [type(one.prior) for one in prior_stages(options, 0.02, bundled())(data)]
+
+    begun = [FreeMotion, PosePrior, Collocation, Collocation]
+    assert priors(FitOptions(method="collocation")) == begun
+    assert priors(FitOptions(method="rollout")) == [*begun, Humor]
+    assert priors(FitOptions(prior=Humor.load(), method="rollout")) == [*begun, Humor]
 
 
 @pytest.mark.parametrize(

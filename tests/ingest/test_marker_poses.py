@@ -23,13 +23,13 @@ from recon.ingest.markers.calibration import Calibrated, SubjectEnergies
 from recon.ingest.markers.coverage import full_body_markers, nominal_offsets
 from recon.ingest.markers.fit import OUTLIER, MarkerWeights, fit_markers
 from recon.ingest.markers.poses import PoseEnergies, Poses, SkinPoints, natural_pose
+from recon.ingest.markers.tied_frames import LevenbergMarquardt, minimise_frames
 from recon.method.free import FreeMotion
 from recon.method.protocols import REFERENCE_FPS, Decoded, Estimate
 from recon.method.running import run_stages
 from recon.method.stages import Stage
 from recon.method.terms import Term
 from recon.solver.lbfgs import LBFGS
-from recon.solver.levenberg_marquardt import LevenbergMarquardt, minimise_frames
 from tests.ingest.walker import MARKERS
 
 STEP = 1e-6
@@ -169,22 +169,22 @@ def test_equations_of_the_subject(body: BodyModel) -> None:
         energies.of(motion.shape, offsets).begun(motion.translation, motion.rotations),
         motion.shape, offsets,
     )  # fmt: skip
-    arrow = energies.equations(state)
-    none = torch.zeros_like(arrow.right), torch.zeros_like(arrow.right_border)
+    rows = torch.arange(1)
+    gradient = energies.model(state, rows).gradient[0]
 
     def value(k: int, sign: float) -> Tensor:
-        steps, common = none[0].clone(), none[1].clone()
-        (steps.view(-1) if k < 0 else common)[k] = sign * STEP
-        return energies.value(energies.moved(state, steps, common))
+        steps = torch.zeros_like(gradient).index_fill(0, torch.tensor(k), sign * STEP)
+        return energies.value(energies.moved(state, rows, steps[None]), rows)[0, 0]
 
-    for k in range(len(none[1])):
+    border = len(gradient) - 69 * FRAMES
+    for k in range(len(gradient) - border - 69, len(gradient)):
         difference = (value(k, 1) - value(k, -1)) / (2 * STEP)
-        torch.testing.assert_close(-arrow.right_border[k], difference, atol=1e-6, rtol=0)
-    for k in range(-69, 0):
-        difference = (value(k, 1) - value(k, -1)) / (2 * STEP)
-        torch.testing.assert_close(-arrow.right[-1, k], difference, atol=1e-6, rtol=0)
+        torch.testing.assert_close(gradient[k], difference, atol=1e-6, rtol=0)
+    (hessian,) = energies.model(state, rows).hessian
+    assert hessian.border.shape == (FRAMES, 69, border)
     frames = energies.frames(torch.tensor([0, 2]))
-    assert frames.equations(replace(state, poses=state.poses[[0, 2]])).blocks.shape[0] == 2
+    (hessian,) = frames.model(replace(state, poses=state.poses[[0, 2]]), rows).hessian
+    assert hessian.inner.shape[0] == 2
 
 
 def test_frames_that_are_apart_are_not_tied(body: BodyModel) -> None:

@@ -1,6 +1,6 @@
 """Standard deviations from the curvature of the objective."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,6 +18,7 @@ from recon.core.scene import UnknownGround
 from recon.method import laplace as laplace
 from recon.method.derivatives import GroundBelief
 from recon.method.laplace import deviations
+from recon.method.priors import Density
 from recon.method.protocols import Estimate
 from recon.reading.clouds import cloud_of
 from recon.simulation.depth import depth_points
@@ -42,29 +43,22 @@ def belief(noise: float = 0.02):
     return PosePrior.load(weights=PoseWeights.for_noise(noise)).belief(noise)
 
 
-@dataclass(frozen=True)
-class Flat:
+def flat() -> Density:
     """A density that holds nothing but the shape, barely."""
-
-    acceleration: float = 0.0
-    shape: float = 1e4
-
-    def by_rotations(self, motion):
-        """Nothing."""
-        return motion.translation.new_zeros(*motion.translation.shape[:-1], 1, 63)
+    return Density(lambda motion: motion.translation.new_zeros(1, motion.frames, 1, 63), 0.0, 1e4)
 
 
 def test_twice_the_noise_is_twice_the_deviation_where_only_data_speak():
     exact = seen(noise=0.0)  # residuals of zero are believed whatever the noise
     one, two = (
-        deviations(at_truth(), [exact], [Noise(s, s)], Flat()).joints for s in (0.01, 0.02)
+        deviations(at_truth(), [exact], [Noise(s, s)], flat()).joints for s in (0.01, 0.02)
     )
     assert torch.allclose(two, 2 * one, rtol=0.05)
 
 
 def test_a_frame_of_points_without_prior_has_the_least_squares_deviation():
     """A root that 22 points see is known to noise / √22 if the body is rigid, less well if not."""
-    found = deviations(at_truth(), [seen(noise=0.0)], [Noise(0.01, 0.01)], Flat())
+    found = deviations(at_truth(), [seen(noise=0.0)], [Noise(0.01, 0.01)], flat())
     assert (found.joints[:, 0] > 0.01 / 22**0.5).all()
     assert (found.joints[:, 0] < 0.01).all()
 
@@ -94,7 +88,7 @@ def on_a_ground(noise: float, **belief: float):
     scene = estimate.scene.replace(ground=UnknownGround.create(pivot))
     known = GroundBelief(**{"stance": 0.03, "upright": 0.05, "coordinates": 3, **belief})
     sensors, noises = [seen(noise=0.0)], [Noise(noise, noise)]
-    return deviations(replace(estimate, scene=scene), sensors, noises, Flat(), known)
+    return deviations(replace(estimate, scene=scene), sensors, noises, flat(), known)
 
 
 def test_a_ground_is_as_sure_as_feet_stand_on_it():
@@ -117,7 +111,7 @@ def test_a_ground_is_as_sure_as_feet_stand_on_it():
 
 def test_what_is_believed_of_the_ground_makes_no_joint_less_sure():
     """Joints are those in the recording, which shows them whatever the ground is."""
-    known = deviations(at_truth(), [seen(noise=0.0)], [Noise(0.01, 0.01)], Flat())
+    known = deviations(at_truth(), [seen(noise=0.0)], [Noise(0.01, 0.01)], flat())
     found = on_a_ground(0.01, upright=1.0, stance=1.0)
     assert known.ground is None
     assert torch.allclose(found.joints, known.joints, rtol=0.02)

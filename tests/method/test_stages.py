@@ -11,6 +11,7 @@ from recon.core.scene import Scene, UnknownGround
 from recon.core.struct import concatenate
 from recon.method import terms
 from recon.method.free import FreeMotion
+from recon.method.priors import as_prior
 from recon.method.reconstruction import solve
 from recon.method.running import Hypotheses, run_hypotheses, run_stages
 from recon.method.stages import Stage
@@ -263,3 +264,17 @@ def test_proposals_are_motions_in_the_world(toy_body):
     motion = extended.unknowns.motion(extended.prior, toy_body)
     torch.testing.assert_close(motion.translation[1], truth.translation[0])
     assert (world.translation - truth.translation).abs().max() > 0.5
+
+
+def test_a_former_prior_that_named_its_protocol_is_fitted_by_its_stages_of_data(toy_body):
+    """`Prior` was a protocol in version 0.2, from which a class could derive, too."""
+
+    class Former(FreeMotion):
+        def stages(self, data):  # pyright: ignore[reportIncompatibleMethodOverride]
+            return (Stage("mine", self, data, frozenset({"translation"}), LBFGS(2)),)
+
+    data = (Term("data", observed(toy_body, laws.a_motion(toy_body)), 1.0),)
+    (stage,) = as_prior(Former()).stages(data, 0.02, toy_body)
+    assert stage.name == "mine"
+    assert stage.prior.knows_gravity is False
+    assert as_prior(FreeMotion()).stages(data)[-1].name == "all"

@@ -95,6 +95,7 @@ def test_what_is_not_given_is_null(body: BodyModel, truth: Motion) -> None:
         "observed_hidden",
         "contact_accuracy",
         "contact_balanced",
+        "rte",  # the truth stands
     }
     brief = evaluate(truth.window(0, 2), truth, body)
     assert brief["accel"] is brief["accel_truth"] is brief["accel_error"] is None

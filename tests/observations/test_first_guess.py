@@ -61,8 +61,6 @@ def test_arms_do_not_begin_in_front_of_the_points():
     away = bundled().pose(guess.motion).joints - bundled().pose(truth).joints
     assert float(away[..., wrists, :].norm(dim=-1).mean()) < 0.35
     assert joint_error(guess.motion, truth) < 0.2
-    (stretched,) = guess.others
-    assert joint_error(stretched, truth) > joint_error(guess.motion, truth)
 
 
 def test_labels_tell_where_a_body_in_an_image_faces():
@@ -76,7 +74,6 @@ def test_labels_tell_where_a_body_in_an_image_faces():
     labels = PointLabels.known(body, index.expand(points.shape[:-1]), present)
     cloud = PointCloud(points, present, surfels, truth.fps, labels=labels)
     guess = first_guess([seen, cloud], body)
-    assert guess.others == ()
     assert joint_error(guess.motion, truth) < 0.1
 
 

@@ -3,8 +3,9 @@
 import pytest
 import torch
 
-from observations import first_guess as labelling
+from observations import depth
 from observations.depth import PointCloud
+from observations.first_guess import labelled
 from observations.joints3d import Joints3D
 from observations.surfels import Surfels
 from priors.labels.looking import PointLabels
@@ -32,18 +33,18 @@ def looked(monkeypatch):
         none = torch.full(present.shape, -1)
         return PointLabels.known(bundled(), none, present)
 
-    monkeypatch.setattr(labelling, "_labeller", lambda: look)
+    monkeypatch.setattr(depth, "_labeller", lambda: look)
     return asked
 
 
 def test_a_cloud_alone_is_looked_at(looked):
     one = cloud()
-    (found,) = labelling.labelled([one])
+    (found,) = labelled([one])
     assert isinstance(found, PointCloud)
     assert found.labels is not None
     assert found.labels.present.shape == one.present.shape
     unknown = one.replace(ground_known=False, camera=None)
-    labelling.labelled([unknown])
+    labelled([unknown])
     assert looked == [(one.points.shape, True, True), (one.points.shape, False, False)]
 
 
@@ -51,7 +52,7 @@ def test_a_cloud_beside_keypoints_is_looked_at(looked):
     """Its first guess tried every heading and took four times as long, three times as far off."""
     one, motion = cloud(), walk(3)
     seen = view(motion, cameras(motion)[0])
-    same, found = labelling.labelled([seen, one])
+    same, found = labelled([seen, one])
     assert same is seen
     assert isinstance(found, PointCloud)
     assert found.labels is not None
@@ -62,8 +63,8 @@ def test_labels_that_are_given_stay_and_points_with_names_need_none(looked):
     one = cloud()
     given = one.replace(labels=PointLabels.known(bundled(), torch.zeros_like(one.present).long(),
                                                  one.present))  # fmt: skip
-    assert labelling.labelled([given]) == (given,)
+    assert labelled([given]) == (given,)
     places = bundled().pose(walk(3)[None]).joints
     seen = Joints3D(places, torch.ones_like(places[..., 0]).bool(), tuple(range(22)), 30.0)
-    assert labelling.labelled([seen, one]) == (seen, one)
+    assert labelled([seen, one]) == (seen, one)
     assert looked == []

@@ -158,12 +158,12 @@ def test_names_that_are_exchanged_back_take_their_deviations_along(toy_body):
     moments = np.arange(6) < 3
     order = list(range(22))
     order[4], order[5] = 5, 4
-    back = named.permuted(tuple(order), moments).into(seen)
+    back = named.permuted(tuple(order), moments).observation
     assert torch.equal(back.std[0, :3, 4], seen.std[0, :3, 5])
     assert torch.equal(back.std[0, 3:, 4], seen.std[0, 3:, 4])
-    hidden = named.without(np.eye(6, 22, dtype=bool)).into(seen)
+    hidden = named.without(np.eye(6, 22, dtype=bool)).observation
     assert (hidden.std[0][torch.eye(6, 22).bool()] == 0).all()
-    assert replace(named, std=None).into(seen).std is None
+    assert replace(named, std=None).observation.std is None
 
 
 def test_files_tell_deviations_in_the_unit_of_their_positions(body):

@@ -140,7 +140,7 @@ def test_offsets_move_points_with_their_bones(toy_body):
     observation = seen_exactly(Joints3D, toy_body, motion).replace(offset_rows=(1, 23))
     scene = Scene(torch.zeros(2, 23, 3).double())
     scene.offsets[:, 1 + 5] = torch.tensor([0.0, 0.03, 0.04]).double()
-    predicted = observation.predict(laws.estimate_of(toy_body, motion, scene))
+    predicted = observation.predicted(laws.estimate_of(toy_body, motion, scene))
     moved = (predicted - toy_body.pose(motion).joints).norm(dim=-1)
     assert torch.allclose(moved[..., 5], torch.full((2, 6), 0.05).double())
     assert moved[..., :5].max() == 0

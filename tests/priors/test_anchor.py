@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import torch
 
-from priors.anchor.frames import Alignment, Anchors, CycleBasis
+from priors.anchor.frames import Anchors, CycleBasis
 from priors.anchor.networks import (
     AnchorNetworks,
     AnchorWeights,
@@ -11,10 +11,11 @@ from priors.anchor.networks import (
     save_weights,
 )
 from priors.anchor.prior import AnchorFrames
+from priors.checkpoints import load_checkpoint, save_checkpoint
 from priors.cosines import cosines
 from recon.body.model import BodyModel
 from recon.core.motion import pad
-from recon.method.protocols import Prior
+from recon.method.priors import Prior
 from tests.priors.tiny_anchor import LATENT, tiny_prior, tiny_weights, walks
 
 pytestmark = pytest.mark.numerics
@@ -61,7 +62,7 @@ def test_directions_without_variance_are_not_blown_up(residue, tmp_path):
     assert float(networks.to_code.detach().abs().max()) <= 200.001
     spread = CodeSpread(torch.zeros(LATENT), torch.eye(LATENT), torch.zeros(2, LATENT))
     path = tmp_path / "anchor.safetensors"
-    save_weights(path, AnchorWeights(networks, spread, Alignment.YAW), {})
+    save_weights(path, AnchorWeights(networks, spread), {})
     there = load_weights(path).networks.to_code
     assert torch.allclose(there, networks.to_code.detach(), rtol=1e-2)  # of float16
 
@@ -122,9 +123,7 @@ def test_gradients_are_right():
     motion = pad(walks(BODY, 1))
     weights = tiny_weights(BODY)
     double = AnchorFrames(
-        weights=type(weights)(
-            weights.networks.double(), weights.spread.to(dtype=torch.float64), weights.alignment
-        ),
+        weights=type(weights)(weights.networks.double(), weights.spread.to(dtype=torch.float64)),
         body=BODY.to(dtype=torch.float64),
     )
     double.weights.networks.basis = double.weights.networks.basis.to(dtype=torch.float64)
@@ -149,8 +148,17 @@ def test_weights_survive_the_disk(tmp_path):
     shape = torch.zeros(3, BODY.shape_size)
     one, other = (w.networks.decode(code, shape) for w in (weights, back))
     assert torch.allclose(one, other, atol=2e-2)
-    assert back.alignment is weights.alignment
     assert torch.allclose(back.spread.root, weights.spread.root)
+
+
+def test_weights_of_another_alignment_are_refused(tmp_path):
+    """Cycles without which way is up, as published, are no longer known."""
+    path = tmp_path / "w.safetensors"
+    save_weights(path, tiny_weights(BODY), {})
+    found = load_checkpoint(path, "anchor")
+    save_checkpoint(path, "anchor", found.tensors, {**found.settings, "alignment": "full"})
+    with pytest.raises(ValueError, match=r"alignment = 'yaw'.*trained anew"):
+        load_weights(path)
 
 
 def test_weights_for_another_body_are_refused(tmp_path):

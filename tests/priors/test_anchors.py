@@ -3,7 +3,7 @@ import math
 import pytest
 import torch
 
-from priors.anchor.frames import ANCHORS, POSE_NUMBERS, Alignment, Anchors, rest_pelvis
+from priors.anchor.frames import ANCHORS, POSE_NUMBERS, Anchors, rest_pelvis
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from tests.laws import a_motion
@@ -51,34 +51,31 @@ def test_anchors_replay_the_motion_between_its_frames():
     assert float((found.joints[:, :10] - expected.joints[:, :10]).norm(dim=-1).max()) < 2e-3
 
 
-@pytest.mark.parametrize("alignment", list(Alignment))
-def test_no_rigid_motion_that_it_takes_away_changes_aligned_cycles(alignment):
+def test_no_rigid_motion_that_it_takes_away_changes_aligned_cycles():
     motion = a_motion(DOUBLE, clips=1, frames=30)
     pelvis = rest_pelvis(DOUBLE, motion.shape)
-    T = _rigid(1.1) if alignment is Alignment.YAW else _rigid(1.1, 0.7, (0.3, -1.2, 2.0))
-    moved = motion.carried(T[None], pelvis)
-    one, _ = Anchors.of(motion).aligned(alignment, pelvis)
-    other, _ = Anchors.of(moved).aligned(alignment, pelvis)
+    moved = motion.carried(_rigid(1.1)[None], pelvis)
+    one, _ = Anchors.of(motion).aligned(pelvis)
+    other, _ = Anchors.of(moved).aligned(pelvis)
     assert torch.allclose(one.pack(), other.pack(), atol=1e-9)
 
 
-def test_yaw_alignment_keeps_tilt_and_height():
+def test_alignment_keeps_tilt_and_height():
     motion = a_motion(DOUBLE, clips=1, frames=30)
     pelvis = rest_pelvis(DOUBLE, motion.shape)
     anchors = Anchors.of(motion)
-    aligned, _ = anchors.aligned(Alignment.YAW, pelvis)
+    aligned, _ = anchors.aligned(pelvis)
     assert torch.allclose(aligned.rotations[..., 0, 2, :], anchors.rotations[..., 0, 2, :])
     assert torch.allclose(aligned.translation[..., 2], anchors.translation[..., 2])
-    tilted, _ = anchors.carried(_rigid(0.0, 0.5)[None], pelvis).aligned(Alignment.YAW, pelvis)
+    tilted, _ = anchors.carried(_rigid(0.0, 0.5)[None], pelvis).aligned(pelvis)
     assert not torch.allclose(tilted.pack(), aligned.pack(), atol=1e-3)
 
 
-@pytest.mark.parametrize("alignment", list(Alignment))
-def test_what_alignment_takes_away_it_gives_back(alignment):
+def test_what_alignment_takes_away_it_gives_back():
     motion = a_motion(DOUBLE, clips=2, frames=30)
     pelvis = rest_pelvis(DOUBLE, motion.shape)
     anchors = Anchors.of(motion)
-    aligned, T = anchors.aligned(alignment, pelvis)
+    aligned, T = anchors.aligned(pelvis)
     back = aligned.carried(T, pelvis)
     assert torch.allclose(back.pack(), anchors.pack(), atol=1e-9)
 
@@ -87,7 +84,7 @@ def test_aligning_moves_the_body_rigidly():
     motion = a_motion(DOUBLE, clips=1, frames=30)
     pelvis = rest_pelvis(DOUBLE, motion.shape)
     anchors = Anchors.of(motion)
-    aligned, T = anchors.aligned(Alignment.FULL, pelvis)
+    aligned, T = anchors.aligned(pelvis)
     some = torch.arange(0, 6900, 150)
     before, after = (
         DOUBLE.pose(cycle.motion(motion.shape, 1.0)).points(some) for cycle in (anchors, aligned)
@@ -96,18 +93,10 @@ def test_aligning_moves_the_body_rigidly():
     assert torch.allclose(moved, after, atol=1e-6)
 
 
-def test_full_alignment_starts_from_identity_and_origin():
-    motion = a_motion(DOUBLE, clips=1, frames=30)
-    aligned, _ = Anchors.of(motion).aligned(Alignment.FULL, rest_pelvis(DOUBLE, motion.shape))
-    eye = torch.eye(3, dtype=torch.float64)
-    assert torch.allclose(aligned.rotations[0, 0, 0], eye, atol=1e-12)
-    assert torch.allclose(aligned.translation[0, 0], torch.zeros(3, dtype=torch.float64))
-
-
 def test_an_aligned_walk_goes_ahead_along_y():
     walk = a_walk(BODY, speed=1.2)
     turned = walk.carried(_rigid(2.0).float(), rest_pelvis(BODY, walk.shape))
-    aligned, _ = Anchors.of(turned).aligned(Alignment.YAW, rest_pelvis(BODY, walk.shape))
+    aligned, _ = Anchors.of(turned).aligned(rest_pelvis(BODY, walk.shape))
     assert aligned.translation[-1, 1] == pytest.approx(1.2, abs=1e-4)
     assert abs(float(aligned.translation[-1, 0])) < 1e-4
     assert math.isclose(float(aligned.duration), 1.0, abs_tol=1e-6)

@@ -24,7 +24,7 @@ from priors.humor.weights import save_weights
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion, pad
-from recon.method.protocols import Prior
+from recon.method.priors import Prior
 from tests.laws import check_heading_invariance, check_prior
 from tests.priors.test_pose import swinging
 

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from observations.joints3d import Joints3D
-from priors.humor.collocation import CollocatedHumor, Collocation
+from priors.humor.collocation import Collocation
 from priors.humor.prior import Humor
 from priors.humor.state import states_of
 from priors.humor.steps import error_whitening, explain
@@ -12,8 +12,8 @@ from priors.pose.prior import PosePrior
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion, pad
-from recon.method.protocols import Prior
-from recon.method.reconstruction import Method, solve
+from recon.method.priors import Prior
+from recon.method.reconstruction import solve
 from recon.method.terms import Term
 from tests.priors.test_humor import humor, motions
 from tests.priors.test_pose import swinging
@@ -21,8 +21,8 @@ from tests.priors.test_pose import swinging
 pytestmark = pytest.mark.numerics
 
 
-def collocated(body: BodyModel) -> CollocatedHumor:
-    return CollocatedHumor(humor(body), PosePrior.load())
+def collocated(body: BodyModel) -> Collocation:
+    return Collocation(humor(body))
 
 
 def test_it_is_a_prior_whose_energies_do_not_depend_on_place_or_heading(body: BodyModel) -> None:
@@ -100,7 +100,6 @@ def test_a_noisy_motion_gets_better_than_by_the_pose_prior_alone(trained: Humor)
         joints + noise, torch.ones(joints.shape[:-1], dtype=torch.bool), tuple(range(22)), 30.0
     )
     method = Collocation(trained)
-    assert isinstance(method, Method)
     result = solve([seen], method, body)
     plain = solve([seen], PosePrior.load(), body)
 
@@ -152,5 +151,5 @@ def test_every_stage_takes_the_density_that_is_given(body: BodyModel) -> None:
         assert isinstance(poses.prior, PosePrior)
         torch.testing.assert_close(poses.prior.density.basis, expected.basis)
         for stage in steps:
-            assert isinstance(stage.prior, CollocatedHumor)
+            assert isinstance(stage.prior, Collocation)
             torch.testing.assert_close(stage.prior.poses.density.basis, expected.basis)

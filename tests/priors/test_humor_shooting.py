@@ -9,14 +9,14 @@ import torch
 from observations.joints3d import Joints3D
 from priors.humor.collocation import Collocation
 from priors.humor.prior import HumorVariables
-from priors.humor.shooting import HumorWeights, Schedule, Shooting
+from priors.humor.shooting import PUBLISHED, HumorWeights, Schedule, Shooting
 from priors.pose.prior import PosePrior
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.scene import Scene, UnknownGround
 from recon.method.free import FreeMotion
 from recon.method.protocols import Estimate
-from recon.method.reconstruction import Method, solve
+from recon.method.reconstruction import solve
 from recon.method.running import run_stages
 from recon.method.stages import Stage
 from recon.method.terms import Term
@@ -33,8 +33,7 @@ def zero(estimate: Estimate) -> torch.Tensor:
 
 
 def test_the_phases_are_the_published_ones(body: BodyModel) -> None:
-    method = Shooting.published_joints(humor(body))
-    assert isinstance(method, Method)
+    method = Shooting.published(humor(body), "joints")
     _, _, first, latents, everything = method.stages((Term("data", zero, 1.0),))
     start = humor(body).encode(motions(20))
     assert first.portion is not None
@@ -45,7 +44,7 @@ def test_the_phases_are_the_published_ones(body: BodyModel) -> None:
     assert latents.free == {"latents", "shape"}
     assert "contact height" not in {term.name for term in latents.terms}
     weights = {term.name: term.weight for term in everything.terms}
-    published = HumorWeights.published_joints()
+    published = PUBLISHED["joints"][0]
     assert weights["transition"] == published.transition == 1e-3
     assert weights["bones"] == 10.0
 
@@ -68,7 +67,7 @@ def test_presets_have_the_published_weights_whatever_the_fit_gives(
 
     seen = Seen()
     seen.unit = unit  # type: ignore[attr-defined]
-    method = getattr(Shooting, f"published_{case}")(humor(body))
+    method = Shooting.published(humor(body), case)
     *_, last = method.stages((Term("data", seen, 17.0),))
     weights = {term.name: term.weight for term in last.terms}
     assert weights["data"] == weight
@@ -98,7 +97,7 @@ def test_it_begins_where_collocation_ends(body: BodyModel) -> None:
 
 def test_a_phase_of_some_frames_sees_only_them(body: BodyModel) -> None:
     prior = humor(body)
-    stage = Shooting.published_joints(prior).stages((Term("data", zero, 1.0),))[2]
+    stage = Shooting.published(prior, "joints").stages((Term("data", zero, 1.0),))[2]
     stage = replace(
         stage, portion=lambda x: x.first(4), minimiser=replace(stage.minimiser, max_iterations=2)
     )
@@ -142,11 +141,12 @@ def test_the_last_phase_brings_the_motion_nearer_to_the_data(body: BodyModel) ->
     assert (error(found) < 0.3 * error(start)).all()
 
 
-class Hurried:
+class Hurried(PosePrior):
     """The pose prior with two iterations a stage, as a start."""
 
-    def stages(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
-        return tuple(replace(stage, minimiser=LBFGS(2)) for stage in PosePrior.load().stages(data))
+    def stages(self, data: tuple[Term, ...], *how: Any) -> tuple[Stage[Any], ...]:
+        stages = super().stages(data, *how)
+        return tuple(replace(stage, minimiser=LBFGS(2)) for stage in stages)
 
 
 def test_a_clip_alone_is_the_clip_in_its_batch_and_hidden_points_say_nothing(
@@ -154,7 +154,7 @@ def test_a_clip_alone_is_the_clip_in_its_batch_and_hidden_points_say_nothing(
 ) -> None:
     prior = humor(body)
     joints = body.pose(motions(6)).joints
-    method = Shooting(prior, schedule=Schedule(first=2, latents=2, all=3), start=Hurried())
+    method = Shooting(prior, schedule=Schedule(first=2, latents=2, all=3), start=Hurried.load())
     visible = seen_of(joints).visible.clone()
     visible[:, 2:4, :8] = False
     hidden = seen_of(joints.where(visible[..., None], 0.0)).replace(visible=visible)
@@ -177,7 +177,7 @@ def test_a_motion_on_an_unknown_ground_is_encoded_and_rolled_out_in_the_world(
     """Latents were encoded in the frame of the recording, where up is elsewhere."""
     prior = humor(body)
     motion = motions(6)
-    method = Shooting(prior, schedule=Schedule(all=1), start=Hurried())
+    method = Shooting(prior, schedule=Schedule(all=1), start=Hurried.load())
     *_, stage = method.stages((Term("data", zero, 1.0),))
     stage = replace(stage, terms=stage.terms[:1], minimiser=LBFGS(0))
     known, _ = run_stages([stage], body, motion, Scene.create(2, like=motion.translation))

@@ -1,12 +1,13 @@
 """The HUMOS prior: exact beside its codes, another body in its place, codes that follow."""
 
 import math
+from functools import partial
 
 import pytest
 import torch
 
 from observations.joints3d import Joints3D
-from priors.humos.collocation import CodesFit, CollocatedHumos, HumosCodes, HumosFit
+from priors.humos.collocation import CollocatedHumos
 from priors.humos.frames import lowest_of
 from priors.humos.networks import (
     CodeDensity,
@@ -14,7 +15,6 @@ from priors.humos.networks import (
     save_weights,
 )
 from priors.humos.prior import FPS, Humos
-from priors.pose.prior import PosePrior, PoseWeights
 from recon.body.model import BodyModel
 from recon.body.motion_files import leg_length
 from recon.core import rotations as so3
@@ -158,29 +158,21 @@ def test_weights_survive_the_disk(tmp_path):
 
 
 @pytest.mark.numerics
-@pytest.mark.parametrize("method", [HumosFit, CodesFit])
-def test_a_fit_is_better_than_what_was_seen(prior, method):
+def test_a_fit_is_better_than_what_was_seen(prior):
     motion = walks(seconds=1.3)
     joints = BODY.pose(motion).joints
     noise = 0.03 * torch.randn(joints.shape, generator=torch.Generator().manual_seed(0))
     every = torch.ones(joints.shape[:-1], dtype=torch.bool)
     seen = Joints3D(joints + noise, every, tuple(range(22)), motion.fps)
-    found = solve([seen], method.for_noise(prior, 0.03), BODY)
+    found = solve([seen], partial(prior.stages, noise=0.03), BODY)
     error = (BODY.pose(found.motion).joints - joints).norm(dim=-1).mean()
     assert float(error) < 0.5 * float(noise.norm(dim=-1).mean())
     assert found.failed == (False, False)
 
 
-def test_first_guesses_give_codes_and_no_details(prior):
-    found = HumosCodes(prior).encode(walks())
-    assert float(found.bend.abs().max()) == 0
-    assert float(found.shift.abs().max()) == 0
-    assert float(found.latent.abs().max()) > 0
-
-
 def test_a_motion_is_judged_as_a_whole(prior):
     """What the networks know costs less than the same with frames in disorder."""
-    whole = CollocatedHumos(prior, PosePrior.load(weights=PoseWeights.for_noise(0.04)))
+    whole = CollocatedHumos(prior)
     laws.check_prior(whole, walks(), tolerance=1e-3)
     motion = walks()
     order = torch.randperm(motion.frames, generator=torch.Generator().manual_seed(0))

@@ -10,6 +10,9 @@ from scipy.spatial.transform import Rotation
 from priors.labels.looking import CloudLabeller, around, standard
 from priors.labels.networks import LabelNetwork, kernel, patches, spread_points, squared_distances
 from priors.labels.regions import MIRRORED_REGIONS
+from recon.body.model import BodyModel
+from recon.formats.motions import save_motion
+from tests.walking import a_walk
 from training.labels.clouds import (
     NOT_BODY,
     POINTS,
@@ -21,7 +24,7 @@ from training.labels.clouds import (
     thinned,
     varied,
 )
-from training.labels.train import LabelTraining, export_weights, train
+from training.labels.train import LabelRun, LabelTraining, export_weights
 
 
 @pytest.fixture
@@ -198,14 +201,14 @@ def test_shards_are_read_back(tmp_path):
 @pytest.mark.numerics
 def test_training_learns_goes_on_and_is_exported(tmp_path):
     """An interrupted run ends with the weights of one that was not."""
-    for name in ("train", "check"):
-        a_shard(random=np.random.default_rng(1)).save(_made(tmp_path / name) / "clouds_0000.npz")
-    small = CloudVariation(fewest=40, most=60)
+    save_motion(tmp_path / "walk.npz", a_walk(BodyModel.load()))
+    clouds = CloudCorpus([a_shard(random=np.random.default_rng(1))])
     settings = LabelTraining(
-        tmp_path / "train", tmp_path / "check", tmp_path / "run", steps=4, windows=2,
-        validate_every=2, variation=small,
+        tmp_path, tmp_path / "run", steps=4, windows=2, validate_every=2,
+        variation=CloudVariation(fewest=40, most=60),
     )  # fmt: skip
-    train(settings)
+    settings.out.mkdir()
+    LabelRun(settings, clouds, clouds).go()
     whole = torch.load(tmp_path / "run" / "checkpoint.pt", weights_only=True)
     assert [row["step"] for row in whole["rows"]] == [2, 4]
     assert 0 <= whole["rows"][-1]["wrong"] <= 1
@@ -216,9 +219,4 @@ def test_training_learns_goes_on_and_is_exported(tmp_path):
     assert bool(labels.places.isfinite().all())
     other = dataclasses.replace(settings, rate=2e-3)
     with pytest.raises(ValueError, match="rate"):
-        train(other)
-
-
-def _made(folder):
-    folder.mkdir()
-    return folder
+        LabelRun(other, clouds, clouds)

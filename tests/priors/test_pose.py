@@ -15,8 +15,8 @@ from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion, pad
 from recon.formats.motions import save_motion
-from recon.method.protocols import Prior
-from recon.method.reconstruction import Method, solve
+from recon.method.priors import Prior
+from recon.method.reconstruction import solve
 from tests.laws import check_heading_invariance, check_prior
 from training.pose import PoseTraining, score, train
 
@@ -49,9 +49,8 @@ def prior() -> PosePrior:
     return PosePrior(density, PoseWeights.for_noise(0.04))
 
 
-def test_it_is_a_prior_and_a_method(prior: PosePrior) -> None:
+def test_it_is_a_prior(prior: PosePrior) -> None:
     assert isinstance(prior, Prior)
-    assert isinstance(prior, Method)
 
 
 def test_it_keeps_the_laws_of_priors(prior: PosePrior) -> None:

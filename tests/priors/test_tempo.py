@@ -1,12 +1,13 @@
 """Tempo: motions faster than those that HuMoR learned are read slower."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
 
 from observations.joints3d import Joints3D
-from priors.humor.collocation import CollocatedHumor, Collocation
+from priors.humor.collocation import Collocation
 from priors.humor.likely import FASTEST, as_read, at_tempo, tempo
 from priors.humor.prior import Humor
 from priors.humor.state import states_of
@@ -75,8 +76,8 @@ def test_networks_see_frames_and_not_the_clock(body: BodyModel) -> None:
     torch.testing.assert_close(quick.pack(), slow.pack(), rtol=0, atol=0)
     method = Collocation(humor(body))
     prior = method.stages((travelling(8.0, hidden=tuple(LEGS)),))[-1].prior
-    assert isinstance(prior, CollocatedHumor)
-    slower = CollocatedHumor(prior.humor, prior.poses, 30.0 / 45.0)
+    assert isinstance(prior, Collocation)
+    slower = replace(prior, tempo=30.0 / 45.0)
     thought = prior.poses.encode(fast), prior.poses.encode(clip)
     here, there = (slower.decode(each).energies for each in thought)
     for name in ("step", "latents"):
@@ -88,7 +89,7 @@ def test_only_limbs_that_nobody_saw_are_found_at_another_tempo(body: BodyModel) 
 
     def tempos(data: Term) -> set[float]:
         priors = [stage.prior for stage in method.stages((data,))]
-        return {prior.tempo for prior in priors if isinstance(prior, CollocatedHumor)}
+        return {prior.tempo for prior in priors if isinstance(prior, Collocation)}
 
     assert tempos(travelling(9.0)) == {1.0}
     assert tempos(travelling(2.0, hidden=tuple(LEGS))) == {1.0}

@@ -2,7 +2,7 @@
 
 import torch
 
-from priors.anchor.frames import Alignment, Anchors, CycleBasis, rest_pelvis
+from priors.anchor.frames import Anchors, CycleBasis, rest_pelvis
 from priors.anchor.networks import AnchorNetworks, AnchorWeights, CodeSpread
 from priors.anchor.prior import AnchorFrames
 from recon.body.model import BodyModel
@@ -31,14 +31,14 @@ def tiny_weights(body: BodyModel) -> AnchorWeights:
     cycles = []
     for walk in walks(body):
         pelvis = rest_pelvis(body, walk.shape)
-        cycles.append(Anchors.of(walk).aligned(Alignment.YAW, pelvis)[0].pack())
+        cycles.append(Anchors.of(walk).aligned(pelvis)[0].pack())
     rows = torch.stack(cycles)
     torch.manual_seed(0)
     networks = AnchorNetworks(CycleBasis.fit(rows, 8), LATENT, body.shape_size, 16).eval()
     networks.requires_grad_(False)
     mean, log_variance = networks.posterior(rows)
     spread = CodeSpread.fit(mean, log_variance.exp(), 4)
-    return AnchorWeights(networks, spread, Alignment.YAW)
+    return AnchorWeights(networks, spread)
 
 
 def tiny_prior(body: BodyModel) -> AnchorFrames:

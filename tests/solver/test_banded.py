@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from recon.solver.banded import Banded, Factor, NotPositiveDefinite, add_differences
+from recon.solver.banded import Banded, Factor, add_differences
 
 
 def random_matrix(time: int, reach: int, n: int, m: int) -> Banded:
@@ -38,50 +38,60 @@ def dense(matrix: Banded) -> Tensor:
     return whole
 
 
-@pytest.mark.parametrize("reach", [1, 2, 3])
+@pytest.mark.parametrize("reach", [0, 1, 2, 3])
 @pytest.mark.parametrize("time", [1, 4, 6, 7])
 @pytest.mark.parametrize("m", [0, 2])
-def test_both_substitutions_solve_the_system(reach: int, time: int, m: int) -> None:
+def test_solutions_and_marginals_are_those_of_the_dense_system(
+    reach: int, time: int, m: int
+) -> None:
     n = 3
     matrix = random_matrix(time, reach, n, m)
-    factor = Factor(matrix)
-    g = torch.randn(time * n + m, generator=torch.Generator().manual_seed(1)).double()
-    inner, border = factor.up(*factor.down(g[: time * n].view(time, n), g[time * n :]))
-    whole = dense(matrix)
-    raised = whole + 1e-6 * torch.diag(whole.diagonal())
-    expected = torch.linalg.solve(raised, g)
-    torch.testing.assert_close(
-        torch.cat((inner.flatten(), border)), expected, rtol=1e-5, atol=1e-7
-    )
+    matrix.corner.add_(0.1 * torch.eye(m))
+    whole, factor = dense(matrix), Factor(matrix)
+    assert factor.definite
+    right = torch.randn(time * n + m, generator=torch.Generator().manual_seed(1)).double()
+    torch.testing.assert_close(factor.solve(right), torch.linalg.solve(whole, right))
+    expected, found = torch.linalg.inv(whole), factor.inverse()
+    torch.testing.assert_close(found.border, expected[time * n :, time * n :])
+    for t in range(time):
+        own = slice(t * n, t * n + n)
+        covariance = found.within[t] + found.onto[t] @ found.border @ found.onto[t].mT
+        torch.testing.assert_close(covariance, expected[own, own])
+        torch.testing.assert_close(-found.onto[t] @ found.border, expected[own, time * n :])
+
+
+def test_a_matrix_that_is_all_corner_is_solved_as_it_is() -> None:
+    matrix = torch.tensor([[2.0, 0.5], [0.5, 1.0]])
+    factor = Factor(Banded.dense(matrix))
+    expected = torch.tensor([1.0, -2.0])
+    torch.testing.assert_close(factor.solve(matrix @ expected), expected)
+    torch.testing.assert_close(factor.inverse().border, torch.linalg.inv(matrix))
 
 
 def test_down_is_the_transpose_of_up() -> None:
     """A minimiser in the variables u needs the exact adjoint, or its slopes are wrong."""
     matrix = random_matrix(5, 2, 3, 2)
     factor = Factor(Banded(matrix.inner.float(), matrix.border.float(), matrix.corner.float()))
-    identity = torch.eye(17)
-    up = [torch.cat((a.flatten(), b)) for a, b in
-          (factor.up(row[:15].view(5, 3), row[15:]) for row in identity)]  # fmt: skip
-    down = [torch.cat((a.flatten(), b)) for a, b in
-            (factor.down(row[:15].view(5, 3), row[15:]) for row in identity)]  # fmt: skip
-    torch.testing.assert_close(torch.stack(up), torch.stack(down).mT, rtol=1e-5, atol=1e-6)
+    up = torch.stack([factor.up(row) for row in torch.eye(17)])
+    down = torch.stack([factor.down(row) for row in torch.eye(17)])
+    torch.testing.assert_close(up, down.mT, rtol=1e-5, atol=1e-6)
 
 
 def test_damping_raises_the_diagonal() -> None:
     matrix = random_matrix(4, 2, 3, 1)
     factor, whole = Factor(matrix, 0.5), dense(matrix)
-    g = torch.ones(13, dtype=torch.float64)
-    inner, border = factor.up(*factor.down(g[:12].view(4, 3), g[12:]))
-    raised = whole + (0.5 + 1e-6) * torch.diag(whole.diagonal())
-    found = torch.cat((inner.flatten(), border))
-    torch.testing.assert_close(raised @ found, g, rtol=1e-6, atol=1e-6)
+    right = torch.ones(13, dtype=torch.float64)
+    raised = whole + 0.5 * torch.diag(whole.diagonal())
+    torch.testing.assert_close(raised @ factor.solve(right), right)
 
 
-def test_what_is_not_positive_definite_is_told() -> None:
-    matrix = random_matrix(4, 2, 3, 1)
-    matrix.inner[:, 1] *= 50
-    with pytest.raises(NotPositiveDefinite):
-        Factor(matrix)
+@pytest.mark.parametrize("reach", [0, 2])
+def test_what_is_not_positive_definite_is_told(reach: int) -> None:
+    indefinite, nan = random_matrix(4, reach, 3, 1), random_matrix(4, reach, 3, 1)
+    indefinite.border.mul_(50)
+    nan.inner[2, 0] = torch.nan
+    assert not Factor(indefinite).definite
+    assert not Factor(nan).definite
 
 
 def test_products_of_differences_are_their_hessian() -> None:

@@ -7,18 +7,22 @@ from pathlib import Path
 import pytest
 import torch
 
-from priors.anchor.frames import Alignment, Anchors, rest_pelvis
+from priors.anchor.frames import Anchors, rest_pelvis
 from priors.anchor.prior import AnchorFrames
-from recon.benchmark.dataset import Splits
 from recon.body.model import BodyModel
 from recon.body.sampled import spread_vertices
 from recon.formats.motions import MotionFile, save_motion
 from tests.training.test_humor import SPLITS
 from tests.walking import a_walk
-from training.anchor import train as module
 from training.anchor.corpus import CycleCorpus, CycleVariation
-from training.anchor.run import AnchorRun, AnchorTraining, export_learned, export_weights
-from training.anchor.train import Reconstructed, some_of, surface_error, train, train_on
+from training.anchor.train import (
+    AnchorRun,
+    AnchorTraining,
+    Reconstructed,
+    export_weights,
+    surface_error,
+    train,
+)
 from training.descent import LEAST, GradNorm
 
 RECORDED = CycleVariation(mirror=0.0, shift=0, shape=0.0, speed=0.0, exchange=0.0, mix=0.0)
@@ -45,8 +49,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def corpus_of(folder: Path, licence="open", part="train") -> CycleCorpus:
-    splits = Splits.load(folder / "splits.toml")
-    return CycleCorpus.load(folder / "corpus", splits, part, licence, BODY)
+    settings = replace(settings_of(folder, folder / "run"), data=licence)
+    return CycleCorpus.load(settings, part, BODY)
 
 
 def _nearest(rows, others):
@@ -81,21 +85,21 @@ def test_only_cycles_of_the_part_and_licence_on_flat_ground(folder):
 
 def test_cycles_are_what_was_recorded(folder):
     corpus = corpus_of(folder)
-    batch = corpus.every(Alignment.YAW)
+    batch = corpus.every()
     for row, (clip, cycle) in enumerate(zip(corpus.clips, corpus.cycles, strict=True)):
         period = {"08_01": 0.8, "08_02": 0.9, "09_01": 1.0}[clip]
         k = round((period - 0.8) / 0.1)
         walk = a_walk(BODY, seconds=3 * period, period=period, speed=0.8 + 0.1 * k, pause=0.2)
         expected = Anchors.of(cycle.of(walk, 100))
-        aligned, _ = expected.aligned(Alignment.YAW, rest_pelvis(BODY, walk.shape))
+        aligned, _ = expected.aligned(rest_pelvis(BODY, walk.shape))
         torch.testing.assert_close(batch.anchors[row].pack(), aligned.pack(), atol=2e-4, rtol=0)
 
 
 def test_nothing_varied_is_nothing_changed(folder):
     corpus = corpus_of(folder)
     random = torch.Generator().manual_seed(0)
-    drawn = corpus.draw(16, RECORDED, Alignment.YAW, random).anchors.pack()
-    every = corpus.every(Alignment.YAW).anchors.pack()
+    drawn = corpus.draw(16, RECORDED, random).anchors.pack()
+    every = corpus.every().anchors.pack()
     away = _nearest(drawn, every)
     assert float(away.max()) < 1e-3
 
@@ -103,7 +107,7 @@ def test_nothing_varied_is_nothing_changed(folder):
 def test_varied_cycles_stay_cycles(folder):
     corpus = corpus_of(folder)
     random = torch.Generator().manual_seed(0)
-    batch = corpus.draw(64, CycleVariation(), Alignment.YAW, random)
+    batch = corpus.draw(64, CycleVariation(), random)
     anchors = batch.anchors
     eye = torch.eye(3).expand_as(anchors.rotations)
     torch.testing.assert_close(anchors.rotations @ anchors.rotations.mT, eye, atol=1e-5, rtol=0)
@@ -117,8 +121,8 @@ def test_a_mirrored_walk_begins_with_the_other_foot(folder):
     corpus = corpus_of(folder)
     always = replace(RECORDED, mirror=1.0)
     random = torch.Generator().manual_seed(0)
-    drawn = corpus.draw(32, always, Alignment.YAW, random).anchors.pack()
-    every = corpus.every(Alignment.YAW)
+    drawn = corpus.draw(32, always, random).anchors.pack()
+    every = corpus.every()
     flip = torch.tensor([-1.0, 1.0, 1.0])
     mirrored = (flip[:, None] * every.anchors.rotations * flip)[..., [0, 2, 1], :, :]
     rotations = torch.cat((mirrored, every.anchors.rotations[..., 3:, :, :]), -3)
@@ -154,9 +158,9 @@ def test_gradnorm_balances_the_same_loss_scaled_differently():
 
 def test_the_surface_error_of_what_it_was_made_of_is_zero(folder, tmp_path):
     corpus = corpus_of(folder)
-    batch = corpus.every(Alignment.YAW)
+    batch = corpus.every()
     run_settings = settings_of(folder, tmp_path)
-    run = AnchorRun.start(run_settings, corpus)
+    run = AnchorRun(run_settings, corpus, batch)
     vertices, anchors = spread_vertices(BODY, 20), torch.arange(0, 100, 10)
     rows = batch.anchors.pack()
     normalised = run.networks.basis.normalised(rows)
@@ -169,7 +173,6 @@ def test_the_surface_error_of_what_it_was_made_of_is_zero(folder, tmp_path):
     moved = replace(exact, normalised=risen)
     error = surface_error(run.networks, moved, batch, BODY, vertices, anchors)
     torch.testing.assert_close(error, torch.full_like(error, 0.01), atol=1e-5, rtol=0)
-    assert some_of(batch.anchors, anchors).translation.shape[1] == 10
 
 
 def test_a_run_trains_exports_and_loads(folder, tmp_path):
@@ -180,7 +183,6 @@ def test_a_run_trains_exports_and_loads(folder, tmp_path):
     rows = list(csv.DictReader(table.splitlines()))
     assert [row["step"] for row in rows] == ["3", "6", "9", "12"]
     assert all(float(row["vertex_cm"]) < 50 for row in rows)
-    assert (tmp_path / "run" / "parameters.pt").is_file()
     path = export_weights(settings, tmp_path / "w.safetensors")
     prior = AnchorFrames.load(str(path), BODY)
     walk = a_walk(BODY, seconds=0.9, period=0.9)[None]
@@ -189,34 +191,30 @@ def test_a_run_trains_exports_and_loads(folder, tmp_path):
     assert float(error[..., :10, :].norm(dim=-1).mean()) < 0.15
 
 
-def test_a_cut_run_goes_on_where_it_was(folder, tmp_path):
+def test_a_cut_run_goes_on_where_it_was(folder, tmp_path, monkeypatch):
     corpus = corpus_of(folder)
-    checked = corpus_of(folder, part="validation").every(Alignment.YAW)
+    checked = corpus_of(folder, part="validation").every()
     whole, cut = (settings_of(folder, tmp_path / name) for name in ("whole", "cut"))
     for settings in (whole, cut):
         settings.out.mkdir()
-    train_on(whole, corpus, checked)
+    AnchorRun(whole, corpus, checked).go()
 
     class Cut(Exception):
         pass
 
-    steps = 0
-    original = module.training_step
+    run = AnchorRun(cut, corpus, checked)
+    losses = run.losses
 
-    def stopping(*arguments):
-        nonlocal steps
-        steps += 1
-        if steps == 9:
+    def stopping():
+        if run.step == 8:
             raise Cut
-        return original(*arguments)
+        return losses()
 
-    module.training_step = stopping
-    try:
-        with pytest.raises(Cut):
-            train_on(cut, corpus, checked)
-    finally:
-        module.training_step = original
-    train_on(cut, corpus, checked)
+    monkeypatch.setattr(run, "losses", stopping)
+    with pytest.raises(Cut):
+        run.go()
+    assert AnchorRun(cut, corpus, checked).step == 8
+    AnchorRun(cut, corpus, checked).go()
     one, other = (
         torch.load(settings.out / "checkpoint.pt", weights_only=True)["networks"]
         for settings in (whole, cut)
@@ -228,18 +226,20 @@ def test_a_cut_run_goes_on_where_it_was(folder, tmp_path):
 def test_the_weight_decay_of_the_settings_is_taken(folder, tmp_path):
     """It was a setting that nothing read: torch's own default decayed the weights."""
     settings = replace(settings_of(folder, tmp_path), decay=0.5)
-    (group,) = AnchorRun.start(settings, corpus_of(folder)).optimiser.param_groups
+    (group,) = AnchorRun(
+        settings, corpus_of(folder), corpus_of(folder).every()
+    ).optimiser.param_groups
     assert group["weight_decay"] == 0.5
 
 
 def test_another_run_in_the_folder_is_refused(folder, tmp_path):
     settings = settings_of(folder, tmp_path)
     corpus = corpus_of(folder)
-    train_on(settings, corpus, corpus.every(Alignment.YAW))
+    AnchorRun(settings, corpus, corpus.every()).save()
     with pytest.raises(ValueError, match="latent"):
-        train_on(replace(settings, latent=5), corpus, corpus.every(Alignment.YAW))
+        AnchorRun(replace(settings, latent=5), corpus, corpus.every())
 
 
 def test_exporting_before_training_says_so(folder, tmp_path):
     with pytest.raises(FileNotFoundError, match="train first"):
-        export_learned(settings_of(folder, tmp_path), tmp_path / "w", corpus_of(folder))
+        export_weights(settings_of(folder, tmp_path), tmp_path / "w")

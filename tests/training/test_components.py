@@ -6,18 +6,16 @@ from pathlib import Path
 import pytest
 import torch
 
-from priors.anchor.frames import Alignment
 from priors.anchor.networks import AnchorWeights, load_weights, save_weights
 from priors.anchor.prior import AnchorFrames
-from recon.benchmark.dataset import Splits
 from recon.body.model import BodyModel
 from recon.formats.motions import MotionFile, save_motion
 from tests.training.test_humor import SPLITS
 from tests.walking import a_walk
-from training.anchor.components import components
+from training.anchor.components import linear
 from training.anchor.corpus import CycleCorpus
-from training.anchor.run import AnchorTraining
-from training.run import told_settings
+from training.anchor.train import AnchorTraining
+from training.settings import told_settings
 
 BODY = BodyModel.load()
 
@@ -31,7 +29,8 @@ def learned(tmp_path_factory: pytest.TempPathFactory) -> CycleCorpus:
         period = 0.8 + 0.15 * k
         walk = a_walk(BODY, seconds=3 * period, period=period, speed=0.8 + 0.2 * k, pause=0.2)
         save_motion(root / f"08_0{k}.npz", MotionFile(walk))
-    return CycleCorpus.load(root, Splits.load(root / "splits.toml"), "train", "open", BODY)
+    settings = AnchorTraining(root, root / "run", splits=root / "splits.toml")
+    return CycleCorpus.load(settings, "train", BODY)
 
 
 @pytest.fixture(scope="module")
@@ -42,11 +41,11 @@ def settings() -> AnchorTraining:
 
 @pytest.fixture(scope="module")
 def weights(learned: CycleCorpus, settings: AnchorTraining) -> AnchorWeights:
-    return components(settings, learned)
+    return linear(settings, learned)
 
 
 def test_cycles_are_their_components(learned, weights):
-    rows = learned.every(Alignment.YAW).anchors.pack()
+    rows = learned.every().anchors.pack()
     mean, log_variance = weights.networks.posterior(rows)
     made = weights.networks.decode(mean, learned.shape)
     assert float((made - rows).abs().max()) < 0.05  # the training cycles, nearly
@@ -63,7 +62,7 @@ def test_the_decoder_is_linear_and_does_not_see_the_body(weights):
 
 def test_codes_are_spread_as_training_cycles_are(learned, settings, weights):
     random = torch.Generator().manual_seed(1)
-    rows = learned.draw(512, settings.variation, Alignment.YAW, random).anchors.pack()
+    rows = learned.draw(512, settings.variation, random).anchors.pack()
     mean, _ = weights.networks.posterior(rows)
     spread = weights.spread
     whitened = torch.linalg.solve_triangular(spread.root, (mean - spread.mean).mT, upper=False)

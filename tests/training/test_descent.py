@@ -1,42 +1,46 @@
 """One step of training: clipped, averaged, and none where the gradient is not finite."""
 
-from copy import deepcopy
-from dataclasses import dataclass
+from pathlib import Path
 
 import pytest
 import torch
 
-from training.descent import cosine, descend
+from recon.body.model import BodyModel
+from recon.formats.motions import save_motion
+from tests.walking import a_walk
+from training.run import Run, cosine
+from training.settings import TrainingSettings
 
 
-@dataclass
-class Run:
-    networks: torch.nn.Linear
-    averaged: torch.nn.Linear
-    optimiser: torch.optim.Optimizer
-    step: int = 0
+class Weight(Run[TrainingSettings, torch.nn.Linear]):
+    """One number that begins as one."""
+
+    def untrained(self, state):
+        del state
+        networks = torch.nn.Linear(1, 1, bias=False)
+        torch.nn.init.ones_(networks.weight)
+        return networks
+
+    def optimiser_of(self, networks):
+        return torch.optim.SGD(networks.parameters(), lr=1.0)
 
 
-def a_run() -> Run:
-    networks = torch.nn.Linear(1, 1, bias=False)
-    torch.nn.init.ones_(networks.weight)
-    averaged = deepcopy(networks).requires_grad_(False)
-    optimiser = torch.optim.SGD(networks.parameters(), lr=1.0)
-    return Run(networks, averaged, optimiser)
+@pytest.fixture
+def run(tmp_path: Path) -> Weight:
+    save_motion(tmp_path / "walk.npz", a_walk(BodyModel.load()))
+    return Weight(TrainingSettings(tmp_path, tmp_path / "run", clip=2.0))
 
 
-def test_a_step_is_clipped_and_averaged():
-    run = a_run()
-    descend(run, 100 * run.networks.weight.sum(), rate=0.1, clip=2.0, average=0.995)
+def test_a_step_is_clipped_and_averaged(run):
+    run.descend(100 * run.networks.weight.sum(), rate=0.1)
     assert run.networks.weight.item() == pytest.approx(1 - 0.1 * 2.0)
     # after the first step one eleventh of the average is kept
     assert run.averaged.weight.item() == pytest.approx((1 + 10 * 0.8) / 11)
     assert run.step == 1
 
 
-def test_a_gradient_that_is_not_finite_moves_nothing():
-    run = a_run()
-    descend(run, run.networks.weight.sum() * torch.inf, rate=0.1, clip=1.0, average=0.995)
+def test_a_gradient_that_is_not_finite_moves_nothing(run):
+    run.descend(run.networks.weight.sum() * torch.inf, rate=0.1)
     assert run.networks.weight.item() == 1.0
     assert run.step == 1
 

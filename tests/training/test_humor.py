@@ -13,7 +13,6 @@ from benchmarks.strangers.training import finished
 from priors.humor.networks import HumorNetworks
 from priors.humor.prior import Humor
 from priors.humor.state import rest_pelvis, states_of
-from recon.benchmark.dataset import Splits
 from recon.body.contacts import rest_heights
 from recon.body.kinematics import forward_kinematics
 from recon.body.model import BodyModel
@@ -22,9 +21,9 @@ from recon.core.skeleton import CONTACT_JOINTS, MIRROR
 from recon.formats.motions import MotionFile, save_motion
 from tests.priors.test_pose import swinging
 from training.humor.corpus import Corpus, StateWindows, Variation
-from training.humor.run import HumorTraining, LossWeights, export_weights, start
+from training.humor.losses import LossWeights, loss_terms, total_loss, unroll
 from training.humor.scaling import ScaledNetworks, Scaling
-from training.humor.train import loss_terms, total_loss, train, unroll
+from training.humor.train import HumorRun, HumorTraining, export_weights, train
 from training.run import Run
 
 SPLITS = """
@@ -65,8 +64,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def corpus_of(folder: Path, body: BodyModel) -> Corpus:
-    splits = Splits.load(folder / "splits.toml")
-    return Corpus.load(folder / "corpus", splits, "train", "open", body)
+    return Corpus.load(settings_of(folder, folder / "run"), "train", body)
 
 
 def settings_of(folder: Path, out: Path, steps: int = 6) -> HumorTraining:
@@ -158,7 +156,8 @@ def test_other_bodies_stand_on_the_ground_too(tmp_path: Path) -> None:
     motion = Motion.create(translation.repeat(240, 1), rotations, torch.zeros(16), 120.0)
     (tmp_path / "splits.toml").write_text(SPLITS)
     save_motion(tmp_path / "08_01.npz", motion)
-    corpus = Corpus.load(tmp_path, Splits.load(tmp_path / "splits.toml"), "train", "open", body)
+    settings = HumorTraining(tmp_path, tmp_path / "run", splits=tmp_path / "splits.toml")
+    corpus = Corpus.load(settings, "train", body)
     windows = drawn(corpus, Variation(0.0, 0.0, 0.0, 1.0))
     # a standing body's joints are as high above its soles as at rest
     above = windows.states.joints[:, 0, :, 2] - windows.rest[..., 1]
@@ -270,7 +269,7 @@ def test_a_run_can_begin_with_weights(folder: Path, tmp_path: Path) -> None:
     train(first)
     path = export_weights(first, tmp_path / "humor.safetensors", samples=300)
     corpus = corpus_of(folder, BodyModel.load())
-    again = start(replace(first, out=tmp_path / "second", start=path), corpus)
+    again = HumorRun(replace(first, out=tmp_path / "second", start=path), corpus, corpus)
     x = drawn(corpus, AS_RECORDED).states.pack()[:, 0]
     expected = Humor.load(path).networks.prior(x)[0]
     torch.testing.assert_close(again.averaged.prior(x)[0], expected, rtol=1e-3, atol=1e-3)

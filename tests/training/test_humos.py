@@ -9,17 +9,15 @@ import torch
 
 from priors.humos.frames import BodyFrames, existing_windows
 from priors.humos.prior import Humos
-from recon.benchmark.dataset import Licence, Part, Splits
+from recon.benchmark.dataset import Licence, Part
 from recon.body.model import BodyModel
 from recon.body.motion_files import leg_length
 from recon.formats.motions import MotionFile, save_motion
 from tests.training.test_humor import SPLITS
 from tests.walking import a_walk
-from training.humos import train as module
 from training.humos.corpus import AS_RECORDED, BodyCorpus, BodyVariation
-from training.humos.export import export_learned
-from training.humos.run import HumosTraining, start
-from training.humos.train import physics_losses, reconstruction, train, train_on
+from training.humos.losses import physics_losses, reconstruction
+from training.humos.train import HumosRun, HumosTraining, export_weights, train
 
 BODY = BodyModel.load()
 
@@ -44,8 +42,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def corpus_of(folder: Path, licence: Licence = "open", part: Part = "train", **more) -> BodyCorpus:
-    splits = Splits.load(folder / "splits.toml")
-    return BodyCorpus.load(folder / "corpus", splits, part, licence, BODY, **more)
+    return BodyCorpus.load(settings_of(folder, folder / "run", data=licence), part, BODY, **more)
 
 
 def settings_of(folder: Path, out: Path, **more) -> HumosTraining:
@@ -62,8 +59,8 @@ def test_clips_of_the_part_and_licence_that_stand_on_the_ground(folder):
     assert set(corpus_of(folder).names) == {"08_01", "08_02", "09_01"}
     assert set(corpus_of(folder, "nc").names) == {"08_01", "08_02", "09_01", "dataset-1_walk"}
     assert len(corpus_of(folder, speeds=(0.9, 1.1)).names) == 6
-    with pytest.raises(ValueError, match="no train clip"):
-        corpus_of(folder, shortest=100.0)
+    with pytest.raises(ValueError, match="no test clip"):
+        corpus_of(folder, part="test")
 
 
 def test_windows_are_what_was_recorded(folder):
@@ -152,27 +149,26 @@ def test_a_run_that_was_cut_goes_on_as_if_it_had_not_been(folder, tmp_path, monk
     cut = replace(whole, out=tmp_path / "cut")
     for settings in (whole, cut):
         settings.out.mkdir()
-    train_on(whole, corpus, checked)
-    steps = iter(range(100))
-    step = module.training_step
+    HumosRun(whole, corpus, checked).go()
+    run = HumosRun(cut, corpus, checked)
+    losses = run.losses
 
-    def failing(run, learned):
-        if next(steps) == 5:
+    def failing():
+        if run.step == 5:
             raise KeyboardInterrupt
-        return step(run, learned)
+        return losses()
 
-    with monkeypatch.context() as patch:
-        patch.setattr(module, "training_step", failing)
-        with pytest.raises(KeyboardInterrupt):
-            train_on(cut, corpus, checked)
-    train_on(cut, corpus, checked)
+    monkeypatch.setattr(run, "losses", failing)
+    with pytest.raises(KeyboardInterrupt):
+        run.go()
+    HumosRun(cut, corpus, checked).go()
     one, other = (
         torch.load(s.out / "checkpoint.pt", weights_only=True)["averaged"] for s in (whole, cut)
     )
     for name, tensor in one.items():
         torch.testing.assert_close(tensor, other[name], atol=1e-5, rtol=1e-4)
     with pytest.raises(ValueError, match="a run with other latent"):
-        train_on(replace(cut, latent=5), corpus, checked)
+        HumosRun(replace(cut, latent=5), corpus, checked)
 
 
 def test_a_run_of_an_older_version_is_exported(folder, tmp_path):
@@ -182,7 +178,7 @@ def test_a_run_of_an_older_version_is_exported(folder, tmp_path):
     state = torch.load(settings.out / "checkpoint.pt", weights_only=True)
     older = {k: v for k, v in state.items() if k not in ("identity", "torch_random", "sums")}
     torch.save(older | {"dropout": state["torch_random"]}, settings.out / "checkpoint.pt")
-    path = export_learned(settings, tmp_path / "humos.safetensors", corpus_of(folder))
+    path = export_weights(settings, tmp_path / "humos.safetensors")
     networks = Humos.load(str(path), BODY).weights.networks
     for name, tensor in networks.state_dict().items():
         torch.testing.assert_close(tensor, older["averaged"][name], atol=1e-3, rtol=1e-3)
@@ -193,7 +189,8 @@ def test_a_run_of_an_older_version_is_exported(folder, tmp_path):
 def test_the_weight_decay_of_the_settings_is_taken(folder, tmp_path):
     """It was a setting that nothing read: torch's own default decayed the weights."""
     settings = settings_of(folder, tmp_path, decay=0.5)
-    (group,) = start(settings, corpus_of(folder)).optimiser.param_groups
+    corpus = corpus_of(folder)
+    (group,) = HumosRun(settings, corpus, corpus).optimiser.param_groups
     assert group["weight_decay"] == 0.5
 
 
@@ -204,20 +201,15 @@ def test_settings_that_mean_nothing_are_refused(folder, tmp_path):
         settings_of(folder, tmp_path, width=0)
 
 
-def test_trained_weights_are_a_prior_and_warm_runs_begin_with_them(folder, tmp_path):
+def test_trained_weights_are_a_prior(folder, tmp_path):
     settings = settings_of(folder, tmp_path / "run")
     train(settings)
     rows = list(csv.DictReader((settings.out / "losses.csv").read_text().splitlines()))
     assert [float(row["step"]) for row in rows] == [2, 4, 6, 8]
     assert (settings.out / "losses.png").is_file()
-    corpus = corpus_of(folder)
-    path = export_learned(settings, tmp_path / "humos.safetensors", corpus)
+    path = export_weights(settings, tmp_path / "humos.safetensors")
     prior = Humos.load(str(path), BODY)
     walk = a_walk(BODY, seconds=2.0).map(lambda tensor: tensor[None])
     assert bool(prior.decode(prior.encode(walk)).motion.translation.isfinite().all())
-    warm = settings_of(folder, tmp_path / "warm", warm=settings.out / "warm.pt")
-    assert warm.all_steps == 4
-    train(warm)
-    assert torch.load(warm.out / "checkpoint.pt", weights_only=True)["step"] == 4
     with pytest.raises(FileNotFoundError, match="train first"):
-        export_learned(replace(settings, out=tmp_path), path, corpus)
+        export_weights(replace(settings, out=tmp_path), path)

@@ -8,7 +8,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from recon.benchmark.dataset import Splits
 from recon.body.kinematics import forward_kinematics
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
@@ -17,9 +16,7 @@ from recon.core.skeleton import CONTACT_JOINTS, FEET
 from recon.formats.motions import MotionFile, save_motion
 from tests.training.test_humor import AS_RECORDED, SPLITS
 from training.humor import moments as limits
-from training.humor.arms import UPPER, clear_of_trunk, joined, moved
 from training.humor.corpus import Corpus, StateWindows, Variation
-from training.humor.flights import GRAVITY, flown
 from training.humor.legs import (
     ANKLES,
     Aim,
@@ -32,6 +29,9 @@ from training.humor.legs import (
     stepped,
 )
 from training.humor.moments import CHANNELS, PER_FRAME, Moments, at_frames, speeds
+from training.humor.train import HumorTraining
+from training.humor.variation import GRAVITY, UPPER, clear_of_trunk, flown, joined
+from training.humor.variation import with_arms_moved as moved
 
 UPRIGHT = torch.tensor([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 """Turns the rest pose (y up) so that z is up and it faces -y."""
@@ -255,8 +255,8 @@ def corpus(tmp_path_factory: pytest.TempPathFactory) -> Corpus:
         )
         save_motion(root / f"{name}.npz", MotionFile(motion, contacts=contacts))
         (root / f"{name}.json").write_text(json.dumps({"action": action, "clip": name}))
-    splits = Splits.load(root / "splits.toml")
-    return Corpus.load(root, splits, "train", "open", BodyModel.load())
+    settings = HumorTraining(root, root / "run", splits=root / "splits.toml")
+    return Corpus.load(settings, "train", BodyModel.load())
 
 
 def drawn(corpus: Corpus, variation: Variation, windows: int = 200) -> StateWindows:

@@ -1,25 +1,23 @@
 """The corpus as cycles of gait, varied as drawn: shifted, mirrored, on other bodies."""
 
-import logging
 from collections import Counter
 from dataclasses import dataclass
-from pathlib import Path
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from priors.anchor.frames import ANCHORS, POSED, Alignment, Anchors, rest_pelvis
-from recon.benchmark.dataset import Licence, Part, Splits, files_on_flat_ground
+from priors.anchor.frames import ANCHORS, POSED, Anchors, rest_pelvis
+from recon.benchmark.dataset import Part, Splits
 from recon.body.cycles import Cycle, find_cycles
 from recon.body.model import BodyModel
 from recon.body.motion_files import with_shape
 from recon.core import rotations as so3
 from recon.core.skeleton import MIRROR, UPPER
-from recon.core.struct import TensorStruct
+from recon.core.struct import TensorStruct, concatenate
 from recon.formats.motions import load_motion
-
-_LOG = logging.getLogger(__name__)
+from training.run import LOG
+from training.settings import TrainingSettings
 
 MARGIN = 10
 """Anchors kept before and after a cycle, where the recording goes on."""
@@ -76,9 +74,7 @@ class CycleCorpus(TensorStruct):
     """The clip of every cycle."""
 
     @classmethod
-    def load(
-        cls, folder: str | Path, splits: Splits, part: Part, licence: Licence, body: BodyModel
-    ) -> "CycleCorpus":
+    def load(cls, settings: TrainingSettings, part: Part, body: BodyModel) -> "CycleCorpus":
         """All cycles of the clips of one part on flat ground.
 
         Raises:
@@ -88,7 +84,7 @@ class CycleCorpus(TensorStruct):
         room: list[tuple[int, int]] = []
         cycles: list[Cycle] = []
         clips: list[str] = []
-        for name, path in files_on_flat_ground(folder, splits, part, licence).items():
+        for name, path in settings.flat_files(part).items():
             motion = load_motion(path).motion
             for cycle in find_cycles(motion):
                 step = cycle.duration / (ANCHORS - 1)
@@ -102,8 +98,8 @@ class CycleCorpus(TensorStruct):
                 cycles.append(cycle)
                 clips.append(name)
         if len(rows) == 0:
-            raise ValueError(f"{folder}: no {part} cycle of gait there ({licence})")
-        _LOG.info("%d %s cycles (%s)", len(rows), part, licence)
+            raise ValueError(f"{settings.corpus}: no {part} cycle of gait there ({settings.data})")
+        LOG.info("%d %s cycles (%s)", len(rows), part, settings.data)
         columns, translation, shape = (torch.stack(x) for x in zip(*rows, strict=True))
         return cls(
             columns=columns,
@@ -112,24 +108,18 @@ class CycleCorpus(TensorStruct):
             duration=torch.tensor([cycle.duration for cycle in cycles]),
             shape=shape,
             left=torch.tensor([cycle.side == "left" for cycle in cycles]),
-            chance=_chances([splits.subject(clip) for clip in clips]),
+            chance=_chances(Splits.load(settings.splits), clips),
             body=body,
             cycles=tuple(cycles),
             clips=tuple(clips),
         )
 
-    def every(self, alignment: Alignment) -> CycleBatch:
+    def every(self) -> CycleBatch:
         """All cycles as recorded."""
         rows = torch.arange(len(self.duration))
-        return self._cut(rows, torch.zeros_like(rows), self.shape, alignment)
+        return self._cut(rows, torch.zeros_like(rows), self.shape)
 
-    def draw(
-        self,
-        count: int,
-        variation: CycleVariation,
-        alignment: Alignment,
-        random: torch.Generator,
-    ) -> CycleBatch:
+    def draw(self, count: int, variation: CycleVariation, random: torch.Generator) -> CycleBatch:
         """Random cycles."""
 
         def uniform() -> Tensor:
@@ -140,15 +130,15 @@ class CycleCorpus(TensorStruct):
         shift = ((uniform() * (reach.sum(-1) + 1)).long() - reach[:, 0]).clamp(max=reach[:, 1])
         normal = torch.randn(count, self.shape.shape[1], generator=random)
         shape = self.shape[row] + variation.shape * normal
-        batch = self._cut(row, shift, shape, alignment)
+        batch = self._cut(row, shift, shape)
         mirror = uniform() < variation.mirror
-        batch = _where(mirror, _mirrored(batch), batch)
+        batch = concatenate([batch, _mirrored(batch)])[torch.arange(count) + count * mirror]
         left = self.left[row] ^ mirror
         anchors = self._blended(batch.anchors, left, variation, random)
         faster = ((2 * uniform() - 1) * variation.speed).exp()
         return batch.replace(anchors=anchors.replace(times=anchors.times * faster[:, None]))
 
-    def _cut(self, row: Tensor, shift: Tensor, shape: Tensor, alignment: Alignment) -> CycleBatch:
+    def _cut(self, row: Tensor, shift: Tensor, shape: Tensor) -> CycleBatch:
         frames = MARGIN + shift[:, None] + torch.arange(ANCHORS)
         step = self.duration[row] / (ANCHORS - 1)
         anchors = Anchors(
@@ -158,7 +148,7 @@ class CycleCorpus(TensorStruct):
         )
         own = anchors.motion(self.shape[row], 1.0)
         anchors = anchors.replace(translation=with_shape(own, self.body, shape).translation)
-        return CycleBatch(anchors.aligned(alignment, rest_pelvis(self.body, shape))[0], shape)
+        return CycleBatch(anchors.aligned(rest_pelvis(self.body, shape))[0], shape)
 
     def _blended(
         self,
@@ -209,16 +199,7 @@ def _mirrored(batch: CycleBatch) -> CycleBatch:
     )
 
 
-def _where(choice: Bool[Tensor, " cycles"], one: CycleBatch, other: CycleBatch) -> CycleBatch:
-    pairs = iter(zip(one.tensors().values(), other.tensors().values(), strict=True))
-
-    def choose(_: Tensor) -> Tensor:
-        a, b = next(pairs)
-        return torch.where(choice.reshape(-1, *(1,) * (a.ndim - 1)), a, b)
-
-    return one.map(choose)
-
-
-def _chances(subjects: list[str]) -> Float[Tensor, " cycles"]:
+def _chances(splits: Splits, clips: list[str]) -> Float[Tensor, " cycles"]:
+    subjects = [splits.subject(clip) for clip in clips]
     count = Counter(subjects)
     return torch.tensor([count[subject] ** -0.5 for subject in subjects])

@@ -6,8 +6,7 @@ velocities; so positions, rotations and velocities agree whatever was drawn.
 """
 
 import json
-import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -18,17 +17,18 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from priors.humor.state import State
-from recon.benchmark.dataset import Licence, Part, Splits, files_on_flat_ground, mirrored_rotations
+from recon.benchmark.dataset import Part, Splits, mirrored_rotations
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.skeleton import CONTACT_JOINTS, MIRROR, TOES
 from recon.core.struct import TensorStruct
 from recon.formats.motions import MotionFile, load_motion
 from recon.method.protocols import REFERENCE_FPS
-from training.humor.arms import joined
 from training.humor.moments import PER_FRAME, Moments, with_edited
 from training.humor.variation import Variation as Variation
-from training.humor.variation import chosen_rows, edited
+from training.humor.variation import chosen_rows, edited, joined
+from training.run import LOG
+from training.settings import TrainingSettings
 
 KINDS: Mapping[str, tuple[str, ...]] = {
     "uneven ground": ("uneven", "playground", "stairs"),
@@ -60,13 +60,13 @@ def described(motion: Path) -> str:
     return str(json.loads(beside.read_text(encoding="utf-8")).get("action", motion.stem))
 
 
-_LOG = logging.getLogger(__name__)
-
 RATE = 120
 """Frames per second kept in memory; slower recordings are brought to it by cubic splines."""
 
 STRIDE = RATE // int(REFERENCE_FPS)
 
+_SHORTEST_S = 0.6
+"""Seconds; shorter clips, and pieces between jumps, are left out."""
 _FASTEST = 15.0
 _FASTEST_TURN = 120.0
 """Metres and radians per second: where a joint of `CONTACT_JOINTS` or any rotation is faster, the
@@ -112,41 +112,31 @@ class Corpus(TensorStruct):
     names: tuple[str, ...]
 
     @classmethod
-    def load(
-        cls,
-        folder: str | Path,
-        splits: Splits,
-        part: Part,
-        licence: Licence,
-        body: BodyModel,
-        shortest: float = 0.6,
-    ) -> "Corpus":
+    def load(cls, settings: TrainingSettings, part: Part, body: BodyModel) -> "Corpus":
         """All clips of one part on flat ground.
 
         Args:
-            folder: written by `recon convert --all`.
-            splits: who is held out.
+            settings: of which the corpus, the splits and the licence count.
             part: which part.
-            licence: `open` leaves out clips for non-commercial use.
             body: whose shape coefficients the clips have.
-            shortest: seconds; shorter clips, and pieces between jumps, are left out.
 
         Raises:
             ValueError: when no clip remains.
         """
-        clips: list[MotionFile] = []
-        names: list[str] = []
-        kinds: list[str] = []
-        for name, path in files_on_flat_ground(folder, splits, part, licence).items():
-            for piece in _between_jumps(load_motion(path)):
-                if piece.motion.frames >= shortest * piece.motion.fps:
-                    clips.append(_at_rate(piece))
-                    names.append(name)
-                    kinds.append(kind_of(described(path)))
-        if len(clips) == 0:
-            raise ValueError(f"{folder}: no {part} clip on flat ground there ({licence})")
+        found = [
+            (name, kind_of(described(path)), _at_rate(piece))
+            for name, path in settings.flat_files(part).items()
+            for piece in _between_jumps(load_motion(path))
+            if piece.motion.frames >= _SHORTEST_S * piece.motion.fps
+        ]
+        if len(found) == 0:
+            raise ValueError(
+                f"{settings.corpus}: no {part} clip on flat ground there ({settings.data})"
+            )
+        names, kinds, clips = zip(*found, strict=True)
+        splits = Splits.load(settings.splits)
         count = torch.tensor([c.motion.frames for c in clips])
-        _LOG.info("%d %s clips, %.1f min", len(clips), part, count.sum().item() / RATE / 60)
+        LOG.info("%d %s clips, %.1f min", len(clips), part, count.sum().item() / RATE / 60)
         return cls(
             translation=torch.cat([c.motion.translation for c in clips]),
             rotations=torch.cat([c.motion.rotations for c in clips]),
@@ -159,7 +149,7 @@ class Corpus(TensorStruct):
             person=_numbered([splits.subject(name) for name in names]),
             body=body,
             soles=(body.template[:, 1] < body.joint_template[list(TOES), 1].min()).nonzero()[:, 0],
-            names=tuple(names),
+            names=names,
         )
 
     def draw(
@@ -349,7 +339,7 @@ def _between_jumps(clip: MotionFile) -> list[MotionFile]:
     ]
 
 
-def _numbered(labels: list[str]) -> Int[Tensor, " clips"]:
+def _numbered(labels: Sequence[str]) -> Int[Tensor, " clips"]:
     """Each label as its place among all of them."""
     places = {label: place for place, label in enumerate(sorted(set(labels)))}
     return torch.tensor([places[label] for label in labels])

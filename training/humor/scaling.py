@@ -89,11 +89,6 @@ class ScaledNetworks(nn.Module):
             self.register_buffer(name, tensor.clone())
 
     @classmethod
-    def scaling_of(cls, world: State, rest_pelvis: Float[Tensor, "windows 3"]) -> Scaling:
-        """Scales of inputs and outputs from consecutive states, axes (windows, frames)."""
-        return Scaling.of(world, rest_pelvis)
-
-    @classmethod
     def around(
         cls, plain: HumorNetworks, scaling: Scaling, noise: float = 0.0
     ) -> "ScaledNetworks":

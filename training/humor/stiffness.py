@@ -6,20 +6,20 @@ Steps are drawn from all clips alike; the same corpus gives the same file. The f
 networks and which pose density it was made of: with those of others it is as correct and slower.
 """
 
-import argparse
 import logging
 from pathlib import Path
 
 import torch
+import tyro
 from jaxtyping import Float
 from torch import Tensor
 
 from priors.checkpoints import save_checkpoint
-from priors.humor.collocation import CollocatedHumor
+from priors.humor.collocation import Collocation
 from priors.humor.prior import Humor
 from priors.humor.state import states_of
 from priors.humor.steps import SPAN, explain, latents_of
-from priors.pose.prior import PosePrior, PoseVariables
+from priors.pose.prior import PoseVariables
 from recon.benchmark.dataset import SPLITS, Splits, load_clips
 from recon.core import rotations as so3
 from recon.core.motion import Motion
@@ -27,38 +27,36 @@ from recon.core.struct import stack
 from recon.formats.replacing import file_checksum
 from recon.formats.weight_files import weights_path
 from recon.method.quadratic import FRAME
-
-_LOG = logging.getLogger(__name__)
+from training.run import LOG
 
 _STEP = 1e-5
 """Metres, radians and standard deviations over which derivatives are differences."""
 
 
-def main() -> None:
-    """Learn and write."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
-    )
-    parser.add_argument("corpus", type=Path, help="folder of all converted motions")
-    parser.add_argument("--splits", type=Path, default=SPLITS)
-    parser.add_argument("--steps", type=int, default=128, help="drawn from the training clips")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--out", type=Path, default=Path("humor_steps.safetensors"))
-    arguments = parser.parse_args()
-    clips = [
-        clip.motion
-        for clip in load_clips(arguments.corpus, Splits.load(arguments.splits), "train")
-        if clip.motion.frames >= SPAN
-    ]
-    drawn = draw(clips, arguments.steps, arguments.seed)
+def main(
+    corpus: tyro.conf.Positional[Path],
+    splits: Path = SPLITS,
+    steps: int = 128,
+    seed: int = 0,
+    out: Path = Path("humor_steps.safetensors"),
+) -> None:
+    """Learn how stiff HuMoR's steps are on average, and write it.
+
+    Args:
+        corpus: folder of all converted motions.
+        splits: table of the subjects that are held out.
+        steps: drawn from the training clips.
+        seed: of the draws.
+        out: file to write.
+    """
+    known = load_clips(corpus, Splits.load(splits), "train")
+    clips = [clip.motion for clip in known if clip.motion.frames >= SPAN]
+    drawn = draw(clips, steps, seed)
     roots = {name: root(matrix) for name, matrix in curvature(Humor.load(), drawn).items()}
-    about = {
-        "data": "open", "steps": arguments.steps, "seed": arguments.seed,
-        "made_of": {kind: file_checksum(weights_path("open", kind)) for kind in ("humor", "pose")},
-    }  # fmt: skip
-    save_checkpoint(arguments.out, "humor_steps", roots, about)
-    logging.basicConfig(level=logging.INFO)
-    _LOG.info("wrote %s, from %d clips", arguments.out, len(clips))
+    made_of = {kind: file_checksum(weights_path("open", kind)) for kind in ("humor", "pose")}
+    about = {"data": "open", "steps": steps, "seed": seed, "made_of": made_of}
+    save_checkpoint(out, "humor_steps", roots, about)
+    LOG.info("wrote %s, from %d clips", out, len(clips))
 
 
 def draw(clips: list[Motion], count: int, seed: int) -> Motion:
@@ -80,7 +78,7 @@ def curvature(humor: Humor, motion: Motion) -> dict[str, Float[Tensor, "numbers 
     """Mean of JᵀJ for the middle steps of windows, in the heading of the frame before each."""
     exact = humor.to(dtype=torch.float64)
     motion = motion.to(dtype=torch.float64)
-    prior = CollocatedHumor(exact, PosePrior.load())
+    prior = Collocation(exact)
     with torch.no_grad():
         base = prior.encode(motion)
         here = _residuals(prior, base)
@@ -104,7 +102,7 @@ def root(matrix: Float[Tensor, "n n"]) -> Float[Tensor, "n n"]:
     return (vectors * values.clamp(min=0).sqrt()).half()
 
 
-def _perturbed(prior: CollocatedHumor, base: PoseVariables) -> list[PoseVariables]:
+def _perturbed(prior: Collocation, base: PoseVariables) -> list[PoseVariables]:
     """Variables after a step of every frame's numbers, then of the shape's."""
     found: list[PoseVariables] = []
     for k in range(SPAN * FRAME):
@@ -118,7 +116,7 @@ def _perturbed(prior: CollocatedHumor, base: PoseVariables) -> list[PoseVariable
     return found
 
 
-def _residuals(prior: CollocatedHumor, variables: PoseVariables) -> tuple[Tensor, Tensor]:
+def _residuals(prior: Collocation, variables: PoseVariables) -> tuple[Tensor, Tensor]:
     """Residuals of the middle step: the decoder's whitened error, and the latents' surprise."""
     motion = prior.poses.decode(variables).motion
     states = states_of(motion, prior.humor.body)
@@ -148,4 +146,5 @@ def _mean_product(jacobian: Float[Tensor, "windows numbers rows"]) -> Tensor:
 
 
 if __name__ == "__main__":
-    main()
+    logging.basicConfig(level=logging.INFO)
+    tyro.cli(main)

@@ -1,8 +1,6 @@
 """The corpus as windows at 20 Hz, varied as drawn: begun anywhere, mirrored, on other bodies."""
 
-import logging
 from dataclasses import dataclass
-from pathlib import Path
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -10,22 +8,22 @@ from torch import Tensor
 
 from priors.humos.frames import BodyFrames, existing_windows
 from priors.humos.prior import FPS
-from recon.benchmark.dataset import Licence, Part, Splits, files_on_flat_ground, mirrored_rotations
+from recon.benchmark.dataset import Part, mirrored_rotations
 from recon.body.model import BodyModel
 from recon.body.motion_files import leg_length
 from recon.core.motion import Motion
 from recon.core.struct import TensorStruct, concatenate
 from recon.formats.motions import load_motion
-
-_LOG = logging.getLogger(__name__)
+from training.run import LOG
+from training.settings import TrainingSettings
 
 _HIGH, _LONG = 0.25, 5
 """Clips whose lowest point is above so many metres in more than so many frames stand on something
 that was not recorded (HUMOS, appendix)."""
 _GROUND = 0.05
 """Share of frames whose lowest point is under the ground."""
-_CHUNK = 512
-"""Frames whose surface is computed at once."""
+_SHORTEST_S = 1.5
+"""Seconds; shorter clips are left out."""
 
 
 @dataclass(frozen=True)
@@ -83,44 +81,40 @@ class BodyCorpus(TensorStruct):
     @classmethod
     def load(
         cls,
-        folder: str | Path,
-        splits: Splits,
+        settings: TrainingSettings,
         part: Part,
-        licence: Licence,
         body: BodyModel,
         speeds: tuple[float, ...] = (1.0,),
-        shortest: float = 1.5,
     ) -> "BodyCorpus":
         """All clips of one part on flat ground, put on the ground.
 
         Args:
-            folder: written by `recon convert --all`.
-            splits: who is held out.
+            settings: of which the corpus, the splits and the licence count.
             part: which part.
-            licence: `open` leaves out clips for non-commercial use.
             body: whose shape coefficients the clips have.
             speeds: every clip is there at each.
-            shortest: seconds; shorter clips are left out.
 
         Raises:
             ValueError: when no clip remains.
         """
         found: list[tuple[str, BodyFrames, Tensor, Tensor]] = []
-        for name, path in files_on_flat_ground(folder, splits, part, licence).items():
+        for name, path in settings.flat_files(part).items():
             motion = load_motion(path).motion
             for speed in speeds:
                 clip = motion.replace(fps=motion.fps * speed).resample(FPS)
-                if clip.frames < shortest * FPS:
+                if clip.frames < _SHORTEST_S * FPS:
                     continue
                 frames, height = _frames_of(clip, body)
                 legs = leg_length(body, clip.shape)
                 if int((frames.clearance * legs > _HIGH).sum()) <= _LONG:
                     found.append((name, frames, height, clip.shape))
         if len(found) == 0:
-            raise ValueError(f"{folder}: no {part} clip on flat ground there ({licence})")
+            raise ValueError(
+                f"{settings.corpus}: no {part} clip on flat ground there ({settings.data})"
+            )
         names, clips, heights, shapes = zip(*found, strict=True)
         count = torch.tensor([len(clip.clearance) for clip in clips])
-        _LOG.info("%d %s clips, %.1f min", len(clips), part, count.sum().item() / FPS / 60)
+        LOG.info("%d %s clips, %.1f min", len(clips), part, count.sum().item() / FPS / 60)
         return cls(
             frames=concatenate(list(clips)),
             height=torch.cat(heights),

@@ -107,11 +107,13 @@ class CloudCorpus:
 
     def __init__(self, shards: list[Shard]) -> None:
         """Join the windows of some files."""
-        self.points = np.concatenate([shard.points for shard in shards])
-        self.places = np.concatenate([shard.places for shard in shards])
-        self.regions = np.concatenate([shard.regions for shard in shards])
-        self.counts = np.concatenate([shard.counts for shard in shards])
-        self.eyes = np.concatenate([shard.eyes for shard in shards])
+        self.shard = Shard(
+            *(
+                np.concatenate([getattr(shard, f.name) for shard in shards])
+                for f in fields(Shard)[:-1]
+            ),
+            spacing=shards[0].spacing,
+        )
 
     @classmethod
     def load(cls, folder: Path) -> "CloudCorpus":
@@ -126,14 +128,14 @@ class CloudCorpus:
         return cls([Shard.load(path) for path in paths])
 
     def __len__(self) -> int:
-        return len(self.points)
+        return len(self.shard.points)
 
     def draw(self, windows: int, variation: CloudVariation, random: Generator) -> LabelledClouds:
         """Some windows in random variations, all with the same number of rows of points.
 
         At times their moments are windows of their own, of as many more windows.
         """
-        moments = self.points.shape[1]
+        moments = self.shard.points.shape[1]
         lone = torch.rand((), generator=random).item() < variation.lone
         count = windows * moments if lone else windows
         chosen = torch.randint(len(self), (count,), generator=random)
@@ -153,9 +155,9 @@ class CloudCorpus:
     ) -> LabelledClouds:
         """Some windows as they are, of each moment at most `rows` points; None: all moments."""
         index = windows.numpy()
-        moments = np.arange(self.points.shape[1])[None] if moment is None else moment.numpy()
+        moments = np.arange(self.shard.points.shape[1])[None] if moment is None else moment.numpy()
         # points come in random order, so that those from anywhere on are drawn at random
-        count = torch.from_numpy(self.counts[index[:, None], moments].astype(np.int64))
+        count = torch.from_numpy(self.shard.counts[index[:, None], moments].astype(np.int64))
         first = torch.zeros_like(count)
         if random is not None:
             first = torch.rand(count.shape, generator=random) * (count - rows + 1).clamp(min=0)
@@ -164,13 +166,13 @@ class CloudCorpus:
         present = row < count[..., None]
         row = row.clamp(max=POINTS - 1).numpy()
         pick = (index[:, None, None], moments[..., None], row)
-        regions = torch.from_numpy(self.regions[pick].astype(np.int64))
-        eyes = torch.from_numpy(self.eyes[index])
+        regions = torch.from_numpy(self.shard.regions[pick].astype(np.int64))
+        eyes = torch.from_numpy(self.shard.eyes[index])
         has_eye = eyes[:, 0] < SEEN_FROM_ALL_SIDES
         return LabelledClouds(
-            points=torch.from_numpy(self.points[pick].astype(np.float32)),
+            points=torch.from_numpy(self.shard.points[pick].astype(np.float32)),
             present=present,
-            places=torch.from_numpy(self.places[pick].astype(np.float32)),
+            places=torch.from_numpy(self.shard.places[pick].astype(np.float32)),
             regions=regions.where(regions != NOT_BODY, -1).where(present, -1),
             eyes=eyes.where(has_eye[:, None], 0.0),
             has_eye=has_eye,

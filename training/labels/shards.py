@@ -1,6 +1,5 @@
 """Files of labelled clouds, drawn from a corpus: what the network of labels is trained on."""
 
-import logging
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,14 +9,14 @@ from jaxtyping import Float
 from scipy.spatial import KDTree
 
 from priors.labels.regions import Regions
-from recon.benchmark.dataset import Licence, Part, Splits, load_clips
+from recon.benchmark.dataset import Part, Splits, load_clips
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from training.labels.clouds import NOT_BODY, POINTS, SEEN_FROM_ALL_SIDES, Shard
 from training.labels.people import SPACING, Postures, drawn_shape, turned_over, wardrobe
 from training.labels.rooms import Glimpse, all_around, drawn_room, glimpse
-
-_LOG = logging.getLogger(__name__)
+from training.run import LOG
+from training.settings import TrainingSettings
 
 WINDOW = 3
 """Moments of a window, `SPACING` apart."""
@@ -39,49 +38,44 @@ class Source:
     body: BodyModel
 
     @classmethod
-    def of(
-        cls, corpus: Path, splits: Splits, part: Part, seed: int, licence: Licence = "open"
-    ) -> "Source":
+    def of(cls, settings: TrainingSettings, part: Part, seed: int) -> "Source":
         """Postures of one part of a corpus.
 
         Raises:
-            FileNotFoundError: when the folder holds no motion files.
+            FileNotFoundError: when the corpus holds no motion files.
+            ValueError: when no clip of it may be learned from.
         """
-        body = BodyModel.load()
-        clips = load_clips(corpus, splits, part, licence)
+        body, splits = BodyModel.load(), Splits.load(settings.splits)
+        clips = load_clips(settings.corpus, splits, part, settings.data)
+        if len(clips) == 0:
+            raise ValueError(f"{settings.corpus}: no {part} clip there ({settings.data})")
         rows = [(clip.subject, clip.motion.rotations) for clip in clips]
         return cls(Postures.of(rows, clips[0].motion.fps), wardrobe(body, _SUITS, seed), body)
 
 
-def make_training_clouds(
-    corpus: Path, folder: Path, licence: Licence, seed: int
-) -> tuple[Path, Path]:
+def make_training_clouds(settings: TrainingSettings) -> tuple[Path, Path]:
     """The folders of labelled clouds of the training and the validation people of a corpus.
 
-    Files that are there already are not made again.
+    Files `clouds_0000.npz` and so on that are there already are not made again; the same seed and
+    number give the same file.
 
     Raises:
         FileNotFoundError: when the corpus holds no motion files.
+        ValueError: when no clip of it may be learned from.
     """
+    folder = settings.out / "clouds"
     parts: tuple[tuple[Part, int], ...] = (("train", LEARNED), ("validation", CHECKED))
-    for number, (part, files) in enumerate(parts):
-        source = Source.of(corpus, Splits.load(), part, seed + number, licence)
-        make_shards(source, folder / part, range(files), WINDOWS, seed + number)
-    return folder / "train", folder / "validation"
-
-
-def make_shards(source: Source, folder: Path, shards: range, windows: int, seed: int) -> None:
-    """Write `clouds_0000.npz` and so on, those of the range that are not there yet.
-
-    The same seed and number give the same file.
-    """
-    folder.mkdir(parents=True, exist_ok=True)
-    for number in shards:
-        path = folder / f"clouds_{number:04d}.npz"
-        if path.is_file():
+    for seed, (part, files) in enumerate(parts, settings.seed):
+        (folder / part).mkdir(parents=True, exist_ok=True)
+        paths = [folder / part / f"clouds_{number:04d}.npz" for number in range(files)]
+        if all(path.is_file() for path in paths):
             continue
-        draw_shard(source, windows, np.random.default_rng([seed, number])).save(path)
-        _LOG.info("wrote %s", path)
+        source = Source.of(settings, part, seed)
+        for number, path in enumerate(paths):
+            if not path.is_file():
+                draw_shard(source, WINDOWS, np.random.default_rng([seed, number])).save(path)
+                LOG.info("wrote %s", path)
+    return folder / "train", folder / "validation"
 
 
 def draw_shard(source: Source, windows: int, random: np.random.Generator) -> Shard:

@@ -5,7 +5,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, arange, float64, nn
 
-from observations.kinds import Tracked
+from observations.points import TrackedPoints
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.diagnosis.findings import Finding
@@ -102,7 +102,7 @@ def _commonest(velocity: Float[np.ndarray, "samples 2"]) -> Float[np.ndarray, " 
     return np.median(velocity[_near(velocity, best)], axis=0)
 
 
-def with_belt(points: Tracked, belt: Float[Tensor, " 2"]) -> Tracked:
+def with_belt(points: TrackedPoints, belt: Float[Tensor, " 2"]) -> TrackedPoints:
     """Points seen in the room, in the frame that moves with the belt (m/s, horizontal)."""
     times = _times(points.positions.shape[-3], points.fps, points.start_time)
     path = _path(times, belt).to(points.positions)

@@ -6,8 +6,6 @@ about the vertical. People who turn do so step by step: one foot turns while the
 each by a rate of its own. On a treadmill all feet are carried too, but none turns.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from jaxtyping import Bool, Float
 from torch import Tensor
@@ -47,88 +45,59 @@ _SURE_SHARE = 0.15
 """Share that must vanish where feet rest in the image, as they do before a fixed camera."""
 
 
-@dataclass(frozen=True)
-class Plate:
-    """The rigid plate that carries all standing feet."""
+def standing_soles(
+    movement: Movement, observed: Bool[np.ndarray, "time 2"] | None = None
+) -> tuple[Float[np.ndarray, "samples 2"], Float[np.ndarray, "samples 2"]]:
+    """Places and velocities of heels and tips of feet while they stand; horizontal, metres.
 
-    rate: float
-    """About the vertical, radians per second, counterclockwise from above."""
-    gain: float
-    """Robust misfit per sample that vanishes because the plate may turn."""
-    share: float
-    """Share of the robust misfit of a plate that may not turn which vanishes because it may."""
+    Feet stand by their height alone, and count where they are `observed`, which may be all.
+    """
+    half = max(1, round(_LAG * movement.fps / 2))
+    if movement.frames <= 2 * half:
+        return np.zeros((0, 2)), np.zeros((0, 2))
+    now = slice(half, movement.frames - half)
 
-    def turns(self, *, rests: bool) -> bool:
-        """Whether the feet are surely carried by something that turns.
+    def speed(path: np.ndarray) -> np.ndarray:
+        return (path[2 * half :] - path[: -2 * half]) * movement.fps / (2 * half)
 
-        Args:
-            rests: whether some part of a foot rests in the image most of the time.
-        """
-        slowest, fastest = np.radians(_RATES_DEG_S)
-        least = _SURE_SHARE if rests else _LEAST_SHARE
-        enough = self.gain > _LEAST_GAIN and self.share > least
-        return bool(slowest < abs(self.rate) < fastest) and enough
+    heights = movement.sole_heights[now]
+    rising = np.maximum(*(abs(speed(p)[..., 2]) for p in (movement.ankles, movement.toes)))
+    low = heights < heights.min(1, keepdims=True) + _MAX_HEIGHT_DIFFERENCE_M
+    standing = low & (rising < _UPWARD) & (True if observed is None else observed[now])
+    places, velocities = movement.soles[now], speed(movement.soles)
+    return (
+        places[standing][..., :2].reshape(-1, 2),
+        velocities[standing][..., :2].reshape(-1, 2),
+    )
 
 
-@dataclass(frozen=True)
-class Standing:
-    """Heels and tips of feet while they stand, by their height alone; horizontal."""
+def _plate(
+    places: Float[np.ndarray, "samples 2"],
+    velocities: Float[np.ndarray, "samples 2"],
+    *,
+    turning: bool,
+) -> tuple[float, float]:
+    """Robust misfit per sample (Cauchy's loss) of the rigid plate that most samples move with.
 
-    places: Float[np.ndarray, "samples 2"]
-    velocities: Float[np.ndarray, "samples 2"]
-
-    @classmethod
-    def of(
-        cls, movement: Movement, observed: Bool[np.ndarray, "time 2"] | None = None
-    ) -> "Standing":
-        """The samples of a motion; feet count where they are `observed`, which may be all."""
-        half = max(1, round(_LAG * movement.fps / 2))
-        if movement.frames <= 2 * half:
-            return cls(np.zeros((0, 2)), np.zeros((0, 2)))
-        now = slice(half, movement.frames - half)
-
-        def speed(path: np.ndarray) -> np.ndarray:
-            return (path[2 * half :] - path[: -2 * half]) * movement.fps / (2 * half)
-
-        heights = movement.sole_heights[now]
-        rising = np.maximum(*(abs(speed(p)[..., 2]) for p in (movement.ankles, movement.toes)))
-        standing = (heights < heights.min(1, keepdims=True) + _MAX_HEIGHT_DIFFERENCE_M) & (
-            rising < _UPWARD
-        )
-        if observed is not None:
-            standing &= observed[now]
-        places, velocities = movement.soles[now], speed(movement.soles)
-        return cls(
-            places[standing][..., :2].reshape(-1, 2),
-            velocities[standing][..., :2].reshape(-1, 2),
-        )
-
-    def plate(self) -> Plate | None:
-        """The plate that most samples move with; None where feet hardly stand."""
-        if len(self.places) < 2 * _MIN_MOMENTS:
-            return None
-        still, _ = self._fit(turning=False)
-        turning, rate = self._fit(turning=True)
-        return Plate(rate, still - turning, (still - turning) / max(still, 1e-9))
-
-    def _fit(self, *, turning: bool) -> tuple[float, float]:
-        """Robust misfit per sample (Cauchy's loss), and rate, of the plate that fits best."""
-        x, y = (self.places - self.places.mean(0)).T
-        one, zero = np.ones_like(x), np.zeros_like(x)
-        columns = [(one, zero), (zero, one), *([(-y, x)] if turning else [])]
-        design = np.stack([np.stack(column, -1) for column in columns], -1)
-        weight, away = one, one
-        motion = np.zeros(len(columns))
-        for _ in range(_ITERATIONS):
-            root = np.sqrt(weight)[:, None]
-            motion = np.linalg.lstsq(
-                (design * root[..., None]).reshape(-1, len(columns)),
-                (self.velocities * root).reshape(-1),
-                rcond=None,
-            )[0]
-            away = np.square((design @ motion - self.velocities) / _SCALE).sum(-1)
-            weight = 1 / (1 + away)
-        return float(np.log1p(away).mean()), float(motion[2]) if turning else 0.0
+    The second number is its rate about the vertical, radians per second, counterclockwise from
+    above; zero for a plate that may not turn.
+    """
+    x, y = (places - places.mean(0)).T
+    one, zero = np.ones_like(x), np.zeros_like(x)
+    columns = [(one, zero), (zero, one), *([(-y, x)] if turning else [])]
+    design = np.stack([np.stack(column, -1) for column in columns], -1)
+    weight, away = one, one
+    motion = np.zeros(len(columns))
+    for _ in range(_ITERATIONS):
+        root = np.sqrt(weight)[:, None]
+        motion = np.linalg.lstsq(
+            (design * root[..., None]).reshape(-1, len(columns)),
+            (velocities * root).reshape(-1),
+            rcond=None,
+        )[0]
+        away = np.square((design @ motion - velocities) / _SCALE).sum(-1)
+        weight = 1 / (1 + away)
+    return float(np.log1p(away).mean()), float(motion[2]) if turning else 0.0
 
 
 def carried_finding(
@@ -150,10 +119,16 @@ def carried_finding(
     """
     movement = Movement.of(motion, body)
     feet = None if observed is None else _seen_feet(observed.cpu().numpy(), motion.fps)
-    plate = Standing.of(movement, feet).plate()
-    if plate is None or not plate.turns(rests=rests):
+    places, velocities = standing_soles(movement, feet)
+    if len(places) < 2 * _MIN_MOMENTS:
         return None
-    rate = float(np.degrees(plate.rate))
+    still, _ = _plate(places, velocities, turning=False)
+    turning, speed = _plate(places, velocities, turning=True)
+    rate, gain = float(np.degrees(speed)), still - turning
+    slowest, fastest = _RATES_DEG_S
+    least = _SURE_SHARE if rests else _LEAST_SHARE
+    if not slowest < abs(rate) < fastest or gain <= max(_LEAST_GAIN, least * max(still, 1e-9)):
+        return None
     return Finding(
         "camera moves",
         f"{name}: standing feet all turn about one vertical axis by {abs(rate):.0f} degrees per "

@@ -14,7 +14,7 @@ from torch import Tensor
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.skeleton import joint_index
-from recon.diagnosis.findings import Finding
+from recon.diagnosis.findings import Finding, stretches
 from recon.diagnosis.motions.movement import Movement, rates_by_strides, strides
 from recon.physics.zmp import GRAVITY
 
@@ -31,8 +31,9 @@ _FALL_EVERY = 10.0
 _OFF_GROUND = 0.08
 """Metres above the ground of both soles in the air."""
 _FLIGHT_FRAMES = 5
-_FREE = (0.75, 1.3)
-"""Acceleration, in g, of a free fall as seen on our body, whose mass is not that of the person."""
+_FREE_FALL = 0.75
+"""Least acceleration, in g, of a free fall as seen on our body, whose mass is not that of the
+person."""
 _WITH = 0.5
 """Share of the rise of the centre of mass by which the lower foot rises too, at least; who stands
 on something higher leaves it where it is."""
@@ -52,12 +53,10 @@ def fastest_fall(movement: Movement) -> float:
         return 0.0
     pieces = np.lib.stride_tricks.sliding_window_view(height, count)
     falls = _parabolas(pieces, movement.fps)
-    peaks: list[float] = []
-    while len(falls) > 0 and (worst := int(np.argmax(falls))) >= 0 and falls[worst] > 0:
-        peaks.append(float(falls[worst]))
+    for _ in range(max(1, math.ceil(movement.seconds / _FALL_EVERY)) - 1):
+        worst = int(np.argmax(falls))
         falls[max(0, worst - 2 * count) : worst + 2 * count] = 0.0
-    needed = max(1, math.ceil(movement.seconds / _FALL_EVERY))
-    return peaks[needed - 1] if len(peaks) >= needed else 0.0
+    return max(float(falls.max()), 0.0)
 
 
 def _parabolas(pieces: Float[np.ndarray, "pieces frames"], fps: float) -> np.ndarray:
@@ -71,13 +70,10 @@ def _parabolas(pieces: Float[np.ndarray, "pieces frames"], fps: float) -> np.nda
 
 def rates_by_falls(movement: Movement) -> tuple[float, float]:
     """Factors between which the true rate over the declared one lies, by falls and flights."""
-    low, high = 0.0, math.inf
-    if (fall := fastest_fall(movement)) > _FASTEST_FALL:
-        high = math.sqrt(_FALLS / fall)
-    if flights := _flights(movement):
-        fall = float(np.median(flights))
-        low = max(low, math.sqrt(_FREE[0] / fall)) if fall < _FREE[0] else low
-    return low, high
+    fall, flights = fastest_fall(movement), _flights(movement)
+    flight = float(np.median(flights)) if flights else _FREE_FALL
+    low = math.sqrt(_FREE_FALL / flight) if flight < _FREE_FALL else 0.0
+    return low, math.sqrt(_FALLS / fall) if fall > _FASTEST_FALL else math.inf
 
 
 def _flights(movement: Movement) -> list[float]:
@@ -89,7 +85,7 @@ def _flights(movement: Movement) -> list[float]:
     hands = joints[:, list(_WRISTS), 2].max(1) < joints[:, _NECK, 2]
     air = (movement.sole_heights > ground + _OFF_GROUND).all(1) & upright & hands
     found = []
-    for first, last in _runs(air):
+    for first, last in stretches(air):
         inner = height[first : last + 1]
         whole = first > 0 and last < len(air) - 1 and 0 < int(inner.argmax()) < len(inner) - 1
         if len(inner) < _FLIGHT_FRAMES or not whole:
@@ -104,11 +100,6 @@ def _flights(movement: Movement) -> list[float]:
 def _rise(heights: Float[np.ndarray, " time"]) -> float:
     """Metres from the higher end to the top."""
     return float(heights.max() - max(heights[0], heights[-1]))
-
-
-def _runs(flags: Bool[np.ndarray, " time"]) -> list[tuple[int, int]]:
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], flags.astype(np.int8), [0]))))
-    return [(int(a), int(b) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
 _SPAN = 0.1

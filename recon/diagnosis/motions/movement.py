@@ -11,6 +11,7 @@ from torch import Tensor
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.skeleton import joint_index
+from recon.diagnosis.findings import stretches
 from recon.physics.mass import centre_of_mass, vertex_masses_of_segments
 from recon.physics.zmp import GRAVITY
 
@@ -115,14 +116,8 @@ class Movement:
 
 def _longest(seen: Bool[np.ndarray, " time"]) -> tuple[int, int]:
     """First frame and last + 1 of the longest run of true values; (0, 0) where there is none."""
-    best, first = (0, 0), 0
-    for index, here in enumerate([*seen.tolist(), False]):
-        if here:
-            continue
-        if index - first > best[1] - best[0]:
-            best = (first, index)
-        first = index + 1
-    return best
+    runs = [(first, last + 1) for first, last in stretches(seen)]
+    return max(runs, key=lambda run: run[1] - run[0], default=(0, 0))
 
 
 _TURN = 0.35

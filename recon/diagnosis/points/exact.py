@@ -12,7 +12,7 @@ from recon.body.model import BodyModel
 from recon.body.soles import Soles, Stance
 from recon.core.motion import Motion
 from recon.core.skeleton import FEET
-from recon.diagnosis.findings import Finding, listed, spans, stretches
+from recon.diagnosis.findings import NOTHING, Finding, Findings, listed, spans, stretches
 from recon.diagnosis.points.named_points import NamedPoints, size
 from recon.diagnosis.points.tracks import temporal_noise
 
@@ -32,14 +32,14 @@ _MAX_ORIGIN_DISTANCE_M = 1.0
 exactly there is the root."""
 
 
-def repaired_exact(points: NamedPoints) -> tuple[NamedPoints, list[Finding]]:
+def repaired_exact(points: NamedPoints) -> tuple[NamedPoints, Findings]:
     """The points with zeros, held points and repeated frames taken out, and what was found."""
-    found: list[Finding] = []
+    found = NOTHING
     for repair in (_zeros, _repeated_frames, _held_points):
         hidden, finding = repair(points)
         if finding is not None:
             points = points.without(hidden)
-            found.append(finding)
+            found += Findings((finding,))
     return points, found
 
 
@@ -202,16 +202,16 @@ def floor_finding(height: float) -> Finding:
     )
 
 
-def scale_findings(points: NamedPoints) -> list[Finding]:
+def scale_findings(points: NamedPoints) -> tuple[Finding, ...]:
     """Whether everything is larger or smaller than people are by one factor."""
     ratio = size(points)
     if ratio is None or _MIN_SIZE_RATIO < ratio < _MAX_SIZE_RATIO:
-        return []
-    return [
+        return ()
+    return (
         Finding(
             "scale",
             f"the body is {ratio:.2f} times as large as an average person ({1.7 * ratio:.2f} m "
             "tall); check the unit and the scale of the recording (--unit)",
             value=ratio,
-        )
-    ]
+        ),
+    )

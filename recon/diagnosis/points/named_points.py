@@ -6,13 +6,13 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float
 
-from observations.kinds import Tracked
-from observations.timing import at_observation_times
+from observations.points import TrackedPoints
 from recon.body.model import BodyModel
 from recon.core.skeleton import MIRROR, PARENTS
 from recon.method.protocols import Estimate
+from recon.method.timing import at_observation_times
 
-Points = Tracked
+Points = TrackedPoints
 """Sensors that give the places of named points in space."""
 
 _MIRRORED_WITHIN = 0.04
@@ -38,6 +38,8 @@ class NamedPoints:
     rest: Float[np.ndarray, "points 3"]
     """Positions of the points on the average body in its rest pose, metres."""
     fps: float
+    given: Points
+    """The observation that they come from."""
     are_joints: bool
     """Whether the points are joints and keypoints rather than markers on the skin."""
     rigid: tuple[tuple[int, int], ...] | None = None
@@ -55,24 +57,34 @@ class NamedPoints:
             bones=observation.bones(body),
             rest=observation.at_rest(body).double().cpu().numpy(),
             fps=observation.fps,
+            given=observation,
             are_joints=not observation.on_skin,
             rigid=observation.rigid_pairs(body),
             std=None if observation.std is None else observation.std[0].double().cpu().numpy(),
         )
 
-    def into(self, observation: Points) -> Points:
+    @property
+    def observation(self) -> Points:
         """The observation with these positions instead of its own, zero where not visible."""
         positions = self.positions * self.visible[..., None]
         std = None if self.std is None else torch.from_numpy(self.std.copy())[None]
-        return observation.replace(
-            positions=torch.from_numpy(positions)[None].to(observation.positions),
-            visible=torch.from_numpy(self.visible.copy())[None].to(observation.visible.device),
+        return self.given.replace(
+            positions=torch.from_numpy(positions)[None].to(self.given.positions),
+            visible=torch.from_numpy(self.visible.copy())[None].to(self.given.visible.device),
             std=std,
         )
 
     def without(self, hidden: Bool[np.ndarray, "moments points"]) -> "NamedPoints":
         """The points with some of them no longer visible."""
         return replace(self, visible=self.visible & ~hidden)
+
+    def swapped(
+        self, pair: tuple[int, int], moments: Bool[np.ndarray, " moments"]
+    ) -> "NamedPoints":
+        """The points with the names of two exchanged at some moments."""
+        order = list(range(len(self.names)))
+        order[pair[0]], order[pair[1]] = pair[1], pair[0]
+        return self.permuted(tuple(order), moments)
 
     def permuted(
         self, order: tuple[int, ...], moments: Bool[np.ndarray, " moments"]
@@ -139,7 +151,7 @@ class Predicted:
         moments = observed.positions.shape[-3]
         with torch.no_grad():
             there, seen = at_observation_times(
-                estimate.scene.to_recording(observed.predict(estimate)), estimate.motion,
+                estimate.scene.to_recording(observed.predicted(estimate)), estimate.motion,
                 fps=observed.fps, start_time=observed.start_time, moments=moments,
             )  # fmt: skip
         covered = np.clip(np.arange(moments) - seen.start, 0, seen.stop - seen.start - 1)

@@ -15,8 +15,8 @@ from recon.core.robust import geman_mcclure, squared
 from recon.core.struct import concatenate
 from recon.diagnosis.points.named_points import NamedPoints, Points
 from recon.method.protocols import Estimate
-from recon.method.reconstruction import Method, solve
-from recon.method.stages import Stage
+from recon.method.reconstruction import solve
+from recon.method.stages import Stage, Stages
 from recon.method.terms import Term
 from recon.solver.lbfgs import LBFGS
 
@@ -100,16 +100,16 @@ def quick_fits(versions: Sequence[Points], body: BodyModel) -> list[QuickFit]:
     as its noise allows, no other can be clearly better, and none is fitted. Of a long recording
     only the version of the least cost is fitted whole, and only that one is returned.
     """
-    first, method = versions[0], _Quick.of(versions[0])
+    first, method = versions[0], _method(versions[0])
     excerpts = [_excerpt(one) for one in versions]
     fits = _fitted(excerpts[:1], method, body)
-    if len(versions) > 1 and fits[0].cost > _AT_NOISE * 1.5 * method.noise**2:
+    if len(versions) > 1 and fits[0].cost > _AT_NOISE * 1.5 * _noise(first) ** 2:
         fits += _fitted(excerpts[1:], method, body)
     if excerpts[0] is first:
         return fits
     best = min(range(len(fits)), key=lambda row: fits[row].cost)
     whole = versions[best].replace(kernel=partial(geman_mcclure, sigma=ROBUST_SCALE))
-    start = smoothed(NamedPoints.of(whole, body)).into(whole).start(body)
+    start = smoothed(NamedPoints.of(whole, body)).observation.start(body)
     # an excerpt of a long recording is not the whole of it
     from recon.fitting.long import fit_long
 
@@ -118,9 +118,9 @@ def quick_fits(versions: Sequence[Points], body: BodyModel) -> list[QuickFit]:
     return [QuickFit(versions[best], estimate, fits[best].cost)]
 
 
-def _fitted(versions: Sequence[Points], method: Method, body: BodyModel) -> list[QuickFit]:
+def _fitted(versions: Sequence[Points], method: Stages, body: BodyModel) -> list[QuickFit]:
     robust = concatenate(list(versions)).replace(kernel=partial(geman_mcclure, sigma=ROBUST_SCALE))
-    starts = [smoothed(NamedPoints.of(one, body)).into(one).start(body) for one in versions]
+    starts = [smoothed(NamedPoints.of(one, body)).observation.start(body) for one in versions]
     result = solve([robust], method, body, start=concatenate(starts))
     value = result.reports[-1].solution.value / robust.visible.sum((-2, -1)).clamp(min=1)
     return [
@@ -140,7 +140,7 @@ def pursued(fit: QuickFit, body: BodyModel) -> QuickFit:
     """
     if _excerpt(fit.points) is not fit.points:
         return fit
-    method, start = _Quick.of(fit.points), fit.estimate.motion
+    method, start = _method(fit.points), fit.estimate.motion
     reached = solve([fit.points.replace(kernel=squared)], method, body, start=start).motion
     robust = fit.points.replace(kernel=partial(geman_mcclure, sigma=ROBUST_SCALE))
     result = solve([robust], method, body, start=reached.detach())
@@ -154,26 +154,23 @@ def _cost(fit: QuickFit) -> float:
     return fit.cost
 
 
-@dataclass(frozen=True)
-class _Quick:
-    """The pose prior's stages with few iterations: a centimetre more or less decides nothing."""
-
-    noise: float
+def _noise(points: Points) -> float:
     """Standard deviation of a coordinate, metres."""
+    return float(estimate_noise(points.positions, points.visible))
 
-    @classmethod
-    def of(cls, points: Points) -> "_Quick":
-        """The method for these points."""
-        return cls(float(estimate_noise(points.positions, points.visible)))
 
-    def stages(self, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
-        """Root, then poses."""
-        weights = replace(PoseWeights.for_noise(self.noise), shape=_SHAPE)
-        prior = PosePrior.load(weights=weights)
-        return tuple(
-            replace(stage, minimiser=LBFGS(max_iterations=most, tolerance_decrease=1e-3))
-            for stage, most in zip(prior.stages(data), _ITERATIONS, strict=True)
-        )
+def _method(points: Points) -> Stages:
+    """The quick stages for these points."""
+    return partial(_quick, _noise(points))
+
+
+def _quick(noise: float, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
+    """The pose prior's stages with few iterations: a centimetre more or less decides nothing."""
+    prior = PosePrior.load(weights=replace(PoseWeights.for_noise(noise), shape=_SHAPE))
+    return tuple(
+        replace(stage, minimiser=LBFGS(max_iterations=most, tolerance_decrease=1e-3))
+        for stage, most in zip(prior.stages(data), _ITERATIONS, strict=True)
+    )
 
 
 def _excerpt(points: Points) -> Points:

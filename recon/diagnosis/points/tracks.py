@@ -73,45 +73,45 @@ def bone_noise(points: NamedPoints) -> float | None:
     return float(np.median(spreads)) / NORMAL_MAD / 2**0.5 if spreads else None
 
 
-def frame_order(points: NamedPoints) -> list[Finding]:
+def frame_order(points: NamedPoints) -> tuple[Finding, ...]:
     """Whether frames are out of order: the body leaps about, but its bones keep their lengths."""
     if found := _seams(points):
         return found
     along, near = bone_noise(points), _travelled(points, 1)
     far = [way for lag in _LAGS if (way := _travelled(points, lag)) is not None]
     if along is None or near is None or not far or near < _LEAST_DISORDER:
-        return []
+        return ()
     if near < _DISORDER * _DIFFERENCE * along or float(np.median(far)) > _GROWTH * near:
-        return []
-    return [
+        return ()
+    return (
         Finding(
             "frame order",
             f"from frame to frame points move by {100 * near:.0f} cm, which is no less than they "
             f"move in {_LAGS[-1]} frames, but bones keep their lengths to {100 * along:.1f} cm: "
             "the frames do not seem to be in the order of time; sort them by their time stamps",
             value=near / max(float(np.median(far)), 1e-6),
-        )
-    ]
+        ),
+    )
 
 
-def _seams(points: NamedPoints) -> list[Finding]:
+def _seams(points: NamedPoints) -> tuple[Finding, ...]:
     """Whether the whole body goes on from another place many times.
 
     That is so between blocks of frames which were put together in a wrong order.
     """
     kept = plausible(points)
     if kept.visible.sum() < (1 - _WILD) * points.visible.sum():
-        return []  # where many points are outliers, half of them may change together by chance
+        return ()  # where many points are outliers, half of them may change together by chance
     change = _velocity_changes(kept)
     noise = _SEAM_NOISE * _SEAM_DIFFERENCE * (bone_noise(points) or 0.0)
     limit = float(np.hypot(noise, _SEAM_SPEED / points.fps))
     before, after = np.append(0.0, change[:-1]), np.append(change[1:], 0.0)
     seams = (change > limit) & (change >= before) & (change >= after)
     if seams.sum() < _SEAMS:
-        return []
+        return ()
     frames = stretches(np.concatenate(([False, False], seams, [False])))
     speed = float(np.median(change[seams])) * points.fps
-    return [
+    return (
         Finding(
             "frame order",
             f"the whole body changes its velocity by about {speed:.1f} m/s within one frame, "
@@ -120,8 +120,8 @@ def _seams(points: NamedPoints) -> list[Finding]:
             (),
             frames,
             speed,
-        )
-    ]
+        ),
+    )
 
 
 def _velocity_changes(points: NamedPoints) -> Float[np.ndarray, " seams"]:
@@ -142,15 +142,15 @@ def _velocity_changes(points: NamedPoints) -> Float[np.ndarray, " seams"]:
     return out / _MEDIAN_LENGTH
 
 
-def identity_changes(points: NamedPoints) -> list[Finding]:
+def identity_changes(points: NamedPoints) -> tuple[Finding, ...]:
     """Frames at which the whole body jumps, as where a tracker goes on with somebody else."""
     step, elapsed = _middle_step(points)
     jumps = _jumps(step, elapsed, temporal_noise(points))
     if not jumps.any():
-        return []
+        return ()
     frames, most = stretches(jumps), float(step[jumps].max())
     if jumps.sum() >= _DISORDERLY:
-        return [
+        return (
             Finding(
                 "frame order",
                 f"all points jump together by up to {most:.2f} m and back, again and again "
@@ -159,9 +159,9 @@ def identity_changes(points: NamedPoints) -> list[Finding]:
                 (),
                 frames,
                 most,
-            )
-        ]
-    return [
+            ),
+        )
+    return (
         Finding(
             "identity change",
             f"all points jump together by up to {most:.2f} m in one frame ({spans(frames)}): "
@@ -170,8 +170,8 @@ def identity_changes(points: NamedPoints) -> list[Finding]:
             (),
             frames,
             most,
-        )
-    ]
+        ),
+    )
 
 
 def _jumps(

@@ -5,10 +5,13 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+import torch
 from jaxtyping import Bool, Float
 
+from recon.core import rotations as so3
 from recon.diagnosis.views.images import Images
 from recon.diagnosis.views.rays import Rays
+from recon.diagnosis.views.trajectories import by_turn, derivatives, in_camera, projected
 
 Cause = Literal["clock", "turned", "placed", "mirrored", "sized", "moving"]
 
@@ -116,16 +119,14 @@ class Odd:
         known = there.sum(-1) >= _MIN_POINTS
         if not known.any():
             return self.images, 0.0
-        turns = robust_turns(ways, rays, there)
-        vectors = np.stack([rotation_vector(turn) for turn in turns])
+        vectors = rotation_vector(robust_turns(ways, rays, there))
         times = np.arange(moments)
         vectors = np.stack(
             [np.interp(times, times[known], vectors[known, k]) for k in range(3)], -1
         )
         smooth = averaged(vectors, round(_SMOOTHING * self.images.fps))
         spread = np.linalg.norm(smooth - smooth.mean(0), axis=-1).max()
-        turns = np.stack([matrix_of(vector) for vector in smooth])
-        return self._with_turn(turns), float(np.degrees(spread))
+        return self._with_turn(matrix_of(smooth)), float(np.degrees(spread))
 
     def _with_turn(self, turns: Float[np.ndarray, "moments 3 3"]) -> Images:
         pose = self.images.pose.copy()
@@ -137,7 +138,9 @@ class Odd:
     def _sized(self) -> tuple[Images, float]:
         """The image enlarged about its corner: detections of another resolution."""
         images, v = self.images, self.view
-        pixels, there = self._reprojected()
+        local, front = in_camera(images.pose[v], self.points)
+        pixels = projected(images.view([v]), local[None], front[None])[0]
+        there = self.exists & front & images.seen[v]
         own = images.pixels[v][there]
         if len(own) == 0:
             return images, 1.0
@@ -148,25 +151,15 @@ class Odd:
         scaled[v] *= factor
         return replace(images, pixels=scaled), 1 / factor if factor > 0 else np.inf
 
-    def _reprojected(self) -> tuple[np.ndarray, np.ndarray]:
-        images, v = self.images, self.view
-        pose = images.pose[v]
-        local = self.points @ np.swapaxes(pose[:, :3, :3], -1, -2) + pose[:, None, :3, 3]
-        front = local[..., 2] > 0.05
-        plane = local[..., :2] / np.where(front, local[..., 2], 1.0)[..., None]
-        pixels = plane @ images.matrix[v, :2, :2].T + images.matrix[v, :2, 2]
-        return pixels, self.exists & front & images.seen[v]
-
     def _placed(self) -> tuple[Images, float]:
         """The camera at another place and turned (PnP: Gauss-Newton, robust, from `_turned`)."""
         images, _ = self._turned()
-        first = images.pose[self.view].copy()
+        pose = images.pose[self.view]
         rays, _, there = self._directions()
         plane = rays[..., :2] / np.where(rays[..., 2:] > 0.05, rays[..., 2:], np.inf)
-        pose = first
         for _ in range(_ROUNDS):
-            local = self.points @ np.swapaxes(pose[:, :3, :3], -1, -2) + pose[:, None, :3, 3]
-            good = there & (local[..., 2] > 0.05) & (rays[..., 2] > 0.05)
+            local, front = in_camera(pose, self.points)
+            good = there & front & (rays[..., 2] > 0.05)
             if good.sum() < 12:
                 return images, 0.0
             step = _pose_step(local[good], plane[good])
@@ -174,7 +167,7 @@ class Odd:
             pose = pose.copy()
             pose[:, :3] = turn @ pose[:, :3]
             pose[:, :3, 3] += step[3:]
-        moved = np.linalg.norm(_centre(pose[0]) - _centre(self.images.pose[self.view, 0]))
+        moved = np.linalg.norm(centre(pose[0]) - centre(self.images.pose[self.view, 0]))
         every = images.pose.copy()
         every[self.view] = pose
         return replace(images, pose=every), float(moved)
@@ -229,20 +222,13 @@ def _pose_step(
     local: Float[np.ndarray, "samples 3"], plane: Float[np.ndarray, "samples 2"]
 ) -> Float[np.ndarray, "6"]:
     """A Gauss-Newton step of turn and shift in the camera's frame, with robust weights."""
-    x, y, z = local.T
-    zero = np.zeros_like(x)
-    by_place = np.stack(
-        [np.stack((1 / z, zero, -x / z**2), -1), np.stack((zero, 1 / z, -y / z**2), -1)], 1
-    )
-    cross = np.stack([
-        np.stack((zero, z, -y), -1), np.stack((-z, zero, x), -1), np.stack((y, -x, zero), -1)
-    ], 1)  # fmt: skip
-    jacobian = np.concatenate((by_place @ cross, by_place), -1)
-    away = plane - local[:, :2] / z[:, None]
+    by_place = derivatives(local, np.ones(len(local), dtype=bool))
+    jacobian = np.concatenate((by_place @ by_turn(local), by_place), -1)
+    away = plane - local[:, :2] / local[:, 2:]
     size = np.linalg.norm(away, axis=-1)
     weight = 1 / (1 + np.square(size / max(float(np.median(size)), 1e-9)))
     weighted = jacobian * weight[:, None, None]
-    normal = np.einsum("nki,nkj->ij", weighted, jacobian) + 1e-9 * len(x) * np.eye(6)
+    normal = np.einsum("nki,nkj->ij", weighted, jacobian) + 1e-9 * len(local) * np.eye(6)
     return np.linalg.solve(normal, np.einsum("nki,nk->i", weighted, away))
 
 
@@ -263,26 +249,16 @@ def angle(turn: Float[np.ndarray, "3 3"]) -> float:
     return float(np.degrees(np.linalg.norm(rotation_vector(turn))))
 
 
-def rotation_vector(turn: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3"]:
+def rotation_vector(turn: Float[np.ndarray, "*shape 3 3"]) -> Float[np.ndarray, "*shape 3"]:
     """Axis times angle, radians."""
-    sine = (
-        np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2
-    )
-    size = np.linalg.norm(sine)
-    if size < 1e-12:
-        return sine
-    return sine / size * np.arctan2(size, (np.trace(turn) - 1) / 2)
+    return so3.log(torch.from_numpy(np.ascontiguousarray(turn))).numpy()
 
 
-def matrix_of(vector: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
-    """The rotation of a vector: axis times angle, radians (Rodrigues)."""
-    size = np.linalg.norm(vector)
-    if size < 1e-12:
-        return np.eye(3)
-    x, y, z = vector / size
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + np.sin(size) * cross + (1 - np.cos(size)) * cross @ cross
+def matrix_of(vector: Float[np.ndarray, "*shape 3"]) -> Float[np.ndarray, "*shape 3 3"]:
+    """The rotation of a vector: axis times angle, radians."""
+    return so3.exp(torch.from_numpy(np.ascontiguousarray(vector))).numpy()
 
 
-def _centre(pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "3"]:
+def centre(pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "3"]:
+    """Where a camera stands in the recording, metres, from T_camera_world."""
     return -pose[:3, :3].T @ pose[:3, 3]

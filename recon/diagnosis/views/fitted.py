@@ -7,7 +7,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from observations import kinds
 from observations.camera_paths import tell_distance, triangulate
 from observations.first_guess import one_clock
 from observations.keypoints2d import Keypoints2D
@@ -17,6 +16,7 @@ from recon.diagnosis.findings import Finding
 from recon.fitting.fitted import ClipFit
 from recon.method.laplace import Deviations
 from recon.method.protocols import Estimate
+from recon.method.sensor import views_of
 
 _NEAR, _FAR = 0.7, 40.0
 """Metres at which people are filmed."""
@@ -27,7 +27,7 @@ _LEAST_PIXELS = 1.0
 
 
 def distance_warnings(name: str, seen: Keypoints2D, estimate: Estimate) -> list[Finding]:
-    """A wrong focal length moves a body to where nobody films, or off a ground that is known."""
+    """A wrong focal length moves a body to where nobody films."""
     pelvis = estimate.scene.to_recording(estimate.body.joints[..., :1, :])
     distance = float(seen.camera.to_camera(pelvis.mean(-3, keepdim=True))[..., 2].median())
     if _NEAR < distance < _FAR:
@@ -98,7 +98,7 @@ def lens_finding(name: str, found: ClipFit) -> Finding | None:
     lens = found.result.estimate.scene.lens
     if not found.lens_found or lens is None:
         return None
-    (view,) = kinds.views(found.observations)
+    (view,) = views_of(found.observations)
     factor = float(lens.factor[0])
     focal = float(view.camera.camera_matrix[0, ..., 0, 0].mean())
     message = (
@@ -125,7 +125,7 @@ def size_is_unknown(found: ClipFit) -> bool:
 
     Perspective alone would, if bodies and detections were exact; they are not.
     """
-    views = kinds.views(found.observations)
+    views = views_of(found.observations)
     if found.ground_known or len(views) == 0 or len(views) < len(found.observations):
         return False
     stages = [report.stage for report in found.result.reports]
@@ -147,7 +147,7 @@ def with_unknown_size(deviations: Deviations, found: ClipFit) -> Deviations:
     along = _height_direction(body, estimate.motion.shape[0].detach().double())
     tall = float(height(body, estimate.motion.shape[0].detach().double()))
     factor = float(along.norm()) / tall
-    camera = kinds.views(found.observations)[0].camera
+    camera = views_of(found.observations)[0].camera
     eye = camera.T_world_camera[0].reshape(-1, 4, 4)[:, :3, 3].mean(0)
     joints = estimate.scene.to_recording(estimate.body.joints)[0].detach()
     distance = (joints - eye).norm(dim=-1).to(deviations.joints)

@@ -5,16 +5,18 @@ brings the view back to the noise of the keypoints is sure, and undone. What no 
 back is left out where the other views agree, and warned of otherwise.
 """
 
+from functools import partial
+
 import numpy as np
 import torch
 from jaxtyping import Bool
 
 from observations.noise import estimate_noise
-from recon.diagnosis.findings import Code, Finding, spans, stretches
+from recon.diagnosis.findings import NOTHING, Code, Finding, Findings, in_turn, spans, stretches
 from recon.diagnosis.views.explanations import Cause, Explained, Odd, mirrored
 from recon.diagnosis.views.images import Images
 from recon.diagnosis.views.rays import Rays
-from recon.diagnosis.views.rigs import Agreement, Outcome, agreement, common_miss, corrected_rig
+from recon.diagnosis.views.rigs import Agreement, agreement, common_miss, corrected_rig
 
 _FLOOR = 2.2
 """Distance, in standard deviations of the keypoints, by which rays of a good view miss the points
@@ -54,56 +56,57 @@ def noise_of_views(images: Images) -> float:
     return float(np.median(own)) if own and np.isfinite(own).all() else 0.0
 
 
-def checked_together(images: Images) -> Outcome:
+def checked_together(images: Images) -> tuple[Images, Findings]:
     """Views of one moment compared: one at odds, one out of step, one mirrored."""
     if len(images.names) < 2:
-        return Outcome(images)
+        return images, NOTHING
     noise = noise_of_views(images)
     if len(images.names) == 2:
         return _two_views(images, noise)
-    outcome = corrected_rig(images)
-    outcome = outcome.then(_one_explained(outcome.images, noise, tuple(_CODES)))
-    return outcome.then(_one_left_out(outcome.images, noise))
+    explained = partial(_one_explained, noise=noise, causes=tuple(_CODES))
+    return in_turn(images, (corrected_rig, explained, partial(_one_left_out, noise=noise)))
 
 
-def all_mirrored(images: Images) -> Outcome:
+def all_mirrored(images: Images) -> tuple[Images, Findings]:
     """Images that fit together only when mirrored, as front cameras of phones write them.
 
     One view alone cannot tell: it shows what the mirrored person would have done.
     """
     if len(images.names) < 2:
-        return Outcome(images)
+        return images, NOTHING
     noise = noise_of_views(images)
     floor = (_PAIR_FLOOR if len(images.names) == 2 else _ALL_FLOOR) * noise
     given = common_miss(images)
     if given < max(floor, 0.002):
-        return Outcome(images)
+        return images, NOTHING
     turned = mirrored(images, list(range(len(images.names))))
     other = common_miss(turned)
     if other > _MAX_MIRRORED_RATIO * given:
-        return Outcome(images)
+        return images, NOTHING
     said = (
         f"the images seem to be mirrored: their rays miss each other by {100 * given:.1f} cm, and "
         f"by {100 * other:.1f} cm when left and right of all images are exchanged"
     )
     if other <= floor:
         done = f"{said}; they were mirrored back. Give the videos as they were filmed"
-        return Outcome(turned, (Finding("mirrored", done, value=given),))
+        return turned, Findings((Finding("mirrored", done, value=given),))
     todo = f"{said}; mirror the videos back before keypoints are detected"
-    return Outcome(images, warnings=(Finding("mirrored", todo, value=given),))
+    return images, Findings(warnings=(Finding("mirrored", todo, value=given),))
 
 
-def another_image(images: Images) -> Outcome:
+def another_image(images: Images) -> tuple[Images, Findings]:
     """One view that fits the others only when it is mirrored or scaled.
 
     Looked for before names are, as wrong pixels make names look wrong.
     """
     if len(images.names) < 3:
-        return Outcome(images)
+        return images, NOTHING
     return _one_explained(images, noise_of_views(images), ("mirrored", "sized"))
 
 
-def _one_explained(images: Images, noise: float, causes: tuple[Cause, ...]) -> Outcome:
+def _one_explained(
+    images: Images, noise: float, causes: tuple[Cause, ...]
+) -> tuple[Images, Findings]:
     """The view that a cause brings back to the noise, with the others at the noise."""
     floor = _FLOOR * noise
     best: tuple[float, int, float, Explained] | None = None
@@ -118,9 +121,9 @@ def _one_explained(images: Images, noise: float, causes: tuple[Cause, ...]) -> O
         if rest <= floor and chosen.remains <= floor and (best is None or total < best[0]):
             best = (total, v, before, chosen)
     if best is None:
-        return Outcome(images)
+        return images, NOTHING
     _, v, before, chosen = best
-    return Outcome(chosen.images, (_explained_finding(images.names[v], before, chosen),))
+    return chosen.images, Findings((_explained_finding(images.names[v], before, chosen),))
 
 
 def _simplest(options: list[Explained]) -> Explained:
@@ -162,7 +165,7 @@ def _explained_finding(name: str, before: float, found: Explained) -> Finding:
     )
 
 
-def _one_left_out(images: Images, noise: float) -> Outcome:
+def _one_left_out(images: Images, noise: float) -> tuple[Images, Findings]:
     """A view that stays at odds: left out where the others agree, else warned of."""
     views = range(len(images.names))
     rest = [common_miss(images.view([k for k in views if k != v])) for v in views]
@@ -180,8 +183,8 @@ def _one_left_out(images: Images, noise: float) -> Outcome:
         hidden = np.zeros_like(images.seen)
         hidden[v] = True
         text = f"{said}, while they agree with each other; it was left out. {hint}"
-        return Outcome(images.without(hidden), (Finding("view at odds", text, value=before),))
-    return Outcome(images, warnings=(Finding("view at odds", f"{said}. {hint}", value=before),))
+        return images.without(hidden), Findings((Finding("view at odds", text, value=before),))
+    return images, Findings(warnings=(Finding("view at odds", f"{said}. {hint}", value=before),))
 
 
 _SOMEBODY = (
@@ -198,7 +201,7 @@ _HINTS: dict[Cause, str] = {
 }
 
 
-def _stretches_left_out(images: Images, odd: Odd, *, agree: bool) -> Outcome:
+def _stretches_left_out(images: Images, odd: Odd, *, agree: bool) -> tuple[Images, Findings]:
     """Moments at which one view is far from what the others see."""
     rays = Rays.of(images.view([odd.view]))
     there = odd.exists & (rays.weight[0] > 0)
@@ -207,7 +210,7 @@ def _stretches_left_out(images: Images, odd: Odd, *, agree: bool) -> Outcome:
                      for row, s in zip(miss, there, strict=True)])  # fmt: skip
     bad = lasting(away > _AWAY, round(_STRETCH * images.fps))
     if not bad.any():
-        return Outcome(images)
+        return images, NOTHING
     name, frames = images.names[odd.view], stretches(bad)
     said = (
         f"{name} contradicts the other views by {float(np.median(away[bad])):.2f} m in "
@@ -219,9 +222,9 @@ def _stretches_left_out(images: Images, odd: Odd, *, agree: bool) -> Outcome:
         hidden[odd.view, bad] = True
         text = f"{said}; these frames of it were left out"
         done = Finding("view at odds", text, frames=frames, value=size)
-        return Outcome(images.without(hidden), (done,))
+        return images.without(hidden), Findings((done,))
     todo = Finding("view at odds", f"{said}; check who is followed", frames=frames, value=size)
-    return Outcome(images, warnings=(todo,))
+    return images, Findings(warnings=(todo,))
 
 
 def lasting(flags: Bool[np.ndarray, " moments"], least: int) -> Bool[np.ndarray, " moments"]:
@@ -233,11 +236,11 @@ def lasting(flags: Bool[np.ndarray, " moments"], least: int) -> Bool[np.ndarray,
     return out
 
 
-def _two_views(images: Images, noise: float) -> Outcome:
+def _two_views(images: Images, noise: float) -> tuple[Images, Findings]:
     """Two views contradict each other: their clocks are told, but not which pose is wrong."""
     given, floor = common_miss(images), _PAIR_FLOOR * noise
     if given <= max(_WORSE * floor, 0.002):
-        return Outcome(images)
+        return images, NOTHING
     names = " and ".join(images.names)
     said = f"{names} contradict each other: their rays miss by {100 * given:.1f} cm"
     timed = agreement(images, ("clock",))
@@ -248,7 +251,7 @@ def _two_views(images: Images, noise: float) -> Outcome:
             "time. Number the frames of all cameras from the same moment"
         )
         done = Finding("views out of step", text, value=timed.late / images.fps)
-        return Outcome(timed.images, (done,))
+        return timed.images, Findings((done,))
     turned = agreement(images, ("pose",))
     both = agreement(images, ("clock", "pose"))
     if both.remains < turned.remains / _SIMPLER:
@@ -261,17 +264,17 @@ def _two_views(images: Images, noise: float) -> Outcome:
             "which of them, so nothing was changed. Calibrate anew, see that the frames of both "
             "are numbered from the same moment, or add a view"
         )
-        return Outcome(images, warnings=(Finding("view at odds", text, value=given),))
+        return images, Findings(warnings=(Finding("view at odds", text, value=given),))
     if given <= _PAIR_AT_ODDS:
-        return Outcome(images)
+        return images, NOTHING
     if timed.remains < _MAX_MIRRORED_RATIO * given:
         text = f"{said}; it seems that {by}"
-        return Outcome(images, warnings=(Finding("views out of step", text, value=given),))
+        return images, Findings(warnings=(Finding("views out of step", text, value=given),))
     text = (
         f"{said}. Check that each has its own camera's calibration, in the image size of its "
         "keypoints, and that both show the same person at the same time"
     )
-    return Outcome(images, warnings=(Finding("view at odds", text, value=given),))
+    return images, Findings(warnings=(Finding("view at odds", text, value=given),))
 
 
 def _out_of_step(images: Images, found: Agreement) -> str:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from recon.diagnosis.findings import Finding, spans
+from recon.diagnosis.findings import Finding, Findings, spans
 from recon.diagnosis.views.images import Images
 
 _OFF = 0.08
@@ -41,14 +41,14 @@ class ExchangedPair:
     """Metres by which both jumped, or by which bones were too long."""
 
 
-def repaired_pairs(images: Images) -> tuple[Images, list[Finding]]:
+def repaired_pairs(images: Images) -> tuple[Images, Findings]:
     """The images with exchanged keypoints given back their names, and what was found."""
-    findings: list[Finding] = []
+    found: list[Finding] = []
     for find in (exchanged_for_a_while, exchanged_throughout):
         for one in find(images):
             images = _renamed(images, one)
-            findings.append(_finding(images, one))
-    return images, findings
+            found.append(_finding(images, one))
+    return images, Findings(tuple(found))
 
 
 def exchanged_for_a_while(images: Images) -> list[ExchangedPair]:
@@ -93,12 +93,12 @@ def _finding(images: Images, one: ExchangedPair) -> Finding:
     when = "throughout" if throughout else f"in {spans(frames)}"
     return Finding(
         "points exchanged",
-        f"{images.names[one.view]}: {a} and {b} carry each other's name {when}, as they jump onto "
-        "each other's path or stretch the limb; they were given back their names",
+        f"{a} and {b} carry each other's name {when}, as they jump onto each other's path or "
+        "stretch the limb; they were given back their names",
         (a, b),
         frames,
         one.distance,
-    )
+    ).of(images.names[one.view])
 
 
 def _stretches(

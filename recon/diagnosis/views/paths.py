@@ -5,7 +5,8 @@ import warnings
 import numpy as np
 from jaxtyping import Bool, Float
 
-from recon.diagnosis.findings import Finding, spans, stretches
+from recon.diagnosis.findings import Finding, Findings, spans, stretches
+from recon.diagnosis.views.exact import hidden
 from recon.diagnosis.views.images import Images
 
 _OUTLIER = 0.25
@@ -37,25 +38,25 @@ _GROWTH = 1.25
 one frame ago; one that moves reaches two and more."""
 
 
-def repaired_outliers(images: Images) -> tuple[Images, list[Finding]]:
+def repaired_outliers(images: Images) -> tuple[Images, Findings]:
     """Keypoints far from where they are in the frames before and after are made unseen."""
     wild = _wild(images, np.zeros_like(images.seen), _MEDIAN_FRAMES, _OUTLIER)
     many = _share(wild, images) > _MANY
     wild[many] = _wild(images.view(np.flatnonzero(many).tolist()), wild[many], *_WIDER)
     share = _share(wild, images)
-    return images.without(wild & many[:, None, None]), [
-        Finding(
+
+    def said(v: int, here: Bool[np.ndarray, "moments points"]) -> Finding:
+        return Finding(
             "outliers",
-            f"{name}: {100 * share[v]:.2g} % of the keypoints are far from where they were just "
-            "before and are just after; they were taken as not seen. Another detector, or a "
-            "higher least confidence, may help",
+            f"{100 * share[v]:.2g} % of the keypoints are far from where they were just before "
+            "and are just after; they were taken as not seen. Another detector, or a higher least "
+            "confidence, may help",
             (),
-            stretches(wild[v].any(-1)),
+            stretches(np.any(here, axis=-1)),
             float(share[v]),
         )
-        for v, name in enumerate(images.names)
-        if many[v]
-    ]
+
+    return hidden(images, wild & many[:, None, None], said)
 
 
 def _share(
@@ -124,11 +125,11 @@ def changes_of_person(images: Images) -> Bool[np.ndarray, "views moments"]:
     return size > np.maximum(_JUMP, _SUDDEN * usual[:, None])
 
 
-def identity_findings(images: Images) -> list[Finding]:
+def identity_findings(images: Images) -> tuple[Finding, ...]:
     """Whether another person is seen from some moment on, by one view or by all."""
     changed = changes_of_person(images)
     if not changed.any():
-        return []
+        return ()
     size = jumps(images).max(0)
     where = np.zeros(changed.shape[1], dtype=bool)
     for a, b in stretches(np.asarray(changed.any(0))):
@@ -139,36 +140,35 @@ def identity_findings(images: Images) -> list[Finding]:
     else:
         names = ", ".join(n for n, own in zip(images.names, changed, strict=True) if own.any())
     first = int(np.flatnonzero(where)[0])
-    return [
+    return (
         Finding(
             "identity change",
-            f"{names}: the whole body jumps within one frame ({spans(stretches(where))}), as when "
+            f"the whole body jumps within one frame ({spans(stretches(where))}), as when "
             "detections go over to another person, the film is cut or the camera is pushed; fit "
             f"the parts separately with --between, or choose one person (--person). The motion "
             f"about frame {first} is not to be trusted",
             (),
             stretches(where),
             float(size[where].max()),
-        )
-    ]
+        ).of(names),
+    )
 
 
-def order_findings(images: Images) -> list[Finding]:
+def order_findings(images: Images) -> tuple[Finding, ...]:
     """Whether the frames of a view are out of order: no frame is near the one before it."""
     found: list[Finding] = []
     for v, name in enumerate(images.names):
         one, six = (_typical_way(images, v, lag) for lag in (1, 6))
         if one > _DISORDER and six < _GROWTH * one:
-            found.append(
-                Finding(
-                    "frame order",
-                    f"{name}: the body typically moves by {one:.2f} m from one frame to the next, "
-                    "and no further in six frames: the frames seem to be out of order. Check how "
-                    "files are numbered (frame_2 must not follow frame_10)",
-                    value=one,
-                )
+            said = Finding(
+                "frame order",
+                f"the body typically moves by {one:.2f} m from one frame to the next, and no "
+                "further in six frames: the frames seem to be out of order. Check how files are "
+                "numbered (frame_2 must not follow frame_10)",
+                value=one,
             )
-    return found
+            found.append(said.of(name))
+    return tuple(found)
 
 
 def _typical_way(images: Images, view: int, lag: int) -> float:

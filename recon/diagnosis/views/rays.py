@@ -25,18 +25,9 @@ class Rays:
     @classmethod
     def of(cls, images: Images) -> "Rays":
         """The rays of all keypoints."""
-        offset = images.pixels - images.matrix[:, None, None, :2, 2]
-        inverse = np.linalg.inv(images.matrix[:, :2, :2])
-        plane = offset @ np.swapaxes(inverse, -1, -2)[:, None]
-        rays = np.concatenate((plane, np.ones_like(plane[..., :1])), -1)
-        rays = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
         turn = images.pose[..., :3, :3]
         origin = -(images.pose[..., None, :3, 3] @ turn)
-        return cls(origin, rays @ turn, images.confidence**2)
-
-    def take(self, rows: list[int]) -> "Rays":
-        """The rays of some views."""
-        return Rays(self.origin[rows], self.direction[rows], self.weight[rows])
+        return cls(origin, in_front(images) @ turn, images.confidence**2)
 
     def meet(
         self,
@@ -63,6 +54,15 @@ class Rays:
         away = points - self.origin
         along = (away * self.direction).sum(-1, keepdims=True)
         return np.linalg.norm(away - along * self.direction, axis=-1)
+
+
+def in_front(images: Images) -> Float[np.ndarray, "views moments points 3"]:
+    """Directions of keypoints in the frames of their cameras, unit length."""
+    offset = images.pixels - images.matrix[:, None, None, :2, 2]
+    inverse = np.linalg.inv(images.matrix[:, :2, :2])
+    plane = offset @ np.swapaxes(inverse, -1, -2)[:, None]
+    rays = np.concatenate((plane, np.ones_like(plane[..., :1])), -1)
+    return rays / np.linalg.norm(rays, axis=-1, keepdims=True)
 
 
 def solve_symmetric(
@@ -106,12 +106,12 @@ def body_size(images: Images) -> float | None:
     return float(np.median(ratios)) if len(ratios) >= 4 else None
 
 
-def scale_findings(images: Images) -> list[Finding]:
+def scale_findings(images: Images) -> tuple[Finding, ...]:
     """Whether everything is larger or smaller than people are."""
     size = body_size(images) if len(images.names) > 1 else None
     if size is None or _MIN_SIZE_RATIO < size < _MAX_SIZE_RATIO:
-        return []
-    return [
+        return ()
+    return (
         Finding(
             "scale",
             f"the cameras see a person {size:.2f} times as large as the average one: their "
@@ -119,8 +119,8 @@ def scale_findings(images: Images) -> list[Finding]:
             "another size than was given (--camera-unit; a person of "
             f"{1.7 * size:.2f} m is right as it is)",
             value=size,
-        )
-    ]
+        ),
+    )
 
 
 def _ends(images: Images) -> list[tuple[int, int]]:

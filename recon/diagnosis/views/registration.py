@@ -11,11 +11,28 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Bool, Float
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
 
-from recon.diagnosis.views.explanations import matrix_of, robust_turns, rotation_vector, shifted
+from recon.diagnosis.views.explanations import (
+    centre,
+    matrix_of,
+    robust_turns,
+    rotation_vector,
+    shifted,
+)
 from recon.diagnosis.views.images import Images
-from recon.diagnosis.views.trajectories import Trajectories, derivatives, in_camera, projected
+from recon.diagnosis.views.rays import in_front
+from recon.diagnosis.views.trajectories import (
+    Trajectories,
+    by_turn,
+    derivatives,
+    in_camera,
+    projected,
+)
+from recon.solver.banded import Banded
+from recon.solver.gauss_newton import GaussNewton, Problem, Quadratic, minimise
 
 Part = Literal["clock", "pose"]
 """What of a view may be wrong: when its frames were taken, or from where."""
@@ -35,7 +52,8 @@ _COARSE = 1 / 30
 """Seconds between the offsets from which the best one is refined."""
 _MAX_MOMENTS = 500
 """Moments that are looked at, evenly chosen from a longer recording."""
-_ROUNDS = 12
+_OPTIONS = GaussNewton(12, tolerance=1.4e-3, scale=1.0, damping=0.0)
+"""Rounds end with a step of the seven unknowns of about 0.02 standard deviations each."""
 _MIN_KEYPOINTS = 100
 """Keypoints from which on clock and pose can be told."""
 _OUTLIER = 9.0
@@ -134,9 +152,13 @@ def doubted(images: Images, view: int, noise: Float[np.ndarray, " views"]) -> bo
     return problem.doubted
 
 
+_View = tuple[float, Float[np.ndarray, "4 4"]]
+"""Frames by which a view is late, and its T_camera_world."""
+
+
 @dataclass(frozen=True)
-class _Problem:
-    """A view beside the paths that the others see."""
+class _Problem(Problem[_View]):
+    """A view beside the paths that the others see, whose clock and pose are corrected."""
 
     images: Images
     """The view alone."""
@@ -182,32 +204,15 @@ class _Problem:
 
     def solved(self) -> Registration | None:
         start = self.images.pose[0, 0]
-        late, pose = self._coarse(start)
-        shift, values = np.zeros(3), np.zeros(7)
-        unknown = [k for part in self.parts for k in range(7)[_UNKNOWN[part]]]
-        covariance, inflation = np.zeros((7, 7)), 1.0
+        (late, pose), _ = minimise(self, self._coarse(start), _OPTIONS)
         found = self._residuals(late, pose)
-        for _ in range(_ROUNDS):
-            if found.there.sum() < _MIN_KEYPOINTS:
-                return None
-            normal, slope, inflation = found.equations()
-            normal[4:, 4:] += np.eye(3) / SHIFT**2
-            slope[4:] -= shift / SHIFT**2
-            inverse = np.linalg.inv(normal[np.ix_(unknown, unknown)])
-            step = np.zeros(7)
-            step[unknown] = inverse @ slope[unknown]
-            covariance[np.ix_(unknown, unknown)] = inverse
-            step[0] = np.clip(step[0], -2.0, 2.0)
-            late += step[0]
-            pose = _moved(pose, step[1:4], step[4:])
-            turn = pose[:3, :3] @ start[:3, :3].T
-            shift = pose[:3, :3] @ (_centre(pose) - _centre(start))
-            values = np.concatenate(([late], rotation_vector(turn), shift))
-            found = self._residuals(late, pose)
-            if (np.abs(step[unknown]) < 0.02 * np.sqrt(np.diag(inverse))).all():
-                break
         if found.there.sum() < _MIN_KEYPOINTS:
             return None
+        normal, _, inflation = self._equations((late, pose), found)
+        covariance, unknown = np.zeros((7, 7)), np.ix_(self._unknown, self._unknown)
+        covariance[unknown] = np.linalg.inv(normal[unknown])
+        turn = rotation_vector(pose[:3, :3] @ start[:3, :3].T)
+        values = np.concatenate(([late], turn, self._shift(pose)))
         given = self._residuals(0.0, start)
         both = found.there & given.there
         if not both.any():
@@ -220,6 +225,39 @@ class _Problem:
             self.view, float(late), pose, values, covariance, found.spread,
             per_point * float(self.seen.sum()), inflation, moves,
         )  # fmt: skip
+
+    @property
+    def _unknown(self) -> list[int]:
+        return [k for part in self.parts for k in range(7)[_UNKNOWN[part]]]
+
+    def _shift(self, pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "3"]:
+        """How far the camera's centre is from the given one, along its axes, metres."""
+        return pose[:3, :3] @ (centre(pose) - centre(self.images.pose[0, 0]))
+
+    def _equations(
+        self, x: _View, found: "_Residuals"
+    ) -> tuple[Float[np.ndarray, "7 7"], Float[np.ndarray, "7"], float]:
+        """Hessian, descent and inflation of the residuals, with what is believed of a shift."""
+        normal, slope, inflation = found.equations()
+        normal[4:, 4:] += np.eye(3) / SHIFT**2
+        slope[4:] -= self._shift(x[1]) / SHIFT**2
+        return normal, slope, inflation
+
+    def model(self, x: _View, rows: Int[Tensor, " rows"]) -> Quadratic:
+        """Reweighted least squares about a correction; no slope where too little is seen."""
+        found, own = self._residuals(*x), self._unknown
+        normal, slope = np.eye(7), np.zeros(7)
+        if found.there.sum() >= _MIN_KEYPOINTS:
+            normal, slope, _ = self._equations(x, found)
+        hessian = Banded.dense(torch.from_numpy(normal[np.ix_(own, own)]))
+        return Quadratic(self.value(x, rows), -torch.from_numpy(slope[own])[None], [hessian])
+
+    def moved(self, x: _View, rows: Int[Tensor, " rows"], steps: Float[Tensor, "rows n"]) -> _View:
+        """The correction after a step, of its clock by two frames at most."""
+        del rows
+        step = np.zeros(7)
+        step[self._unknown] = steps[0].numpy()
+        return x[0] + float(np.clip(step[0], -2.0, 2.0)), _moved(x[1], step[1:4], step[4:])
 
     def _coarse(self, pose: Float[np.ndarray, "4 4"]) -> tuple[float, Float[np.ndarray, "4 4"]]:
         """The offset with which the view fits best after a turn, and the turned pose."""
@@ -245,12 +283,7 @@ class _Problem:
     def _turned(self, late: float, pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
         points, _, _, exists = self.paths.at(self.frames - late)
         local, front = in_camera(pose, points)
-        matrix = self.images.matrix[0]
-        plane = (self.images.pixels[0, self.rows] - matrix[:2, 2]) @ np.linalg.inv(
-            matrix[:2, :2]
-        ).T
-        rays = np.concatenate((plane, np.ones_like(plane[..., :1])), -1)
-        rays = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+        rays = in_front(self.images)[0, self.rows]
         ways = local / np.maximum(np.linalg.norm(local, axis=-1, keepdims=True), 1e-9)
         there = self.seen & exists & front
         if not there.any():
@@ -269,13 +302,8 @@ class _Problem:
         noise = by_point @ covariance @ np.swapaxes(by_point, -1, -2)
         noise = noise + self.sigma**2 * np.eye(2)
         whiten = np.linalg.inv(np.linalg.cholesky(noise))
-        x, y, z = np.moveaxis(local, -1, 0)
-        zero = np.zeros_like(x)
-        by_turn = np.stack([
-            np.stack((zero, z, -y), -1), np.stack((-z, zero, x), -1), np.stack((y, -x, zero), -1)
-        ], -2)  # fmt: skip
         jacobian = np.concatenate(
-            (-(by_point @ velocity[..., None]), by_place @ by_turn, -by_place), -1
+            (-(by_point @ velocity[..., None]), by_place @ by_turn(local), -by_place), -1
         )
         by_velocity = whiten @ by_point
         blur = self.paths.velocity_noise * (by_velocity @ covariance * by_velocity).sum((-2, -1))
@@ -324,8 +352,8 @@ class _Residuals:
         along = float((soft[1:] * soft[:-1])[both].sum() / max((soft[1:][both] ** 2).sum(), 1e-9))
         along = float(np.clip(along, 0.0, 0.95))
         inflation = scale * (1 + along) / (1 - along)
-        normal = np.einsum("n,nki,nkj->ij", counted, j, j, optimize=True)
-        slope = np.einsum("n,nki,nk->i", counted, j, r, optimize=True)
+        weighed = (j * counted[:, None, None]).reshape(-1, 7).T
+        normal, slope = weighed @ j.reshape(-1, 7), weighed @ r.ravel()
         # noise of velocities looks like motion, and is in the positions beside the middle, too
         blur = counted * self.blur[self.there]
         past = np.broadcast_to(self.past[:, None], self.there.shape)[self.there]
@@ -350,10 +378,5 @@ def _moved(
         return pose
     out = pose.copy()
     out[:3, :3] = matrix_of(turn) @ pose[:3, :3]
-    centre = _centre(pose) + out[:3, :3].T @ shift
-    out[:3, 3] = -out[:3, :3] @ centre
+    out[:3, 3] = -out[:3, :3] @ (centre(pose) + out[:3, :3].T @ shift)
     return out
-
-
-def _centre(pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "3"]:
-    return -pose[:3, :3].T @ pose[:3, 3]

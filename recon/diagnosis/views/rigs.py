@@ -10,10 +10,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
+from torch import Tensor
 
 from observations.noise import estimate_noise
-from recon.diagnosis.findings import Code, Finding
+from recon.diagnosis.findings import Code, Finding, Findings
 from recon.diagnosis.views.explanations import matrix_of, shifted
 from recon.diagnosis.views.images import Images
 from recon.diagnosis.views.rays import Rays
@@ -25,13 +26,16 @@ from recon.diagnosis.views.registration import (
     doubted,
     registered,
 )
+from recon.solver.banded import Banded
+from recon.solver.gauss_newton import GaussNewton, Problem, Quadratic, minimise
 
 _LATEST = 0.7
 """Seconds by which the clock of one view may be off against the other's."""
 _COARSE = 1 / 30
 """Seconds between the offsets from which the best one is refined."""
-_ROUNDS = 8
-_DIFFERENCE_STEPS = (0.5, 1e-4, 1e-4, 1e-4)
+_OPTIONS = GaussNewton(8, tolerance=1e-12, scale=1.0, damping=1e-6)
+"""Rounds end when the sum of squared distances would fall by less than 1e-12 metres²."""
+_LATE_STEP, _TURN_STEP = 0.5, 1e-4
 """Frames and radians to either side over which derivatives are differences."""
 _UNKNOWN: dict[Part, tuple[int, ...]] = {"clock": (0,), "pose": (1, 2, 3)}
 
@@ -53,21 +57,20 @@ class Agreement:
 def agreement(images: Images, parts: tuple[Part, ...]) -> Agreement:
     """The clock or turn of the second view, or both, with which rays of two views miss least."""
     unknown = [k for part in parts for k in _UNKNOWN[part]]
+    turns = _Rays(images, [k for k in unknown if k > 0], 0.0)
     best: tuple[float, np.ndarray] = (np.inf, np.zeros(4))
     for late in _starts(images) if "clock" in parts else (0.0,):
         values = np.array([late, 0.0, 0.0, 0.0])
-        turns = [k for k in unknown if k > 0]
-        for _ in range(2 if turns else 0):
-            values = _stepped(images, values, turns)
-        away = _typical(_misses(images, values))
+        if turns.unknown:
+            values, _ = minimise(turns, values, replace(_OPTIONS, max_iterations=2))
+        away = _typical(_misses(images, late, values[1:])[0])
         if away < best[0]:
             best = (away, values)
-    values = best[1]
     most = max(abs(late) for late in _starts(images))
-    for _ in range(_ROUNDS):
-        values = _stepped(images, values, unknown)
-        values[0] = np.clip(values[0], -most, most)
-    corrected = _corrected(images, values)
+    values, _ = minimise(_Rays(images, unknown, most), best[1], _OPTIONS)
+    pose = images.pose.copy()
+    pose[1, :, :3] = matrix_of(values[1:]) @ pose[1, :, :3]
+    corrected = shifted(replace(images, pose=pose), 1, float(values[0]))
     angle = float(np.degrees(np.linalg.norm(values[1:])))
     return Agreement(corrected, float(values[0]), angle, common_miss(corrected))
 
@@ -86,20 +89,26 @@ def _starts(images: Images) -> Float[np.ndarray, " offsets"]:
     return np.arange(-count, count + 1) * step
 
 
-def _corrected(images: Images, values: Float[np.ndarray, "4"]) -> Images:
-    pose = images.pose.copy()
-    pose[1, :, :3] = matrix_of(values[1:]) @ pose[1, :, :3]
-    return shifted(replace(images, pose=pose), 1, float(values[0]))
+def _misses(
+    images: Images, late: float, *turns: Float[np.ndarray, "3"]
+) -> list[Float[np.ndarray, "moments points"]]:
+    """Signed distances of the two rays of every keypoint; 0 where there are no two.
 
-
-def _misses(images: Images, values: Float[np.ndarray, "4"]) -> Float[np.ndarray, "moments points"]:
-    """Signed distances of the two rays of every keypoint; 0 where there are no two."""
-    rays = Rays.of(_corrected(images, values))
-    across = np.cross(rays.direction[0], rays.direction[1])
-    size = np.linalg.norm(across, axis=-1)
-    there = (rays.weight > 0).all(0) & (size > 0.03)
-    between = rays.origin[1] - rays.origin[0]
-    return np.where(there, (between * across).sum(-1) / np.where(there, size, 1.0), 0.0)
+    Args:
+        images: two views.
+        late: frames by which the second one's clock is put right.
+        turns: rotation vectors of its camera about its centre, one for each result.
+    """
+    rays, R = Rays.of(shifted(images, 1, late)), images.pose[1, :, :3, :3]
+    there, between = (rays.weight > 0).all(0), rays.origin[1] - rays.origin[0]
+    found: list[np.ndarray] = []
+    for turn in turns:
+        carry = np.swapaxes(R, -1, -2) @ matrix_of(turn) @ R
+        across = np.cross(rays.direction[0], rays.direction[1] @ carry)
+        size = np.linalg.norm(across, axis=-1)
+        both = there & (size > 0.03)
+        found.append(np.where(both, (between * across).sum(-1) / np.where(both, size, 1.0), 0.0))
+    return found
 
 
 def _typical(away: Float[np.ndarray, "moments points"]) -> float:
@@ -108,44 +117,47 @@ def _typical(away: Float[np.ndarray, "moments points"]) -> float:
     return float(np.median(np.abs(away[there]))) if there.any() else np.inf
 
 
-def _stepped(
-    images: Images, values: Float[np.ndarray, "4"], unknown: list[int]
-) -> Float[np.ndarray, "4"]:
-    """The values after a robust Gauss-Newton step of some of them."""
-    away = _misses(images, values)
-    there = away != 0
-    if there.sum() < len(unknown) + 1:
-        return values
-    columns = []
-    for k in unknown:
-        step = np.zeros(4)
-        step[k] = _DIFFERENCE_STEPS[k]
-        ahead, behind = _misses(images, values + step), _misses(images, values - step)
-        columns.append((ahead - behind) / (2 * _DIFFERENCE_STEPS[k]))
-    jacobian = np.stack(columns, -1)
-    there &= (jacobian != 0).any(-1)
-    j, r = jacobian[there], away[there]
-    weight = 1 / (1 + np.square(r / max(3 * float(np.median(np.abs(r))), 1e-9)))
-    normal = (j * weight[:, None]).T @ j
-    damped = normal + 1e-6 * np.diag(np.diag(normal)) + 1e-12 * np.eye(len(unknown))
-    out = values.copy()
-    out[unknown] -= np.linalg.solve(damped, j.T @ (weight * r))
-    return out
-
-
 @dataclass(frozen=True)
-class Outcome:
-    """All views after what was sure was undone."""
+class _Rays(Problem[Float[np.ndarray, "4"]]):
+    """How far rays of two views miss each other, by the second one's clock and turn."""
 
     images: Images
-    repairs: tuple[Finding, ...] = ()
-    warnings: tuple[Finding, ...] = ()
+    unknown: list[int]
+    """Which of the four values are moved."""
+    latest: float
+    """Frames by which the clock is off at most, where it is moved."""
 
-    def then(self, other: "Outcome") -> "Outcome":
-        """The findings of this outcome before those of another."""
-        return Outcome(
-            other.images, (*self.repairs, *other.repairs), (*self.warnings, *other.warnings)
-        )
+    def model(self, x: Float[np.ndarray, "4"], rows: Int[Tensor, " rows"]) -> Quadratic:
+        """Reweighted least squares; no slope where too little is seen."""
+        unknown, late, turn = self.unknown, float(x[0]), x[1:]
+        ends = [turn + side * step for step in _TURN_STEP * np.eye(3) for side in (1, -1)]
+        away, *ends = _misses(self.images, late, turn, *(ends if 1 in unknown else ()))
+        columns = [(a - b) / (2 * _TURN_STEP) for a, b in zip(ends[::2], ends[1::2], strict=True)]
+        if 0 in unknown:
+            later = _misses(self.images, late + _LATE_STEP, turn)[0]
+            earlier = _misses(self.images, late - _LATE_STEP, turn)[0]
+            columns.insert(0, (later - earlier) / (2 * _LATE_STEP))
+        jacobian = np.stack(columns, -1)
+        there = (away != 0) & (jacobian != 0).any(-1)
+        j, r = jacobian[there], away[there]
+        normal, slope = np.eye(len(unknown)), np.zeros(len(unknown))
+        if len(r) > len(unknown):
+            weight = 1 / (1 + np.square(r / max(3 * float(np.median(np.abs(r))), 1e-9)))
+            normal = (j * weight[:, None]).T @ j + 1e-12 * np.eye(len(unknown))
+            slope = j.T @ (weight * r)
+        hessian = Banded.dense(torch.from_numpy(normal))
+        return Quadratic(self.value(x, rows), torch.from_numpy(slope)[None], [hessian])
+
+    def moved(
+        self, x: Float[np.ndarray, "4"], rows: Int[Tensor, " rows"], steps: Float[Tensor, "rows n"]
+    ) -> Float[np.ndarray, "4"]:
+        """The values after a step."""
+        del rows
+        out = x.copy()
+        out[self.unknown] += steps[0].numpy()
+        if 0 in self.unknown:
+            out[0] = np.clip(out[0], -self.latest, self.latest)
+        return out
 
 
 _LEAST_NOISE = 0.5
@@ -204,12 +216,12 @@ def corrections(images: Images) -> Corrections:
     return Corrections(images, applied)
 
 
-def corrected_rig(images: Images) -> Outcome:
+def corrected_rig(images: Images) -> tuple[Images, Findings]:
     """The views after `corrections`, in the words of findings."""
     found = corrections(images)
     repairs = tuple(_finding(images, one) for one in found.applied)
     warnings = (_undecided(images, found.undecided),) if found.undecided else ()
-    return Outcome(found.images, repairs, warnings)
+    return found.images, Findings(repairs, warnings)
 
 
 def candidates(images: Images) -> list[Registration]:

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from jaxtyping import Bool, Float
 
-from recon.diagnosis.findings import Finding, spans, stretches
+from recon.diagnosis.findings import NOTHING, Finding, Findings, spans, stretches
 from recon.diagnosis.views.images import Images
 from recon.diagnosis.views.rays import Rays
 
@@ -107,21 +107,17 @@ _TOGETHER = 5
 """Views that are decided together; further ones follow them."""
 
 
-def repaired_sides(images: Images) -> tuple[Images, list[Finding]]:
+def repaired_sides(images: Images) -> tuple[Images, Findings]:
     """Left and right given back their names, and what was found."""
     flags = exchanged_sides(images)
     if not flags.any():
-        return images, []
-    findings: list[Finding] = []
+        return images, NOTHING
     if len(flags) > 1 and (flags == flags[0]).all():
-        findings.append(_finding("all views", flags[0], images))
+        found = (_finding("all views", flags[0], images),)
     else:
-        findings += [
-            _finding(name, own, images)
-            for name, own in zip(images.names, flags, strict=True)
-            if own.any()
-        ]
-    return images.exchanged(flags), findings
+        rows = [v for v, own in enumerate(flags) if own.any()]
+        found = tuple(_finding(images.names[v], flags[v], images) for v in rows)
+    return images.exchanged(flags), Findings(found)
 
 
 def _finding(name: str, here: Bool[np.ndarray, " moments"], images: Images) -> Finding:
@@ -131,12 +127,12 @@ def _finding(name: str, here: Bool[np.ndarray, " moments"], images: Images) -> F
     when = "throughout" if throughout else f"in {spans(frames)}"
     return Finding(
         "sides exchanged",
-        f"{name}: left and right are exchanged {when}; they were given back their names. "
-        "Detectors confuse them in views from the side and from behind",
+        f"left and right are exchanged {when}; they were given back their names. Detectors "
+        "confuse them in views from the side and from behind",
         (),
         frames,
         float(here.mean()),
-    )
+    ).of(name)
 
 
 def exchanged_sides(images: Images) -> Bool[np.ndarray, "views moments"]:

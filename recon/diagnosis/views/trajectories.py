@@ -121,6 +121,14 @@ def derivatives(
     return np.where(front[..., None, None], np.stack(rows, -2), 0.0)
 
 
+def by_turn(local: Float[np.ndarray, "*samples 3"]) -> Float[np.ndarray, "*samples 3 3"]:
+    """Derivatives of a point in the frame of a camera by a turn of it about the camera's axes."""
+    x, y, z = np.moveaxis(local, -1, 0)
+    zero = np.zeros_like(x)
+    rows = (zero, z, -y), (-z, zero, x), (y, -x, zero)
+    return np.stack([np.stack(row, -1) for row in rows], -2)
+
+
 def projected(
     images: Images,
     local: Float[np.ndarray, "views moments points 3"],

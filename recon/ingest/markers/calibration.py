@@ -9,8 +9,9 @@ from torch import Tensor
 from recon.body.model import BodyModel
 from recon.core.struct import TensorStruct
 from recon.ingest.markers.poses import PoseEnergies, Poses, SkinPoints
-from recon.solver.arrow import Arrow, minimise_shared
-from recon.solver.levenberg_marquardt import LevenbergMarquardt, minimise_frames
+from recon.ingest.markers.tied_frames import LevenbergMarquardt, minimise_frames
+from recon.solver.banded import Banded
+from recon.solver.gauss_newton import GaussNewton, Problem, Quadratic, minimise
 
 _EVERY = 4
 """Shape and offsets are found from every fourth frame before they are found from all."""
@@ -33,7 +34,7 @@ class Calibrated(TensorStruct):
 
 
 @dataclass(frozen=True)
-class SubjectEnergies:
+class SubjectEnergies(Problem[Calibrated]):
     """Energies of poses, shape and offsets together.
 
     They are those of `PoseEnergies`, and per frame the squared length of the shape and half of
@@ -70,36 +71,44 @@ class SubjectEnergies:
         """The energies of some frames."""
         return replace(self, poses=self.poses.frames(index))
 
-    def value(self, state: Calibrated) -> Tensor:
+    def value(self, x: Calibrated, rows: Int[Tensor, " rows"]) -> Float[Tensor, "rows 1"]:
         """The whole energy."""
-        rows = torch.arange(self._count)
-        value, _ = self.of(state.shape, state.offsets).look(state.poses, rows)
-        away = (state.offsets - self.nominal).square().sum(-1)
-        common = self.stature * state.shape.square().sum() + 0.5 * self.stiffness @ away
-        return value.double().sum() + self._count * common.double()
+        value, _ = self.of(x.shape, x.offsets).look(x.poses, self._frames)
+        return self._whole(x, value).expand(len(rows), 1)
 
-    def moved(self, state: Calibrated, steps: Tensor, common: Tensor) -> Calibrated:
-        """The state after steps of the poses, and of the shape and the offsets."""
-        count = len(state.shape)
-        shape, offsets = state.shape + common[:count], state.offsets
+    def _whole(self, x: Calibrated, value: Float[Tensor, " frames"]) -> Float[Tensor, ""]:
+        away = (x.offsets - self.nominal).square().sum(-1)
+        common = self.stature * x.shape.square().sum() + 0.5 * self.stiffness @ away
+        return value.double().sum() + len(value) * common.double()
+
+    def moved(
+        self, x: Calibrated, rows: Int[Tensor, " rows"], steps: Float[Tensor, "rows n"]
+    ) -> Calibrated:
+        """The state after steps of the poses, of the shape and of the offsets."""
+        del rows
+        count, poses, offsets = len(x.shape), len(self._frames), x.offsets
+        moved = 3 * len(offsets) if self.with_offsets else 0
+        own, by_shape, by_offsets = steps[0].split((steps.shape[1] - count - moved, count, moved))
+        shape = x.shape + by_shape
         if self.with_offsets:
-            offsets = offsets + common[count:].unflatten(-1, (-1, 3))
-        return Calibrated(state.poses.moved(steps, self.body.rest_joints(shape)), shape, offsets)
+            offsets = offsets + by_offsets.unflatten(-1, (-1, 3))
+        rest = self.body.rest_joints(shape)
+        return Calibrated(x.poses.moved(own.view(poses, -1), rest), shape, offsets)
 
-    def equations(self, state: Calibrated) -> Arrow:
-        """LevenbergMarquardt-Newton equations of a step."""
-        energies, poses = self.of(state.shape, state.offsets), state.poses
-        rows = torch.arange(self._count)
-        _, gradient = energies.look(poses, rows)
+    def model(self, x: Calibrated, rows: Int[Tensor, " rows"]) -> Quadratic:
+        """The energy about a state, with a border of the shape and the offsets."""
+        energies, poses = self.of(x.shape, x.offsets), x.poses
+        value, gradient = energies.look(poses, self._frames)
         force, weight = energies.forces(poses)
         jacobian = energies.markers.levers.jacobian(poses.bones)
         grown = energies.markers.by_shape(poses, self.body)
         weighted = (grown * weight[..., None, None]).flatten(1, 2)
         border = jacobian.flatten(1, 2).mT @ weighted
-        count = self._count * self.stature
+        frames = len(value)
+        count = frames * self.stature
         corner = (grown.flatten(1, 2).mT @ weighted).sum(0)
         corner.diagonal().add_(2 * count)
-        slope = torch.einsum("tvdk,tdv->k", grown, force) + 2 * count * state.shape
+        slope = torch.einsum("tvdk,tdv->k", grown, force) + 2 * count * x.shape
         if energies.soles is not None:
             depth, pressed = energies.depths(poses)
             lift = energies.soles.by_shape(poses, self.body)[..., 2, :]
@@ -115,17 +124,22 @@ class SubjectEnergies:
             moved = (jacobian.mT @ weighted).transpose(1, 2).flatten(2)
             border = torch.cat((border, moved), -1)
             beside = torch.einsum("tvdk,tvde->kve", grown, weighted).flatten(1)
-            stiffness = self._count * self.stiffness
+            stiffness = frames * self.stiffness
             own = (weight.sum(0) + stiffness).repeat_interleave(3).diag()
             corner = torch.cat((torch.cat((corner, beside), 1), torch.cat((beside.mT, own), 1)))
-            away = stiffness[:, None] * (state.offsets - self.nominal)
+            away = stiffness[:, None] * (x.offsets - self.nominal)
             drawn = torch.einsum("tvde,tdv->ve", turns, force) + away
             slope = torch.cat((slope, drawn.flatten()))
-        return Arrow(energies.curvature(poses, rows), border, corner, -gradient, -slope)
+        inner = energies.curvature(poses, self._frames)[:, None]
+        return Quadratic(
+            self._whole(x, value).expand(len(rows), 1),
+            torch.cat((gradient.flatten(), slope))[None],
+            [Banded(inner, border, corner)],
+        )
 
     @property
-    def _count(self) -> int:
-        return len(self.poses.visible)
+    def _frames(self) -> Int[Tensor, " frames"]:
+        return torch.arange(len(self.poses.visible))
 
 
 def calibrated(
@@ -151,10 +165,10 @@ def calibrated(
     poses = minimise_frames(average, average.begun(translation, rotations), rough).state
     few = torch.arange(0, len(translation), _EVERY)
     state = Calibrated(poses[few], shape, energies.nominal)
-    state = minimise_shared(plain.frames(few), state, tolerance=_ROUGH, max_iterations=20).state
-    state = minimise_shared(robust.frames(few), state, tolerance=_NEAR, max_iterations=50).state
+    state, _ = minimise(plain.frames(few), state, GaussNewton(20, _ROUGH, damping=0.0))
+    state, _ = minimise(robust.frames(few), state, GaussNewton(50, _NEAR, damping=0.0))
     of_subject = robust.of(state.shape, state.offsets)
     began = of_subject.begun(poses.translation, poses.rotations)
     poses = minimise_frames(of_subject, began, LevenbergMarquardt(tolerance=_NEAR)).state
     state = Calibrated(poses, state.shape, state.offsets)
-    return minimise_shared(robust, state, tolerance=_TOLERANCE, max_iterations=50).state
+    return minimise(robust, state, GaussNewton(50, _TOLERANCE, damping=0.0))[0]

@@ -23,6 +23,7 @@ from recon.body.levers import (
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.struct import TensorStruct
+from recon.ingest.markers.tied_frames import TiedFrames
 
 
 @dataclass(frozen=True)
@@ -162,7 +163,7 @@ def with_natural_pose(rotations: Float[Tensor, "*batch 22 3 3"]) -> Float[Tensor
 
 
 @dataclass(frozen=True)
-class PoseEnergies:
+class PoseEnergies(TiedFrames[Poses]):
     """Energies of the poses of a body of known shape, frame by frame, and ties between frames.
 
     Markers, ½ Σ kernel(|p - m|²); the pull to the natural pose, Σ (1 - cos angle); soles below the

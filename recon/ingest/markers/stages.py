@@ -10,7 +10,7 @@ from torch import Tensor
 from recon.core.motion import Motion
 from recon.ingest.markers.jumps import UNMADE, eased, mended, unmade_steps
 from recon.ingest.markers.poses import PoseEnergies, Poses
-from recon.solver.levenberg_marquardt import LevenbergMarquardt, minimise_frames
+from recon.ingest.markers.tied_frames import LevenbergMarquardt, minimise_frames
 
 _NOISE = 3.0
 """Multiple of the mean residual by which joints may step without their markers, as noise does."""

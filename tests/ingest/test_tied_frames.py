@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from recon.core.struct import TensorStruct
-from recon.solver.levenberg_marquardt import LevenbergMarquardt, minimise_frames
+from recon.ingest.markers.tied_frames import LevenbergMarquardt, TiedFrames, minimise_frames
 
 TIGHT = LevenbergMarquardt(tolerance=1e-9, floor=1e-3, inner_tolerance=1e-3, inner_iterations=30)
 
@@ -21,7 +21,7 @@ class _Points(TensorStruct):
 
 
 @dataclass(frozen=True)
-class _Bent:
+class _Bent(TiedFrames[_Points]):
     """½ |(10 (b - a²), 1 - a) - data|² of every frame, Rosenbrock's valley, and springs."""
 
     data: Tensor

@@ -6,22 +6,19 @@ frames would outweigh what is known of people. So residuals are weighed by the i
 covariance in time: fast changes are believed, slow deviations are cheap.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
-from observations.records.tracked import VertexPoints
-from observations.timing import at_observation_times, moments_between
+from observations.markers3d import Markers3D
 from recon.body.model import BodyModel
 from recon.core.errors import ObservationError
 from recon.core.residuals import Noise
-from recon.core.robust import squared
 from recon.method.protocols import REFERENCE_FPS, Estimate
 
 _SCALE = 0.014
@@ -65,8 +62,8 @@ class Drifting:
         return torch.linalg.inv(slow + torch.diag_embed(variance)).to(scale.dtype)
 
 
-@dataclass(frozen=True)
-class EstimatedPoints(VertexPoints):
+@dataclass(frozen=True, kw_only=True)
+class EstimatedPoints(Markers3D):
     """Points of the skin of a motion that was estimated before.
 
     The energy is ½ s² r' C⁻¹ r for the residuals r of every coordinate in time, with the
@@ -74,27 +71,17 @@ class EstimatedPoints(VertexPoints):
     deviation from it; s is the noise of a usual sensor, 1.4 cm, so that it is in metres².
     """
 
+    sees = None
+    timed = (*Markers3D.timed, "segment")
     momentwise: ClassVar[bool] = False
     """Whether the energy is a sum over moments, which a banded Hessian can hold."""
-    positions: Float[Tensor, "*batch moments points 3"]
-    """Positions in metres, in the frame of the recording."""
-    visible: Bool[Tensor, "*batch moments points"]
-    """Points that are believed."""
-    vertices: tuple[int, ...]
-    """Number of the vertex of the body that each point is."""
     own: Drifting
     """Error of a point beside the path."""
     path: Drifting
     """Error that all points have in common."""
-    fps: float
     segment: Float[Tensor, "*batch moments points"]
     """Number of the stretch of time in which a point does not jump."""
-    start_time: float = 0.0
     ground_known: bool = False
-    kernel: Callable[[Tensor], Tensor] = squared
-    offset_rows: tuple[int, int] | None = None
-    std: Float[Tensor, "*batch moments points"] | None = None
-    rms_std: float | None = None
 
     def noise(self, guess: Any, body: BodyModel, given: float | None = None) -> Noise:
         """The noise of a usual sensor: the covariances in the energy replace an estimated one."""
@@ -108,11 +95,7 @@ class EstimatedPoints(VertexPoints):
 
     def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
         """½ s² Σ r' C⁻¹ r of the path's and of every point's own residuals; metres²."""
-        predicted = estimate.scene.to_recording(self.predict(estimate))
-        points, seen = at_observation_times(
-            predicted, estimate.motion, fps=self.fps, start_time=self.start_time,
-            moments=self.positions.shape[-3],
-        )  # fmt: skip
+        points, seen = self.expected(estimate)
         there = self.visible[..., seen, :, None]
         away = (self.positions[..., seen, :, :] - points).where(there, 0.0)
         common = away.sum(-2, keepdim=True) / there.sum(-2, keepdim=True).clamp(min=1)
@@ -139,16 +122,6 @@ class EstimatedPoints(VertexPoints):
             self.path.precision(anything, one, self.fps),
             self.own.precision(each, self.segment.mT, self.fps),
         )
-
-    def window(self, start: float, stop: float) -> "EstimatedPoints":
-        """The part of the estimate from one time to another, both included, in seconds."""
-        clock = {"fps": self.fps, "start_time": self.start_time, "start": start, "stop": stop}
-        segment = moments_between(self.segment[..., None], self.visible, **clock)[0][..., 0]
-        return super().window(start, stop).derived(segment=segment)
-
-    def coarse(self, body: BodyModel, step: int = 2) -> "EstimatedPoints":
-        """Every `step`-th moment."""
-        return super().coarse(body, step).derived(segment=self.segment[..., ::step, :])
 
     def transformed(self, T_new_old: Float[np.ndarray, "4 4"]) -> "EstimatedPoints":
         """Points after a rigid transform of the frame that they are given in, metres."""

@@ -1,0 +1,261 @@
+"""Points of the body with names: where they are on it, and where they were measured in space."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any, ClassVar, TypeVar
+
+import numpy as np
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from observations.checks import checked_clock, checked_places, checked_positions, checked_std
+from observations.correspondences import BodyPoints, joints_shown, told_joints
+from observations.curvature import of_places
+from observations.noise import estimate_noise
+from observations.start.rigid import limbs_towards, rigid_start
+from recon.body.derivatives import CarriedPoints
+from recon.body.model import BodyModel, PosedBody
+from recon.core.arrays import Numbers
+from recon.core.motion import Motion
+from recon.core.residuals import Noise
+from recon.core.robust import geman_mcclure, squared
+from recon.method.protocols import REFERENCE_FPS, Estimate
+from recon.method.quadratic import PointModel
+from recon.method.sensor import Sensor
+
+OFFSET_UNIT = 0.05
+"""Metres; offsets of keypoints in images are in this unit: they are seen in all frames and views
+at once, so that a variable in metres would be stiff."""
+
+
+class PointsOfBody(Sensor):
+    """What measures points of the body that have names, in space or in an image."""
+
+    points: BodyPoints
+    """The points of the body that are measured."""
+    offset_rows: tuple[int, int] | None
+    """First row, and the row after the last, of `Scene.offsets` that these points own: constant
+    offsets from the body model that are estimated with the motion. None estimates none."""
+    offset_unit: ClassVar[float] = 1.0
+    """Metres that `Scene.offsets` of these points are in."""
+
+    def predict(self, body: PosedBody) -> Float[Tensor, "*batch time points 3"]:
+        """The points of a posed body, world, metres."""
+        return self.points.of(body)
+
+    @property
+    def marks(self) -> tuple[str, ...] | tuple[int, ...]:
+        """What tells the points apart: their names, or numbers of joints or vertices."""
+        return self.points.names
+
+    def energy(self, points: Float[Tensor, "*batch frames points 3"]) -> Float[Tensor, "*batch"]:
+        """The energy of predicted points, frame of the recording, in all frames of the data."""
+        raise NotImplementedError
+
+    def on_bones(self, body: BodyModel, shape: Float[Tensor, " shape"]) -> CarriedPoints:
+        """The points on a body of some shape, without offsets."""
+        points = self.points
+        return CarriedPoints.create(
+            body, shape, points.of_joints, points.of_vertices, points.vertices
+        )
+
+    def at_rest(self, body: BodyModel) -> Float[Tensor, "points 3"]:
+        """The points of the average body in its rest pose, metres."""
+        return self.points.at_rest(body, body.template.new_zeros(body.shape_size))
+
+    def bones(self, body: BodyModel) -> tuple[int, ...]:
+        """The body joint whose bone carries each point."""
+        del body
+        return self.points.bones
+
+    def point_names(self, body: BodyModel) -> tuple[str, ...]:
+        """Names of the points, for reports."""
+        del body
+        return self.points.names
+
+    def predicted(self, estimate: Estimate) -> Float[Tensor, "*batch time points 3"]:
+        """The points of an estimate, world, metres; `Scene.offsets` turn with their bones."""
+        points = self.predict(estimate.body)
+        if self.offset_rows is None:
+            return points
+        turns = estimate.body.orientations[..., list(self.bones(estimate.body.model)), :, :]
+        offsets = estimate.scene.offsets[..., None, slice(*self.offset_rows), :, None]
+        return points + self.offset_unit * (turns @ offsets)[..., 0]
+
+    def carried(
+        self, body: BodyModel, shape: Float[Tensor, " shape"], offsets: Float[Tensor, "rows 3"]
+    ) -> CarriedPoints:
+        """The points on a body of some shape; offsets as in `Scene.offsets`."""
+        found = self.on_bones(body, shape)
+        if self.offset_rows is None:
+            return found
+        own = self.offset_unit * offsets[slice(*self.offset_rows)]
+        return found.displaced(self.bones(body), own)
+
+    def told_joints(self, body: BodyModel) -> Float[Tensor, "*batch 22"]:
+        """Share of the frames in which the place of each joint is told by a point that is seen."""
+        return told_joints(self.shown, self.shows(body))
+
+    def shown_joints(self, estimate: Estimate) -> Bool[np.ndarray, "frames 22"]:
+        """Joints of the first clip that a point tells the place of, in every frame."""
+        return self.shown[0].cpu().numpy() @ self.shows(estimate.body.model)
+
+    def shows(self, body: BodyModel) -> Bool[np.ndarray, "points 22"]:
+        """Joints whose place each point tells."""
+        rest = self.at_rest(body).double().cpu().numpy()
+        return joints_shown(self.bones(body), rest, body)
+
+
+P = TypeVar("P", bound="TrackedPoints")
+
+
+@dataclass(frozen=True)
+class TrackedPoints(PointsOfBody):
+    """Positions of points whose places on the body are known; an energy in metres²."""
+
+    sees = "points"
+    timed = ("positions", "visible", "std")
+    level = True
+    placed = True
+    """Whether positions are places in the world rather than relative to the body."""
+    on_skin: ClassVar[bool] = False
+    """Whether the points lie on the skin rather than being joints of the skeleton."""
+    positions: Float[Tensor, "*batch moments points 3"]
+    """Positions in metres, in the frame of the recording (z up); zero where not visible."""
+    visible: Bool[Tensor, "*batch moments points"]
+    """Whether a point was seen at a moment."""
+    fps: float
+    """Rate of the moments in Hz."""
+    start_time: float = 0.0
+    """Time of the first moment, in seconds of the clock that all observations of a clip share."""
+    kernel: Callable[[Tensor], Tensor] = squared
+    """Robust kernel that is applied to squared distances in metres²; see `recon.core.robust`."""
+    ground_known: bool = True
+    """Whether the plane z = 0 of the recording is the ground."""
+    offset_rows: tuple[int, int] | None = None
+    """First row, and the row after the last, of `Scene.offsets` that these points own: constant
+    offsets from the body model that are estimated with the motion. None estimates none."""
+    std: Float[Tensor, "*batch moments points"] | None = None
+    """Standard deviation of the coordinates of every point at every moment, metres; zero where it
+    was not visible. Weights go with the inverse square, and their root mean square is the noise
+    where a fit is given none. None counts all points alike and estimates the noise."""
+    rms_std: float | None = field(init=False, default=None)
+    """Root mean square of `std` over the visible points of the whole recording, metres. Its
+    parts keep it, so that a point weighs the same in every window."""
+
+    def _measured(
+        self,
+        positions: Numbers,
+        visible: Numbers,
+        clock: tuple[float, float],
+        std: Numbers | float | None,
+        places: tuple[str, Numbers],
+        exist: Bool[Tensor, " points"] | None = None,
+        **rest: Any,
+    ) -> tuple[int, ...]:
+        """Set the fields to what checks make of them, for constructors; gives checked places.
+
+        Args:
+            positions: what the caller gave.
+            visible: what the caller gave.
+            std: what the caller gave.
+            clock: frames per second, and the time of the first.
+            places: the name of what says where on the body points are, and numbers.
+            exist: points that the body has; None where it has all.
+            rest: fields that need no check.
+        """
+        kind = type(self).__name__
+        positions, visible = checked_positions(kind, "positions", positions, "visible", visible)
+        numbers = checked_places(kind, *places, positions.shape[-2])
+        fps, start_time = checked_clock(kind, *clock)
+        if exist is not None:
+            visible = visible & exist.to(visible.device)
+            positions = positions.where(visible[..., None], 0.0)
+        std, rms_std = checked_std(kind, std, visible, positions)
+        self._settle(
+            positions=positions, visible=visible, fps=fps, start_time=start_time, std=std,
+            rms_std=rms_std, **rest,
+        )  # fmt: skip
+        return numbers
+
+    def rigid_pairs(self, body: BodyModel) -> tuple[tuple[int, int], ...] | None:
+        """Pairs of points whose distance no pose changes; None where the bones alone tell them."""
+        del body
+
+    @property
+    def values(self) -> Tensor:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """Positions of the points, frame of the recording, metres."""
+        return self.positions
+
+    @property
+    def shown(self) -> Tensor:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """Which points were seen."""
+        return self.visible
+
+    @property
+    def weights(
+        self,
+    ) -> Float[Tensor, "*batch moments points"] | Bool[Tensor, "*b moments points"]:
+        """`rms_std` over the standard deviation of every point; zero where it was not visible."""
+        if self.std is None or self.rms_std is None:
+            return self.visible
+        # a quotient of tensors: that of a number and a tensor goes by way of the reciprocal
+        rms = self.std.new_tensor(self.rms_std)
+        return (rms / self.std.where(self.visible, 1.0)).where(self.visible, 0.0)
+
+    def expected(self, estimate: Estimate) -> tuple[Float[Tensor, "*batch seen points 3"], slice]:
+        """The points of an estimate in the recording, at the moments that it covers.
+
+        Points that are not placed in the world are moved, all of a moment alike, to where they
+        explain most of what was measured.
+        """
+        points, seen = super().expected(estimate)
+        if self.placed:
+            return points, seen
+        counted = self.weights[..., seen, :].to(points).square()[..., None]
+        away = (counted * (self.positions[..., seen, :, :] - points)).sum(-2, keepdim=True)
+        return points + away / counted.sum(-2, keepdim=True).clamp(min=1e-9), seen
+
+    def point_model(self, points: Float[Tensor, "*batch moments points 3"]) -> PointModel:
+        """The energy about predicted points, frame of the recording, metres."""
+        return of_places(
+            points, self.positions, self.weights, self.kernel, REFERENCE_FPS / self.fps
+        )
+
+    def energy(self, points: Float[Tensor, "*batch frames points 3"]) -> Float[Tensor, "*batch"]:
+        """½ Σ kernel(w² |measured - predicted|²), taken at 30 Hz; metres²."""
+        away = (self.positions - points).square().sum(-1)
+        size = self.weights.to(away).square() * away
+        return 0.5 * self.kernel(size).sum((-2, -1)) * (REFERENCE_FPS / self.fps)
+
+    def distances(self, points: Float[Tensor, "*batch frames points 3"]) -> Tensor:
+        """Metres between measured and predicted points."""
+        return (self.positions - points).norm(dim=-1)
+
+    def noise(self, guess: Motion, body: BodyModel, given: float | None = None) -> Noise:
+        """The standard deviation of a coordinate.
+
+        It is the one that is given, or the root mean square of those of the points, or estimated
+        from the points' paths.
+        """
+        del guess, body
+        found = given or self.rms_std or estimate_noise(self.positions, self.visible)
+        return Noise(found, found)
+
+    def robust_beyond(self: P, distance: float) -> P:
+        """Points with Geman and McClure's kernel, whose scale is a distance in metres.
+
+        Where standard deviations are given, it is the distance of a point that has their root
+        mean square; a point of twice that deviation may be twice as far away.
+        """
+        return self.derived(kernel=partial(geman_mcclure, sigma=distance))
+
+    def start(self, body: BodyModel) -> Motion:
+        """A first guess: the rest pose on the points of the torso, limbs towards their points."""
+        rest, bones = self.at_rest(body).to(self.positions), self.bones(body)
+        start = rigid_start(
+            body, rest, bones, self.positions, self.visible, fps=self.fps,
+            start_time=self.start_time,
+        )  # fmt: skip
+        return limbs_towards(start, body, rest, bones, self.positions, self.visible)

@@ -1,0 +1,130 @@
+"""The stages of a prior, rewritten for what is known of a clip: functions of a tuple of stages."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+from recon.body.model import BodyModel
+from recon.core.errors import ReconError
+from recon.fitting.methods import FitOptions, checked_method, loaded
+from recon.method.stages import Stage, Stages
+from recon.method.terms import Term
+
+_PLACE = frozenset({"translation", "root"})
+_SHAPE = frozenset({"shape"})
+PHYSICS_ITERATIONS = 40
+
+
+def prior_stages(options: FitOptions, noise: float, body: BodyModel) -> Stages:
+    """What gives the prior's stages for data that are off by about `noise` metres.
+
+    Raises:
+        FileNotFoundError: when there are no such weights.
+        ValueError: when the file of the weights holds none, the prior has a way of its own, or
+            physics is to weigh less than nothing, or the prior has no such method.
+    """
+    if options.completes:
+        raise ReconError(
+            "this prior is of one whole cycle, for which beginnings are searched: call "
+            "recon.fitting.cycles.complete, or `recon complete`"
+        )
+    method = checked_method(options.prior, options.method)
+    prior = loaded(options.prior, options.weights, body)
+    physics: tuple[Term, ...] = ()
+    if options.physics != 0:
+        # most fits have none
+        from recon.physics.energies import physics_terms
+
+        physics = physics_terms(noise, options.physics)
+
+    def made(data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
+        stages = prior.stages(data, noise, body, method)
+        return with_physics(stages, physics) if physics else stages
+
+    return made
+
+
+def without_root(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
+    """The stages from the first on that moves more than place and heading.
+
+    One image tells the distance of a body by the size of its bones. Placing a rest body there
+    would trade its stretched limbs against distance. And a prior that knows of no ground has its
+    minimum at another distance than the ground tells (8 cm too low a body, in a test): its stages
+    are minimised by first order, which keeps the distance that they begin with.
+    """
+    first = next((k for k, stage in enumerate(stages) if not stage.free <= _PLACE), 0)
+    return tuple(
+        stage if stage.prior.knows_gravity else replace(stage, second_order=None)
+        for stage in stages[first:]
+    )
+
+
+def until_shape(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
+    """The stages up to the first that moves the shape; the first one where none does."""
+    moving = (k for k, stage in enumerate(stages) if "shape" in stage.free)
+    return tuple(stages[: next(moving, 0) + 1])
+
+
+def shape_found_once(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
+    """Stages that hold the shape which the first of them that moves it has found.
+
+    One view does not tell whether somebody is large and far or small and near, but for the feet
+    that stand on a ground that is known. A prior over steps does not either, yet it finds the
+    short steps of small people likelier: what it judges would shrink them by a fifth (CMU 02_01),
+    and bend their poses to fit. Whoever turns cartwheels before a camera of known pose became a
+    child that floated a metre in front of it.
+    """
+    first = until_shape(stages)
+    return (*first, *(replace(one, free=one.free - _SHAPE) for one in stages[len(first) :]))
+
+
+def shape_held(stages: Sequence[Stage[Any]]) -> tuple[Stage[Any], ...]:
+    """The stages without the shape; those that would move nothing else are left out."""
+    held = (replace(stage, free=stage.free - _SHAPE) for stage in stages)
+    return tuple(stage for stage in held if stage.free)
+
+
+def with_shape_terms(
+    stages: Sequence[Stage[Any]], terms: tuple[Term, ...]
+) -> tuple[Stage[Any], ...]:
+    """The stages; those that move the shape have further terms."""
+    return tuple(
+        replace(one, terms=(*one.terms, *terms)) if "shape" in one.free else one for one in stages
+    )
+
+
+def with_scene(
+    stages: Sequence[Stage[Any]], moved: frozenset[str], terms: tuple[Term, ...]
+) -> tuple[Stage[Any], ...]:
+    """The stages, which find something of the scene as well, once there is a first motion.
+
+    Args:
+        stages: of a prior; the first that moves poses leaves the scene alone if others follow.
+        moved: paths such as `scene.ground.tilt`; see `recon.core.scene`.
+        terms: what holds it.
+    """
+    posing = [k for k, stage in enumerate(stages) if not stage.free <= _PLACE]
+    return tuple(
+        replace(stage, terms=(*stage.terms, *terms), free=stage.free | moved)
+        if k in (posing[1:] or posing)
+        else stage
+        for k, stage in enumerate(stages)
+    )
+
+
+def with_physics(
+    stages: Sequence[Stage[Any]], terms: tuple[Term, ...], iterations: int = PHYSICS_ITERATIONS
+) -> tuple[Stage[Any], ...]:
+    """The stages and one more, in which the body stands on the ground z = 0 as well.
+
+    It is the last one again, with all that it moves and minimises, and these terms, which take
+    the place of those of the same name. It comes last and is short because an iteration takes
+    about twice as long with a part of the skin to compute, and because feet that stand wrongly in
+    a first guess would be held there.
+    """
+    # the Hessian of these terms is not known: scaled by that of the others, it ends too early
+    last = replace(stages[-1], name="physics", second_order=None, proposals=None)
+    minimiser = replace(last.minimiser, max_iterations=iterations, scale=0.0)
+    own = {term.name for term in terms}
+    kept = (term for term in last.terms if term.name not in own)
+    return (*stages, replace(last, terms=(*kept, *terms), minimiser=minimiser))

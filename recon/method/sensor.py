@@ -1,0 +1,361 @@
+"""A sensor: its data, what it would have measured of a posed body, and what a fit asks of both."""
+
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeVar
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from recon.body.model import BodyModel, PosedBody
+from recon.core import rotations as so3
+from recon.core.camera import Camera, transform
+from recon.core.errors import ObservationError
+from recon.core.motion import Motion
+from recon.core.residuals import Noise, Residuals, Unit
+from recon.core.robust import squared
+from recon.core.scene import Scene
+from recon.core.struct import TensorStruct
+from recon.method.protocols import REFERENCE_FPS, Estimate
+from recon.method.timing import at_observation_times, between_moments, moment_numbers, padded
+
+if TYPE_CHECKING:
+    from observations.depth import PointCloud
+    from observations.keypoints2d import Keypoints2D
+    from observations.points import TrackedPoints
+else:  # the code of a sensor is loaded with its data
+    from typing import Any as Keypoints2D
+    from typing import Any as PointCloud
+    from typing import Any as TrackedPoints
+
+R = TypeVar("R", bound="Sensor")
+UPRIGHT = (math.pi / 2, 0.0, 0.0)
+"""Rotation vector from the rest pose (y up, facing z) to the recording (z up, facing -y)."""
+
+
+class Sensor(TensorStruct):
+    """Data of one sensor, and the energy ½ Σ kernel(w² |values - predicted|²) at 30 Hz.
+
+    A sensor of your own is a frozen dataclass that derives from this class. It has the fields
+    `values`, `shown`, `fps`, `start_time` and `ground_known`, and those that `predict` needs; it
+    says `typical_noise` and writes `predict`. All else has a usual answer, which a sensor that
+    knows better overrides. Tensors have a leading axis of clips, or none for one clip.
+    """
+
+    unit: ClassVar[Unit] = "metres"
+    """The unit of its residuals."""
+    vectors: ClassVar[Literal["points", "directions", "numbers"]] = "points"
+    """What `values` are in space, and so what another frame makes of them: points are turned and
+    moved, directions are turned, numbers stay as they are."""
+    typical_noise: ClassVar[tuple[float, float]]
+    """Standard deviation of a residual's coordinate where nobody gives one: in `unit`, and what
+    that is at the body in metres."""
+    timed: ClassVar[tuple[str, ...]] = ("values", "shown")
+    """Names of the fields that have an axis of frames, the first one after that of clips; where
+    there are no data, they are zero, and `shown` is then false."""
+    sees: ClassVar[Literal["points", "image", "surface"] | None] = None
+    """By which first guesses and checks the data are taken: as those of named points in space, of
+    their images, or of points anywhere on the surface; None for others, as those of a sensor of
+    your own."""
+
+    values: Float[Tensor, "*batch frames points dims"]
+    """What was measured, in `unit`, in the frame of the recording; zero where not shown."""
+    shown: Bool[Tensor, "*batch frames points"]
+    """Whether a point was measured in a frame."""
+    fps: float
+    """Frames per second of the data."""
+    start_time: float
+    """Time of the first frame, seconds of the clock that all sensors of a clip share."""
+    ground_known: bool
+    """Whether z = 0 of the recording's frame is the ground."""
+    level: bool = False
+    """Whether the z axis of the recording's frame points up even where its ground is not known."""
+    kernel: Callable[..., Tensor] = staticmethod(squared)
+    """Robust kernel of squared residuals; see `recon.core.robust`."""
+    ground_seen: bool = False
+    """Whether z = 0 of the recording was laid on a plane that the sensor sees."""
+
+    def predict(self, body: PosedBody) -> Float[Tensor, "*batch time points dims"]:
+        """The values of a posed body, in the world, in the frames of its motion."""
+        raise NotImplementedError(
+            f"{type(self).__name__}: write predict(body), what it measures of a posed body, axes "
+            "(clips, time, points, dims)"
+        )
+
+    def predicted(self, estimate: Estimate) -> Float[Tensor, "*batch time points dims"]:
+        """The values of an estimate with what its scene says of the sensor, in the world."""
+        return self.predict(estimate.body)
+
+    def expected(
+        self, estimate: Estimate
+    ) -> tuple[Float[Tensor, "*batch seen points dims"], slice]:
+        """The values of an estimate in the recording, at the data's frames that it covers."""
+        values = self.predicted(estimate)
+        if self.vectors == "points":
+            values = estimate.scene.to_recording(values)
+        elif self.vectors == "directions":
+            values = estimate.scene.to_recording_directions(values)
+        return self.at_own_times(values, estimate.motion)
+
+    def at_own_times(
+        self, values: Float[Tensor, "*batch time points dims"], motion: Motion
+    ) -> tuple[Float[Tensor, "*batch seen points dims"], slice]:
+        """Values in the frames of a motion, at the data's frames that it covers, and which."""
+        return at_observation_times(
+            values, motion, fps=self.fps, start_time=self.start_time, moments=self.moments
+        )
+
+    def check(self) -> None:
+        """Refuse a sensor of one's own whose fields do not fit each other.
+
+        Raises:
+            ObservationError: naming what is missing, or the shapes.
+        """
+        me: Any = self
+        name, fields = type(self).__name__, {field.name for field in dataclasses.fields(me)}
+        if missing := {"fps", "start_time", "ground_known", *self.timed} - fields:
+            raise ObservationError(
+                f"{name}: expected a dataclass with the fields {', '.join(sorted(missing))}, "
+                "which windows of long recordings change; write them as fields with annotations"
+            )
+        if self.shown.shape != self.values.shape[:-1] or self.shown.dtype != torch.bool:
+            raise ObservationError(
+                f"{name}.shown: expected booleans of {tuple(self.values.shape[:-1])}, values "
+                f"without their last axis, got {self.shown.dtype} of {tuple(self.shown.shape)}"
+            )
+        if self.vectors != "numbers" and self.values.shape[-1] != 3:
+            raise ObservationError(
+                f"{name}.values: expected three coordinates, got {self.values.shape[-1]}; say "
+                'vectors = "numbers" where they are none of the frame'
+            )
+        if not bool(self.values.isfinite().all()):
+            raise ObservationError(
+                f"{name}.values: expected finite numbers, got nan or inf; store zero where "
+                "nothing was measured, and False in shown"
+            )
+
+    def residuals(self, estimate: Estimate) -> Residuals:
+        """Measured minus predicted values, by frame and by point, in `unit`."""
+        expected, seen = self.expected(estimate)
+        measured = self.values[..., seen, :, :]
+        if expected.shape[-3:] != measured.shape[-3:]:
+            raise ObservationError(
+                f"{type(self).__name__}.predict: expected axes (..., frames, points, dims) of "
+                f"{tuple(measured.shape[-3:])}, those of values, got {tuple(expected.shape[-3:])}"
+            )
+        return padded(
+            measured - expected, self.weights[..., seen, :], seen, self.moments, self.unit
+        )
+
+    def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
+        """½ Σ kernel(w² |measured - predicted|²), taken at 30 Hz; `unit` squared."""
+        found = self.residuals(estimate)
+        size = found.weights.square() * found.values.square().sum(-1)
+        return 0.5 * self.kernel(size).sum((-2, -1)) * (REFERENCE_FPS / self.fps)
+
+    @property
+    def weights(self) -> Tensor:
+        """Weight of every point's residual, (clips, frames, points); zero where not shown."""
+        return self.shown
+
+    @property
+    def kind(self) -> str:
+        """The sensor's name in reports."""
+        return type(self).__name__.lower()
+
+    @property
+    def clips(self) -> tuple[int, ...]:
+        """Sizes of the leading axes; one axis of clips, or none."""
+        return tuple(self.shown.shape[:-2])
+
+    @property
+    def moments(self) -> int:
+        """Number of frames of the data."""
+        return self.shown.shape[-2]
+
+    @property
+    def named(self) -> TrackedPoints | None:
+        """The sensor, if it measures named points in space."""
+        return self._if("points")
+
+    @property
+    def view(self) -> Keypoints2D | None:
+        """The sensor, if it measures named points in the image of a camera."""
+        return self._if("image")
+
+    @property
+    def cloud(self) -> PointCloud | None:
+        """The sensor, if it measures points anywhere on the surface."""
+        return self._if("surface")
+
+    def _if(self, what: str) -> Any:
+        return self if self.sees == what else None
+
+    @property
+    def places(self) -> Float[Tensor, "*batch frames points 3"] | None:
+        """Positions in the frame of the recording, metres, if it measures points in space."""
+        return self.values if self.sees in ("points", "surface") else None
+
+    @property
+    def unposed(self) -> bool:
+        """Whether its fixed camera's pose is the identity, as it is where nobody gave one.
+
+        A camera cannot stand so in the world: it would lie on the ground and look straight up.
+        """
+        if self._camera is None:
+            return False
+        poses = self._camera.T_camera_world
+        return bool((poses == torch.eye(4).to(poses)).all())
+
+    @property
+    def _camera(self) -> Camera | None:
+        return getattr(self, "camera", None)
+
+    def point_names(self, body: BodyModel) -> tuple[str, ...]:
+        """Names of the points, for reports; none where points come in no order."""
+        del body
+        return ()
+
+    def told_joints(self, body: BodyModel) -> Float[Tensor, "*batch 22"] | None:
+        """Share of the frames in which the place of each joint is told; None if it knows none."""
+        del body
+
+    def shown_joints(self, estimate: Estimate) -> Bool[np.ndarray, "frames 22"]:
+        """Joints of the first clip whose place the sensor tells, in every frame of the data."""
+        return np.zeros((self.moments, estimate.body.joints.shape[-2]), dtype=bool)
+
+    def noise(self, guess: Motion, body: BodyModel, given: float | None = None) -> Noise:
+        """How noisy the data are: as given, in `unit`, or as is typical."""
+        del guess, body
+        own, metres = self.typical_noise
+        return Noise(own, metres) if given is None else Noise(given, given * metres / own)
+
+    def start(self, body: BodyModel) -> Motion:
+        """A first guess on the data's clock: a person who stands at the origin."""
+        return standing(body, self.clips, self.moments, fps=self.fps, start_time=self.start_time)
+
+    def settled(self: R, scene: Scene) -> R:
+        """The sensor as it is in a scene, of which it then asks no more."""
+        del scene
+        return self
+
+    def window(self: R, start: float, stop: float) -> R:
+        """What was seen from one time to another, both included, seconds; the clock goes on."""
+        clock = {"fps": self.fps, "start_time": self.start_time, "start": start, "stop": stop}
+        numbers = moment_numbers(**clock)
+        first: dict[str, Any] = {"start_time": self.start_time + numbers.start / self.fps}
+        return self.derived(**first, **self.some_frames(numbers))
+
+    def coarse(self: R, body: BodyModel, step: int = 2) -> R:
+        """Every `step`-th frame, all where most are empty, to compare hypotheses quickly."""
+        del body
+        if self._sparse:
+            return self
+        fewer: dict[str, Any] = {"fps": self.fps / step}
+        return self.derived(**fewer, **self.some_frames(range(0, self.moments, step)))
+
+    @property
+    def _sparse(self) -> bool:
+        """Whether most frames are empty."""
+        return 2 * int(self.shown.any(-1).sum()) < self.shown[..., 0].numel()
+
+    def thinned(self: R, most: int) -> R:
+        """At most so many points of every frame, where points come in no order."""
+        del most
+        return self
+
+    def on_faster_clock(self: R, times: int) -> R:
+        """The data on a clock that is so many times as fast, with empty frames in between.
+
+        Data of a camera that moves keep their clock.
+        """
+        if self._camera is not None and self._camera.T_camera_world.shape[-3] > 1:
+            return self
+        axis = len(self.clips)
+        faster: dict[str, Any] = {"fps": self.fps * times}
+        return self.derived(
+            **faster, **self.by_frame(lambda tensor: between_moments(tensor, axis, times))
+        )
+
+    def transformed(self: R, T_new_old: Float[np.ndarray, "4 4"]) -> R:
+        """The data after a rigid transform of the frame that they are given in, metres."""
+        if self.sees is None and type(self).predict is Sensor.predict:  # it has own residuals
+            raise ObservationError(
+                f"{type(self).__name__} cannot be given in another frame: write a method "
+                "transformed(T_new_old), or fit it with a ground that is known"
+            )
+        camera = None if self._camera is None else self._camera.moved(T_new_old)
+        if self.vectors == "numbers":
+            return self.derived(camera=camera)
+        T = torch.from_numpy(T_new_old).to(self.values)
+        points = self.vectors == "points"
+        values = transform(T, self.values) if points else self.values @ T[:3, :3].mT
+        name = self.timed[0]
+        return self.derived(**{name: values.where(self.shown[..., None], 0.0)}, camera=camera)
+
+    def robust_beyond(self: R, distance: float) -> R:
+        """Named points in space count ever less beyond so many metres; others stay as they are."""
+        del distance
+        return self
+
+    def some_frames(self, numbers: range) -> dict[str, Any]:
+        """What has an axis of frames at some of them; zero where there are none."""
+        axis = len(self.clips)
+        number = torch.tensor(numbers, dtype=torch.long)
+        exists = (number >= 0) & (number < self.moments)
+
+        def at(tensor: Tensor) -> Tensor:
+            there = number.clamp(0, self.moments - 1).to(tensor.device)
+            shape = (-1, *(1,) * (tensor.ndim - axis - 1))
+            return tensor.index_select(axis, there) * exists.to(tensor.device).reshape(shape)
+
+        camera = {} if self._camera is None else {"camera": self._camera.at(numbers)}
+        return self.by_frame(at) | camera
+
+    def by_frame(self, function: Callable[[Tensor], Tensor]) -> dict[str, Any]:
+        """A function of the fields that have an axis of frames and are not None."""
+        found: dict[str, Any] = {}
+        for name in self.timed:
+            value = getattr(self, name)
+            if isinstance(value, TensorStruct):
+                found[name] = value.map(function)
+            elif value is not None:
+                found[name] = function(value)
+        return found
+
+
+def standing(
+    body: BodyModel, clips: Sequence[int], moments: int, *, fps: float, start_time: float
+) -> Motion:
+    """The average body in its rest pose, upright, over the origin; its soles stand at z = 0.
+
+    It faces the negative y axis of the world, as the rest pose that is turned upright does.
+    """
+    rest = body.joint_template
+    turn = so3.exp(rest.new_tensor(UPRIGHT))
+    placed = (body.template - rest[0]) @ turn.T
+    place = rest.new_zeros(3)
+    place[2] = -placed[:, 2].min()
+    rotations = torch.eye(3).to(rest).repeat(*clips, moments, len(rest), 1, 1)
+    rotations[..., 0, :, :] = turn
+    return Motion.create(
+        (place - rest[0]).expand(*clips, moments, 3).clone(), rotations,
+        rest.new_zeros(*clips, body.shape_size), fps, start_time=start_time,
+    )  # fmt: skip
+
+
+def views_of(sensors: Sequence[Sensor]) -> list[Keypoints2D]:
+    """The sensors that measure named points in images."""
+    return [view for one in sensors if (view := one.view)]
+
+
+def unposed_camera(sensors: Sequence[Sensor]) -> Float[np.ndarray, "4 4"] | None:
+    """First pose of the first camera that does not know the ground, T_recording_camera."""
+    for one in sorted(sensors, key=lambda one: one.view is None):
+        camera = getattr(one, "camera", None)
+        if camera is not None and not one.ground_known:
+            return camera.T_world_camera[0, 0].double().cpu().numpy()
+    return None

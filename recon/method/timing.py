@@ -1,0 +1,81 @@
+"""Clocks of observations: the times at which the estimate is compared with the data."""
+
+import math
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from recon.core.motion import Motion
+from recon.core.residuals import Residuals, Unit
+
+_SAME_MOMENT = 1e-4
+"""Frames; clocks closer than this are the same clock."""
+
+
+def at_observation_times(
+    values: Float[Tensor, "*batch time points dims"],
+    motion: Motion,
+    *,
+    fps: float,
+    start_time: float,
+    moments: int,
+) -> tuple[Float[Tensor, "*batch seen points dims"], slice]:
+    """Positions of the estimate at an observation's moments, and which moments those are.
+
+    Linear between decoded frames; moments outside the motion are left out, so an estimate of
+    the first frames of a clip meets the first moments of its data.
+    """
+    offset = (start_time - motion.start_time) * motion.fps
+    ratio = motion.fps / fps
+    if abs(ratio - 1) < 1e-9 and abs(offset - round(offset)) < _SAME_MOMENT:
+        shift = round(offset)
+        first, last = max(0, -shift), min(moments, motion.frames - shift)
+        last = max(first, last)
+        return values[..., first + shift : last + shift, :, :], slice(first, last)
+    place = offset + torch.arange(moments, dtype=torch.float64) * ratio
+    inside = ((place >= -_SAME_MOMENT) & (place <= motion.frames - 1 + _SAME_MOMENT)).nonzero()
+    if len(inside) == 0:
+        return values[..., :0, :, :], slice(0, 0)
+    seen = slice(int(inside[0]), int(inside[-1]) + 1)
+    place = place[seen].clamp(0, motion.frames - 1)
+    before = place.floor().long().clamp(max=max(motion.frames - 2, 0))
+    after = (before + 1).clamp(max=motion.frames - 1)
+    fraction = (place - before).to(values)[:, None, None]
+    before, after = before.to(values.device), after.to(values.device)
+    return values[..., before, :, :].lerp(values[..., after, :, :], fraction), seen
+
+
+def moment_numbers(*, fps: float, start_time: float, start: float, stop: float) -> range:
+    """Numbers of a clock's moments from `start` to `stop`, both included; some may not exist."""
+    first = math.ceil((start - start_time) * fps - _SAME_MOMENT)
+    return range(first, math.floor((stop - start_time) * fps + _SAME_MOMENT) + 1)
+
+
+def between_moments(values: Tensor, axis: int, times: int) -> Tensor:
+    """Values of moments on a clock that is so many times as fast; zero at those in between."""
+    shape = list(values.shape)
+    shape[axis] = (shape[axis] - 1) * times + 1
+    wide = values.new_zeros(shape)
+    index = [slice(None)] * values.ndim
+    index[axis] = slice(None, None, times)
+    wide[tuple(index)] = values
+    return wide
+
+
+def padded(
+    values: Float[Tensor, "*batch seen points dims"],
+    weights: Tensor,
+    seen: slice | Tensor,
+    moments: int,
+    unit: Unit = "metres",
+) -> Residuals:
+    """Residuals of some moments among all of the observation's; zero at the others."""
+    weights = weights.to(values)
+    if values.shape[-3] == moments:
+        return Residuals(values.where(weights[..., None] > 0, 0.0), weights, unit)
+    every = values.new_zeros(*values.shape[:-3], moments, *values.shape[-2:])
+    counted = weights.new_zeros(*weights.shape[:-2], moments, weights.shape[-1])
+    every[..., seen, :, :] = values.where(weights[..., None] > 0, 0.0)
+    counted[..., seen, :] = weights
+    return Residuals(every, counted, unit)

@@ -1,0 +1,224 @@
+"""Damped Gauss-Newton steps (Levenberg 1944, Marquardt 1963) for a batch of problems.
+
+About a state x, an objective is E + gᵀ s + ½ sᵀ H s, with s the step, g the gradient and H ≈ JᵀJ
+the Gauss-Newton Hessian, J the Jacobian of the residuals. Every iteration takes
+
+    s = -(H + d diag H)⁻¹ g
+
+with the damping d, which is raised until the objective falls and lowered after that. States are
+the problem's own: it says what they are after a step, so that rotations may be among them.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Generic, TypeVar
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from recon.solver.banded import Banded, Factor
+from recon.solver.solution import Progress, Solution, Termination
+
+X = TypeVar("X")
+"""The state of all problems of a batch."""
+
+_RAISE, _LOWER = 10.0, 0.1
+_MIN_DAMPING = 1e-6
+"""Damping is not lowered beyond this, so that it is raised quickly when a step is refused."""
+
+
+@dataclass(frozen=True)
+class Quadratic:
+    """The objectives of some problems about a state, to second order in a step."""
+
+    value: Float[Tensor, "rows terms"]
+    """Weighted terms, E is their sum; no columns where there is no objective."""
+    gradient: Float[Tensor, "rows n"]
+    """g; the order of variables is that of a vector beside a `Banded` matrix."""
+    hessian: Sequence[Banded]
+    """H of every problem, n rows and columns, not changed by the solver."""
+
+
+class Problem(ABC, Generic[X]):
+    """A batch of problems that do not depend on each other; `rows` are numbers of some of them."""
+
+    @abstractmethod
+    def model(self, x: X, rows: Int[Tensor, " rows"]) -> Quadratic:
+        """The objectives about a state."""
+
+    @abstractmethod
+    def moved(self, x: X, rows: Int[Tensor, " rows"], steps: Float[Tensor, "rows n"]) -> X:
+        """The whole state after steps of some problems; not longer than the model is good for."""
+
+    def value(self, x: X, rows: Int[Tensor, " rows"]) -> Float[Tensor, "rows terms"]:
+        """The terms of the objectives.
+
+        No columns, as without an answer of its own, say that there is no objective: kernels shrink
+        or correspondences are found anew from step to step. Then every step is taken, and what
+        the model promises counts as what it brings.
+        """
+        del x
+        return torch.zeros(len(rows), 0)
+
+
+@dataclass(frozen=True)
+class GaussNewton:
+    """Limits and tolerances of `minimise`."""
+
+    max_iterations: int = 50
+    tolerance: float = 1e-4
+    """A problem has converged when a step lowers its objective by no more than this share of it,
+    or when a step that does not is not expected to."""
+    scale: float = 0.0
+    """Objective, in its own unit, below which decreases are taken relative to this instead."""
+    damping: float = 1e-3
+    """Share of the Hessian's diagonal that it is raised by at first."""
+    max_damping: float = 1e6
+    """Damping beyond which no lower point is sought any more."""
+
+
+def minimise(
+    problem: Problem[X],
+    x: X,
+    options: GaussNewton,
+    count: int = 1,
+    callback: Callable[[Progress], bool | None] | None = None,
+) -> tuple[X, Solution]:
+    """Minimise every problem of a batch; no objective ever rises.
+
+    Args:
+        problem: what is minimised.
+        x: where to begin.
+        options: limits and tolerances, the same for all.
+        count: how many problems there are.
+        callback: told of progress after every iteration; True ends all problems where they are.
+
+    Returns:
+        The state, and how each problem ended; that has no `x`, zero columns of it.
+    """
+    runs = [_Run(options.damping) for _ in range(count)]
+    active = torch.arange(count)
+    for _ in range(options.max_iterations):
+        model = problem.model(x, active)
+        here = [runs[row] for row in active.tolist()]
+        for run, terms in zip(here, model.value.double().cpu(), strict=True):
+            run.begin(terms)
+        x = _stepped(problem, x, active, model, here, options)
+        active = active[[run.end is None for run in here]]
+        if len(active) == 0:
+            break
+        if callback is not None and callback(_progress(runs, active)) is True:
+            for row in active.tolist():
+                runs[row].end = Termination.STOPPED
+            break
+    if options.max_iterations == 0:
+        for run, terms in zip(runs, problem.value(x, active).double().cpu(), strict=True):
+            run.begin(terms)
+    return x, _solution(runs)
+
+
+def _stepped(
+    problem: Problem[X],
+    x: X,
+    active: Int[Tensor, " active"],
+    model: Quadratic,
+    runs: Sequence["_Run"],
+    options: GaussNewton,
+) -> X:
+    """The state after a step of every active problem, more damped where one is refused."""
+    steps, taken = torch.zeros_like(model.gradient), list[int]()
+    waiting = [k for k, run in enumerate(runs) if run.end is None]
+    while waiting:
+        trial = torch.stack([
+            runs[k].step(model.hessian[k], model.gradient[k], options) for k in waiting
+        ])  # fmt: skip
+        tried = problem.moved(x, active[waiting], trial)
+        terms = problem.value(tried, active[waiting]).double().cpu()
+        promise = (-0.5 * (model.gradient[waiting] * trial).sum(-1)).tolist()
+        good = [k for j, k in enumerate(waiting) if runs[k].takes(terms[j], promise[j], options)]
+        if good == waiting and not taken:
+            return tried
+        steps[waiting] = trial
+        taken += good
+        waiting = [k for k in waiting if k not in good and runs[k].end is None]
+    taken.sort()
+    return problem.moved(x, active[taken], steps[taken]) if taken else x
+
+
+@dataclass
+class _Run:
+    """One problem of a batch so far."""
+
+    damping: float
+    trace: list[Float[Tensor, " terms"]] = field(default_factory=list)
+    """Terms at every iterate."""
+    evaluations: int = 0
+    end: Termination | None = None
+
+    def begin(self, terms: Float[Tensor, " terms"]) -> None:
+        """Note the terms where an iteration begins."""
+        self.evaluations += 1
+        self.trace = self.trace or [terms]
+        if not bool(terms.isfinite().all()):
+            self.end = Termination.NONFINITE
+
+    def step(
+        self, hessian: Banded, gradient: Float[Tensor, " n"], options: GaussNewton
+    ) -> Float[Tensor, " n"]:
+        """The damped step, with a damping for which the matrix is positive definite."""
+        while self.end is None:
+            factor = Factor(hessian, self.damping)
+            if factor.definite:
+                return -factor.solve(gradient)
+            self._raise_damping(options)
+        return torch.zeros_like(gradient)
+
+    def takes(self, terms: Float[Tensor, " terms"], promise: float, options: GaussNewton) -> bool:
+        """Whether a step is taken: the objective does not rise."""
+        if self.end is not None:
+            return False
+        self.evaluations += 1
+        before = float(self.trace[-1].sum())
+        gain = before - float(terms.sum()) if len(terms) > 0 else promise
+        few = options.tolerance * max(abs(before), options.scale)
+        if gain >= 0:  # false for nan
+            self.trace.append(terms)
+            self.damping = max(_LOWER * self.damping, _MIN_DAMPING)
+            self.end = Termination.CONVERGED if gain <= few else None
+            return True
+        if promise <= few:
+            self.end = Termination.CONVERGED
+        else:
+            self._raise_damping(options)
+        return False
+
+    def _raise_damping(self, options: GaussNewton) -> None:
+        self.damping = max(_RAISE * self.damping, _MIN_DAMPING)
+        if self.damping > options.max_damping:
+            self.end = Termination.LINE_SEARCH
+
+
+def _progress(runs: Sequence[_Run], active: Int[Tensor, " active"]) -> Progress:
+    return Progress(
+        max(run.evaluations for run in runs),
+        active.numpy().copy(),
+        np.array([len(run.trace) - 1 for run in runs]),
+        np.array([float(run.trace[-1].sum()) for run in runs]),
+    )
+
+
+def _solution(runs: Sequence[_Run]) -> Solution:
+    longest = max(len(run.trace) for run in runs)
+    padded = [run.trace + run.trace[-1:] * (longest - len(run.trace)) for run in runs]
+    trace = torch.stack([torch.stack(rows) for rows in padded])
+    return Solution(
+        x=trace.new_zeros(len(runs), 0),
+        value=trace[:, -1].sum(-1),
+        iterations=torch.tensor([len(run.trace) - 1 for run in runs]),
+        evaluations=torch.tensor([run.evaluations for run in runs]),
+        termination=tuple(run.end or Termination.ITERATION_LIMIT for run in runs),
+        trace=trace,
+    )

@@ -1,0 +1,73 @@
+"""Checks are functions of the clip that a caller may choose, leave out and add to."""
+
+import subprocess
+import sys
+
+import numpy as np
+import torch
+
+import recon
+from recon.diagnosis.checks import AFTER, BEFORE, points, unseen
+from recon.diagnosis.examination import Examined, checked
+from recon.diagnosis.findings import Finding, Findings
+from recon.simulation.points import Corruption, joints3d
+from tests.diagnosis.test_views import SIDES, checked_clip, filmed, renamed
+from tests.filmed import bundled, walk
+
+WITHOUT = """
+import sys, numpy as np, recon
+joints = np.load(sys.argv[1])
+seen = recon.Joints3D(joints, np.ones(joints.shape[:-1], bool), range(22), fps=30.0)
+print(recon.fit(seen, "pose", checks=()).warnings)
+print(*sorted(name for name in sys.modules if name.startswith("recon.diagnosis.")))
+"""
+
+
+def seen():
+    """A walk with a wrist that is never seen."""
+    clip = joints3d(walk(), bundled(), Corruption(noise=0.015), 0)
+    visible = clip.visible.clone()
+    visible[:, 20] = False
+    return clip.replace(visible=visible, positions=clip.positions * visible[..., None])
+
+
+def test_every_check_says_what_it_does_and_of_which_sensors():
+    for check in (*BEFORE, *AFTER):
+        assert check.__doc__
+        assert set(check.sees) <= {"named", "view", "cloud"}  # type: ignore[attr-defined]
+        assert check.comes_before_fit == (check in BEFORE)  # type: ignore[attr-defined]
+
+
+def test_a_caller_chooses_checks_and_adds_own():
+    def mine(clip: Examined) -> tuple[Examined, Findings]:
+        said = Finding("gap", f"{clip.names[0]} lasts {clip.motion.frames} frames")
+        return clip, Findings(warnings=(said,))
+
+    result = recon.fit(seen(), "pose", body=bundled(), checks=(points, unseen, mine))
+    assert [finding.code for finding in result.diagnosis] == ["unseen"]
+    assert [finding.message for finding in result.warnings] == ["joints3d lasts 24 frames"]
+
+
+def test_a_fit_without_checks_loads_none(tmp_path):
+    np.save(tmp_path / "joints.npy", bundled().pose(walk(8)).joints.numpy())
+    ran = subprocess.run(
+        [sys.executable, "-c", WITHOUT, str(tmp_path / "joints.npy")],
+        check=True, capture_output=True, text=True,
+    )  # fmt: skip
+    said, loaded = ran.stdout.splitlines()
+    assert said == "()"
+    rooms = ("checks", "points", "motions", "views", "basins", "plausibility")
+    loaded = [name.removeprefix("recon.diagnosis.") for name in loaded.split()]
+    assert [name for name in loaded if name.startswith(rooms)] == []
+
+
+def test_a_fit_screens_its_views_unless_told_not_to() -> None:
+    spoilt = renamed(filmed(1)[0], slice(8, 18), SIDES)
+    clip = checked_clip(spoilt)
+    found = checked(clip, BEFORE)
+    assert [f.code for f in found.repairs] == ["sides exchanged"]
+    assert found.repairs[0].sensors == ("one",)
+    assert torch.equal(found.observations[0].pixels, filmed(1)[0].pixels)  # type: ignore[union-attr]
+    for how in ({"repair": False}, {"checks": AFTER}):
+        result = recon.fit(spoilt, "pose", body=bundled(), **how)
+        assert result.repairs == ()

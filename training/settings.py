@@ -1,0 +1,135 @@
+"""Settings of a training run, and whether a folder holds that same run."""
+
+import dataclasses
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from recon.benchmark.dataset import (
+    SPLITS,
+    Licence,
+    Part,
+    Splits,
+    clip_files,
+    files_on_flat_ground,
+)
+from recon.formats.replacing import file_checksum, files_checksum
+
+
+@dataclass(frozen=True)
+class TrainingSettings:
+    """Settings that every run has; each prior adds its own and has its own defaults."""
+
+    corpus: Path
+    """Folder of converted motions (`recon convert --all`)."""
+    out: Path
+    """Folder of the run: checkpoint.pt, losses.csv, losses.png, train.log. A run that was
+    interrupted goes on from its checkpoint."""
+    data: Licence = "open"
+    """`open`: clips whose weights may be shipped; `nc`: the non-commercial ones too."""
+    splits: Path = SPLITS
+    """Table of the subjects that are held out."""
+    steps: int = 20_000
+    """Steps of the optimiser."""
+    rate: float = 1e-3
+    """Learning rate; it falls to a hundredth along a cosine."""
+    decay: float = 0.01
+    """Weight decay."""
+    clip: float = 1.0
+    """Longest gradient."""
+    average: float = 0.995
+    """Share of the averaged weights kept in every step; less in the first steps."""
+    validate_every: int = 500
+    """Steps."""
+    save_every: float = 120.0
+    """Seconds."""
+    seed: int = 0
+    threads: int = 1
+
+    def flat_files(self, part: Part) -> dict[str, Path]:
+        """The motion files on flat ground that a part may be taken from, by clip name."""
+        return files_on_flat_ground(self.corpus, Splits.load(self.splits), part, self.data)
+
+
+FREE = ("out", "threads", "save_every", "device")
+"""Settings that may change while a run goes on: where it is written, and how fast it goes."""
+_CONTENTS = "sha256:"
+
+
+def plain(settings: Any) -> dict[str, Any]:
+    """A dataclass of settings as a checkpoint holds it."""
+    found = dataclasses.asdict(settings)
+    return {name: str(v) if isinstance(v, Path) else v for name, v in found.items()}
+
+
+def told_settings(settings: Any) -> dict[str, Any]:
+    """The settings of a run that a weights file tells: all but places on the trainer's disk."""
+    found = dataclasses.asdict(settings)
+    return {k: v for k, v in found.items() if not isinstance(v, Path | None)}
+
+
+def identity(settings: Any) -> dict[str, Any]:
+    """All that decides what a run learns: its settings, and the contents of the files they name.
+
+    A folder counts by the motions and notes of its corpus, another file by its bytes, wherever
+    they lie. Where a run is written and how fast it goes (`FREE`) is no part of it.
+
+    Raises:
+        FileNotFoundError: when a file that is named is not there.
+        ValueError: when a folder holds no corpus.
+    """
+    found = plain(settings)
+    for name, value in vars(settings).items():
+        if isinstance(value, Path) and name not in FREE:
+            found[name] = _contents(value)
+    return {name: value for name, value in found.items() if name not in FREE}
+
+
+def same_run(path: Path, own: dict[str, Any], found: dict[str, Any] | None) -> None:
+    """Refuse to go on with a checkpoint of a run that learns something else.
+
+    Args:
+        path: of the checkpoint, for the message.
+        own: `identity` of the run that is asked for.
+        found: the one in the checkpoint; None where an older version wrote none.
+
+    Raises:
+        ValueError: when they differ; the message says in what.
+    """
+    if found is None:
+        raise ValueError(
+            f"{path}: an older version wrote this checkpoint without saying what it learned "
+            "from, so it cannot be continued; take another folder"
+        )
+    names = [name for name in (own | found) if not _same(own.get(name), found.get(name))]
+    if len(names) > 0:
+        said = [_difference(name, found.get(name), own.get(name)) for name in names]
+        raise ValueError(
+            f"{path}: a run with other {', '.join(said)}; take another folder, or the settings "
+            "and files of that run"
+        )
+
+
+def _same(here: Any, there: Any) -> bool:
+    """Whether a setting is the same; a part that is zero counts as one that is not there.
+
+    Parts that are added to a group of settings, such as a new variation, are zero where nothing
+    changes, and checkpoints from before them hold the same run.
+    """
+    if isinstance(here, dict) and isinstance(there, dict):
+        return all(here.get(name, 0) == there.get(name, 0) for name in here | there)
+    return here == there
+
+
+def _difference(name: str, there: Any, here: Any) -> str:
+    if any(isinstance(value, str) and value.startswith(_CONTENTS) for value in (there, here)):
+        return f"{name} (its contents differ)"
+    return f"{name} ({there} there, {here} here)"
+
+
+def _contents(path: Path) -> str:
+    if not path.is_dir():
+        return _CONTENTS + file_checksum(path)
+    motions = clip_files(path).values()
+    notes = [motion.with_suffix(".json") for motion in motions]
+    return _CONTENTS + files_checksum([*motions, *(n for n in notes if n.is_file())], path)
