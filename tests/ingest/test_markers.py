@@ -122,7 +122,14 @@ def test_the_report_beside_the_motion_holds_the_lists(
     assert {entry["code"] for entry in report["warnings"]} == {"gap", "unseen"}
     assert report["repairs"] == []
     assert {entry["code"] for entry in report["diagnosis"]} == {"residual"}
-    assert set(report["warnings"][0]) == {"code", "message", "joints", "frames", "value"}
+    assert set(report["warnings"][0]) == {
+        "code",
+        "message",
+        "joints",
+        "frames",
+        "value",
+        "sensors",
+    }
 
 
 def test_a_good_recording_raises_nothing(

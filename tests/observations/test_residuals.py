@@ -35,4 +35,5 @@ def test_a_finding_is_a_plain_record_in_reports():
         "joints": ("head",),
         "frames": ((0, 4),),
         "value": 0.2,
+        "sensors": (),
     }
