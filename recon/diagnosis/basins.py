@@ -169,7 +169,7 @@ def _in_image(
 def _outside(
     surface: Float[torch.Tensor, "surfels 3"], points: Float[torch.Tensor, "points 3"]
 ) -> float:
-    """Share of places, seen from the origin, with no point beside their line of sight."""
+    """Share of the surface whose lines of sight from the origin pass no point closely."""
     from scipy.spatial import KDTree
 
     tree = KDTree(torch.nn.functional.normalize(points, dim=-1).numpy())

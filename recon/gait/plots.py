@@ -167,7 +167,7 @@ def _figure(height: float) -> Any:
 def _svg(figure: Any, name: str) -> str:
     """The text of a drawing as an element of a page; the same drawing is the same text."""
     text = io.StringIO()
-    # the hash names what a drawing defines, which must differ between drawings of one page
+    # the salt enters the ids inside an SVG, which must differ between drawings of one page
     with matplotlib().rc_context({"svg.hashsalt": name}):
         figure.savefig(text, format="svg", metadata={"Date": None}, transparent=True)
     svg = text.getvalue()

@@ -69,7 +69,7 @@ def _parabolas(pieces: Float[np.ndarray, "pieces frames"], fps: float) -> np.nda
 
 
 def rates_by_falls(movement: Movement) -> tuple[float, float]:
-    """Factors between which the true rate over the declared one lies, by falls and flights."""
+    """Lower and upper bound of true over declared frame rate, from falls and flights."""
     fall, flights = fastest_fall(movement), _flights(movement)
     flight = float(np.median(flights)) if flights else _FREE_FALL
     low = math.sqrt(_FREE_FALL / flight) if flight < _FREE_FALL else 0.0
@@ -118,7 +118,7 @@ _SLOWER = (0.84, 0.71, 0.5, 0.35, 0.25)
 
 
 def rates_by_balance(movement: Movement) -> tuple[float, float]:
-    """Factors between which the true rate over the declared one lies, by balance."""
+    """Lower and upper bound of true over declared frame rate, from the body's balance."""
     asked = _imbalance(movement, 1.0)
     if asked is None or asked < _UNBALANCED:
         return 0.0, math.inf

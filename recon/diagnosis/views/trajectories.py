@@ -1,4 +1,4 @@
-"""Smooth paths of points that several views see, to be had at any time, with their covariance."""
+"""Smooth paths of points seen by several views: position and covariance at any time."""
 
 from dataclasses import dataclass
 
