@@ -34,7 +34,6 @@ from benchmarks.protocol import (
     ROOT,
     Cell,
     Table,
-    commit,
     corpus_source,
     number,
     parser,
@@ -87,10 +86,13 @@ def main() -> None:
 
 def library_commit(tree: Path) -> str:
     """The last commit that changed the library, with `+` where it differs from that."""
-    command = ["git", "log", "-1", "--format=%H", "--", *LIBRARY]
-    done = subprocess.run(command, cwd=tree, capture_output=True, text=True, check=True)
-    changed = (commit(tree) or "").endswith("+")
-    return done.stdout.strip() + "+" * changed
+    asked = (["log", "-1", "--format=%H"], ["status", "--porcelain", "-uno"])
+    last, changed = (
+        subprocess.run(["git", *words, "--", *LIBRARY], cwd=tree, capture_output=True, text=True,
+                       check=True).stdout.strip()
+        for words in asked
+    )  # fmt: skip
+    return last + "+" * bool(changed)
 
 
 def logged(path: Path, commits: Sequence[str]) -> list[Pair]:
