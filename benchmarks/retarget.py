@@ -210,13 +210,14 @@ def pooled(
         some = [one for one, wanted in zip(own, kept, strict=True) if wanted]
         rows[method] = dict(physics_metrics(concatenate(some)))
     for row in rows.values():
-        pairs = list(zip(_errors(row), _errors(rows[COPY]), strict=True))
+        pairs = list(zip(errors(row), errors(rows[COPY]), strict=True))
         known = [a / b for a, b in pairs if a is not None and b]
         row["sum"] = sum(known) if len(known) == len(pairs) else None
     return rows
 
 
-def _errors(row: Row) -> list[float | None]:
+def errors(row: Row) -> list[float | None]:
+    """Penetrate, float, BoS distance, slip and instability."""
     stable = row["dynamic_stability"]
     names = ("penetrate", "float", "bos_distance", "slip_in_contact")
     return [*(row[name] for name in names), None if stable is None else 1 - stable]

@@ -86,12 +86,12 @@ def _run(arguments: argparse.Namespace, place: Path) -> int:
 
 
 class Worker:
-    """A process that runs cases with one checkout."""
+    """A process that runs cases with one checkout, by default in this environment."""
 
-    def __init__(self, tree: Path) -> None:
+    def __init__(self, tree: Path, python: str = sys.executable) -> None:
         path = os.pathsep.join(map(str, (tree, ROOT)))
         environment = os.environ | {"PYTHONPATH": path, "OMP_NUM_THREADS": "1"}
-        command = [sys.executable, "-P", "-m", "scripts.frozen.worker"]
+        command = [python, "-P", "-m", "scripts.frozen.worker"]
         pipe = subprocess.PIPE
         self._process = subprocess.Popen(
             command, stdin=pipe, stdout=pipe, text=True, env=environment

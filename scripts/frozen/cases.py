@@ -67,18 +67,21 @@ def command_line(inputs: Path) -> Arrays:
 
 
 def _stream(prior: str) -> Case:
-    def case(inputs: Path) -> Arrays:
-        seen: Any = recon.load_observation(inputs / "joints.npz")
-        stream = recon.Stream(prior, lag=8, template=seen)
-        told = []
-        for k in range(seen.positions.shape[1]):
-            points = torch.where(seen.visible[0, k, :, None], seen.positions[0, k], math.nan)
-            found = stream.push(points)
-            told += [] if found is None else found.every
-        told += stream.finish()
-        return {"joints": torch.stack([one.joints for one in told]).numpy()}
+    return lambda inputs: {"joints": streamed(inputs / "joints.npz", prior)}
 
-    return case
+
+def streamed(path: Path, prior: str) -> np.ndarray:
+    """Final joints of a file's moments that are pushed one after the other."""
+    seen: Any = recon.load_observation(path)
+    stream = recon.Stream(prior, lag=8, template=seen)
+    told = []
+    for k in range(seen.positions.shape[1]):
+        found = stream.push(
+            torch.where(seen.visible[0, k, :, None], seen.positions[0, k], math.nan)
+        )
+        told += [] if found is None else found.every
+    told += stream.finish()
+    return torch.stack([one.joints for one in told]).numpy()
 
 
 def refine(inputs: Path) -> Arrays:

@@ -1,7 +1,8 @@
 """Runs cases with the checkout that comes first in PYTHONPATH.
 
-Reads lines of JSON from stdin, {"inputs": FOLDER} to write the inputs or {"case": NAME, "inputs":
-FOLDER, "out": FILE} to run a case, and answers each with a line of JSON.
+Reads lines of JSON from stdin, {"inputs": FOLDER} to write the inputs, {"case": NAME, "inputs":
+FOLDER, "out": FILE} to run a case or {"verb": NAME, "files": PATHS, "how": OPTIONS, "out": PATH}
+to call a function of recon and save its result, and answers each with a line of JSON.
 """
 
 import json
@@ -15,7 +16,7 @@ import numpy as np
 import torch
 
 import recon
-from scripts.frozen.cases import CASES
+from scripts.frozen.cases import CASES, streamed
 from scripts.frozen.inputs import make_inputs
 
 
@@ -34,7 +35,10 @@ def main() -> None:
 def _answer(asked: dict[str, Any]) -> dict[str, Any]:
     """CPU seconds of this process and of those that it started."""
     torch.manual_seed(0)
-    before, inputs = sum(os.times()[:4]), Path(asked["inputs"])
+    before = sum(os.times()[:4])
+    if "verb" in asked:
+        return {"seconds": called(**asked)}
+    inputs = Path(asked["inputs"])
     if "case" not in asked:
         make_inputs(inputs)
         return {"seconds": sum(os.times()[:4]) - before}
@@ -42,6 +46,18 @@ def _answer(asked: dict[str, Any]) -> dict[str, Any]:
     seconds = sum(os.times()[:4]) - before
     np.savez_compressed(asked["out"], **arrays)
     return {"seconds": seconds}
+
+
+def called(verb: str, files: list[str], how: dict[str, Any], out: str) -> float:
+    """CPU seconds in which a function of recon reads files, computes and saves."""
+    before = sum(os.times()[:4])
+    if verb == "stream":
+        np.savez(out, joints=streamed(Path(files[0]), **how))
+    elif verb in ("fit", "complete"):
+        getattr(recon, verb)(recon.load_observation(files), **how).save(out, overwrite=True)
+    else:
+        getattr(recon, verb)(*files, **how).save(out, overwrite=True)
+    return sum(os.times()[:4]) - before
 
 
 if __name__ == "__main__":
