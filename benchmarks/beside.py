@@ -9,7 +9,7 @@ function (`recon.fit`, `recon.complete`, ...) with these files and saves what it
 take turns, and which is first changes. This checkout judges what both saved. Windows are taken
 from one person after the other, all cases of a window before the next window. FOLDER/pairs.jsonl
 has a line for every pair of results; the same command goes on where it was stopped, as long as
-neither checkout's library has another commit.
+neither checkout's library has another commit; with `--most 0` it only tells what there is.
 
 `ratio` is the mean over people of a person's sum of errors here by that there, with its 95 %
 interval (people and their windows are drawn again); `met` says whether it is at most 1.01 and the
@@ -34,7 +34,6 @@ from benchmarks.protocol import (
     ROOT,
     Cell,
     Table,
-    commit,
     corpus_source,
     number,
     parser,
@@ -80,16 +79,20 @@ def main() -> None:
                 with (out / "pairs.jsonl").open("a", encoding="utf-8") as log:
                     print(json.dumps(pair), file=log)
     asked = [pair for pair in pairs if pair["row"] in given.cases]
-    source = corpus_source(given.corpus, [window.source for window in windows[: given.most]])
+    names = {pair["window"] for pair in asked}
+    source = corpus_source(given.corpus, [w.source for w in windows if w.name in names])
     tell(out, 0, source, {"beside": table(asked, commits)})
 
 
 def library_commit(tree: Path) -> str:
     """The last commit that changed the library, with `+` where it differs from that."""
-    command = ["git", "log", "-1", "--format=%H", "--", *LIBRARY]
-    done = subprocess.run(command, cwd=tree, capture_output=True, text=True, check=True)
-    changed = (commit(tree) or "").endswith("+")
-    return done.stdout.strip() + "+" * changed
+    asked = (["log", "-1", "--format=%H"], ["status", "--porcelain", "-uno"])
+    last, changed = (
+        subprocess.run(["git", *words, "--", *LIBRARY], cwd=tree, capture_output=True, text=True,
+                       check=True).stdout.strip()
+        for words in asked
+    )  # fmt: skip
+    return last + "+" * bool(changed)
 
 
 def logged(path: Path, commits: Sequence[str]) -> list[Pair]:
@@ -187,13 +190,15 @@ def _compared(pairs: Sequence[Pair], measure: str) -> list[Cell]:
         if there is not None and here is not None:
             people.setdefault(pair["subject"], []).append((here, there))
     sums = [np.array(own) for own in people.values()]
-    if not sums or any(own[:, 1].sum() == 0 for own in sums):
-        return [len(sums), sum(map(len, sums)), None, None, None, None]
-    here, there = (mean(float(own[:, k].mean()) for own in sums) for k in (0, 1))
+    count = sum(map(len, sums))
+    if count == 0:
+        return [0, 0, None, None, None, None]
+    here, there = (number(mean(float(own[:, k].mean()) for own in sums)) for k in (0, 1))
+    if any(own[:, 1].sum() == 0 for own in sums):
+        return [len(sums), count, there, here, None, None]
     ratio = over_people(sums, quotient)
     met = ratio.mean <= MOST_MEAN and ratio.high <= MOST_UPPER
-    count = sum(map(len, sums))
-    return [len(sums), count, number(there), number(here), spread(ratio), "yes" if met else "no"]
+    return [len(sums), count, there, here, spread(ratio), "yes" if met else "no"]
 
 
 def _times(times: Sequence[Sequence[float]]) -> list[Cell]:
