@@ -145,8 +145,12 @@ def clip_files(corpus: str | Path) -> dict[str, Path]:
     return found
 
 
-def _name(motion: Path) -> str:
-    """A clip's name as the conversion noted it, folders included; else that of its file."""
+def notes(motion: Path) -> dict[str, Any]:
+    """What the conversion noted in the file beside a motion; empty where there is none.
+
+    Raises:
+        ValueError: when that file is no JSON.
+    """
     beside = motion.with_suffix(".json")
     try:
         noted = json.loads(beside.read_text(encoding="utf-8")) if beside.is_file() else None
@@ -154,7 +158,12 @@ def _name(motion: Path) -> str:
         raise ValueError(
             f"{beside}: expected the notes of recon convert --all, got no JSON ({error})"
         ) from error
-    name = noted.get("clip") if isinstance(noted, dict) else None
+    return noted if isinstance(noted, dict) else {}
+
+
+def _name(motion: Path) -> str:
+    """A clip's name as the conversion noted it, folders included; else that of its file."""
+    name = notes(motion).get("clip")
     return name if isinstance(name, str) else motion.stem
 
 
@@ -196,10 +205,7 @@ def load_clips(
 
 def is_flat(path: Path) -> bool:
     """Whether the notes of the conversion beside a clip say flat ground; without notes, yes."""
-    beside = path.with_suffix(".json")
-    if not beside.is_file():
-        return True
-    return bool(json.loads(beside.read_text(encoding="utf-8")).get("flat", True))
+    return bool(notes(path).get("flat", True))
 
 
 def mirrored(motion: Motion) -> Motion:

@@ -5,7 +5,6 @@ mirrored, played faster or slower, and put on another body, and only then turned
 velocities; so positions, rotations and velocities agree whatever was drawn.
 """
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -17,7 +16,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from priors.humor.state import State
-from recon.benchmark.dataset import Part, Splits, mirrored_rotations
+from recon.benchmark.dataset import Part, Splits, mirrored_rotations, notes
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.skeleton import CONTACT_JOINTS, MIRROR, TOES
@@ -54,10 +53,7 @@ def kind_of(description: str) -> str:
 
 def described(motion: Path) -> str:
     """The action that the notes beside a converted motion name; its file name without notes."""
-    beside = motion.with_suffix(".json")
-    if not beside.is_file():
-        return motion.stem
-    return str(json.loads(beside.read_text(encoding="utf-8")).get("action", motion.stem))
+    return str(notes(motion).get("action", motion.stem))
 
 
 RATE = 120
