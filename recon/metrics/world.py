@@ -40,8 +40,7 @@ def wa_mpjpe(
     predicted: Float[Tensor, "time joints 3"], truth: Float[Tensor, "time joints 3"]
 ) -> float | None:
     """Mean joint error after one similarity for each whole segment of 100 frames, metres."""
-    pairs = zip(predicted.split(SEGMENT), truth.split(SEGMENT), strict=True)
-    return mean(torch.cat([_errors(a, b, len(a)) for a, b in pairs]))
+    return _mean_error(predicted, truth, SEGMENT)
 
 
 def w_mpjpe(
@@ -52,8 +51,7 @@ def w_mpjpe(
     WHAM's and SLAHMR's definition. Others align the first frame alone, without scale, which for
     one and the same motion can give three times as much.
     """
-    pairs = zip(predicted.split(SEGMENT), truth.split(SEGMENT), strict=True)
-    return mean(torch.cat([_errors(a, b, FIRST) for a, b in pairs]))
+    return _mean_error(predicted, truth, FIRST)
 
 
 def root_translation_error(
@@ -89,8 +87,11 @@ def foot_sliding(
     return mean(ours, theirs < STANDING_STEP)
 
 
-def _errors(predicted: Tensor, truth: Tensor, frames: int) -> Float[Tensor, " samples"]:
-    """Distances of all joints after the similarity that aligns the first frames."""
-    flat, goal = predicted.flatten(0, 1), truth.flatten(0, 1)
-    aligned = similarity_aligned(flat, goal, fitted=frames * predicted.shape[1])
-    return point_errors(aligned, goal)
+def _mean_error(predicted: Tensor, truth: Tensor, first: int) -> float | None:
+    """Mean joint error after the similarity that fits the first frames of each segment."""
+    errors: list[Tensor] = []
+    for here, there in zip(predicted.split(SEGMENT), truth.split(SEGMENT), strict=True):
+        points, goal = here.flatten(0, 1), there.flatten(0, 1)
+        aligned = similarity_aligned(points, goal, fitted=first * here.shape[1])
+        errors.append(point_errors(aligned, goal))
+    return mean(torch.cat(errors))
