@@ -24,7 +24,7 @@ from recon.diagnosis.findings import NOTHING, Finding, Findings
 from recon.diagnosis.motions.belt import treadmill_finding, with_belt
 from recon.diagnosis.motions.gravity import rate_finding
 from recon.diagnosis.motions.support import support_findings
-from recon.diagnosis.plausibility import body_warnings, child_findings
+from recon.diagnosis.plausibility import child_findings
 from recon.diagnosis.points.screening import screen_points
 
 
@@ -96,15 +96,14 @@ def camera_moves(clip: Examined) -> tuple[Examined, Findings]:
     from recon.diagnosis.views.images import Images
     from recon.diagnosis.views.rest import moving_finding, rest_of
 
-    body = clip.estimate.body.model.to(device="cpu")
-    seen = Images.of([view], clip.names, body)
+    seen = Images.of([view], clip.names, clip.model)
     rest = rest_of(seen)
     if rest is not None and rest.moves:
         return clip, Findings(warnings=(moving_finding(clip.names[0], seen, rest),))
     if _broken(clip):
         return clip, NOTHING
     rests = rest is not None and not rest.may_move
-    said = carried_finding(clip.names[0], clip.motion, body, clip.seen, rests=rests)
+    said = carried_finding(clip.names[0], clip.motion, clip.model, clip.seen, rests=rests)
     return clip, Findings(warnings=() if said is None else (said,))
 
 
@@ -150,7 +149,7 @@ def basin(clip: Examined) -> tuple[Examined, Findings]:
 @after_fit()
 def size_and_soles(clip: Examined) -> tuple[Examined, Findings]:
     """Nobody is as large or odd as the fitted person, or floats above a known ground."""
-    return clip, Findings(warnings=body_warnings(clip.fit))
+    return clip, Findings(warnings=clip.of_body)
 
 
 @after_fit("view")
@@ -166,14 +165,13 @@ def mirrored(clip: Examined) -> tuple[Examined, Findings]:
 @after_fit()
 def frame_rate(clip: Examined) -> tuple[Examined, Findings]:
     """Gait, falls and balance that contradict the frame rate."""
-    # without a ground none of them tells anything; cameras whose ground and person do not fit
-    # together measure in no metres
+    # cameras whose ground and person do not fit together measure in no metres
     in_metres = not any(one.view for one in clip.observations) or all(
-        one.code != "floor" for one in body_warnings(clip.fit)
+        one.code != "floor" for one in clip.of_body
     )
     if not clip.fit.grounded or _broken(clip) or not in_metres:
         return clip, NOTHING
-    said = rate_finding(clip.motion, clip.estimate.body.model.to(device="cpu"), clip.seen)
+    said = rate_finding(clip.motion, clip.model, clip.seen)
     return clip, Findings(warnings=() if said is None else (said,))
 
 
@@ -203,8 +201,7 @@ def support(clip: Examined) -> tuple[Examined, Findings]:
     """Feet at several heights, and rests on something else than feet."""
     if not clip.fit.grounded:
         return clip, NOTHING
-    body = clip.estimate.body.model.to(device="cpu")
-    return clip, Findings(diagnosis=support_findings(clip.motion, body, clip.seen))
+    return clip, Findings(diagnosis=support_findings(clip.motion, clip.model, clip.seen))
 
 
 @after_fit()

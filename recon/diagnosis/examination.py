@@ -93,6 +93,18 @@ class Examined(CheckedClip):
         return self.fit.result.clip(0).detach().to(device="cpu")
 
     @property
+    def model(self) -> BodyModel:
+        """The fitted body on the processor."""
+        return self.estimate.body.model.to(device="cpu")
+
+    @cached_property
+    def of_body(self) -> tuple[Finding, ...]:
+        """What is odd about the fitted person's size and soles; two checks ask for it."""
+        from recon.diagnosis.plausibility import body_warnings  # a fit without checks loads none
+
+        return tuple(body_warnings(self.fit))
+
+    @property
     def seen(self) -> Bool[Tensor, "time 22"]:
         """`observed` at the frames of the fitted motion."""
         return torch.from_numpy(self.observed[: self.motion.frames])
@@ -137,8 +149,7 @@ class Examined(CheckedClip):
 
 
 def _detached(fit: ClipFit) -> Estimate:
-    estimate = fit.result.estimate
-    return Estimate(estimate.decoded, estimate.body, estimate.scene.detach())
+    return replace(fit.result.estimate, scene=fit.result.estimate.scene.detach())
 
 
 BeforeFit = Callable[[CheckedClip], tuple[CheckedClip, Findings]]
