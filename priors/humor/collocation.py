@@ -33,7 +33,7 @@ from priors.pose.prior import PosePrior, PoseVariables, PoseWeights
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.skeleton import KNEES
-from recon.method.marquardt import Preconditioned
+from recon.method.marquardt import preconditioned
 from recon.method.priors import USUAL_NOISE, Density, Prior
 from recon.method.protocols import Decoded
 from recon.method.quadratic import ClipModel
@@ -201,7 +201,7 @@ class Collocation(Prior[PoseVariables]):
         last = LBFGS(max_iterations=400, tolerance_decrease=1e-5, scale=_FITTED, history=40)
         feet = replace(
             steps, name="contacts", terms=(*steps.terms, held), minimiser=last,
-            second_order=Preconditioned(),
+            second_order=preconditioned,
         )  # fmt: skip
         if seen_whole(data, self.humor.body):
             rough = replace(poses.minimiser, tolerance_decrease=1e-2)

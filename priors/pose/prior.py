@@ -18,7 +18,7 @@ from recon.core.motion import Motion, carried_translation
 from recon.core.skeleton import JOINTS
 from recon.core.struct import TensorStruct
 from recon.method.free import FreeMotion
-from recon.method.marquardt import Marquardt
+from recon.method.marquardt import marquardt
 from recon.method.priors import MODEL_NOISE, SHAPE_WEIGHT, SMOOTHNESS, USUAL_NOISE, Density, Prior
 from recon.method.protocols import REFERENCE_FPS, Decoded
 from recon.method.quadratic import ClipModel
@@ -280,7 +280,7 @@ class PosePrior(TensorStruct, Prior[PoseVariables]):
                 terms=(*data, *prior, *(term for term in smooth if term.weight > 0)),
                 free=frozenset({"translation", "root", "pose", "shape"}),
                 minimiser=LBFGS(max_iterations=120, tolerance_decrease=1e-5),
-                second_order=Marquardt(),
+                second_order=marquardt,
             ),
         )
 

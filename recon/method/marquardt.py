@@ -1,7 +1,7 @@
 """Second-order stages: damped Gauss-Newton steps, or L-BFGS in variables scaled by a Hessian."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -17,64 +17,54 @@ from recon.solver.gauss_newton import GaussNewton, minimise
 from recon.solver.solution import Progress, Solution
 
 
-@dataclass(frozen=True)
-class Marquardt:
+def marquardt(
+    stage: Stage[Any],
+    body: BodyModel,
+    unknowns: Unknowns[Any],
+    told: Callable[[Progress], bool | None] | None,
+) -> tuple[Unknowns[Any], Solution] | None:
     """Damped Gauss-Newton steps, each clip with its own damping (`recon.solver.gauss_newton`).
 
     Right where the Hessian costs no more than a few evaluations, as without a network.
     """
-
-    def __call__(
-        self,
-        stage: Stage[Any],
-        body: BodyModel,
-        unknowns: Unknowns[Any],
-        told: Callable[[Progress], bool | None] | None,
-    ) -> tuple[Unknowns[Any], Solution] | None:
-        """The minimum of a stage; None where no Hessian of it is known."""
-        settings = stage.minimiser
-        options = GaussNewton(settings.max_iterations, settings.tolerance_decrease, settings.scale)
-        try:
-            local, base = Local.about(stage, body, unknowns)
-            if local.size > local.bordered:
-                return None
-            found, solution = minimise(local, base, options, len(unknowns.scene.offsets), told)
-        except NoHessian:
+    settings = stage.minimiser
+    options = GaussNewton(settings.max_iterations, settings.tolerance_decrease, settings.scale)
+    try:
+        local, base = Local.about(stage, body, unknowns)
+        if local.size > local.bordered:
             return None
-        return found, replace(solution, x=local.layout.flatten(found))
+        found, solution = minimise(local, base, options, len(unknowns.scene.offsets), told)
+    except NoHessian:
+        return None
+    return found, replace(solution, x=local.layout.flatten(found))
 
 
 _DAMPINGS = (0.0, 1e-4, 1e-2)
 
 
-@dataclass(frozen=True)
-class Preconditioned:
+def preconditioned(
+    stage: Stage[Any],
+    body: BodyModel,
+    unknowns: Unknowns[Any],
+    told: Callable[[Progress], bool | None] | None,
+) -> tuple[Unknowns[Any], Solution] | None:
     """L-BFGS in variables in which the Hessian of the start is the identity."""
+    try:
+        local, base = Local.about(stage, body, unknowns)
+        factors = [factorised(one) for one in local.hessians(base)]
+    except NoHessian:
+        return None
 
-    def __call__(
-        self,
-        stage: Stage[Any],
-        body: BodyModel,
-        unknowns: Unknowns[Any],
-        told: Callable[[Progress], bool | None] | None,
-    ) -> tuple[Unknowns[Any], Solution] | None:
-        """The minimum of a stage; None where no Hessian of it is known."""
-        try:
-            local, base = Local.about(stage, body, unknowns)
-            factors = [factorised(one) for one in local.hessians(base)]
-        except NoHessian:
-            return None
+    def moved(some: Unknowns[Any], u: Tensor, active: Tensor) -> Unknowns[Any]:
+        own = [factors[k] for k in active.tolist()]
+        return local.stepped(some, _Up.apply(u, own, local.bordered))
 
-        def moved(some: Unknowns[Any], u: Tensor, active: Tensor) -> Unknowns[Any]:
-            own = [factors[k] for k in active.tolist()]
-            return local.stepped(some, _Up.apply(u, own, local.bordered))
-
-        start = base.variables.shape.new_zeros(len(factors), local.size)
-        minimiser = replace(stage.minimiser, scaled=True)
-        solution = minimiser(objective(stage, body, base, moved), start, told)
-        with torch.no_grad():
-            found = moved(base, solution.x, torch.arange(len(factors)))
-        return found, replace(solution, x=local.layout.flatten(found))
+    start = base.variables.shape.new_zeros(len(factors), local.size)
+    minimiser = replace(stage.minimiser, scaled=True)
+    solution = minimiser(objective(stage, body, base, moved), start, told)
+    with torch.no_grad():
+        found = moved(base, solution.x, torch.arange(len(factors)))
+    return found, replace(solution, x=local.layout.flatten(found))
 
 
 def factorised(curvature: Banded) -> Factor:

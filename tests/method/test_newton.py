@@ -14,7 +14,7 @@ from priors.pose.prior import PosePrior, PoseWeights
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.scene import Scene
-from recon.method.marquardt import Marquardt, Preconditioned, factorised
+from recon.method.marquardt import factorised, marquardt, preconditioned
 from recon.method.newton import Local, NoHessian
 from recon.method.protocols import Estimate
 from recon.method.reconstruction import solve
@@ -127,7 +127,7 @@ class _FirstOrder:
         return tuple(replace(stage, second_order=None) for stage in self.prior.stages(data))
 
 
-@pytest.mark.parametrize("way", [Marquardt(), Preconditioned()])
+@pytest.mark.parametrize("way", [marquardt, preconditioned])
 def test_clips_of_a_batch_do_not_touch_each_other(body: BodyModel, way: Any) -> None:
     seen = seen_by(body, 8, clips=3)
     stage = replace(pose_stage([seen], body), second_order=way)
@@ -146,7 +146,7 @@ def test_clips_of_a_batch_do_not_touch_each_other(body: BodyModel, way: Any) -> 
     assert float(solution.value[1]) == pytest.approx(float(found.value[0]), rel=1e-4)
 
 
-@pytest.mark.parametrize("way", [Marquardt(), Preconditioned()])
+@pytest.mark.parametrize("way", [marquardt, preconditioned])
 def test_a_clip_that_is_not_finite_is_told_and_leaves_the_others(
     body: BodyModel, way: Any
 ) -> None:
@@ -161,7 +161,7 @@ def test_a_clip_that_is_not_finite_is_told_and_leaves_the_others(
     assert all(bool(t.isfinite().all()) for t in variables.tensors().values() if t.ndim > 0)
 
 
-@pytest.mark.parametrize("way", [Marquardt(), Preconditioned()])
+@pytest.mark.parametrize("way", [marquardt, preconditioned])
 def test_watching_can_stop_it(body: BodyModel, way: Any) -> None:
     told: list[Progress] = []
 
