@@ -225,9 +225,7 @@ class TrackedPoints(PointsOfBody):
 
     def energy(self, points: Float[Tensor, "*batch frames points 3"]) -> Float[Tensor, "*batch"]:
         """½ Σ kernel(w² |measured - predicted|²), taken at 30 Hz; metres²."""
-        away = (self.positions - points).square().sum(-1)
-        size = self.weights.to(away).square() * away
-        return 0.5 * self.kernel(size).sum((-2, -1)) * (REFERENCE_FPS / self.fps)
+        return self.energy_of(self.positions - points, self.weights.to(points))
 
     def distances(self, points: Float[Tensor, "*batch frames points 3"]) -> Tensor:
         """Metres between measured and predicted points."""

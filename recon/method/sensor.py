@@ -153,7 +153,11 @@ class Sensor(TensorStruct):
     def __call__(self, estimate: Estimate) -> Float[Tensor, "*batch"]:
         """½ Σ kernel(w² |measured - predicted|²), taken at 30 Hz; `unit` squared."""
         found = self.residuals(estimate)
-        size = found.weights.square() * found.values.square().sum(-1)
+        return self.energy_of(found.values, found.weights)
+
+    def energy_of(self, away: Tensor, weights: Tensor) -> Float[Tensor, "*batch"]:
+        """½ Σ kernel(w² |away|²) over all frames of the data, taken at 30 Hz; `unit` squared."""
+        size = weights.square() * away.square().sum(-1)
         return 0.5 * self.kernel(size).sum((-2, -1)) * (REFERENCE_FPS / self.fps)
 
     @property
