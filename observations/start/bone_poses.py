@@ -222,7 +222,7 @@ class _Annealed(Problem[tuple[BonePoses, int]]):
     ties: Springs | None
 
     def model(self, x: tuple[BonePoses, int], rows: Int[Tensor, " rows"]) -> Quadratic:
-        """Reweighted least squares linearised at the poses; one matrix holds all frames."""
+        """Reweighted least squares linearised at the poses; one matrix holds all rows (frames)."""
         state, sigma, targets = x[0], self.sigmas[x[1]], self.targets(x[0])
         away = targets.away(state)
         share = sigma**2 / (sigma**2 + away.square().sum(-1))

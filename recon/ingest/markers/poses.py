@@ -243,7 +243,7 @@ class PoseEnergies(TiedFrames[Poses]):
         return self.weight * value, self.weight * gradient
 
     def curvature(self, state: Poses, rows: Int[Tensor, " rows"]) -> Float[Tensor, "rows 69 69"]:
-        """Their LevenbergMarquardt-Newton Hessians."""
+        """Gauss-Newton Hessians of these energies."""
         some = _rows(state, rows)
         _, slope, _ = self._residuals(some, rows)
         out = self.markers.levers.stiffness(some.bones, slope)
