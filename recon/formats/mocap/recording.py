@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from recon.core import limits, units
+from recon.core import limits, units, upright
 from recon.core.errors import FormatError, UnitsError
 from recon.core.units import Axis
 
@@ -168,9 +168,9 @@ def settle_skeleton(
         length = head_to_foot(raw.joint_names, raw.parents, raw.rest_offsets)
         unit, reason = units.unit_from_bones(length, raw.name)
     visible = np.ones(raw.positions.shape[:2], dtype=bool)
-    rise = units.head_above_feet(raw.joint_names, raw.positions, visible)
+    rise = upright.head_above_feet(raw.joint_names, raw.positions, visible)
     up, up_reason = (
-        (up, f"up axis {up}: given") if up else units.decide_up(rise, usual_up, raw.name)
+        (up, f"up axis {up}: given") if up else upright.decide_up(rise, usual_up, raw.name)
     )
     turn, metres = units.to_z_up(up), units.METRES[unit]
     limits.POSITION.check(raw.rest_offsets * metres, raw.name, "offsets of the joints")
@@ -205,7 +205,7 @@ def settle_markers(
     limits.FRAME_RATE.check(raw.fps, raw.name)
     positions = np.where(raw.visible[..., None], raw.positions, 0.0)
     _check_finite(raw.name, positions)
-    rise = units.head_above_feet(raw.marker_names, positions, raw.visible)
+    rise = upright.head_above_feet(raw.marker_names, positions, raw.visible)
     extent = _extent(positions, raw.visible)
     if unit is not None:
         reason = f"unit {unit}: given"
@@ -231,9 +231,9 @@ def _up_of_markers(
 ) -> tuple[Axis, str]:
     """The up axis by the body, by the file's custom, or by the floor it moves over."""
     try:
-        return units.decide_up(rise, usual_up, raw.name)
+        return upright.decide_up(rise, usual_up, raw.name)
     except UnitsError:
-        found = None if rise is None else units.axis_of_floor(rise, raw.positions, raw.visible)
+        found = None if rise is None else upright.axis_of_floor(rise, raw.positions, raw.visible)
         if found is None:
             raise
         return found
