@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from recon.core import limits, units
+from recon.core import limits, units, upright
 from recon.core.errors import FormatError, UnitsError
 from recon.core.units import Axis
 
@@ -157,8 +157,8 @@ def settle_skeleton(
     length = head_to_foot(raw.joint_names, raw.parents, raw.rest_offsets)
     unit, reason = _unit(unit, declared, length, units.unit_from_bones, raw.name)
     visible = np.ones(raw.positions.shape[:2], dtype=bool)
-    rise = units.head_above_feet(raw.joint_names, raw.positions, visible)
-    up, up_reason = (up, f"up axis {up}: given") if up else units.decide_up(rise, "y", raw.name)
+    rise = upright.head_above_feet(raw.joint_names, raw.positions, visible)
+    up, up_reason = (up, f"up axis {up}: given") if up else upright.decide_up(rise, "y", raw.name)
     turn, metres = units.to_z_up(up), units.METRES[unit]
     limits.POSITION.check(raw.rest_offsets * metres, raw.name, "offsets of the joints")
     limits.POSITION.check(raw.positions * metres, raw.name, "[frame, joint, axis]")
@@ -204,13 +204,13 @@ def settle_markers(
     extent = np.median(ends[1].max(1) - ends[0].min(1), axis=0)
     unit, reason = _unit(unit, declared, float(extent.max()), units.unit_from_markers, raw.name)
     if up is None:
-        rise = units.head_above_feet(raw.marker_names, positions, visible)
+        rise = upright.head_above_feet(raw.marker_names, positions, visible)
         if rise is None and usual_up is None:
             rise = extent
         try:
-            up, up_reason = units.decide_up(rise, usual_up, raw.name)
+            up, up_reason = upright.decide_up(rise, usual_up, raw.name)
         except UnitsError:
-            floor = None if rise is None else units.axis_of_floor(rise, positions, visible)
+            floor = None if rise is None else upright.axis_of_floor(rise, positions, visible)
             if floor is None:
                 raise
             up, up_reason = floor
