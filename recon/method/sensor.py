@@ -12,7 +12,6 @@ from torch import Tensor
 
 from recon.body.model import BodyModel, PosedBody
 from recon.core import rotations as so3
-from recon.core.camera import Camera, transform
 from recon.core.errors import ObservationError
 from recon.core.motion import Motion
 from recon.core.residuals import Noise, Residuals, Unit
@@ -26,7 +25,9 @@ if TYPE_CHECKING:
     from observations.depth import PointCloud
     from observations.keypoints2d import Keypoints2D
     from observations.points import TrackedPoints
+    from recon.core.camera import Camera
 else:  # the code of a sensor is loaded with its data
+    from typing import Any as Camera
     from typing import Any as Keypoints2D
     from typing import Any as PointCloud
     from typing import Any as TrackedPoints
@@ -306,7 +307,7 @@ class Sensor(TensorStruct):
             return self.derived(camera=camera)
         T = torch.from_numpy(T_new_old).to(self.values)
         points = self.vectors == "points"
-        values = transform(T, self.values) if points else self.values @ T[:3, :3].mT
+        values = so3.transform(T, self.values) if points else self.values @ T[:3, :3].mT
         name = self.timed[0]
         return self.derived(**{name: values.where(self.shown[..., None], 0.0)}, camera=camera)
 
