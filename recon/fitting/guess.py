@@ -21,9 +21,9 @@ def guessed(
     if len({one.ground_known for one in observations}) > 1:
         said = ", ".join(f"{one.kind} {one.ground_known}" for one in observations)
         raise ObservationError(
-            "observations share one frame, and some say that its z = 0 is the ground and some that "
-            f"this is unknown (ground_known: {said}). Make ground_known the same in all, or give "
-            "recon.fit ground='known' or 'unknown'; cameras know it by their pose, T_camera_world"
+            "observations share one frame, and only some say that its z = 0 is the ground "
+            f"(ground_known: {said}). Make ground_known the same in all, or give recon.fit "
+            "ground='known' or 'unknown'; cameras know it by their pose, T_camera_world"
         )
     if start is not None:
         seen = tuple(observations)
