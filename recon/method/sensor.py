@@ -129,7 +129,7 @@ class Sensor(TensorStruct):
                 got = f" of {tuple(tensor.shape)}" if hasattr(tensor, "shape") else ""
                 dims = ", dims" if field == "values" else ""
                 raise ObservationError(
-                    f"{name}.{field}: expected a torch tensor with the axes (frames, points{dims}) "
+                    f"{name}.{field}: expected a tensor of torch with axes (frames, points{dims}) "
                     f"and any axes of clips before them, got {type(tensor).__name__}{got}"
                 )
         if self.shown.shape != self.values.shape[:-1] or self.shown.dtype != torch.bool:

@@ -142,7 +142,7 @@ def test_a_sensor_whose_fields_do_not_fit_is_refused_by_name():
     for wrong, words in (
         (seen.replace(shown=seen.shown[:, :1]), "Imus.shown: expected booleans"),
         (seen.replace(values=seen.values[..., :2]), "three coordinates"),
-        (seen.replace(values=seen.values.numpy()), "Imus.values: expected a torch tensor"),
+        (seen.replace(values=seen.values.numpy()), "Imus.values: expected a tensor of torch"),
         (seen.replace(values=seen.values[:, 0, 0]), r"Imus.values: .*got Tensor of \(16,\)"),
         (seen.replace(values=spoiled), "nan or inf"),
         (seen.replace(bones=seen.bones[:1]), "predict: expected axes"),
