@@ -13,7 +13,7 @@ from recon.body.model import BodyModel
 from recon.core.errors import ObservationError, ReconError
 from recon.fitting.ground import LEVEL_CAMERA, camera_above, world_above
 from recon.fitting.observed import Clip
-from recon.method.sensor import Sensor, unposed_camera
+from recon.method.sensor import Sensor, frame_is_level, unposed_camera
 
 Plane = tuple[float, float, float, float]
 """(nx, ny, nz, d): the points x of the ground have n·x = d in the observations' frame, metres."""
@@ -97,7 +97,7 @@ def on_ground(clip: Clip, ground: Any) -> Sighting:
     if unposed:
         found = _carried(clip, camera_above(plane), known=False)
     else:
-        level = all(one.level for one in clip.observations)
+        level = frame_is_level(clip.observations)
         found = _carried(clip, world_above(plane), known=level)
     return replace(found, clip=replace(found.clip, ground_given=True))
 

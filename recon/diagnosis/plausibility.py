@@ -1,6 +1,6 @@
 """What a fitted person says about the input: size and soles; in words."""
 
-from recon.body.identities import ODDEST, SHORTEST_BODY, TALLEST_BODY, height
+from recon.body.model import ODDEST, SHORTEST_BODY, TALLEST_BODY
 from recon.diagnosis.findings import Finding
 from recon.fitting.fitted import ClipFit
 from recon.fitting.ground import sole_heights
@@ -22,7 +22,7 @@ def body_warnings(found: ClipFit) -> list[Finding]:
     Where no camera and no ground tells sizes, the prior does, and nothing can be said.
     """
     posed = found.result.estimate.body
-    tall = float(height(posed.model, posed.shape.detach()).mean())
+    tall = float(posed.model.height(posed.shape.detach()).mean())
     warnings: list[Finding] = []
     if not SHORTEST_BODY < tall < TALLEST_BODY and not _is_child(found, tall):
         warnings.append(
@@ -60,7 +60,7 @@ def body_warnings(found: ClipFit) -> list[Finding]:
 def child_findings(found: ClipFit) -> list[Finding]:
     """Points in metres that a small body fits show a child, which is no fault of the data."""
     posed = found.result.estimate.body
-    tall = float(height(posed.model, posed.shape.detach()).mean())
+    tall = float(posed.model.height(posed.shape.detach()).mean())
     if not _is_child(found, tall):
         return []
     return [

@@ -11,7 +11,6 @@ from torch import Tensor
 
 from recon.body.model import BodyModel
 from recon.body.soles import Soles, Stance
-from recon.core.camera import Ground, world_from_camera
 from recon.core.errors import ObservationError
 from recon.core.motion import Motion
 from recon.core.scene import TILT, UnknownGround
@@ -81,8 +80,7 @@ def camera_above(ground: tuple[float, float, float, float]) -> Float[np.ndarray,
     Raises:
         ValueError: when the normal is zero, or the camera is below the ground.
     """
-    plane = Ground.create(torch.tensor(ground[:3]), torch.tensor(ground[3]))
-    if not float(plane.offset) < 0:
+    if not ground[3] < 0:
         raise ObservationError(
             f"the ground {ground} is not below the camera: expected (nx, ny, nz, d) with the "
             "normal up and d < 0, such as (0, -1, 0, -1.2) for a level camera 1.2 m above it"
@@ -98,5 +96,7 @@ def world_above(ground: tuple[float, float, float, float]) -> Float[np.ndarray, 
     Raises:
         ValueError: when the normal is zero.
     """
+    from recon.core.camera import Ground, world_from_camera  # few planes are given
+
     plane = Ground.create(torch.tensor(ground[:3]), torch.tensor(ground[3]))
     return world_from_camera(plane, torch.tensor(_FACING), torch.zeros(3)).double().numpy()

@@ -6,8 +6,8 @@ import pytest
 import torch
 
 from recon.core import rotations as so3
-from recon.core.camera import transform
 from recon.core.motion import Motion
+from recon.core.rotations import transform
 from recon.fitting.clip import fit_clip
 from recon.fitting.ground import ground_below, mean_up, pelvis_path, sole_heights, upright_ground
 from recon.fitting.methods import FitOptions
