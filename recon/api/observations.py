@@ -12,7 +12,7 @@ from jaxtyping import Float
 from recon.body.model import BodyModel
 from recon.core.errors import ObservationError, ReconError
 from recon.fitting.observed import Clip
-from recon.method.sensor import Sensor, unposed_camera
+from recon.method.sensor import Sensor, frame_is_level, unposed_camera
 
 Plane = tuple[float, float, float, float]
 """(nx, ny, nz, d): the points x of the ground have n·x = d in the observations' frame, metres."""
@@ -100,7 +100,7 @@ def on_ground(clip: Clip, ground: Any) -> Sighting:
     if unposed:
         found = _carried(clip, camera_above(plane), known=False)
     else:
-        level = all(one.level for one in clip.observations)
+        level = frame_is_level(clip.observations)
         found = _carried(clip, world_above(plane), known=level)
     return replace(found, clip=replace(found.clip, ground_given=True))
 

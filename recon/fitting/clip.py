@@ -30,7 +30,7 @@ from recon.fitting.stages import (
     without_root,
 )
 from recon.method.reconstruction import Reconstruction, solve
-from recon.method.sensor import Sensor, views_of
+from recon.method.sensor import Sensor, frame_is_level, views_of
 from recon.method.stages import Stage, Stages, Watch
 from recon.method.terms import Term, ground_moved, lens_changed, offsets
 
@@ -315,8 +315,7 @@ class ClipProblem:
         from recon.fitting.ground import ground_below, pelvis_path, upright_ground
 
         start = self.guess.motion
-        level = all(one.level for one in self.observations)
-        if level:  # the recording's z is up, only heights are not known
+        if frame_is_level(self.observations):  # z is up, only heights are not known
             start, unknown = self.free(), HEIGHT
             ground = ground_below(start, self.body)
         elif self.ground_seen:

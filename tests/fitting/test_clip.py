@@ -157,7 +157,7 @@ def test_long_recordings_keep_one_ground(monkeypatch):
 
 def test_posed_and_unposed_together_are_refused():
     seen = one_view(walk(16))
-    with pytest.raises(ValueError, match="give every camera its pose"):
+    with pytest.raises(ValueError, match="ground_known the same in all"):
         fit_clip([seen, lost(seen)], POSE, bundled())
 
 
