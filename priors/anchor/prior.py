@@ -20,7 +20,7 @@ from recon.core import rotations as so3
 from recon.core.errors import ReconError
 from recon.core.motion import Motion
 from recon.core.struct import TensorStruct, stack
-from recon.method.priors import CyclePrior
+from recon.method.cycle_prior import CyclePrior
 from recon.method.protocols import Decoded
 from recon.method.stages import Stage
 from recon.method.terms import Term, prior_energy

@@ -10,13 +10,14 @@ from jaxtyping import Float
 from torch import Tensor
 
 from priors.humor.collocation import Collocation
-from priors.humor.prior import Humor, HumorVariables
+from priors.humor.prior import Humor
 from priors.humor.terms import (
     bone_length,
     contact_height,
     contact_velocity,
     joint_consistency,
 )
+from priors.humor.unrolled import HumorVariables
 from priors.pose.prior import PosePrior, PoseWeights
 from recon.body.model import BodyModel
 from recon.core.motion import Motion

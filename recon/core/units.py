@@ -1,4 +1,4 @@
-"""Units of length and axes that point up: their names, conversions, and units by a body's size."""
+"""Units of length and axes that point up: their names and conversions."""
 
 from typing import Literal, get_args
 
@@ -22,70 +22,12 @@ _SPELLINGS = {
     "in": "inch", "inches": "inch",
 }  # fmt: skip
 
-_BODY_LENGTH = (1.0, 2.2)
-"""Metres along the bones from the head to a foot: children to the tallest adults. Narrower than
-the closest pair of candidate units (a ratio of 2.22), so no length fits two of them."""
-_MARKER_EXTENT = (0.5, 2.5)
-"""Metres spanned by markers, upright or crouched; only m, cm and mm can be told apart by it."""
-_SANE_EXTENT = (0.05, 10.0)
-"""Metres; outside it no body was recorded and the unit a file declares is wrong."""
-
 
 def parse_unit(text: str) -> str | None:
     """One of `METRES` for the spelling used in a file; None for an empty or foreign word."""
     word = text.strip().lower()
     word = _SPELLINGS.get(word, word)
     return word if word in METRES else None
-
-
-def unit_from_bones(length: float, name: str) -> tuple[str, str]:
-    """Unit in which a head-to-foot bone path is as long as that of a person, and the reason.
-
-    Raises:
-        ValueError: when no unit fits.
-    """
-    low, high = _BODY_LENGTH
-    fitting = [unit for unit, metres in METRES.items() if low <= length * metres <= high]
-    if len(fitting) != 1:
-        raise UnitsError(
-            f"{name}: the bones from head to foot measure {length:.4g} units, which is "
-            f"{low} m to {high} m in none of {', '.join(METRES)}; give the unit with --unit"
-        )
-    metres = METRES[fitting[0]]
-    return fitting[
-        0
-    ], f"unit {fitting[0]}: head to foot is {length * metres:.2f} m along the bones"
-
-
-def unit_from_markers(extent: float, name: str) -> tuple[str, str]:
-    """Unit in which markers span as much as a person, and the reason.
-
-    Raises:
-        ValueError: when no unit fits.
-    """
-    low, high = _MARKER_EXTENT
-    fitting = [unit for unit in ("m", "cm", "mm") if low <= extent * METRES[unit] <= high]
-    if len(fitting) != 1:
-        raise UnitsError(
-            f"{name}: the markers span {extent:.4g} units, which is {low} m to {high} m in none "
-            "of m, cm, mm; give the unit with --unit"
-        )
-    return fitting[0], f"unit {fitting[0]}: the markers span {extent * METRES[fitting[0]]:.2f} m"
-
-
-def check_declared(unit: str, size: float, name: str) -> str:
-    """The reason for a unit that the file itself states, once its size is possible.
-
-    Raises:
-        ValueError: when no body has that size.
-    """
-    metres = size * METRES[unit]
-    if not _SANE_EXTENT[0] <= metres <= _SANE_EXTENT[1]:
-        raise UnitsError(
-            f"{name}: the file says its unit is {unit}, but then the body measures "
-            f"{metres:.4g} m; give the true unit with --unit"
-        )
-    return f"unit {unit}: stated by the file"
 
 
 def check_override(unit: str | None) -> None:

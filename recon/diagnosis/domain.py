@@ -18,7 +18,7 @@ from recon.diagnosis.findings import Finding
 from recon.fitting.fitted import ClipFit
 from recon.fitting.observed import seen_times
 from recon.fitting.recording import SWING
-from recon.method.priors import CyclePrior
+from recon.method.cycle_prior import CyclePrior
 
 _COVERED = 0.75
 """Share of the completed motion that this cycle must be."""

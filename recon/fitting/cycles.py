@@ -22,7 +22,8 @@ from recon.core.scene import OFFSETS, Scene
 from recon.core.struct import concatenate
 from recon.fitting.fitted import ClipFit
 from recon.fitting.methods import FitOptions, loaded
-from recon.method.priors import CyclePrior, PriorLike
+from recon.method.cycle_prior import CyclePrior
+from recon.method.priors import PriorLike
 from recon.method.protocols import REFERENCE_FPS
 from recon.method.reconstruction import Reconstruction, data_terms
 from recon.method.running import Hypotheses, rank, run_hypotheses

@@ -17,7 +17,7 @@ from recon.core.residuals import Noise
 from recon.core.scene import Scene
 from recon.core.skeleton import JOINTS
 from recon.fitting.stages import shape_held
-from recon.method.priors import CyclePrior
+from recon.method.cycle_prior import CyclePrior
 from recon.method.protocols import Decoded, Estimate
 from recon.method.reconstruction import data_terms
 from recon.method.running import run_stages

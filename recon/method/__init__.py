@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from recon.body.model import PosedBody as PosedBody
+    from recon.method.cycle_prior import CyclePrior as CyclePrior
     from recon.method.free import FreeMotion as FreeMotion
-    from recon.method.priors import CyclePrior as CyclePrior
     from recon.method.priors import Density as Density
     from recon.method.priors import Prior as Prior
     from recon.method.protocols import Decoded as Decoded
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from recon.solver.lbfgs import LBFGS as LBFGS
 
 _HOMES = {
-    "CyclePrior": "recon.method.priors",
+    "CyclePrior": "recon.method.cycle_prior",
     "Decoded": "recon.method.protocols",
     "Density": "recon.method.priors",
     "Estimate": "recon.method.protocols",

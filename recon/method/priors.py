@@ -3,11 +3,12 @@
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from importlib import import_module
 from inspect import signature
 from typing import TYPE_CHECKING, Any, ClassVar, Generic
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
 from recon.body.model import BodyModel
@@ -166,61 +167,6 @@ def all_energies(estimate: Estimate) -> Float[Tensor, "*batch"]:
     return sum(estimate.decoded.energies.values(), none)
 
 
-class CyclePrior(Prior[S]):
-    """A prior of whole cycles of gait, each of which is one code; beginnings are searched."""
-
-    completes: ClassVar[bool] = True
-
-    def stages(
-        self,
-        data: tuple[Term, ...],
-        noise: float = USUAL_NOISE,
-        body: BodyModel | None = None,
-        method: str | None = None,
-    ) -> tuple[Stage[Any], ...]:
-        """Stages from a cycle that is roughly right."""
-        del body, method
-        return (*self.coded(data, noise), *self.details(data, noise))
-
-    @property
-    @abstractmethod
-    def code_size(self) -> int:
-        """Numbers in a code."""
-
-    @property
-    @abstractmethod
-    def typical(self) -> Float[Tensor, "typical code"]:
-        """Codes of a few cycles that are unlike each other, to begin with."""
-
-    @abstractmethod
-    def paths(self, shape: Float[Tensor, " shape"]) -> Float[Tensor, "typical moments 3"]:
-        """The path of the pelvis in each typical cycle, at even moments, metres."""
-
-    @abstractmethod
-    def variables(
-        self,
-        codes: Float[Tensor, "*batch code"],
-        shape: Float[Tensor, "*batch shape"],
-        base: Float[Tensor, "*batch 4 4"],
-        valid: Bool[Tensor, "*batch time"],
-        fps: float,
-        start_time: float = 0.0,
-    ) -> S:
-        """The cycles of these codes, placed in the world and on a clock."""
-
-    @abstractmethod
-    def search(self, data: tuple[Term, ...], noise: float) -> tuple[Stage[Any], ...]:
-        """A quick fit that tells good beginnings from bad ones."""
-
-    @abstractmethod
-    def coded(self, data: tuple[Term, ...], noise: float) -> tuple[Stage[Any], ...]:
-        """Stages from a cycle that is roughly right to the best of the prior's."""
-
-    @abstractmethod
-    def details(self, data: tuple[Term, ...], noise: float) -> tuple[Stage[Any], ...]:
-        """Stages for what no code of the prior has; for data that are dense enough to tell it."""
-
-
 PriorLike = Any
 """A `Prior`, or an object as version 0.2 had them, with `method(noise, body)` that gives an object
 with `stages(data)`, or with `stages(data)` itself."""
@@ -293,3 +239,10 @@ class _FormerPrior(Prior[TensorStruct]):
         priors = {id(stage.prior): stage.prior for stage in made}
         own = {key: as_prior(prior) for key, prior in priors.items()}
         return tuple(replace(stage, prior=own[id(stage.prior)]) for stage in made)
+
+
+def __getattr__(name: str) -> Any:
+    """`CyclePrior`, which plug-ins of version 0.2 import from here."""
+    if name == "CyclePrior":
+        return import_module("recon.method.cycle_prior").CyclePrior
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -18,7 +18,7 @@ from recon.core.errors import ReconError
 from recon.core.struct import TensorStruct
 from recon.method.protocols import REFERENCE_FPS, Estimate
 from recon.method.terms import Term
-from recon.physics.mass import Dynamics, body_dynamics, difference_step, inner, vertex_masses
+from recon.physics.dynamics import Dynamics, body_dynamics, difference_step, inner, vertex_masses
 from recon.physics.zmp import centre_of_pressure, smoothstep, supported, zmp
 
 TOLERANCE = 0.005

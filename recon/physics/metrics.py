@@ -15,16 +15,16 @@ from recon.core.motion import Motion
 from recon.core.skeleton import FEET
 from recon.core.struct import TensorStruct, concatenate
 from recon.metrics import errors as metrics
-from recon.physics.energies import TOLERANCE
-from recon.physics.mass import (
+from recon.physics.dynamics import (
     SPAN,
     Dynamics,
     body_dynamics,
-    centre_of_mass,
     difference_step,
     vertex_masses,
     vertex_masses_as_published,
 )
+from recon.physics.energies import TOLERANCE
+from recon.physics.mass import centre_of_mass
 from recon.physics.zmp import distances_to_support, supported, supporting, zmp, zmp_as_released
 
 JOINT_CONTACT = 0.015

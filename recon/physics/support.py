@@ -17,8 +17,9 @@ from recon.body.contacts import rest_heights, touching_heights
 from recon.core.skeleton import FEET
 from recon.core.struct import TensorStruct
 from recon.method.protocols import REFERENCE_FPS, Estimate
+from recon.physics.dynamics import difference_step, inner, second_differences
 from recon.physics.energies import dynamics_of
-from recon.physics.mass import GRAVITY, difference_step, inner, second_differences
+from recon.physics.mass import GRAVITY
 from recon.physics.zmp import zmp
 from recon.solver.banded import add_differences
 

@@ -3,18 +3,22 @@
 import numpy as np
 import pytest
 
+from recon.core.told_by_body import (
+    check_declared,
+    decide_up,
+    head_above_feet,
+    surely_up,
+    unit_from_bones,
+    unit_from_markers,
+)
 from recon.core.units import (
     METRES,
     Up,
-    check_declared,
     check_override,
     parse_unit,
     snapped_rate,
     to_z_up,
-    unit_from_bones,
-    unit_from_markers,
 )
-from recon.core.upright import decide_up, head_above_feet, surely_up
 
 
 @pytest.mark.parametrize("unit", list(METRES))

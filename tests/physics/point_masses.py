@@ -4,7 +4,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from recon.physics.mass import Dynamics, inner, second_differences
+from recon.physics.dynamics import Dynamics, inner, second_differences
 
 
 def points_dynamics(

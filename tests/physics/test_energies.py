@@ -5,8 +5,8 @@ import torch
 
 from recon.core import rotations as so3
 from recon.physics import energies as physics
+from recon.physics.dynamics import difference_step
 from recon.physics.energies import FloatingUnlessFlying
-from recon.physics.mass import difference_step
 from recon.physics.zmp import GRAVITY
 from tests import laws
 from tests.standing_body import path, standing, times

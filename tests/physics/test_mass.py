@@ -4,8 +4,9 @@ import pytest
 import torch
 
 from recon.body.parts import PARTS, Parts, part_volumes
-from recon.physics import mass
-from recon.physics.mass import body_dynamics, centre_of_mass, second_differences
+from recon.physics import dynamics, mass
+from recon.physics.dynamics import body_dynamics, second_differences
+from recon.physics.mass import centre_of_mass
 from tests import laws
 from tests.physics.point_masses import points_dynamics
 from tests.standing_body import path, standing, times
@@ -14,7 +15,7 @@ from tests.standing_body import path, standing, times
 def test_bones_move_mass_as_all_vertices_do(body) -> None:
     motion = laws.a_motion(body, frames=5, fps=20.0)
     posed = body.pose(motion)
-    masses = 70 * mass.vertex_masses(body, motion.shape)
+    masses = 70 * dynamics.vertex_masses(body, motion.shape)
     ours, theirs = (
         body_dynamics(posed, masses, 20.0),
         points_dynamics(posed.vertices, masses, 20.0),
@@ -43,23 +44,23 @@ def test_second_differences_span_a_twentieth_of_a_second_at_any_rate() -> None:
         t = times(0.5, fps)
         bends = second_differences((3 * t.square())[:, None, None], fps)
         assert torch.allclose(bends, torch.full_like(bends, 6.0), rtol=1e-9)
-        assert len(bends) == len(t) - 2 * mass.difference_step(fps)
-    assert mass.difference_step(120.0) == 6
-    assert mass.difference_step(10.0) == 1
+        assert len(bends) == len(t) - 2 * dynamics.difference_step(fps)
+    assert dynamics.difference_step(120.0) == 6
+    assert dynamics.difference_step(10.0) == 1
 
 
 def test_clips_too_short_for_accelerations_have_none() -> None:
     for frames in (0, 1, 2):
         assert second_differences(torch.zeros(2, frames, 4, 3), 20.0).shape == (2, 0, 4, 3)
-        assert mass.inner(torch.zeros(2, frames, 4, 3), 20.0).shape == (2, 0, 4, 3)
+        assert dynamics.inner(torch.zeros(2, frames, 4, 3), 20.0).shape == (2, 0, 4, 3)
 
 
 def test_masses_are_shares_by_part_and_published_ones_too(body) -> None:
     parts = Parts.of(body)
     rest = body.rest_vertices(torch.zeros(body.shape_size, dtype=torch.float64))
     volumes = part_volumes(rest, parts)
-    ours = mass.vertex_masses(body, torch.zeros(body.shape_size, dtype=torch.float64))
-    published = mass.vertex_masses_as_published(rest, parts)
+    ours = dynamics.vertex_masses(body, torch.zeros(body.shape_size, dtype=torch.float64))
+    published = dynamics.vertex_masses_as_published(rest, parts)
     for masses in (ours, published):
         of_part = masses.new_zeros(len(PARTS)).index_add(0, parts.of_vertex, masses)
         assert torch.allclose(of_part, volumes / volumes.sum(), rtol=1e-9)
@@ -72,7 +73,7 @@ def test_masses_are_shares_by_part_and_published_ones_too(body) -> None:
 def test_the_centre_of_a_standing_body_is_at_its_pelvis(body) -> None:
     motion = standing(body, path(like=times(0.1)))
     posed = body.pose(motion)
-    centre = centre_of_mass(posed, mass.vertex_masses(body, motion.shape))[0]
+    centre = centre_of_mass(posed, dynamics.vertex_masses(body, motion.shape))[0]
     assert abs(centre[0] - posed.joints[0, 0, 0]) < 1e-3  # metres
     height = (posed.vertices[0, :, 2].amax()).item()
     assert 0.52 < centre[2].item() / height < 0.62

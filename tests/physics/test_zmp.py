@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from recon.physics.mass import Dynamics
+from recon.physics.dynamics import Dynamics
 from recon.physics.zmp import GRAVITY, RELEASED_GRAVITY, load, supported, zmp, zmp_as_released
 from tests.physics.point_masses import points_dynamics
 

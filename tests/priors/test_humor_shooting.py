@@ -8,8 +8,8 @@ import torch
 
 from observations.joints3d import Joints3D
 from priors.humor.collocation import Collocation
-from priors.humor.prior import HumorVariables
 from priors.humor.shooting import PUBLISHED, HumorWeights, Schedule, Shooting
+from priors.humor.unrolled import HumorVariables
 from priors.pose.prior import PosePrior
 from recon.body.model import BodyModel
 from recon.core import rotations as so3

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from recon.core import limits, units, upright
+from recon.core import limits, units
+from recon.core import told_by_body as told
 from recon.core.errors import FormatError, UnitsError
 from recon.core.units import Axis
 
@@ -155,10 +156,10 @@ def settle_skeleton(
     if not all(np.isfinite(array).all() for array in arrays):
         raise FormatError(f"{raw.name}: expected finite numbers, got NaN or infinity")
     length = head_to_foot(raw.joint_names, raw.parents, raw.rest_offsets)
-    unit, reason = _unit(unit, declared, length, units.unit_from_bones, raw.name)
+    unit, reason = _unit(unit, declared, length, told.unit_from_bones, raw.name)
     visible = np.ones(raw.positions.shape[:2], dtype=bool)
-    rise = upright.head_above_feet(raw.joint_names, raw.positions, visible)
-    up, up_reason = (up, f"up axis {up}: given") if up else upright.decide_up(rise, "y", raw.name)
+    rise = told.head_above_feet(raw.joint_names, raw.positions, visible)
+    up, up_reason = (up, f"up axis {up}: given") if up else told.decide_up(rise, "y", raw.name)
     turn, metres = units.to_z_up(up), units.METRES[unit]
     limits.POSITION.check(raw.rest_offsets * metres, raw.name, "offsets of the joints")
     limits.POSITION.check(raw.positions * metres, raw.name, "[frame, joint, axis]")
@@ -202,15 +203,15 @@ def settle_markers(
     shown = visible.any(1)
     ends = [np.where(visible[..., None], positions, far)[shown] for far in (math.inf, -math.inf)]
     extent = np.median(ends[1].max(1) - ends[0].min(1), axis=0)
-    unit, reason = _unit(unit, declared, float(extent.max()), units.unit_from_markers, raw.name)
+    unit, reason = _unit(unit, declared, float(extent.max()), told.unit_from_markers, raw.name)
     if up is None:
-        rise = upright.head_above_feet(raw.marker_names, positions, visible)
+        rise = told.head_above_feet(raw.marker_names, positions, visible)
         if rise is None and usual_up is None:
             rise = extent
         try:
-            up, up_reason = upright.decide_up(rise, usual_up, raw.name)
+            up, up_reason = told.decide_up(rise, usual_up, raw.name)
         except UnitsError:
-            floor = None if rise is None else upright.axis_of_floor(rise, positions, visible)
+            floor = None if rise is None else told.axis_of_floor(rise, positions, visible)
             if floor is None:
                 raise
             up, up_reason = floor
@@ -244,7 +245,7 @@ def _unit(
     if given is not None:
         return given, f"unit {given}: given"
     if declared is not None:
-        return declared, units.check_declared(declared, size, name)
+        return declared, told.check_declared(declared, size, name)
     return guess(size, name)
 
 

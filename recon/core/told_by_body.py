@@ -1,4 +1,4 @@
-"""Which axis of a recording points up, by how the body stands in it."""
+"""Unit and up axis of a recording, told by the size of the body in it and by how it stands."""
 
 import re
 from collections.abc import Sequence
@@ -8,9 +8,17 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from recon.core.errors import UnitsError
-from recon.core.units import AXES, Axis, Up
+from recon.core.units import AXES, METRES, Axis, Up
 
 _DOWN: dict[Axis, Up] = {"x": "x-down", "y": "y-down", "z": "z-down"}
+_BODY_LENGTH = (1.0, 2.2)
+"""Metres along the bones from the head to a foot: children to the tallest adults. Narrower than
+the closest pair of candidate units (a ratio of 2.22), so no length fits two of them."""
+_MARKER_EXTENT = (0.5, 2.5)
+"""Metres spanned by markers, upright or crouched; only m, cm and mm can be told apart by it."""
+_SANE_EXTENT = (0.05, 10.0)
+"""Metres; outside it no body was recorded and the unit a file declares is wrong."""
+
 _LOW = re.compile(
     r"foot|toe|heel|hee$|hel$|ank|calc|cal$|mt\d|\dmt|meta|mal$|^[lr]_?f(cc|al|m\d)$"
 )
@@ -31,6 +39,56 @@ _STEADY = 0.25
 moves over a floor goes up and down."""
 _STILL = 0.02
 """Share of the body's size by which a point moves that stands in the room."""
+
+
+def unit_from_bones(length: float, name: str) -> tuple[str, str]:
+    """Unit in which a head-to-foot bone path is as long as that of a person, and the reason.
+
+    Raises:
+        ValueError: when no unit fits.
+    """
+    low, high = _BODY_LENGTH
+    fitting = [unit for unit, metres in METRES.items() if low <= length * metres <= high]
+    if len(fitting) != 1:
+        raise UnitsError(
+            f"{name}: the bones from head to foot measure {length:.4g} units, which is "
+            f"{low} m to {high} m in none of {', '.join(METRES)}; give the unit with --unit"
+        )
+    metres = METRES[fitting[0]]
+    return fitting[
+        0
+    ], f"unit {fitting[0]}: head to foot is {length * metres:.2f} m along the bones"
+
+
+def unit_from_markers(extent: float, name: str) -> tuple[str, str]:
+    """Unit in which markers span as much as a person, and the reason.
+
+    Raises:
+        ValueError: when no unit fits.
+    """
+    low, high = _MARKER_EXTENT
+    fitting = [unit for unit in ("m", "cm", "mm") if low <= extent * METRES[unit] <= high]
+    if len(fitting) != 1:
+        raise UnitsError(
+            f"{name}: the markers span {extent:.4g} units, which is {low} m to {high} m in none "
+            "of m, cm, mm; give the unit with --unit"
+        )
+    return fitting[0], f"unit {fitting[0]}: the markers span {extent * METRES[fitting[0]]:.2f} m"
+
+
+def check_declared(unit: str, size: float, name: str) -> str:
+    """The reason for a unit that the file itself states, once its size is possible.
+
+    Raises:
+        ValueError: when no body has that size.
+    """
+    metres = size * METRES[unit]
+    if not _SANE_EXTENT[0] <= metres <= _SANE_EXTENT[1]:
+        raise UnitsError(
+            f"{name}: the file says its unit is {unit}, but then the body measures "
+            f"{metres:.4g} m; give the true unit with --unit"
+        )
+    return f"unit {unit}: stated by the file"
 
 
 def head_above_feet(

@@ -1,0 +1,163 @@
+"""Motions as a first state and latents: variables of the roll-out, and what they decode to."""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from priors.humor.rollout import roll_out
+from priors.humor.state import (
+    Frame,
+    State,
+    compose,
+    contact_probabilities,
+    initial_features,
+    states_of,
+)
+from recon.body.model import BodyModel
+from recon.core import rotations as so3
+from recon.core.motion import Motion, carried_translation
+from recon.core.struct import TensorStruct
+from recon.method.protocols import REFERENCE_FPS, Decoded
+
+_LOG_TWO_PI = math.log(2 * math.pi)
+
+
+@dataclass(frozen=True)
+class HumorVariables(TensorStruct):
+    """A first state, as steps of its rotations away from a base, and what follows; at 30 Hz."""
+
+    translation: Float[Tensor, "clips 3"]
+    """SMPL translation of the first frame, metres."""
+    root: Float[Tensor, "clips 3"]
+    """Rotation vector of the root, relative to `base`, radians."""
+    pose: Float[Tensor, "clips 21 3"]
+    """Rotation vectors of the other joints: R = base · Exp(pose), radians."""
+    velocity: Float[Tensor, "clips 3"]
+    """Velocity of the pelvis in the first frame, m/s."""
+    angular_velocity: Float[Tensor, "clips 3"]
+    """Angular velocity of the root in the world, rad/s."""
+    joint_velocities: Float[Tensor, "clips 21 3"]
+    """Velocities in the world of all joints but the pelvis, m/s."""
+    latents: Float[Tensor, "clips steps 48"]
+    shape: Float[Tensor, "clips shape"]
+    base: Float[Tensor, "clips 22 3 3"]
+    valid: Bool[Tensor, "clips time"]
+    start_time: float
+
+    def carried(self, T: Float[Tensor, "clips 4 4"], body: BodyModel) -> "HumorVariables":
+        """Variables of a motion that begins in the first state after a rigid transform.
+
+        Latents are changes as the body sees them and stay. Where the transform tilts, the
+        roll-out from there is another motion, because the decoder knows where up is.
+        """
+        turn, pelvis = T[:, :3, :3], body.rest_joints(self.shape)[:, 0]
+        return self.replace(
+            translation=carried_translation(self.translation[:, None], T, pelvis)[:, 0],
+            velocity=(turn @ self.velocity[..., None])[..., 0],
+            angular_velocity=(turn @ self.angular_velocity[..., None])[..., 0],
+            joint_velocities=self.joint_velocities @ turn.mT,
+            base=torch.cat((turn[:, None] @ self.base[:, :1], self.base[:, 1:]), 1),
+        )
+
+    def first(self, frames: int) -> "HumorVariables":
+        """Variables of the motion's first frames."""
+        return self.derived(latents=self.latents[:, : frames - 1], valid=self.valid[:, :frames])
+
+
+def encoded(humor: Any, motion: Motion) -> HumorVariables:
+    """First state and posterior means of a motion; see `Humor.encode`."""
+    motion = motion.resample(REFERENCE_FPS)
+    states = states_of(motion, humor.body)
+    first = states[:, 0]
+    zero = torch.zeros_like(motion.rotations[:, 0, :, 0])
+    return HumorVariables(
+        translation=first.translation,
+        root=zero[:, 0],
+        pose=zero[:, 1:],
+        velocity=first.velocity,
+        angular_velocity=first.angular_velocity,
+        joint_velocities=first.joint_velocities[:, 1:],
+        latents=_latents_along(humor, states, humor.pelvis(motion.shape)),
+        shape=motion.shape,
+        base=motion.rotations[:, 0],
+        valid=motion.valid,
+        start_time=motion.start_time,
+    )
+
+
+def decoded(humor: Any, variables: HumorVariables) -> Decoded:
+    """The motion of a first state and latents; see `Humor.decode`."""
+    first, pelvis = _first(humor, variables), humor.pelvis(variables.shape)
+    frame = Frame.of(first)
+    start = frame.enter(first, pelvis)
+    rollout = roll_out(humor.decoder, start.pack(), pelvis, variables.latents)
+    states = rollout.in_world(frame, pelvis)
+    mean, log_variance = humor.networks.prior(rollout.inputs)
+    away = (variables.latents - mean).square() * (-log_variance).exp()
+    nats = 0.5 * (away + log_variance + _LOG_TWO_PI).sum(-1)
+    motion = _motion(first, states, variables.shape, variables.start_time)
+    return Decoded(
+        motion=motion.replace(valid=variables.valid),
+        energies={
+            "transition": nats.where(variables.valid[:, 1:], 0.0).sum(-1),
+            "initial": humor.initial.energy(initial_features(start)),
+        },
+        contacts=contact_probabilities(rollout.contacts),
+        joints=torch.cat((first.joints[:, None], states.joints), 1),
+    )
+
+
+def _first(humor: Any, variables: HumorVariables) -> State:
+    steps = torch.cat((variables.root[:, None], variables.pose), 1)
+    rotations = variables.base @ so3.exp(steps)
+    motion = Motion.create(
+        variables.translation[:, None], rotations[:, None], variables.shape, REFERENCE_FPS
+    )
+    velocities = torch.cat((variables.velocity[:, None], variables.joint_velocities), 1)
+    return State(
+        translation=variables.translation,
+        velocity=variables.velocity,
+        root=rotations[:, 0],
+        angular_velocity=variables.angular_velocity,
+        pose=rotations[:, 1:],
+        joints=humor.body.pose(motion).joints[:, 0],
+        joint_velocities=velocities,
+    )
+
+
+def _latents_along(
+    humor: Any, states: State, pelvis: Float[Tensor, "clips 3"]
+) -> Float[Tensor, "clips steps 48"]:
+    """Posterior mean of every step from where the steps before have led.
+
+    Were each taken from the true state before, errors would add up over the roll-out.
+    """
+    frame = Frame.of(states[:, 0])
+    here = frame.enter(states[:, 0], pelvis).pack()
+    latents: list[Tensor] = []
+    for step in range(1, states.translation.shape[1]):
+        ahead = frame.enter(states[:, step], pelvis).pack()
+        latents.append(humor.networks.posterior(here, ahead)[0])
+        raw = humor.networks.decode(here, latents[-1])
+        reached = frame.leave(compose(State.unpack(here), raw)[0], pelvis)
+        frame = Frame.of(reached)
+        here = frame.enter(reached, pelvis).pack()
+    return torch.stack(latents, 1)
+
+
+def _motion(
+    first: State, states: State, shape: Float[Tensor, "clips shape"], start_time: float
+) -> Motion:
+    roots = torch.cat((first.root[:, None], states.root), 1)
+    poses = torch.cat((first.pose[:, None], states.pose), 1)
+    return Motion.create(
+        translation=torch.cat((first.translation[:, None], states.translation), 1),
+        rotations=torch.cat((roots[:, :, None], poses), 2),
+        shape=shape,
+        fps=REFERENCE_FPS,
+        start_time=start_time,
+    )

@@ -1,0 +1,68 @@
+"""A prior of whole cycles of gait, whose beginnings are searched."""
+
+from abc import abstractmethod
+from typing import Any, ClassVar
+
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from recon.body.model import BodyModel
+from recon.core.struct import S
+from recon.method.priors import USUAL_NOISE, Prior
+from recon.method.stages import Stage
+from recon.method.terms import Term
+
+
+class CyclePrior(Prior[S]):
+    """A prior of whole cycles of gait, each of which is one code; beginnings are searched."""
+
+    completes: ClassVar[bool] = True
+
+    def stages(
+        self,
+        data: tuple[Term, ...],
+        noise: float = USUAL_NOISE,
+        body: BodyModel | None = None,
+        method: str | None = None,
+    ) -> tuple[Stage[Any], ...]:
+        """Stages from a cycle that is roughly right."""
+        del body, method
+        return (*self.coded(data, noise), *self.details(data, noise))
+
+    @property
+    @abstractmethod
+    def code_size(self) -> int:
+        """Numbers in a code."""
+
+    @property
+    @abstractmethod
+    def typical(self) -> Float[Tensor, "typical code"]:
+        """Codes of a few cycles that are unlike each other, to begin with."""
+
+    @abstractmethod
+    def paths(self, shape: Float[Tensor, " shape"]) -> Float[Tensor, "typical moments 3"]:
+        """The path of the pelvis in each typical cycle, at even moments, metres."""
+
+    @abstractmethod
+    def variables(
+        self,
+        codes: Float[Tensor, "*batch code"],
+        shape: Float[Tensor, "*batch shape"],
+        base: Float[Tensor, "*batch 4 4"],
+        valid: Bool[Tensor, "*batch time"],
+        fps: float,
+        start_time: float = 0.0,
+    ) -> S:
+        """The cycles of these codes, placed in the world and on a clock."""
+
+    @abstractmethod
+    def search(self, data: tuple[Term, ...], noise: float) -> tuple[Stage[Any], ...]:
+        """A quick fit that tells good beginnings from bad ones."""
+
+    @abstractmethod
+    def coded(self, data: tuple[Term, ...], noise: float) -> tuple[Stage[Any], ...]:
+        """Stages from a cycle that is roughly right to the best of the prior's."""
+
+    @abstractmethod
+    def details(self, data: tuple[Term, ...], noise: float) -> tuple[Stage[Any], ...]:
+        """Stages for what no code of the prior has; for data that are dense enough to tell it."""

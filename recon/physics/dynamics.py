@@ -1,0 +1,115 @@
+"""The motion of a body's mass: acceleration of its centre, and the rate of angular momentum.
+
+A skinned vertex is linear in the bones, v = A_t u_v, so sums over all vertices of a body need no
+vertex: Σ m v aᵀ = A_t (Σ m u uᵀ) A''_tᵀ.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from recon.body.model import BodyModel, PosedBody
+from recon.body.parts import PARTS, Parts, part_volumes
+from recon.core.struct import TensorStruct
+from recon.physics.mass import affine_bones, first_moment, mass_moments, spread_over_skin
+
+SPAN = 1 / 20
+"""Seconds between the samples of a second difference: the frame time of HUMOS."""
+
+
+@dataclass(frozen=True)
+class Dynamics(TensorStruct):
+    """The motion of the body's mass, in the frames that have a neighbour on both sides."""
+
+    mass: Float[Tensor, "*batch"]
+    """kg, or 1 where only the distribution of mass is known; it cancels out of the ZMP."""
+    centre: Float[Tensor, "*batch inner 3"]
+    """Centre of mass G, metres."""
+    acceleration: Float[Tensor, "*batch inner 3"]
+    """Acceleration of the centre of mass, m/s²."""
+    spin: Float[Tensor, "*batch inner 3"]
+    """Rate of angular momentum about G, Σ m (v - G) × a, N m."""
+
+
+def difference_step(fps: float) -> int:
+    """Frames between the samples of a second difference: 1/20 s, at least one frame."""
+    return max(1, round(fps * SPAN))
+
+
+def second_differences(
+    values: Float[Tensor, "*batch time rows columns"], fps: float
+) -> Float[Tensor, "*batch inner rows columns"]:
+    """(x[t+s] - 2 x[t] + x[t-s]) / (s dt)² with s dt of 1/20 s at any rate; none at the ends.
+
+    A fixed span keeps the noise of fast recordings out: 1 mm of it is 1 m/s² at 20 Hz and
+    25 m/s² at 100 Hz.
+    """
+    step = difference_step(fps)
+    last = values.shape[-3]
+    before = values[..., : max(last - 2 * step, 0), :, :]
+    after = values[..., 2 * step :, :, :]
+    return (after - 2 * inner(values, fps) + before) * (fps / step) ** 2
+
+
+def inner(
+    values: Float[Tensor, "*batch time rows columns"], fps: float
+) -> Float[Tensor, "*batch inner rows columns"]:
+    """Values in the frames where second differences exist."""
+    step = difference_step(fps)
+    return values[..., step : max(values.shape[-3] - step, step), :, :]
+
+
+def body_dynamics(
+    posed: PosedBody, masses: Float[Tensor, "*batch vertices"], fps: float
+) -> Dynamics:
+    """Dynamics of all vertices of a body, without computing one.
+
+    With bones A_t = [R_j | s_j] and the second moments S = Σ m u uᵀ of u = [w_vj (x_v, 1)]:
+    Σ m v aᵀ = A S A''ᵀ, whose skew part less that of M G a_Gᵀ is the rate of angular momentum.
+    Exact for linear blend skinning; pose-dependent offsets (SMPL files) are left out.
+
+    Args:
+        posed: The body in every frame.
+        masses: Of its vertices, see `vertex_masses`.
+        fps: Frames per second.
+    """
+    total = masses.sum(-1)
+    moments = mass_moments(posed, masses / total[..., None])
+    bones = affine_bones(posed)
+    bends, places = second_differences(bones, fps), inner(bones, fps)
+    first = first_moment(moments)
+    centre, acceleration = (places @ first)[..., 0], (bends @ first)[..., 0]
+    product = places @ moments[..., None, :, :] @ bends.mT
+    product = product - centre[..., :, None] * acceleration[..., None, :]
+    skew = product - product.mT
+    spin = torch.stack((skew[..., 1, 2], skew[..., 2, 0], skew[..., 0, 1]), -1)
+    return Dynamics(total, centre, acceleration, total[..., None, None] * spin)
+
+
+def vertex_masses(
+    body: BodyModel, shape: Float[Tensor, "*batch shape"]
+) -> Float[Tensor, "*batch vertices"]:
+    """Share of every vertex in the body's mass: its part's volume, spread evenly over its skin.
+
+    m_v = V_part a_v / Σ_part a / Σ V. Volumes are those of the rest pose of this shape; the
+    spread within a part is that of the average body.
+    """
+    return spread_over_skin(body, part_volumes(body.rest_vertices(shape), Parts.of(body)))
+
+
+def vertex_masses_as_published(
+    vertices: Float[Tensor, "*batch vertices 3"], parts: Parts
+) -> Float[Tensor, "*batch vertices"]:
+    """V_part / N_part for each of the N_part vertices of a part, as released by HUMOS; sums to 1.
+
+    Densely meshed skin (face, fingers) counts more than it weighs.
+
+    Args:
+        vertices: Of the first frame, metres.
+        parts: Of the body.
+    """
+    volumes = part_volumes(vertices, parts)
+    count = torch.bincount(parts.of_vertex, minlength=len(PARTS))
+    return (volumes / volumes.sum(-1, keepdim=True) / count)[..., parts.of_vertex]
