@@ -12,7 +12,7 @@ from observations.correspondences import BodyPoints
 from recon.body.model import BodyModel
 from recon.core.errors import FormatError, UnitsError
 from recon.core.skeleton import JOINT, keypoint_names
-from recon.core.told_by_body import decide_any_up
+from recon.core.coordinates import decide_any_up
 from recon.core.units import METRES, Up, check_override, to_z_up
 from recon.formats.keypoints3d.labels import meant_keypoints
 from recon.formats.keypoints3d.reader import with_rate

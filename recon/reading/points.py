@@ -19,7 +19,7 @@ from recon.body.model import BodyModel
 from recon.core.errors import FormatError, ObservationError, UnitsError
 from recon.core.robust import geman_mcclure, squared
 from recon.core.skeleton import JOINTS, LAYOUTS, keypoint_names
-from recon.core.told_by_body import surely_up
+from recon.core.coordinates import surely_up
 from recon.core.units import METRES, Up, check_override, to_z_up
 from recon.formats.observations import PositionsFile
 

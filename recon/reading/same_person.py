@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from recon.core.errors import ObservationError
-from recon.core.told_by_body import head_above_feet
+from recon.core.coordinates import head_above_feet
 from recon.core.units import AXES, Axis
 from recon.reading.tracks import Track, TrackedView, TrackPair, joint_errors, triangulated
 

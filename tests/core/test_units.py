@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from recon.core.told_by_body import (
+from recon.core.coordinates import (
     check_declared,
     decide_up,
     head_above_feet,

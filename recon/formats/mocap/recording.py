@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from recon.core import limits, units
-from recon.core import told_by_body as told
+from recon.core import coordinates as told
 from recon.core.errors import FormatError, UnitsError
 from recon.core.units import Axis
 
