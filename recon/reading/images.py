@@ -13,8 +13,7 @@ from recon.body.model import BodyModel
 from recon.core.camera import Camera
 from recon.core.errors import ObservationError
 from recon.fitting.ground import LEVEL_CAMERA, camera_above
-from recon.formats.camera_path import CameraPath
-from recon.formats.observations import CameraArrays, KeypointsFile
+from recon.formats.observations import CameraArrays, CameraPath, KeypointsFile
 
 
 def keypoints_of(

@@ -16,10 +16,9 @@ from recon.formats.calibration import (
     guessed_size,
     load_cameras,
 )
-from recon.formats.camera_path import CameraPath
 from recon.formats.detections.reader import read_keypoints
 from recon.formats.detections.records import Detections
-from recon.formats.observations import CameraArrays, KeypointsFile
+from recon.formats.observations import CameraArrays, CameraPath, KeypointsFile
 from recon.formats.opencv_yaml import CameraFields, settle_camera
 from recon.formats.scan_times import crowded
 from recon.formats.tracks import CameraTrack, read_track

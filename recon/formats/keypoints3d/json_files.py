@@ -67,9 +67,9 @@ def _entries(value: Any) -> list[Any]:
     return value if isinstance(value, list) else []
 
 
-def _names(value: dict[str, Any]) -> tuple[str, ...] | None:
+def _names(value: dict[str, Any]) -> tuple[str, ...]:
     lists = [value[key] for key in _NAMES if isinstance(value.get(key), list) and value[key]]
-    return next((tuple(one) for one in lists if all(isinstance(n, str) for n in one)), None)
+    return next((tuple(one) for one in lists if all(isinstance(n, str) for n in one)), ())
 
 
 def _world(value: Any, name: str, person: int | None) -> Points3D:
@@ -148,7 +148,7 @@ def _azure(value: Any, name: str, person: int | None) -> Points3D:
 def _named(value: Any, name: str, person: int | None) -> Points3D:
     """Names beside x, y, z (and a confidence) of every point in every frame."""
     del person
-    names, numbers = _names(value) or (), as_floats(_entries(value), name)
+    names, numbers = _names(value), as_floats(_entries(value), name)
     if numbers.ndim != 3 or numbers.shape[1] != len(names) or numbers.shape[2] not in (3, 4):
         raise FormatError(
             f"{name}: expected x, y, z of {len(names)} points in every frame, got numbers of "

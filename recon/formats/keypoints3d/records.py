@@ -21,8 +21,8 @@ class Points3D:
     name: str
     positions: Float[np.ndarray, "time points 3"]
     """Coordinates in the file's own unit and axes; NaN where a point was not seen."""
-    names: tuple[str, ...] | None = None
-    """Labels of the file; None where an array has none."""
+    names: tuple[str, ...] = ()
+    """Labels of the file; none where an array has none."""
     layout: str | None = None
     """Layout of the keypoints, where the format states it."""
     fps: float | None = None

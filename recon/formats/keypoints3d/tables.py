@@ -168,7 +168,7 @@ def read_arrays(path: Path) -> Points3D:
         )
     names = next((arrays[name] for name in _NAMES if name in arrays), np.zeros(0))
     named = names.dtype.kind in "US" and names.shape == found.shape[1:2]
-    labels = tuple(names.astype(str).tolist()) if named else None
+    labels = tuple(names.astype(str).tolist()) if named else ()
     rate = next((arrays[name] for name in _RATES if name in arrays), np.zeros(0))
     told = rate.size == 1 and rate.dtype.kind in "fiu"
     return Points3D(path.name, found, labels).stated(float(rate.reshape(())) if told else None)
