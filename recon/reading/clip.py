@@ -39,7 +39,7 @@ from recon.reading.keypoints3d import settled
 from recon.reading.places import load_silhouettes, masked
 from recon.reading.points import positions_of
 from recon.reading.readers import Reader, read_by, readers
-from recon.reading.views import SeenViews, read_views
+from recon.reading.views import read_views
 
 _CLOUDS, _IMAGES, DETECTIONS = {".ply", ".pcd"}, {".png"}, {".json", ".csv"}
 Content = ObservationFile | Sensor
@@ -81,7 +81,7 @@ def load_clip(paths: Sequence[Path], settings: FitSettings, body: BodyModel) -> 
                 "one clip is of one person; `recon fit --person all`, in Python "
                 "recon.people.together.load_people and recon.fit_people, fit everybody"
             )
-        views = seen_in(detections, settings).person(settings.person)
+        views = read_views(detections, settings).person(settings.person)
         shown = views.files
         if settings.masks is not None:
             if len(shown) != 1:
@@ -133,15 +133,6 @@ def _read(
         "markers (.c3d, .trc) or a folder of scans or depth images; `recon convert` takes "
         "skeletons of motion capture"
     )
-
-
-def seen_in(paths: Sequence[Path], settings: FitSettings) -> SeenViews:
-    """Everybody in 2D detections of one or several views."""
-    return read_views(
-        paths, settings.camera, fps=settings.frame_rate, layout=settings.layout,
-        camera_unit=settings.camera_unit, camera_up=settings.camera_up,
-        image_size=settings.image_size, track=settings.camera_track,
-    )  # fmt: skip
 
 
 @contextmanager

@@ -95,17 +95,15 @@ def follow(detections: Detections) -> tuple[Track, ...]:
 
 
 def choose(tracks: tuple[Track, ...], person: int | None, name: str) -> Track:
-    """The track of the person asked for, or the most complete one.
+    """The track of the person asked for, or the most complete one, of at least one.
 
     Of two that are about equally complete it is the one that moves, where the other stands by.
 
     Raises:
-        ValueError: when there is no such person, nobody, or two tracks are about equally complete
+        ValueError: when there is no such person, or two tracks are about equally complete
             and both move or both stand; the message lists who there is.
     """
     listed = "; ".join(map(str, tracks))
-    if len(tracks) == 0:
-        raise ObservationError(f"{name}: nobody shows {FEWEST_KEYPOINTS} keypoints in any frame")
     if person is not None:
         if not 0 <= person < len(tracks):
             raise ObservationError(f"{name}: there is no person {person}; there are {listed}")
