@@ -9,8 +9,10 @@ from jaxtyping import Bool, Float, Int
 
 from recon.core import limits
 from recon.core.errors import FormatError
-from recon.core.limits import Limit, check_camera, check_pose
+from recon.core.limits import Limit, check_pose
 from recon.core.units import METRES, check_override, to_z_up
+from recon.formats.cameras import CameraArrays as CameraArrays
+from recon.formats.cameras import CameraFields, settle_camera
 from recon.formats.opening import load_arrays, save_arrays
 from recon.formats.scan_times import PointClock, settled_clock
 
@@ -25,41 +27,6 @@ _KEYS = {
 """Kinds of observation and the keys each must have."""
 _NOT_WRITTEN = ("decisions", "focal_known", "path", "camera")
 """Fields of the records below that files do not hold under their name."""
-
-
-@dataclass(frozen=True)
-class CameraPath:
-    """How a camera was carried, in the world of a tracker that knows nothing of the ground."""
-
-    T_world_camera: Float[np.ndarray, "time 4 4"]
-    """A pose for every frame, in the tracker's unit."""
-    metric: bool
-    """Whether that unit is the metre."""
-    level: bool
-    """Whether the z axis of the tracker's world points up."""
-
-
-@dataclass(frozen=True)
-class CameraArrays:
-    """A calibrated camera; OpenCV axes."""
-
-    camera_matrix: Float[np.ndarray, "3 3"]
-    """Focal lengths, skew and principal point, pixels."""
-    image_size: tuple[int, int]
-    """Width and height, pixels."""
-    distortion: Float[np.ndarray, " coefficients"] | None = None
-    """Lens coefficients k1 k2 p1 p2 [k3 [k4 k5 k6]] in OpenCV's order; None for no distortion."""
-    T_camera_world: Float[np.ndarray, "poses 4 4"] | None = None
-    """Maps world to camera, metres; one pose or one per frame. None where it is not known."""
-    focal_known: bool = True
-    """Whether somebody measured the focal length; not written."""
-    path: CameraPath | None = None
-    """How a camera whose pose is not known moved; not written."""
-
-    @property
-    def poses(self) -> int:
-        """Number of poses: none where it is not known, one of a fixed camera, or one per frame."""
-        return 0 if self.T_camera_world is None else len(self.T_camera_world)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -255,22 +222,18 @@ def _points(found: "_Arrays", common: dict[str, Any]) -> PointsFile:
 
 
 def _camera(found: "_Arrays", frames: int) -> CameraArrays:
-    path = found.path
-    size = found.taken("image_size", (2,), limit=limits.IMAGE_SIZE)
-    distortion = found.given("distortion", (None,))
-    if distortion is not None and len(distortion) not in (4, 5, 8):
-        raise FormatError(
-            f"{path}: expected 4, 5 or 8 numbers in distortion, got {len(distortion)}"
-        )
-    single = found.arrays.get("T_camera_world", np.zeros(0)).ndim == 2
-    pose = found.poses("T_camera_world", (4, 4) if single else (None, 4, 4))
-    if pose is not None:
-        pose = pose.reshape(-1, 4, 4)
-        if len(pose) != 1 and len(pose) < frames:
-            raise FormatError(f"{path}: expected 1 or {frames} poses in T_camera_world")
-    matrix = found.taken("camera_matrix", (3, 3))
-    check_camera(matrix, size, distortion, path)
-    return CameraArrays(matrix, (int(size[0]), int(size[1])), distortion, pose)
+    """The camera of an observation file, for every one of its frames."""
+    given = found.arrays
+    fields = CameraFields(
+        "of the file", given["camera_matrix"], given["image_size"], given.get("distortion"),
+        pose=given.get("T_camera_world"),
+    )  # fmt: skip
+    camera = settle_camera(fields, None, found.path)
+    if camera.T_camera_world is not None:
+        if camera.poses != 1 and camera.poses < frames:
+            raise FormatError(f"{found.path}: expected 1 or {frames} poses in T_camera_world")
+        check_pose(camera.T_camera_world, found.path, "T_camera_world")
+    return camera
 
 
 _NUMBERS = "fiu"

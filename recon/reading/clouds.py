@@ -22,7 +22,8 @@ from recon.core.planes import (
     find_walls,
     spacing,
 )
-from recon.formats.observations import CameraArrays, PointsFile
+from recon.formats.cameras import CameraArrays
+from recon.formats.observations import PointsFile
 from recon.reading.moving_sensor import eye_of, movement
 
 _LARGE = 0.4

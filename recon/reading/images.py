@@ -13,7 +13,8 @@ from recon.body.model import BodyModel
 from recon.core.camera import Camera
 from recon.core.errors import ObservationError
 from recon.fitting.ground import LEVEL_CAMERA, camera_above
-from recon.formats.observations import CameraArrays, CameraPath, KeypointsFile
+from recon.formats.cameras import CameraArrays, CameraPath
+from recon.formats.observations import KeypointsFile
 
 
 def keypoints_of(

@@ -9,19 +9,20 @@ import numpy as np
 from recon.core.errors import ObservationError
 from recon.core.limits import FRAME_RATE
 from recon.fitting.settings import ReadOptions
-from recon.formats.calibration import (
-    Calibration,
+from recon.formats.calibration import Calibration, load_cameras
+from recon.formats.cameras import (
+    CameraArrays,
+    CameraPath,
     guessed_camera,
     guessed_size,
-    load_cameras,
+    settle_camera,
 )
 from recon.formats.detections.reader import read_keypoints
 from recon.formats.detections.records import Detections
-from recon.formats.observations import CameraArrays, CameraPath, KeypointsFile
-from recon.formats.opencv_yaml import settle_camera
+from recon.formats.observations import KeypointsFile
 from recon.formats.scan_times import crowded
 from recon.formats.tracks import CameraTrack, read_track
-from recon.reading.places import FEWEST_KEYPOINTS, expand, match_cameras, view_name
+from recon.reading.places import expand, match_cameras, view_name
 from recon.reading.same_person import across_views
 from recon.reading.tracks import Track, TrackedView, choose, follow
 
@@ -176,11 +177,8 @@ class SeenViews:
         """
         views: list[TrackedView] = []
         for name, one, camera in zip(self.names, self.found, self.cameras, strict=True):
-            tracks = follow(one)
-            if len(tracks) == 0:
-                raise ObservationError(
-                    f"{one.name}: nobody shows {FEWEST_KEYPOINTS} keypoints in any frame"
-                )
+            if not (tracks := follow(one)):
+                choose(tracks, None, one.name)  # refuses it
             views.append(TrackedView(name, one.layout, camera, tracks, self.first_frame))
         posed = [one.name for one in views if one.camera.T_camera_world is None]
         if len(views) > 1 and posed:
