@@ -228,7 +228,12 @@ def _camera(found: "_Arrays", frames: int) -> CameraArrays:
         "of the file", given["camera_matrix"], given["image_size"], given.get("distortion"),
         pose=given.get("T_camera_world"),
     )  # fmt: skip
-    camera = settle_camera(fields, None, found.path)
+    distortion = found.given("distortion", (None,))
+    if distortion is not None and len(distortion) not in (4, 5, 8):
+        raise FormatError(
+            f"{found.path}: expected 4, 5 or 8 numbers in distortion, got {len(distortion)}"
+        )
+    camera = replace(settle_camera(fields, None, found.path), distortion=distortion)
     if camera.T_camera_world is not None:
         if camera.poses != 1 and camera.poses < frames:
             raise FormatError(f"{found.path}: expected 1 or {frames} poses in T_camera_world")
