@@ -11,6 +11,7 @@ found. `recon.fit(..., checks=...)` takes any of them, and functions of your own
 from dataclasses import replace
 
 from recon.diagnosis.agreement import residual_warnings
+from recon.diagnosis.carried import treadmill_finding, with_belt
 from recon.diagnosis.doubts import guessed_findings, undecided_findings, unseen_findings
 from recon.diagnosis.examination import (
     AfterFit,
@@ -21,17 +22,16 @@ from recon.diagnosis.examination import (
     before_fit,
 )
 from recon.diagnosis.findings import NOTHING, Finding, Findings
-from recon.diagnosis.motions.belt import treadmill_finding, with_belt
-from recon.diagnosis.motions.gravity import rate_finding
-from recon.diagnosis.motions.support import support_findings
+from recon.diagnosis.frame_rate import rate_finding
+from recon.diagnosis.movement import support_findings
 from recon.diagnosis.plausibility import child_findings
-from recon.diagnosis.points.screening import screen_points
+from recon.diagnosis.points import screen_points
 
 
 @before_fit("view")
 def images(clip: CheckedClip) -> tuple[CheckedClip, Findings]:
     """Zeros, copies, outliers, exchanged names, and cameras that contradict each other."""
-    from recon.diagnosis.views.screening import screen_views  # for clips with images alone
+    from recon.diagnosis.keypoints import screen_views  # for clips with images alone
 
     views = {k: one.view for k, one in enumerate(clip.observations) if one.view}
     names = [clip.names[k] for k in views]
@@ -76,7 +76,7 @@ def treadmill(clip: CheckedClip) -> tuple[CheckedClip, Findings]:
 @after_fit("view")
 def focal_length(clip: Examined) -> tuple[Examined, Findings]:
     """The focal length of the one camera that nobody calibrated, as it was found."""
-    from recon.diagnosis.views.fitted import lens_doubtful, lens_finding
+    from recon.diagnosis.cameras import lens_doubtful, lens_finding
 
     said = () if (one := lens_finding(clip.names[0], clip.fit)) is None else (one,)
     if lens_doubtful(clip.fit):
@@ -92,9 +92,9 @@ def camera_moves(clip: Examined) -> tuple[Examined, Findings]:
         return clip, NOTHING
     if view.camera.T_camera_world.shape[-3] > 1:
         return clip, NOTHING
-    from recon.diagnosis.motions.carried import carried_finding
-    from recon.diagnosis.views.images import Images
-    from recon.diagnosis.views.rest import moving_finding, rest_of
+    from recon.diagnosis.cameras import moving_finding, rest_of
+    from recon.diagnosis.carried import carried_finding
+    from recon.diagnosis.images import Images
 
     seen = Images.of([view], clip.names, clip.model)
     rest = rest_of(seen)
@@ -121,7 +121,7 @@ def residuals(clip: Examined) -> tuple[Examined, Findings]:
 @after_fit("view")
 def distance(clip: Examined) -> tuple[Examined, Findings]:
     """A wrong focal length moves a body to where nobody films."""
-    from recon.diagnosis.views.fitted import distance_warnings
+    from recon.diagnosis.cameras import distance_warnings
 
     sensors = zip(clip.names, clip.observations, strict=True)
     return clip, Findings(warnings=tuple(
@@ -155,7 +155,7 @@ def size_and_soles(clip: Examined) -> tuple[Examined, Findings]:
 @after_fit("view")
 def mirrored(clip: Examined) -> tuple[Examined, Findings]:
     """Images that fit together better when mirrored."""
-    from recon.diagnosis.views.fitted import mirror_warnings
+    from recon.diagnosis.cameras import mirror_warnings
 
     return clip, Findings(
         warnings=mirror_warnings([one.view for one in clip.observations if one.view])

@@ -14,7 +14,7 @@ from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS, LEGS, MIRROR
-from recon.diagnosis.findings import Finding, listed, spans, stretches
+from recon.diagnosis.findings import Finding, chosen, listed, spans, stretches
 from recon.fitting.fitted import ClipFit
 from recon.method.protocols import Estimate
 from recon.method.sensor import Sensor
@@ -173,7 +173,7 @@ def guessed_findings(
     if flags.sum() < _SHORTEST * fps:
         return []
     often = loose[flags].mean(0) > 0.5
-    names = tuple(name for name, one in zip(JOINTS, often, strict=True) if one)
+    names = chosen(JOINTS, often)
     typical = float(np.median(joint_std[flags][loose[flags]]))
     frames = stretches(flags)
     return [
@@ -234,9 +234,7 @@ def observed_joints(
 def unseen_findings(observed: Bool[np.ndarray, "time 22"]) -> list[Finding]:
     """Joints that were never seen, and frames in which nothing was seen, as said to the user."""
     found: list[Finding] = []
-    never = tuple(
-        name for name, some in zip(JOINTS, np.any(observed, axis=0), strict=True) if not some
-    )
+    never = chosen(JOINTS, ~observed.any(0))
     if never:
         found.append(
             Finding(

@@ -1,6 +1,6 @@
-"""Facts that need no model: points at exactly zero, points and frames that repeat bit for bit.
+"""Facts about points in space that need no model: zeros, repeated values, the ground, the size.
 
-Sensors have noise, so no measured coordinate repeats exactly; software that fills what it has
+Sensors have noise, so nothing that is measured repeats exactly; software that fills what it has
 lost writes zeros, the last value, or the last frame again.
 """
 
@@ -12,9 +12,9 @@ from recon.body.model import BodyModel
 from recon.body.soles import Soles, Stance
 from recon.core.motion import Motion
 from recon.core.skeleton import FEET
-from recon.diagnosis.findings import NOTHING, Finding, Findings, listed, spans, stretches
-from recon.diagnosis.points.named_points import NamedPoints, size
-from recon.diagnosis.points.tracks import temporal_noise
+from recon.diagnosis.findings import NOTHING, Finding, Findings, chosen, listed, spans, stretches
+from recon.diagnosis.named_points import NamedPoints, size
+from recon.diagnosis.tracks import temporal_noise
 
 _REPEATS = 3
 """Moments in a row at which a point must not move before it counts as held; two equal values
@@ -32,31 +32,29 @@ _MAX_ORIGIN_DISTANCE_M = 1.0
 exactly there is the root."""
 
 
-def repaired_exact(points: NamedPoints) -> tuple[NamedPoints, Findings]:
-    """The points with zeros, held points and repeated frames taken out, and what was found."""
-    found = NOTHING
-    for repair in (_zeros, _repeated_frames, _held_points):
-        hidden, finding = repair(points)
-        if finding is not None:
-            points = points.without(hidden)
-            found += Findings((finding,))
-    return points, found
+def unchanged(
+    places: Float[np.ndarray, "*views moments points dims"],
+    seen: Bool[np.ndarray, "*views moments points"],
+) -> Bool[np.ndarray, "*views moments points"]:
+    """Points that are seen at this moment and the one before, at exactly the same place."""
+    same = np.zeros_like(seen)
+    same[..., 1:, :] = seen[..., 1:, :] & seen[..., :-1, :]
+    same[..., 1:, :] &= (places[..., 1:, :, :] == places[..., :-1, :, :]).all(-1)
+    return same
 
 
-Found = tuple[Bool[np.ndarray, "moments points"], Finding | None]
-
-
-def _zeros(points: NamedPoints) -> Found:
-    """Points at the origin that are marked as visible, but for a root that is always there."""
+def repaired_zeros(points: NamedPoints) -> tuple[NamedPoints, Findings]:
+    """Points at the origin are made unseen, but for a root that is always there."""
     zero = points.visible & (points.positions == 0).all(-1)
     root = zero.any(0) & (zero | ~points.visible).all(0)
-    if root.sum() == 1 and _about_origin(points, zero):
+    others = np.linalg.norm(points.without(zero).centre, axis=-1)
+    if root.sum() == 1 and (others[np.isfinite(others)] < _MAX_ORIGIN_DISTANCE_M).all():
         zero[:, root] = False
     if not zero.any():
-        return zero, None
-    joints = tuple(n for n, some in zip(points.names, zero.any(0), strict=True) if some)
+        return points, NOTHING
+    joints = chosen(points.names, zero.any(0))
     share = float(zero.sum() / points.visible.sum())
-    return zero, Finding(
+    said = Finding(
         "zeros",
         f"{100 * share:.3g} % of the visible positions are exactly (0, 0, 0), which is how "
         f"missing points are often written ({listed(joints)}); they were taken as not visible. "
@@ -65,85 +63,55 @@ def _zeros(points: NamedPoints) -> Found:
         stretches(zero.any(1)),
         share,
     )
+    return points.without(zero), Findings((said,))
 
 
-def _about_origin(points: NamedPoints, zero: Bool[np.ndarray, "moments points"]) -> bool:
-    """Whether the other points surround the origin in every frame, as about a root."""
-    others = points.without(zero).centre
-    return bool(
-        (np.linalg.norm(others[np.isfinite(others[:, 0])], axis=-1) < _MAX_ORIGIN_DISTANCE_M).all()
-    )
-
-
-def _repeated_frames(points: NamedPoints) -> Found:
-    """Frames in which every visible point stands bit for bit where it stood one frame before."""
-    same = _unchanged(points)
+def repaired_copies(points: NamedPoints) -> tuple[NamedPoints, Findings]:
+    """Frames in which every point stands bit for bit where it stood before are made unseen."""
+    same = unchanged(points.positions, points.visible)
     whole = (same | ~points.visible).all(1) & (same.sum(1) >= 2)
-    hidden = np.zeros_like(points.visible)
     if not whole.any() or whole[1:].all():
-        return hidden, None
-    hidden[whole] = True
-    share = float(whole.mean())
-    return hidden, Finding(
+        return points, NOTHING
+    said = Finding(
         "repeated frames",
         f"{int(whole.sum())} frames repeat the frame before them exactly "
         f"({spans(stretches(whole))}), which no moving person does; they were taken as not seen. "
         "If frames were repeated to reach a higher rate, give the true one",
         (),
         stretches(whole),
-        share,
+        float(whole.mean()),
     )
+    return points.without(whole[:, None]), Findings((said,))
 
 
-def _held_points(points: NamedPoints) -> Found:
-    """Points that keep one value for several moments while others move."""
-    same = _unchanged(points)
-    step = _step(points)
-    moved = step.max(1) > _MOVES
-    hidden = np.zeros_like(same)
+def repaired_held(points: NamedPoints) -> tuple[NamedPoints, Findings]:
+    """Points that keep one value for several moments while others move are made unseen there."""
+    visible = points.visible
+    same, step = unchanged(points.positions, visible), np.zeros(visible.shape)
+    step[1:] = np.linalg.norm(np.diff(points.positions, axis=0), axis=-1)
+    step[1:] *= visible[1:] & visible[:-1]
+    moved, hidden = step.max(1) > _MOVES, np.zeros_like(same)
     computed = temporal_noise(points) < _NOISELESS
-    for point in range(same.shape[1]):
-        if computed and points.bones[point] in FEET:
+    for point, bone in enumerate(points.bones):
+        # the root of what is relative to it stays: other zeros are out by now
+        if (computed and bone in FEET) or not points.positions[visible[:, point], point].any():
             continue
-        if (points.positions[points.visible[:, point], point] == 0).all():
-            continue  # the root of what is relative to it: other zeros are out by now
-        for first, last in stretches(same[:, point]):
+        for first, last in stretches(same[:, point], _REPEATS - 1):
             held = slice(first, last + 1)
-            travelled = np.median(step[held].sum(0)[points.visible[held].any(0)])
-            if (
-                last - first + 2 >= _REPEATS
-                and moved[held].mean() > 0.5
-                and travelled > _TRAVELLED
-            ):
-                hidden[held, point] = True
+            travelled = np.median(step[held].sum(0)[visible[held].any(0)])
+            hidden[held, point] = moved[held].mean() > 0.5 and travelled > _TRAVELLED
     if not hidden.any():
-        return hidden, None
-    joints = tuple(n for n, some in zip(points.names, np.any(hidden, axis=0), strict=True) if some)
-    frames = stretches(np.any(hidden, axis=1))
-    return hidden, Finding(
+        return points, NOTHING
+    joints, frames = chosen(points.names, hidden.any(0)), stretches(hidden.any(1))
+    said = Finding(
         "constant point",
         f"{listed(joints)} {'keeps' if len(joints) == 1 else 'keep'} exactly one position while "
         f"the body moves ({spans(frames)}); the repeated values were taken as not visible",
         joints,
         frames,
-        float(hidden.sum() / points.visible.sum()),
+        float(hidden.sum() / visible.sum()),
     )
-
-
-def _unchanged(points: NamedPoints) -> Bool[np.ndarray, "moments points"]:
-    """Points that are visible at this moment and the one before, at exactly the same place."""
-    same = np.zeros_like(points.visible)
-    both = points.visible[1:] & points.visible[:-1]
-    same[1:] = both & (points.positions[1:] == points.positions[:-1]).all(-1)
-    return same
-
-
-def _step(points: NamedPoints) -> Float[np.ndarray, "moments points"]:
-    """Metres by which every point moved since the moment before; zero where it was not seen."""
-    step = np.zeros(points.visible.shape)
-    both = points.visible[1:] & points.visible[:-1]
-    step[1:] = np.linalg.norm(np.diff(points.positions, axis=0), axis=-1) * both
-    return step
+    return points.without(hidden), Findings((said,))
 
 
 _FLOOR_JOINTS, _FLOOR_MARKERS = (-0.065, 0.036), (-0.055, 0.07)
@@ -171,24 +139,21 @@ def floor_height(points: NamedPoints, motion: Motion, body: BodyModel, noise: fl
     of the feet themselves.
     """
     feet = [k for k, bone in enumerate(points.bones) if bone in FEET]
-    if not feet or np.any(points.visible[:, feet], axis=1).mean() < _FEWEST_FEET:
+    shown = points.visible[:, feet]
+    if not feet or shown.any(1).mean() < _FEWEST_FEET:
         return 0.0
     moments = (np.arange(motion.frames) * points.fps / motion.fps).round().astype(int)
-    seen = np.any(points.visible[:, feet], axis=1)[moments.clip(max=len(points.visible) - 1)]
+    seen = torch.from_numpy(shown.any(1)[moments.clip(max=len(shown) - 1)])
     clip = motion[0].detach().to(device="cpu")
-    stance = Stance.of(clip, body, Soles.of(body), frames=torch.from_numpy(seen))
+    stance = Stance.of(clip, body, Soles.of(body), frames=seen)
     if stance.frames < _STANDING * motion.fps:
         return 0.0
     height = stance.height()
-    if abs(height - np.quantile(_foot_heights(points, feet), _LOWEST_QUANTILE)) > _SOLE_TO_POINT:
-        return 0.0
+    lowest = np.quantile(points.positions[:, feet, 2][shown], _LOWEST_QUANTILE)
     low, high = _FLOOR_JOINTS if points.are_joints else _FLOOR_MARKERS
     noise *= _FLOOR_NOISE
-    return 0.0 if min(low, -noise) <= height <= max(high, noise) else height
-
-
-def _foot_heights(points: NamedPoints, feet: list[int]) -> Float[np.ndarray, " seen"]:
-    return points.positions[:, feet, 2][points.visible[:, feet]]
+    usual = min(low, -noise) <= height <= max(high, noise)
+    return 0.0 if usual or abs(height - lowest) > _SOLE_TO_POINT else height
 
 
 def floor_finding(height: float) -> Finding:

@@ -9,11 +9,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from observations.noise import estimate_noise
+from observations.points import TrackedPoints
 from priors.pose.prior import PosePrior, PoseWeights
 from recon.body.model import BodyModel
 from recon.core.robust import geman_mcclure, squared
 from recon.core.struct import concatenate
-from recon.diagnosis.points.named_points import NamedPoints, Points
+from recon.diagnosis.named_points import NamedPoints
 from recon.method.protocols import Estimate
 from recon.method.reconstruction import solve
 from recon.method.stages import Stage, Stages
@@ -86,14 +87,14 @@ _ITERATIONS = (12, 40)
 class QuickFit:
     """One version of a clip's points, and how a body agrees with it."""
 
-    points: Points
+    points: TrackedPoints
     estimate: Estimate
     """The motion that most of the points agree on, one clip."""
     cost: float
     """Objective per visible point, metres²; of an excerpt where the recording is long."""
 
 
-def quick_fits(versions: Sequence[Points], body: BodyModel) -> list[QuickFit]:
+def quick_fits(versions: Sequence[TrackedPoints], body: BodyModel) -> list[QuickFit]:
     """Fit versions of one clip's points with robust residuals under the pose prior.
 
     Costs may be compared, as all versions see the same moments. Where the first one fits as well
@@ -118,7 +119,7 @@ def quick_fits(versions: Sequence[Points], body: BodyModel) -> list[QuickFit]:
     return [QuickFit(versions[best], estimate, fits[best].cost)]
 
 
-def _fitted(versions: Sequence[Points], method: Stages, body: BodyModel) -> list[QuickFit]:
+def _fitted(versions: Sequence[TrackedPoints], method: Stages, body: BodyModel) -> list[QuickFit]:
     robust = concatenate(list(versions)).replace(kernel=partial(geman_mcclure, sigma=ROBUST_SCALE))
     starts = [smoothed(NamedPoints.of(one, body)).observation.start(body) for one in versions]
     result = solve([robust], method, body, start=concatenate(starts))
@@ -154,12 +155,12 @@ def _cost(fit: QuickFit) -> float:
     return fit.cost
 
 
-def _noise(points: Points) -> float:
+def _noise(points: TrackedPoints) -> float:
     """Standard deviation of a coordinate, metres."""
     return float(estimate_noise(points.positions, points.visible))
 
 
-def _method(points: Points) -> Stages:
+def _method(points: TrackedPoints) -> Stages:
     """The quick stages for these points."""
     return partial(_quick, _noise(points))
 
@@ -173,7 +174,7 @@ def _quick(noise: float, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
     )
 
 
-def _excerpt(points: Points) -> Points:
+def _excerpt(points: TrackedPoints) -> TrackedPoints:
     """The seconds around the moment in the middle of all that was seen."""
     length = round(_EXCERPT * points.fps) + 1
     moments = points.positions.shape[-3]

@@ -9,27 +9,31 @@ import numpy as np
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from observations.points import TrackedPoints
 from recon.body.model import BodyModel
 from recon.core.robust import geman_mcclure, squared
 from recon.core.skeleton import PARENTS
-from recon.diagnosis.findings import NOTHING, Finding, Findings, listed, spans, stretches
-from recon.diagnosis.motions.belt import belt_velocity
-from recon.diagnosis.points.exact import (
+from recon.diagnosis.carried import belt_velocity
+from recon.diagnosis.exact import (
     floor_finding,
     floor_height,
-    repaired_exact,
+    repaired_copies,
+    repaired_held,
+    repaired_zeros,
     scale_findings,
 )
-from recon.diagnosis.points.exchanged import (
+from recon.diagnosis.findings import NOTHING, Finding, Findings, in_turn, listed, spans, stretches
+from recon.diagnosis.misplaced import (
     exchanged_moments,
     exchanged_pairs,
     exchanged_throughout,
     find_exchanges,
+    misplaced_points,
+    outliers,
 )
-from recon.diagnosis.points.named_points import NamedPoints, Points, Predicted
-from recon.diagnosis.points.outlying import misplaced_points, outliers
-from recon.diagnosis.points.quick import QuickFit, plausible, pursued, quick_fits
-from recon.diagnosis.points.tracks import frame_order, identity_changes, temporal_noise
+from recon.diagnosis.named_points import NamedPoints, Predicted
+from recon.diagnosis.quick_fit import QuickFit, plausible, pursued, quick_fits
+from recon.diagnosis.tracks import frame_order, identity_changes, temporal_noise
 
 _MIN_POSITIONS = 12
 """Visible positions without which nothing is checked."""
@@ -47,8 +51,8 @@ Velocity = Float[Tensor, " 2"]
 
 
 def screen_points(
-    points: Points, body: BodyModel, *, grounded: bool = True
-) -> tuple[Points, Findings, Velocity | None]:
+    points: TrackedPoints, body: BodyModel, *, grounded: bool = True
+) -> tuple[TrackedPoints, Findings, Velocity | None]:
     """Check one clip's joints or markers, and repair what can be repaired surely.
 
     In this order: what repeats bit for bit, the order of frames, sides and single pairs that
@@ -60,7 +64,8 @@ def screen_points(
         The points as they should be fitted, what was found, and the velocity of the treadmill
         under the feet, m/s, where there is one.
     """
-    named, found = repaired_exact(NamedPoints.of(points, body))
+    exact = (repaired_zeros, repaired_copies, repaired_held)
+    named, found = in_turn(NamedPoints.of(points, body), exact)
     if named.visible.sum() < _MIN_POSITIONS:
         return named.observation, found, None
     if disorder := frame_order(named):  # nothing else can be told from such frames

@@ -13,12 +13,11 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from observations.noise import estimate_noise
+from recon.diagnosis.explanations import matrix_of, shifted
 from recon.diagnosis.findings import Code, Finding, Findings
-from recon.diagnosis.views.explanations import matrix_of, shifted
-from recon.diagnosis.views.images import Images
-from recon.diagnosis.views.rays import Rays
-from recon.diagnosis.views.registration import (
+from recon.diagnosis.images import Images
+from recon.diagnosis.rays import Rays
+from recon.diagnosis.registration import (
     NOISE,
     PARTS,
     Part,
@@ -178,15 +177,6 @@ _SMALLEST_SHIFT = 0.01
 """Metres."""
 
 
-def pixel_noise(images: Images) -> Float[np.ndarray, " views"]:
-    """Standard deviation of a pixel coordinate in every view, by its third differences."""
-    pixels, seen = torch.from_numpy(images.pixels), torch.from_numpy(images.seen)
-    return np.array([
-        estimate_noise(pixels[v], seen[v], (_LEAST_NOISE, np.inf)) if seen[v].any() else np.inf
-        for v in range(len(images.names))
-    ])  # fmt: skip
-
-
 @dataclass(frozen=True)
 class Corrections:
     """What single views must be corrected by, and whether that is decided."""
@@ -229,7 +219,7 @@ def candidates(images: Images) -> list[Registration]:
 
     None where every view agrees with the others.
     """
-    noise = pixel_noise(images)
+    noise = np.maximum(images.noise, _LEAST_NOISE)
     fixed = [v for v, still in enumerate(images.fixed) if still]
     if not np.isfinite(noise).all() or not any(doubted(images, v, noise) for v in fixed):
         return []

@@ -1,6 +1,7 @@
 """Tracked points in space with names and places on the body, and their distances along bones."""
 
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 import torch
@@ -11,9 +12,6 @@ from recon.body.model import BodyModel
 from recon.core.skeleton import MIRROR, PARENTS
 from recon.method.protocols import Estimate
 from recon.method.timing import at_observation_times
-
-Points = TrackedPoints
-"""Sensors that give the places of named points in space."""
 
 _MIRRORED_WITHIN = 0.04
 """Metres between a point's mirror image at rest and its counterpart on the other side; markers
@@ -38,7 +36,7 @@ class NamedPoints:
     rest: Float[np.ndarray, "points 3"]
     """Positions of the points on the average body in its rest pose, metres."""
     fps: float
-    given: Points
+    given: TrackedPoints
     """The observation that they come from."""
     are_joints: bool
     """Whether the points are joints and keypoints rather than markers on the skin."""
@@ -48,7 +46,7 @@ class NamedPoints:
     """Standard deviation of the coordinates, metres; None where none are given."""
 
     @classmethod
-    def of(cls, observation: Points, body: BodyModel) -> "NamedPoints":
+    def of(cls, observation: TrackedPoints, body: BodyModel) -> "NamedPoints":
         """The points of an observation of one clip, whose batch axis has length one."""
         return cls(
             positions=observation.positions[0].double().cpu().numpy(),
@@ -64,7 +62,7 @@ class NamedPoints:
         )
 
     @property
-    def observation(self) -> Points:
+    def observation(self) -> TrackedPoints:
         """The observation with these positions instead of its own, zero where not visible."""
         positions = self.positions * self.visible[..., None]
         std = None if self.std is None else torch.from_numpy(self.std.copy())[None]
@@ -91,13 +89,14 @@ class NamedPoints:
     ) -> "NamedPoints":
         """The points with names exchanged at some moments: point k gets data of point order[k]."""
         index = list(order)
-        positions, visible = self.positions.copy(), self.visible.copy()
-        positions[moments] = self.positions[moments][:, index]
-        visible[moments] = self.visible[moments][:, index]
-        std = self.std
-        if std is not None:
-            std = std.copy()
-            std[moments] = std[moments][:, index]
+
+        def permuted(values: np.ndarray) -> np.ndarray:
+            return np.where(
+                moments.reshape(-1, *(1,) * (values.ndim - 1)), values[:, index], values
+            )
+
+        std = None if self.std is None else permuted(self.std)
+        positions, visible = permuted(self.positions), permuted(self.visible)
         return replace(self, positions=positions, visible=visible, std=std)
 
     @property
@@ -106,8 +105,9 @@ class NamedPoints:
 
         Joints and landmarks of the bundled body come in pairs; the rest pose is symmetric.
         """
+        central = [k for k, bone in enumerate(self.bones) if MIRROR[bone] == bone]
         image = self.rest * np.array([-1.0, 1.0, 1.0])
-        image[:, 0] += 2 * self._middle
+        image[:, 0] += 2 * float(np.median(self.rest[central, 0])) if central else 0.0
         away = np.linalg.norm(image[:, None] - self.rest[None], axis=-1)
         bones_match = np.array([[MIRROR[a] == b for b in self.bones] for a in self.bones])
         away[~bones_match] = np.inf
@@ -118,20 +118,14 @@ class NamedPoints:
         )
 
     @property
-    def _middle(self) -> float:
-        """The x coordinate of the body's plane of symmetry at rest, metres."""
-        central = [k for k, bone in enumerate(self.bones) if MIRROR[bone] == bone]
-        return float(np.median(self.rest[central, 0])) if central else 0.0
-
-    @property
     def centre(self) -> Float[np.ndarray, "moments 3"]:
         """Median of the visible points at every moment; NaN where there is none."""
-        shown = np.where(self.visible[..., None], self.positions, np.nan)
-        empty = ~self.visible.any(1)
+        shown, empty = (
+            np.where(self.visible[..., None], self.positions, np.nan),
+            ~self.visible.any(1),
+        )
         shown[empty] = 0.0
-        middle = np.nanmedian(shown, axis=1)
-        middle[empty] = np.nan
-        return middle
+        return np.where(empty[:, None], np.nan, np.nanmedian(shown, axis=1))
 
 
 @dataclass(frozen=True)
@@ -146,7 +140,7 @@ class Predicted:
     """Orientation of every point's bone."""
 
     @classmethod
-    def of(cls, points: NamedPoints, observed: Points, estimate: Estimate) -> "Predicted":
+    def of(cls, points: NamedPoints, observed: TrackedPoints, estimate: Estimate) -> "Predicted":
         """The prediction of an estimate at the moments of the observation."""
         moments = observed.positions.shape[-3]
         with torch.no_grad():
@@ -187,24 +181,17 @@ class Predicted:
         return middle, np.nanmedian(np.linalg.norm(local - middle, axis=-1), axis=0)
 
 
-def least_away(typical: Float[np.ndarray, " points"], at_least: float, times: float) -> float:
-    """Median distance from which on a point is suspicious beside the others, metres."""
-    known = typical[typical > 0]
-    return max(at_least, times * float(np.median(known))) if len(known) > 0 else np.inf
-
-
 def size(points: NamedPoints) -> float | None:
     """Size of the body against the average one: median ratio of distances along bones.
 
     None where too few such distances are seen.
     """
-    pairs = [
-        pair for pair in _along_bones(points) if rest_length(points, *pair) > _MIN_PAIR_LENGTH_M
-    ]
+    pairs = {*joint_pairs(points), *(() if points.rigid else same_bone_pairs(points))}
     ratios = [
-        float(np.median(seen)) / rest_length(points, a, b)
-        for a, b in pairs
-        if len(seen := distances(points, a, b)) >= _MIN_MOMENTS
+        float(np.median(seen)) / rest
+        for a, b in sorted(pairs)
+        if (rest := rest_length(points, a, b)) > _MIN_PAIR_LENGTH_M
+        and len(seen := distances(points, a, b)) >= _MIN_MOMENTS
     ]
     return float(np.median(ratios)) if len(ratios) >= _MIN_PAIRS else None
 
@@ -218,41 +205,31 @@ def out_of_reach(points: NamedPoints, limit: float) -> Bool[np.ndarray, " points
             of the same size.
     """
     wrong: list[list[bool]] = [[] for _ in points.names]
-    ratio = size(points)
-    if ratio is None or not points.are_joints:
-        return np.zeros(len(wrong), dtype=bool)
-    for a, b in joint_pairs(points):
+    ratio = size(points) if points.are_joints else None
+    for a, b in joint_pairs(points) if ratio is not None else ():
         seen = distances(points, a, b)
-        if len(seen) < _MIN_MOMENTS:
-            continue
-        middle = float(np.median(seen))
-        error = abs(middle - ratio * rest_length(points, a, b))
-        spread = float(np.median(np.abs(seen - middle)))
-        for one in (a, b):
-            wrong[one].append(error > limit and spread < _MAX_SPREAD_RATIO * error)
+        if len(seen) >= _MIN_MOMENTS:
+            middle = float(np.median(seen))
+            error = abs(middle - ratio * rest_length(points, a, b))
+            spread = float(np.median(np.abs(seen - middle)))
+            for one in (a, b):
+                wrong[one].append(error > limit and spread < _MAX_SPREAD_RATIO * error)
     # the end of a wrong bone that has other, right bones is where it should be
     return np.array([len(bones) > 0 and all(bones) for bones in wrong])
-
-
-def _along_bones(points: NamedPoints) -> list[tuple[int, int]]:
-    """Numbers of points on one bone, and of joints at its two ends."""
-    if points.rigid is not None:
-        return list(points.rigid)
-    bones, count = points.bones, range(len(points.bones))
-    return [
-        (a, b)
-        for a in count
-        for b in count
-        if PARENTS[bones[b]] == bones[a] or (bones[a] == bones[b] and a < b)
-    ]
 
 
 def joint_pairs(points: NamedPoints) -> list[tuple[int, int]]:
     """Numbers of joints at the two ends of a bone, the parent first, or of rigid pairs."""
     if points.rigid is not None:
         return list(points.rigid)
-    bones, count = points.bones, range(len(points.bones))
-    return [(a, b) for b in count for a in count if PARENTS[bones[b]] == bones[a]]
+    bones = list(enumerate(points.bones))
+    return [(a, b) for b, child in bones for a, bone in bones if PARENTS[child] == bone]
+
+
+def same_bone_pairs(points: NamedPoints) -> list[tuple[int, int]]:
+    """Numbers of points on one bone."""
+    return [(a, b) for a, b in combinations(range(len(points.bones)), 2)
+            if points.bones[a] == points.bones[b]]  # fmt: skip
 
 
 def distances(points: NamedPoints, a: int, b: int) -> Float[np.ndarray, " moments"]:

@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 
 from observations.keypoints2d import Keypoints2D
+from observations.noise import estimate_noise
 from observations.start.images import bone_scale
 from recon.body.model import BodyModel
 
@@ -105,10 +106,25 @@ class Images:
         """Keypoints that were found."""
         return self.confidence > 0
 
+    @property
+    def shown(self) -> Float[np.ndarray, "views moments points 2"]:
+        """Pixels; NaN where a keypoint was not found."""
+        return np.where(self.seen[..., None], self.pixels, np.nan)
+
+    @property
+    def noise(self) -> Float[np.ndarray, " views"]:
+        """Standard deviation of a pixel coordinate in every view; infinite where nobody knows."""
+        pixels, seen = torch.from_numpy(self.pixels), torch.from_numpy(self.seen)
+        each = zip(pixels, seen, strict=True)
+        return np.array([estimate_noise(*view, (0.0, np.inf)) for view in each])
+
     @cached_property
     def counterparts(self) -> Int[np.ndarray, " points"]:
         """Index of every keypoint's counterpart on the other side; its own in the middle."""
-        return np.array([self.points.index(_other_side(name)) for name in self.points])
+        sides = {"left": "right", "right": "left"}
+        parts = [name.partition("_") for name in self.points]
+        others = ["".join((sides.get(side, side), *rest)) for side, *rest in parts]
+        return np.array([self.points.index(name) for name in others])
 
     @cached_property
     def sided(self) -> Bool[np.ndarray, " points"]:
@@ -135,14 +151,6 @@ class Images:
             fixed=tuple(self.fixed[v] for v in index),
         )
 
-    def named(
-        self,
-        pixels: Float[np.ndarray, "views moments points 2"],
-        confidence: Float[np.ndarray, "views moments points"],
-    ) -> "Images":
-        """The images of the same cameras with other keypoints."""
-        return replace(self, pixels=pixels, confidence=confidence)
-
     def exchanged(self, flags: Bool[np.ndarray, "views moments"]) -> "Images":
         """Left and right exchanged in some views at some moments."""
         here = flags[..., None]
@@ -161,11 +169,6 @@ class Images:
         for v in np.flatnonzero(hidden.any((1, 2)) & (confidence > 0).any((1, 2))):
             scale[v] = _scale(pixels[v], confidence[v], self.points, self.rest, self.fps)
         return replace(self, pixels=pixels, confidence=confidence, scale=scale)
-
-
-def _other_side(name: str) -> str:
-    side, _, rest = name.partition("_")
-    return {"left": f"right_{rest}", "right": f"left_{rest}"}.get(side, name)
 
 
 def _scale(

@@ -1,15 +1,19 @@
 """What the order of frames tells: noise in time against noise along bones, jumps of the body."""
 
+import itertools
+
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from observations.noise import estimate_noise
 from recon.core.robust import NORMAL_MAD
-from recon.diagnosis.findings import Finding, spans, stretches
-from recon.diagnosis.points.named_points import NamedPoints, distances, joint_pairs
-from recon.diagnosis.points.quick import plausible
+from recon.diagnosis.findings import Code, Finding, spans, stretches
+from recon.diagnosis.named_points import NamedPoints, distances, joint_pairs, same_bone_pairs
+from recon.diagnosis.quick_fit import plausible
 
+_MIN_LENGTHS = 8
+"""Moments at which both ends of a bone must be seen."""
 _DIFFERENCE = 2.2
 """Typical distance of two measurements of one place, in standard deviations of a coordinate."""
 _DISORDER = 2.0
@@ -64,13 +68,30 @@ def bone_noise(points: NamedPoints) -> float | None:
     Points on one bone, and joints at its two ends, keep their distance whatever the order of the
     frames. None where there are no such pairs.
     """
-    spreads: list[float] = []
-    for a, b in _rigid_pairs(points):
-        length = distances(points, a, b)
-        if len(length) < 8:
-            continue
-        spreads.append(float(np.median(np.abs(length - np.median(length)))))
+    pairs = joint_pairs(points) if points.are_joints else same_bone_pairs(points)
+    spreads = [
+        float(np.median(np.abs(length - np.median(length))))
+        for pair in pairs
+        if len(length := distances(points, *pair)) >= _MIN_LENGTHS
+    ]
     return float(np.median(spreads)) / NORMAL_MAD / 2**0.5 if spreads else None
+
+
+def velocity_changes(
+    places: Float[np.ndarray, "*views moments points dims"],
+) -> Float[np.ndarray, "*views moments points"]:
+    """By how much the step that leads to a moment differs from the mean of its neighbours' steps.
+
+    NaN where a point is not seen at all four moments, and at the ends.
+
+    Args:
+        places: NaN where not seen.
+    """
+    out = np.full(places.shape[:-1], np.nan)
+    step = np.diff(places, axis=-3)
+    around = (step[..., :-2, :, :] + step[..., 2:, :, :]) / 2
+    out[..., 2:-1, :] = np.linalg.norm(step[..., 1:-1, :, :] - around, axis=-1)
+    return out
 
 
 def frame_order(points: NamedPoints) -> tuple[Finding, ...]:
@@ -78,10 +99,11 @@ def frame_order(points: NamedPoints) -> tuple[Finding, ...]:
     if found := _seams(points):
         return found
     along, near = bone_noise(points), _travelled(points, 1)
-    far = [way for lag in _LAGS if (way := _travelled(points, lag)) is not None]
-    if along is None or near is None or not far or near < _LEAST_DISORDER:
+    far = np.array([_travelled(points, lag) for lag in _LAGS])
+    if along is None or np.isnan(near) or np.isnan(far).all() or near < _LEAST_DISORDER:
         return ()
-    if near < _DISORDER * _DIFFERENCE * along or float(np.median(far)) > _GROWTH * near:
+    typical = float(np.nanmedian(far))
+    if near < _DISORDER * _DIFFERENCE * along or typical > _GROWTH * near:
         return ()
     return (
         Finding(
@@ -89,7 +111,7 @@ def frame_order(points: NamedPoints) -> tuple[Finding, ...]:
             f"from frame to frame points move by {100 * near:.0f} cm, which is no less than they "
             f"move in {_LAGS[-1]} frames, but bones keep their lengths to {100 * along:.1f} cm: "
             "the frames do not seem to be in the order of time; sort them by their time stamps",
-            value=near / max(float(np.median(far)), 1e-6),
+            value=near / max(typical, 1e-6),
         ),
     )
 
@@ -97,20 +119,23 @@ def frame_order(points: NamedPoints) -> tuple[Finding, ...]:
 def _seams(points: NamedPoints) -> tuple[Finding, ...]:
     """Whether the whole body goes on from another place many times.
 
-    That is so between blocks of frames which were put together in a wrong order.
+    That is so between blocks of frames which were put together in a wrong order. Changes of
+    velocity are medians over the points, divided by what the median is for normal noise of one
+    metre in each coordinate of the difference.
     """
     kept = plausible(points)
-    if kept.visible.sum() < (1 - _WILD) * points.visible.sum():
+    if len(kept.visible) < 4 or kept.visible.sum() < (1 - _WILD) * points.visible.sum():
         return ()  # where many points are outliers, half of them may change together by chance
-    change = _velocity_changes(kept)
+    change = velocity_changes(np.where(kept.visible[..., None], kept.positions, np.nan))
+    change[np.isfinite(change).sum(1) < _SEAM_POINTS] = 0.0
+    change = np.nanmedian(change, axis=1) / _MEDIAN_LENGTH
     noise = _SEAM_NOISE * _SEAM_DIFFERENCE * (bone_noise(points) or 0.0)
     limit = float(np.hypot(noise, _SEAM_SPEED / points.fps))
     before, after = np.append(0.0, change[:-1]), np.append(change[1:], 0.0)
     seams = (change > limit) & (change >= before) & (change >= after)
     if seams.sum() < _SEAMS:
         return ()
-    frames = stretches(np.concatenate(([False, False], seams, [False])))
-    speed = float(np.median(change[seams])) * points.fps
+    frames, speed = stretches(seams), float(np.median(change[seams])) * points.fps
     return (
         Finding(
             "frame order",
@@ -124,68 +149,36 @@ def _seams(points: NamedPoints) -> tuple[Finding, ...]:
     )
 
 
-def _velocity_changes(points: NamedPoints) -> Float[np.ndarray, " seams"]:
-    """Length in metres by which a frame's step differs from the mean of its neighbours' steps.
-
-    Row k is of the step from moment k + 1 to k + 2. It is the median over the points, divided by
-    what the median is for normal noise of one metre in each coordinate of the difference; zero
-    where too few points are seen in all four moments.
-    """
-    steps = np.diff(points.positions, axis=0)
-    both = points.visible[1:] & points.visible[:-1]
-    known = both[:-2] & both[1:-1] & both[2:]
-    length = np.linalg.norm(steps[1:-1] - (steps[:-2] + steps[2:]) / 2, axis=-1)
-    enough = known.sum(1) >= _SEAM_POINTS
-    out = np.zeros(len(length))
-    for row in np.flatnonzero(enough):
-        out[row] = np.median(length[row, known[row]])
-    return out / _MEDIAN_LENGTH
-
-
 def identity_changes(points: NamedPoints) -> tuple[Finding, ...]:
-    """Frames at which the whole body jumps, as where a tracker goes on with somebody else."""
+    """Frames at which the whole body jumps, as where a tracker goes on with somebody else.
+
+    The middle of the points steps there unlike it does before and after.
+    """
     step, elapsed = _middle_step(points)
-    jumps = _jumps(step, elapsed, temporal_noise(points))
+    beyond, noise = np.zeros(len(step)), temporal_noise(points)
+    for t in np.flatnonzero(np.isfinite(step)):
+        near = np.r_[max(t - 3, 0) : t, t + 1 : min(t + 4, len(step))]
+        near = near[np.isfinite(step[near])]
+        usual = float(np.median(step[near] / elapsed[near])) * elapsed[t] if len(near) else 0.0
+        beyond[t] = step[t] - usual
+    jumps = (beyond > _JUMP + 3 * min(noise, 0.1)) & (beyond > _JUMP_SPEED * elapsed)
     if not jumps.any():
         return ()
     frames, most = stretches(jumps), float(step[jumps].max())
-    if jumps.sum() >= _DISORDERLY:
-        return (
-            Finding(
-                "frame order",
-                f"all points jump together by up to {most:.2f} m and back, again and again "
-                f"({spans(frames)}): the frames there do not seem to be in the order of time; "
-                "sort them by their time stamps",
-                (),
-                frames,
-                most,
-            ),
-        )
-    return (
-        Finding(
-            "identity change",
-            f"all points jump together by up to {most:.2f} m in one frame ({spans(frames)}): "
-            "probably another person was tracked from there on; cut the recording there "
-            "(--between) or correct the identities",
-            (),
-            frames,
-            most,
-        ),
+    code: Code = "identity change"
+    said = (
+        f"all points jump together by up to {most:.2f} m in one frame ({spans(frames)}): "
+        "probably another person was tracked from there on; cut the recording there (--between) "
+        "or correct the identities"
     )
-
-
-def _jumps(
-    step: Float[np.ndarray, " moments"], elapsed: Float[np.ndarray, " moments"], noise: float
-) -> Bool[np.ndarray, " moments"]:
-    """Moments to which the middle of the points steps unlike it does before and after."""
-    known = np.isfinite(step)
-    usual = np.zeros(len(step))
-    for t in np.flatnonzero(known):
-        beside = [k for k in range(t - 3, t + 4) if k != t and 0 <= k < len(step) and known[k]]
-        speeds = step[beside] / elapsed[beside]
-        usual[t] = float(np.median(speeds)) * elapsed[t] if beside else 0.0
-    beyond = np.where(known, step - usual, 0.0)
-    return (beyond > _JUMP + 3 * min(noise, 0.1)) & (beyond > _JUMP_SPEED * elapsed)
+    if jumps.sum() >= _DISORDERLY:
+        code = "frame order"
+        said = (
+            f"all points jump together by up to {most:.2f} m and back, again and again "
+            f"({spans(frames)}): the frames there do not seem to be in the order of time; sort "
+            "them by their time stamps"
+        )
+    return (Finding(code, said, (), frames, most),)
 
 
 def _middle_step(
@@ -197,29 +190,17 @@ def _middle_step(
     """
     moments = len(points.visible)
     step, elapsed = np.full(moments, np.nan), np.full(moments, 1 / points.fps)
-    last = -1
-    for t in range(moments):
-        if not points.visible[t].any():
-            continue
-        common = points.visible[t] & points.visible[last] if last >= 0 else np.zeros(1, bool)
+    for last, t in itertools.pairwise(np.flatnonzero(points.visible.any(1))):
+        common = points.visible[t] & points.visible[last]
         if common.sum() >= 3:
             moved = points.positions[t, common] - points.positions[last, common]
             step[t] = np.linalg.norm(np.median(moved, axis=0))
             elapsed[t] = (t - last) / points.fps
-        last = t
     return step, elapsed
 
 
-def _travelled(points: NamedPoints, lag: int) -> float | None:
-    """Median distance of points from where they were so many frames ago, metres."""
+def _travelled(points: NamedPoints, lag: int) -> float:
+    """Median distance of points from where they were so many frames ago, metres; NaN: unknown."""
     both = points.visible[lag:] & points.visible[:-lag]
     away = np.linalg.norm(points.positions[lag:] - points.positions[:-lag], axis=-1)[both]
-    return float(np.median(away)) if away.size else None
-
-
-def _rigid_pairs(points: NamedPoints) -> list[tuple[int, int]]:
-    """Numbers of points whose distance no pose changes: on one bone, or the joints at its ends."""
-    if points.are_joints:
-        return joint_pairs(points)
-    bones, count = points.bones, range(len(points.bones))
-    return [(a, b) for a in count for b in count if a < b and bones[a] == bones[b]]
+    return float(np.median(away)) if away.size else np.nan

@@ -4,6 +4,7 @@ Accelerations grow with the square of the frame rate, so that a rate wrong by a 
 fall at another acceleration than g, or as a body that the ground under its feet could not hold.
 """
 
+import itertools
 import math
 from dataclasses import dataclass
 
@@ -15,7 +16,7 @@ from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.skeleton import joint_index
 from recon.diagnosis.findings import Finding, stretches
-from recon.diagnosis.motions.movement import Movement, rates_by_strides, strides
+from recon.diagnosis.movement import Movement, outside
 from recon.physics.zmp import GRAVITY
 
 _FALL_SECONDS = 0.2
@@ -41,22 +42,28 @@ _WRISTS = tuple(joint_index(f"{side}_wrist") for side in ("left", "right"))
 _NECK, _PELVIS = joint_index("neck"), joint_index("pelvis")
 
 
-def fastest_fall(movement: Movement) -> float:
-    """Largest downward acceleration of the centre of mass, times g, that is not a single glitch.
+Bounds = tuple[float, float]
+"""Lower and upper bound of the true frame rate over the declared one; (0, inf) says nothing."""
+
+
+def rates_by_falls(movement: Movement) -> Bounds:
+    """Bounds from the downward acceleration of the centre of mass in falls and flights.
 
     Parabolas are laid through a fifth of a second each; those that the centre does not follow are
-    left out. Of a longer recording it is that which is exceeded once in ten seconds.
+    left out. Of a longer recording the largest acceleration is left out once every ten seconds, as
+    a glitch.
     """
-    count = max(5, round(_FALL_SECONDS * movement.fps))
-    height = movement.centre[:, 2]
+    count, height = max(5, round(_FALL_SECONDS * movement.fps)), movement.centre[:, 2]
     if len(height) < count:
-        return 0.0
+        return 0.0, math.inf
     pieces = np.lib.stride_tricks.sliding_window_view(height, count)
     falls = _parabolas(pieces, movement.fps)
     for _ in range(max(1, math.ceil(movement.seconds / _FALL_EVERY)) - 1):
         worst = int(np.argmax(falls))
         falls[max(0, worst - 2 * count) : worst + 2 * count] = 0.0
-    return max(float(falls.max()), 0.0)
+    fall, flight = float(falls.max()), float(np.median(_flights(movement) or _FREE_FALL))
+    low = math.sqrt(_FREE_FALL / flight) if flight < _FREE_FALL else 0.0
+    return low, math.sqrt(_FALLS / fall) if fall > _FASTEST_FALL else math.inf
 
 
 def _parabolas(pieces: Float[np.ndarray, "pieces frames"], fps: float) -> np.ndarray:
@@ -68,38 +75,25 @@ def _parabolas(pieces: Float[np.ndarray, "pieces frames"], fps: float) -> np.nda
     return np.where(deviation < _PARABOLA, -2 * solution[:, 2] / GRAVITY, 0.0)
 
 
-def rates_by_falls(movement: Movement) -> tuple[float, float]:
-    """Lower and upper bound of true over declared frame rate, from falls and flights."""
-    fall, flights = fastest_fall(movement), _flights(movement)
-    flight = float(np.median(flights)) if flights else _FREE_FALL
-    low = math.sqrt(_FREE_FALL / flight) if flight < _FREE_FALL else 0.0
-    return low, math.sqrt(_FALLS / fall) if fall > _FASTEST_FALL else math.inf
-
-
 def _flights(movement: Movement) -> list[float]:
-    """Accelerations, times g, of the centre of mass of an upright body in the air."""
-    height = movement.centre[:, 2]
-    joints, ground = movement.joints, movement.ground
+    """Accelerations, times g, of the centre of mass of an upright body in the air.
+
+    The lower foot rises with the centre of mass, and both are highest between the ends.
+    """
+    joints, centre, soles = movement.joints, movement.centre[:, 2], movement.sole_heights
     trunk = joints[:, _NECK] - joints[:, _PELVIS]
     upright = trunk[:, 2] > 0.7 * np.linalg.norm(trunk, axis=-1)
     hands = joints[:, list(_WRISTS), 2].max(1) < joints[:, _NECK, 2]
-    air = (movement.sole_heights > ground + _OFF_GROUND).all(1) & upright & hands
-    found = []
+    air = (soles > movement.ground + _OFF_GROUND).all(1) & upright & hands
+    found: list[float] = []
     for first, last in stretches(air):
-        inner = height[first : last + 1]
-        whole = first > 0 and last < len(air) - 1 and 0 < int(inner.argmax()) < len(inner) - 1
-        if len(inner) < _FLIGHT_FRAMES or not whole:
-            continue
-        fall = float(_parabolas(inner[None], movement.fps)[0])
-        lower = movement.sole_heights[first : last + 1].min(1)
-        if fall > 0 and _rise(lower) > _WITH * _rise(inner):
+        inner, lower = centre[first : last + 1], soles[first : last + 1].min(1)
+        rise, lift = (h.max() - max(h[0], h[-1]) for h in (inner, lower))
+        whole = first > 0 and last < len(air) - 1 and rise > 0 and len(inner) >= _FLIGHT_FRAMES
+        fall = float(_parabolas(inner[None], movement.fps)[0]) if whole else 0.0
+        if fall > 0 and lift > _WITH * rise:
             found.append(fall)
     return found
-
-
-def _rise(heights: Float[np.ndarray, " time"]) -> float:
-    """Metres from the higher end to the top."""
-    return float(heights.max() - max(heights[0], heights[-1]))
 
 
 _SPAN = 0.1
@@ -117,22 +111,20 @@ _EXPLAINED = 0.45
 _SLOWER = (0.84, 0.71, 0.5, 0.35, 0.25)
 
 
-def rates_by_balance(movement: Movement) -> tuple[float, float]:
-    """Lower and upper bound of true over declared frame rate, from the body's balance."""
+def rates_by_balance(movement: Movement) -> Bounds:
+    """Bounds from the body's balance: at a slower rate the ground could hold it."""
     asked = _imbalance(movement, 1.0)
-    if asked is None or asked < _UNBALANCED:
-        return 0.0, math.inf
-    for factor in _SLOWER:
-        slower = _imbalance(movement, factor)
-        if slower is not None and slower < min(_UNBALANCED, _EXPLAINED * asked):
-            return 0.0, factor
+    if asked >= _UNBALANCED:
+        for factor in _SLOWER:
+            if _imbalance(movement, factor) < min(_UNBALANCED, _EXPLAINED * asked):
+                return 0.0, factor
     return 0.0, math.inf
 
 
-def _imbalance(movement: Movement, factor: float) -> float | None:
+def _imbalance(movement: Movement, factor: float) -> float:
     """Mean distance of the zero moment point from the hull of the feet on the ground, metres.
 
-    p = c_xy - h a_xy / (g + a_z) for a point mass at height h; None where too few frames show a
+    p = c_xy - h a_xy / (g + a_z) for a point mass at height h; NaN where too few frames show a
     loaded foot on the ground.
 
     Args:
@@ -143,7 +135,7 @@ def _imbalance(movement: Movement, factor: float) -> float | None:
     step = max(1, round(_SPAN * fps))
     centre, ground = movement.centre, movement.ground
     if len(centre) < 2 * step + _LEAST_FRAMES:
-        return None
+        return math.nan
     before, here, after = centre[: -2 * step], centre[step:-step], centre[2 * step :]
     acceleration = (after - 2 * here + before) * (fps / step) ** 2
     smoothed = (before + 2 * here + after) / 4
@@ -151,7 +143,7 @@ def _imbalance(movement: Movement, factor: float) -> float | None:
     standing = (movement.sole_heights < ground + _CARRIES)[step:-step]
     asked = standing.any(1) & (load > _LOADED * GRAVITY)
     if asked.sum() < _LEAST_FRAMES:
-        return None
+        return math.nan
     arm = (smoothed[asked, 2] - ground) / load[asked]
     point = smoothed[asked, :2] - arm[:, None] * acceleration[asked, :2]
     soles = movement.soles[step:-step][asked][..., :2]
@@ -160,23 +152,69 @@ def _imbalance(movement: Movement, factor: float) -> float | None:
     return float(outside(point, soles.reshape(len(soles), 4, 2)).mean())
 
 
-def outside(
-    points: Float[np.ndarray, "frames 2"], corners: Float[np.ndarray, "frames corners 2"]
-) -> Float[np.ndarray, " frames"]:
-    """Distance of a point from the convex hull of its corners, zero inside."""
-    count = corners.shape[1]
-    distance = np.full(len(points), np.inf)
-    for a in range(count):
-        for b in range(a + 1, count):
-            side = corners[:, b] - corners[:, a]
-            arm = points - corners[:, a]
-            along = (arm * side).sum(-1) / np.square(side).sum(-1).clip(min=1e-9)
-            nearest = corners[:, a] + along.clip(0, 1)[:, None] * side
-            distance = np.minimum(distance, np.linalg.norm(points - nearest, axis=-1))
-    arms = corners - points[:, None]
-    angles = np.sort(np.arctan2(arms[..., 1], arms[..., 0]), axis=1)
-    around = np.diff(np.concatenate((angles, angles[:, :1] + 2 * np.pi), 1), axis=1)
-    return np.where(around.max(1) < np.pi, 0.0, distance)
+_TURN = 0.35
+"""Leg lengths by which the separation of the feet must fall back for an extreme to count."""
+_LEAST_STEPS = 2
+_IRREGULAR = 0.35
+"""Relative standard deviation of durations and of widths above which this is no gait."""
+_MAX_SLOW_STEP_LEGS = 0.6
+"""Leg lengths: steps less wide may be as slow as one likes."""
+_WALK, _RUN = -0.35, 0.5
+"""Correlation of the pelvis' height with the separation of the feet: who walks vaults over the
+standing leg and is highest where the feet pass each other, who runs is lowest there."""
+_WALK_RATIO = (0.9, 2.6)
+"""Product of width and duration of a walk's steps. CMU: 1.0 to 2.3, median 1.4."""
+_WALK_SLOWNESS = (1.35, 4.1)
+"""Duration over width of a walk's steps: the inverse of their speed. Above a speed of
+sqrt(g leg length) no foot stays on the ground; people change to a run at 0.7 of it."""
+_RUN_RATIO = (0.7, 1.6)
+"""Product of width and duration of a run's steps. CMU: 0.9 to 1.25."""
+
+
+def rates_by_strides(movement: Movement) -> Bounds:
+    """Bounds from the length of steps for their duration, where legs alternate regularly.
+
+    Widths are in lengths of a leg, durations in sqrt(leg length / g).
+    """
+    between = (movement.ankles[:, 0] - movement.ankles[:, 1])[:, :2]
+    apart = (between * movement.forward).sum(-1) / movement.leg
+    turns = itertools.pairwise(_extremes(apart))
+    steps = np.array([(a, b) for a, b in turns if apart[a] * apart[b] < 0])
+    if len(steps) < _LEAST_STEPS:
+        return 0.0, math.inf
+    durations = (steps[:, 1] - steps[:, 0]) / movement.fps * math.sqrt(GRAVITY / movement.leg)
+    widths = np.abs(apart[steps[:, 0]] - apart[steps[:, 1]]) / 2
+    duration, width = float(np.median(durations)), float(np.median(widths))
+    irregular = max(durations.std() / durations.mean(), widths.std() / widths.mean())
+    if irregular > _IRREGULAR or width < _MAX_SLOW_STEP_LEGS:
+        return 0.0, math.inf
+    inside = slice(steps[0, 0], steps[-1, 1] + 1)
+    height, time = movement.joints[inside, 0, 2], np.arange(steps[-1, 1] + 1 - steps[0, 0])
+    detrended = height - np.polyval(np.polyfit(time, height, 1), time)
+    phase = np.corrcoef(detrended, np.abs(apart[inside]))[0, 1]
+    ratio, slowness = width * duration, duration / width
+    if phase < _WALK:
+        low = max(ratio / _WALK_RATIO[1], slowness / _WALK_SLOWNESS[1])
+        return low, min(ratio / _WALK_RATIO[0], slowness / _WALK_SLOWNESS[0])
+    if phase > _RUN and len(steps) > _LEAST_STEPS:
+        return ratio / _RUN_RATIO[1], ratio / _RUN_RATIO[0]
+    return 0.0, math.inf
+
+
+def _extremes(values: Float[np.ndarray, " time"]) -> list[int]:
+    """Frames of maxima and minima between which the values turn back by `_TURN`."""
+    found: list[int] = []
+    high = low = direction = 0
+    for index, value in enumerate(values):
+        high = index if value > values[high] else high
+        low = index if value < values[low] else low
+        if direction >= 0 and values[high] - value > _TURN:
+            found.append(high)
+            direction, high, low = -1, index, index
+        elif direction <= 0 and value - values[low] > _TURN:
+            found.append(low)
+            direction, high, low = 1, index, index
+    return found
 
 
 _LEAST_SECONDS = 0.4
@@ -201,11 +239,9 @@ class RateRange:
     @property
     def likeliest(self) -> float:
         """The factor in the range that is usual in practice and nearest to one, or its middle."""
-        inside = [f for f in _USUAL if self.low <= f <= self.high]
-        if self.holds or not inside:
-            near = self.high if self.high < 1 else self.low
-            return 1.0 if self.holds else near
-        return min(inside, key=lambda factor: abs(math.log(factor)))
+        near = 1.0 if self.holds else self.high if self.high < 1 else self.low
+        inside = [f for f in _USUAL if self.low <= f <= self.high and not self.holds]
+        return min(inside, key=lambda factor: abs(math.log(factor)), default=near)
 
 
 def rate_range(
@@ -221,21 +257,16 @@ def rate_range(
     movement = Movement.of(motion, body, observed)
     if movement.seconds < _LEAST_SECONDS:
         return None
-    found = strides(movement)
     bounds = {
-        "the length of its steps for their duration": (0.0, math.inf)
-        if found is None
-        else rates_by_strides(found),
+        "the length of its steps for their duration": rates_by_strides(movement),
         "the acceleration of its falls against gravity": rates_by_falls(movement),
         "the balance of its centre of mass over its feet": rates_by_balance(movement),
     }
     told = {why: bound for why, bound in bounds.items() if bound != (0.0, math.inf)}
-    if not told:
-        return None
-    low = max(bound[0] for bound in told.values())
-    high = min(bound[1] for bound in told.values())
+    low = max((bound[0] for bound in told.values()), default=math.inf)
+    high = min((bound[1] for bound in told.values()), default=0.0)
     if low > high:
-        # the laws contradict each other: what was found is no error of the rate alone
+        # no law says anything, or they contradict each other: then not the rate alone is wrong
         return None
     against = tuple(why for why, bound in told.items() if not bound[0] <= 1 <= bound[1])
     return RateRange(low, high, against or tuple(told))

@@ -9,9 +9,8 @@ import torch
 from jaxtyping import Bool, Float
 
 from recon.core import rotations as so3
-from recon.diagnosis.views.images import Images
-from recon.diagnosis.views.rays import Rays
-from recon.diagnosis.views.trajectories import by_turn, derivatives, in_camera, projected
+from recon.diagnosis.images import Images
+from recon.diagnosis.rays import Rays, by_turn, derivatives, in_camera, projected
 
 Cause = Literal["clock", "turned", "placed", "mirrored", "sized", "moving"]
 
@@ -196,7 +195,7 @@ def shifted(images: Images, view: int, frames: float) -> Images:
     confidence[view] = np.where(inside[:, None], both, 0.0)
     there = confidence[view][..., None] > 0
     pixels[view] = np.where(there, (1 - part[..., None]) * own[a] + part[..., None] * own[b], 0.0)
-    return images.named(pixels, confidence)
+    return replace(images, pixels=pixels, confidence=confidence)
 
 
 def robust_turns(

@@ -15,20 +15,20 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from recon.diagnosis.views.explanations import (
+from recon.diagnosis.explanations import (
     centre,
     matrix_of,
     robust_turns,
     rotation_vector,
     shifted,
 )
-from recon.diagnosis.views.images import Images
-from recon.diagnosis.views.rays import in_front
-from recon.diagnosis.views.trajectories import (
+from recon.diagnosis.images import Images
+from recon.diagnosis.rays import (
     Trajectories,
     by_turn,
     derivatives,
     in_camera,
+    in_front,
     projected,
 )
 from recon.solver.banded import Banded

@@ -8,15 +8,13 @@ back is left out where the other views agree, and warned of otherwise.
 from functools import partial
 
 import numpy as np
-import torch
 from jaxtyping import Bool
 
-from observations.noise import estimate_noise
+from recon.diagnosis.explanations import Cause, Explained, Odd, mirrored
 from recon.diagnosis.findings import NOTHING, Code, Finding, Findings, in_turn, spans, stretches
-from recon.diagnosis.views.explanations import Cause, Explained, Odd, mirrored
-from recon.diagnosis.views.images import Images
-from recon.diagnosis.views.rays import Rays
-from recon.diagnosis.views.rigs import Agreement, agreement, common_miss, corrected_rig
+from recon.diagnosis.images import Images
+from recon.diagnosis.rays import Rays
+from recon.diagnosis.rigs import Agreement, agreement, common_miss, corrected_rig
 
 _FLOOR = 2.2
 """Distance, in standard deviations of the keypoints, by which rays of a good view miss the points
@@ -47,13 +45,8 @@ _MAX_MIRRORED_RATIO = 0.6
 
 def noise_of_views(images: Images) -> float:
     """Standard deviation of keypoints at the body, metres: the median over the views."""
-    pixels, seen = torch.from_numpy(images.pixels), torch.from_numpy(images.seen)
-    own = [
-        estimate_noise(pixels[v], seen[v], (0.0, np.inf)) / float(np.median(images.scale[v]))
-        for v in range(len(images.names))
-        if images.seen[v].any()
-    ]
-    return float(np.median(own)) if own and np.isfinite(own).all() else 0.0
+    own = (images.noise / np.median(images.scale, -1))[images.seen.any((1, 2))]
+    return float(np.median(own)) if own.size and np.isfinite(own).all() else 0.0
 
 
 def checked_together(images: Images) -> tuple[Images, Findings]:
