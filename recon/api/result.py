@@ -15,10 +15,9 @@ from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.residuals import Noise
-from recon.diagnosis.agreement import ResidualSummary
 from recon.diagnosis.certainty import certainty_report
 from recon.diagnosis.doubts import Alternative
-from recon.diagnosis.examination import Examined
+from recon.diagnosis.examination import Examined, ResidualSummary
 from recon.diagnosis.findings import Finding
 from recon.fitting.fitted import Stretch
 from recon.fitting.observed import Clip

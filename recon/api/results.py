@@ -14,7 +14,7 @@ from recon.body.identities import height
 from recon.body.model import BodyModel
 from recon.core.errors import ReconError
 from recon.core.motion import Motion
-from recon.diagnosis.agreement import ResidualSummary
+from recon.diagnosis.examination import ResidualSummary
 from recon.diagnosis.findings import Finding
 from recon.formats.joint_table import JointCertainty, write_joint_table
 from recon.formats.motions import MotionFile, save_motion

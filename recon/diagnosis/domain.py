@@ -13,7 +13,7 @@ import numpy as np
 
 from recon.body.cycles import find_cycles
 from recon.core.motion import Motion
-from recon.diagnosis.agreement import ResidualSummary
+from recon.diagnosis.examination import ResidualSummary
 from recon.diagnosis.findings import Finding
 from recon.fitting.fitted import ClipFit
 from recon.fitting.observed import seen_times

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from recon.core.skeleton import ARMS
-from recon.diagnosis.findings import Code, Finding, chosen, listed, stretches
+from recon.diagnosis.findings import Code, Finding, chosen, lasting, listed, stretches
 from recon.diagnosis.named_points import (
     NamedPoints,
     Predicted,
@@ -25,10 +25,15 @@ _SAVED = 0.08
 """Metres by which bones must become more like a person's by it."""
 _NEARER = 0.15
 """Metres by which both points together must come nearer to their places in a frame."""
-_NEARER_NOISES = 6.0
-"""Standard deviations of a coordinate by which both points together must come nearer."""
+_NOISES = 6.0
+"""Standard deviations of a coordinate by which a point must be out of its place: beyond them a
+position is an outlier, and both points together must come nearer when they exchange names."""
 _GAP, _SHORTEST = 2, 2
 """Frames between exchanged frames that are exchanged, too; and frames of the shortest stretch."""
+
+
+Exchanges = list[tuple[tuple[int, int], Bool[np.ndarray, " moments"]]]
+"""Pairs of points that carry each other's name, and when."""
 
 
 def exchanged_throughout(points: NamedPoints) -> tuple[int, int] | None:
@@ -38,82 +43,62 @@ def exchanged_throughout(points: NamedPoints) -> tuple[int, int] | None:
     """
     if not points.are_joints:
         return None
-    spans, ratio = joint_pairs(points), size(points) or 1.0
+    bones, ratio = joint_pairs(points), size(points) or 1.0
 
     @cache  # bones are compared again for every two joints that one of them touches
     def misfit(got: tuple[int, int], want: tuple[int, int]) -> float:
-        return _misfit(points, got, want, ratio)
+        """Median difference of a distance from the length of a bone, metres."""
+        away = np.abs(distances(points, *got) - ratio * rest_length(points, *want))
+        return float(np.median(away)) if len(away) else 0.0
 
     best, pair = 0.0, None
     for a, b in combinations(range(len(points.bones)), 2):
-        touched = [one for one in spans if a in one or b in one]
-        if (a, b) in spans or (b, a) in spans or not touched:
+        touched = [one for one in bones if a in one or b in one]
+        if (a, b) in bones or (b, a) in bones:
             continue
         swap = {a: b, b: a}
-        other = [(swap.get(k, k), swap.get(j, j)) for k, j in touched]
         own = sum(misfit(bone, bone) for bone in touched)
-        new = sum(misfit(got, want) for got, want in zip(other, touched, strict=True))
+        new = sum(misfit((swap.get(k, k), swap.get(j, j)), (k, j)) for k, j in touched)
         if own - new > max(best, _SAVED) and new < _MAX_REMAINING_SHARE * own:
             best, pair = own - new, (a, b)
     return pair
 
 
-def exchanged_moments(
-    predicted: Predicted, noise: float
-) -> list[tuple[tuple[int, int], Bool[np.ndarray, " moments"]]]:
+def exchanged_moments(predicted: Predicted, noise: float) -> Exchanges:
     """Pairs of points that lie in each other's place on the body, and when."""
     points = predicted.points
     away = np.linalg.norm(points.positions[:, :, None] - predicted.positions[:, None], axis=-1)
-    nearer = max(_NEARER, _NEARER_NOISES * noise)
+    nearer = max(_NEARER, _NOISES * noise)
     found: list[tuple[float, tuple[int, int], Bool[np.ndarray, " moments"]]] = []
     for a, b in combinations(range(len(points.names)), 2):
         own, other = away[:, a, a] + away[:, b, b], away[:, a, b] + away[:, b, a]
         both = points.visible[:, a] & points.visible[:, b]
         surely = both & (own - other > nearer) & (other < _MAX_REMAINING_SHARE * own)
-        moments = _without_gaps(_grown(surely, both & (own - other > noise)))
+        moments = _whole_stretches(surely, both & (own - other > noise))
         if moments.any():
             found.append((float((own - other)[moments].sum()), (a, b), moments & both))
-    taken: set[int] = set()
-    kept: list[tuple[tuple[int, int], Bool[np.ndarray, " moments"]]] = []
+    kept: Exchanges = []
     for _, pair, moments in sorted(found, key=lambda one: -one[0]):
-        if not taken & set(pair):
-            taken |= set(pair)
+        if not any(set(pair) & set(other) for other, _ in kept):
             kept.append((pair, moments))
     return kept
 
 
-def _grown(
+def _whole_stretches(
     surely: Bool[np.ndarray, " moments"], likely: Bool[np.ndarray, " moments"]
 ) -> Bool[np.ndarray, " moments"]:
-    """The stretches of likely moments that hold a sure one.
+    """The stretches of likely moments that hold a sure one, with short gaps closed.
 
     Limbs that pass each other come too near to tell for a moment within an exchanged stretch.
     """
+    if not surely.any():
+        return surely
     grown = surely.copy()
     for first, last in stretches(likely):
         grown[first : last + 1] |= surely[first : last + 1].any()
-    return grown
-
-
-def _without_gaps(flags: Bool[np.ndarray, " moments"]) -> Bool[np.ndarray, " moments"]:
-    """Flags with short gaps closed and short runs left out."""
-    closed = flags.copy()
-    for first, last in stretches(~flags):
-        if first > 0 and last < len(flags) - 1 and last - first < _GAP:
-            closed[first : last + 1] = True
-    for first, last in stretches(closed):
-        if last - first + 1 < _SHORTEST:
-            closed[first : last + 1] = False
-    return closed
-
-
-def _misfit(
-    points: NamedPoints, got: tuple[int, int], want: tuple[int, int], ratio: float
-) -> float:
-    """Median difference of a distance from the length of a bone, metres; zero if never seen."""
-    lengths = distances(points, *got)
-    rest = ratio * rest_length(points, *want)
-    return float(np.median(np.abs(lengths - rest))) if len(lengths) else 0.0
+    gaps = ~grown & ~lasting(~grown, _GAP + 1)
+    gaps[: int(grown.argmax())] = gaps[len(grown) - int(grown[::-1].argmax()) :] = False
+    return lasting(grown | gaps, _SHORTEST)
 
 
 _FASTEST = 0.1
@@ -130,17 +115,14 @@ def find_exchanges(points: NamedPoints) -> Bool[np.ndarray, " moments"]:
     return _parity(_flips(points, _counterpart_pairs(points)))
 
 
-def exchanged_pairs(
-    points: NamedPoints,
-) -> list[tuple[tuple[int, int], Bool[np.ndarray, " moments"]]]:
+def exchanged_pairs(points: NamedPoints) -> Exchanges:
     """Single pairs of counterparts that jump to each other's place and back again, and when."""
-    found: list[tuple[tuple[int, int], Bool[np.ndarray, " moments"]]] = []
+    found: Exchanges = []
     for pair in _counterpart_pairs(points):
         flips = _flips(points, [pair])
-        moments = _parity(flips)
-        if moments.any() and flips.sum() % 2 == 0:  # else nobody knows on which side they began
-            found.append((pair, moments & points.visible[:, pair[0]] & points.visible[:, pair[1]]))
-    return found
+        if flips.any() and flips.sum() % 2 == 0:  # else nobody knows on which side they began
+            found.append((pair, _parity(flips) & points.visible[:, list(pair)].all(1)))
+    return [(pair, moments) for pair, moments in found if moments.any()]
 
 
 def _counterpart_pairs(points: NamedPoints) -> list[tuple[int, int]]:
@@ -148,32 +130,26 @@ def _counterpart_pairs(points: NamedPoints) -> list[tuple[int, int]]:
 
 
 def _flips(points: NamedPoints, pairs: list[tuple[int, int]]) -> Bool[np.ndarray, " moments"]:
-    """Moments at which these pairs, taken together, jump to each other's place."""
-    moments = len(points.visible)
-    flips = np.zeros(moments, dtype=bool)
+    """Moments at which these pairs, taken together, jump to each other's place.
+
+    They then move less if their sides are exchanged.
+    """
+    flips = np.zeros(len(points.visible), dtype=bool)
     if not pairs:
         return flips
-    left, right = (list(side) for side in zip(*pairs, strict=True))
-    seen = points.visible[:, left] & points.visible[:, right]
-    x = np.stack((points.positions[:, left], points.positions[:, right]), 2)
+    rows = np.array(pairs)
+    seen, x = points.visible[:, rows].all(-1), points.positions[:, rows]
     last = np.full(len(pairs), -1)
-    for t in range(moments):
+    for t in range(len(flips)):
         known = seen[t] & (last >= 0) & ((t - last) / points.fps <= _FASTEST)
         if known.any():
-            before = x[last[known], np.flatnonzero(known)]
-            flips[t] = _exchanged(before, x[t, known])
+            before, after = x[last[known], np.flatnonzero(known)], x[t, known]
+            same = np.linalg.norm(after - before, axis=-1).sum(-1)
+            other = np.linalg.norm(after[:, ::-1] - before, axis=-1).sum(-1)
+            saved = np.clip(same - other, -1.0, 1.0).mean() / 2
+            flips[t] = saved > _MIN_SAVED_M and other.mean() < _LESS * same.mean()
         last = np.where(seen[t], t, last)
     return flips
-
-
-def _exchanged(
-    before: Float[np.ndarray, "pairs 2 3"], after: Float[np.ndarray, "pairs 2 3"]
-) -> bool:
-    """Whether the pairs moved less if their sides were exchanged."""
-    same = np.linalg.norm(after - before, axis=-1).sum(-1)
-    other = np.linalg.norm(after[:, ::-1] - before, axis=-1).sum(-1)
-    saved = np.clip(same - other, -1.0, 1.0).mean() / 2
-    return bool(saved > _MIN_SAVED_M and other.mean() < _LESS * same.mean())
 
 
 def _parity(flips: Bool[np.ndarray, " moments"]) -> Bool[np.ndarray, " moments"]:
@@ -184,8 +160,6 @@ def _parity(flips: Bool[np.ndarray, " moments"]) -> Bool[np.ndarray, " moments"]
 
 _OUTLIER_M = 0.25
 """Metres from the body beyond which a single position is an outlier, whatever the noise."""
-_NOISES = 6.0
-"""Standard deviations of a coordinate beyond which a position is an outlier."""
 _LEAP = 0.1
 """Metres between a position and the middle of its neighbours in time, by which points leap to
 outliers and back; hands that punch turn around within 8 cm at 30 frames per second."""
@@ -224,40 +198,35 @@ def misplaced_points(predicted: Predicted, noise: float) -> tuple[NamedPoints, l
     least = max(_AWAY, _OTHERS * float(np.median(known))) if len(known) else np.inf
     offset, spread = predicted.offsets
     constant = np.linalg.norm(offset, axis=-1)
-    if points.are_joints:
-        displaced = constant > _OFFSET_JOINTS
-    else:
-        displaced = (constant > _OFFSET_MARKERS) | _one_sided(points, offset)
+    displaced = constant > (_OFFSET_JOINTS if points.are_joints else _OFFSET_MARKERS)
+    if not points.are_joints:
+        displaced |= _one_sided(points, offset)
     unreached = out_of_reach(plausible(points), _OFFSET_JOINTS)
     steady = spread < np.maximum(_MAX_LENGTH_SHARE * constant, _MAX_LENGTH_STDS * noise)
+    hidden = np.zeros_like(points.visible)
     for point in np.flatnonzero(points.visible.any(0)):
-        seen = points.visible[:, point]
+        seen, name = points.visible[:, point], points.names[point]
         x, body = points.positions[seen, point], predicted.positions[seen, point]
-        still = (
-            np.quantile(np.linalg.norm(x - np.median(x, axis=0), axis=-1), _ALWAYS)
-            < _MAX_STILL_RADIUS_M
-        )
+        still = np.linalg.norm(x - np.median(x, axis=0), axis=-1)
         moved = np.linalg.norm(body - np.median(body, axis=0), axis=-1).max() > _MOVED
-        name = points.names[point]
+        stays = moved and np.quantile(still, _ALWAYS) < _MAX_STILL_RADIUS_M
         value = float(typical[point])
-        if still and moved and np.quantile(away[seen, point], _MOSTLY) > least:
-            found.append(_left_out("constant point", name, value, (
-                f"{name} stays in one place in the room while the body moves away from it"
-            )))  # fmt: skip
+        code: Code = "offset point"
+        if stays and np.quantile(away[seen, point], _MOSTLY) > least:
+            code, why = (
+                "constant point",
+                (f"{name} stays in one place in the room while the body moves away from it"),
+            )
         elif unreached[point]:
-            found.append(_left_out("offset point", name, value, (
-                f"all bones that end at {name} have lengths that no person's have"
-            )))  # fmt: skip
+            why = f"all bones that end at {name} have lengths that no person's have"
         elif steady[point] and displaced[point]:
-            found.append(_left_out("offset point", name, value, (
-                f"{name} is {100 * value:.0f} cm away from its place on the body throughout"
-            )))  # fmt: skip
+            why = f"{name} is {100 * value:.0f} cm away from its place on the body throughout"
         else:
             continue
-        hidden = np.zeros_like(points.visible)
         hidden[:, point] = True
-        points = points.without(hidden)
-    return points, found
+        said = f"{why}; it was left out. Look at its label and its tracking"
+        found.append(Finding(code, said, (name,), (), value))
+    return points.without(hidden), found
 
 
 def _one_sided(
@@ -311,11 +280,5 @@ def _entered_by_leaps(
     kept = far.copy()
     for point in range(far.shape[1]):
         for first, last in stretches(far[:, point]):
-            if min(bend[first, point], bend[last, point]) < leap:
-                kept[first : last + 1, point] = False
+            kept[first : last + 1, point] = min(bend[first, point], bend[last, point]) >= leap
     return kept
-
-
-def _left_out(code: Code, name: str, value: float, what: str) -> Finding:
-    said = f"{what}; it was left out. Look at its label and its tracking"
-    return Finding(code, said, (name,), (), value)

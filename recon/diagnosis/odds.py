@@ -8,10 +8,18 @@ back is left out where the other views agree, and warned of otherwise.
 from functools import partial
 
 import numpy as np
-from jaxtyping import Bool
 
 from recon.diagnosis.explanations import Cause, Explained, Odd, mirrored
-from recon.diagnosis.findings import NOTHING, Code, Finding, Findings, in_turn, spans, stretches
+from recon.diagnosis.findings import (
+    NOTHING,
+    Code,
+    Finding,
+    Findings,
+    in_turn,
+    lasting,
+    spans,
+    stretches,
+)
 from recon.diagnosis.images import Images
 from recon.diagnosis.rays import Rays
 from recon.diagnosis.rigs import Agreement, agreement, common_miss, corrected_rig
@@ -218,15 +226,6 @@ def _stretches_left_out(images: Images, odd: Odd, *, agree: bool) -> tuple[Image
         return images.without(hidden), Findings((done,))
     todo = Finding("view at odds", f"{said}; check who is followed", frames=frames, value=size)
     return images, Findings(warnings=(todo,))
-
-
-def lasting(flags: Bool[np.ndarray, " moments"], least: int) -> Bool[np.ndarray, " moments"]:
-    """The runs of true values that last long enough."""
-    out = np.zeros_like(flags)
-    for first, last in stretches(flags):
-        if last - first + 1 >= max(least, 1):
-            out[first : last + 1] = True
-    return out
 
 
 def _two_views(images: Images, noise: float) -> tuple[Images, Findings]:

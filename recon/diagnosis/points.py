@@ -1,6 +1,5 @@
 """Points in space before a fit: what is wrong with them, and the repairs that are sure."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import combinations
@@ -101,9 +100,17 @@ def _sides(
     fits = quick_fits([given, plausible(opposite).observation], body)
     best = min(fits, key=lambda one: one.cost * (1 if one.points is given else 1 / _WRONG_SIDES))
     wrong = exchanged if best.points is given else ~exchanged
-    if not wrong.any():
-        return named, best, NOTHING
-    if not wrong.all():
+    right, found = (steady if best.points is given else opposite), NOTHING
+    if wrong.all():
+        said = Finding(
+            "sides exchanged",
+            "knees, elbows and feet bend the wrong way unless left and right are exchanged: the "
+            "names were exchanged throughout. If the recording is mirrored instead, mirror it "
+            "back before fitting: this result is then the mirror image of the motion",
+            value=min(one.cost for one in fits) / max(one.cost for one in fits),
+        )
+        found = Findings((said,), (said,))
+    elif wrong.any():
         said = Finding(
             "sides exchanged",
             "left and right change places from one frame to the next and back "
@@ -112,15 +119,8 @@ def _sides(
             stretches(wrong),
             float(wrong.mean()),
         )
-        return (steady if best.points is given else opposite), best, Findings((said,))
-    said = Finding(
-        "sides exchanged",
-        "knees, elbows and feet bend the wrong way unless left and right are exchanged: the names "
-        "were exchanged throughout. If the recording is mirrored instead, mirror it back before "
-        "fitting: this result is then the mirror image of the motion",
-        value=min(one.cost for one in fits) / max(one.cost for one in fits),
-    )
-    return (steady if best.points is given else opposite), best, Findings((said,), (said,))
+        found = Findings((said,))
+    return right, best, found
 
 
 def _exchanged(
@@ -135,25 +135,17 @@ def _exchanged(
             named, fitted, found = other, better, said
     noise = temporal_noise(NamedPoints.of(fitted.points, body))
     predicted = Predicted.of(named, fitted.points, fitted.estimate)
-    if _suspicious(predicted, noise):  # before points are blamed, the body reaches for them
-        fitted = pursued(fitted, body)
-        predicted = Predicted.of(named, fitted.points, fitted.estimate)
     pairs = exchanged_moments(predicted, noise)
+    if pairs or misplaced_points(predicted, noise)[1] or outliers(predicted, noise)[1]:
+        # before points are blamed, the body reaches for them
+        fitted = pursued(fitted, body)
+        pairs = exchanged_moments(Predicted.of(named, fitted.points, fitted.estimate), noise)
     for pair, moments in pairs:
         named, said = _exchanged_back(named, pair, moments)
         found += said
     if pairs:
         (fitted,) = quick_fits([plausible(named).observation], body)
     return named, fitted, found
-
-
-def _suspicious(predicted: Predicted, noise: float) -> bool:
-    """Whether a quick fit would blame any point."""
-    return (
-        len(exchanged_moments(predicted, noise)) > 0
-        or len(misplaced_points(predicted, noise)[1]) > 0
-        or outliers(predicted, noise)[1] is not None
-    )
 
 
 def _exchanged_back(
@@ -180,8 +172,12 @@ def _against_a_body(
     noise = temporal_noise(NamedPoints.of(fitted.points, body))
     predicted = Predicted.of(named, fitted.points, fitted.estimate)
     kept, misplaced = misplaced_points(predicted, noise)
-    if len(misplaced) > _MAX_MISPLACED_SHARE * len(named.names) or _limbs(named, misplaced):
-        return named, None, NOTHING  # the quick fit itself is wrong, so it judges no points
+    bones = [named.bones[named.names.index(one.joints[0])] for one in misplaced]
+    limb = any(a == b or PARENTS[a] == b or PARENTS[b] == a for a, b in combinations(bones, 2))
+    if limb or len(misplaced) > _MAX_MISPLACED_SHARE * len(named.names):
+        # the quick fit itself is wrong, so it judges no points: an acrobat's planted hand was said
+        # to be left behind by a body that was fitted wrong
+        return named, None, NOTHING
     kept, wild = outliers(replace(predicted, points=kept), noise)
     # what is left out throughout is inferred, which a user should know
     repairs, warnings = tuple(misplaced), tuple(misplaced)
@@ -200,12 +196,3 @@ def _against_a_body(
             repairs, warnings = (*repairs, floor), (*warnings, floor)
         belt = belt_velocity(motion[0], body)
     return replace(kept, given=given), belt, Findings(repairs, warnings)
-
-
-def _limbs(named: NamedPoints, misplaced: Sequence[Finding]) -> bool:
-    """Whether several points of one limb are misplaced: then the limb is, in the quick fit.
-
-    An acrobat's planted foot or hand was said to be left behind by a body that was fitted wrong.
-    """
-    bones = [named.bones[named.names.index(one.joints[0])] for one in misplaced]
-    return any(a == b or PARENTS[a] == b or PARENTS[b] == a for a, b in combinations(bones, 2))

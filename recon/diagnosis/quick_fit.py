@@ -12,6 +12,7 @@ from observations.noise import estimate_noise
 from observations.points import TrackedPoints
 from priors.pose.prior import PosePrior, PoseWeights
 from recon.body.model import BodyModel
+from recon.core.motion import Motion
 from recon.core.robust import geman_mcclure, squared
 from recon.core.struct import concatenate
 from recon.diagnosis.named_points import NamedPoints
@@ -32,12 +33,13 @@ _HALF_WINDOW = 0.12
 
 def plausible(points: NamedPoints) -> NamedPoints:
     """The points without those far from all others and those that leap out of their own path."""
-    return points.without(_far(points) | _spikes(points))
+    away = np.linalg.norm(points.positions - _running_median(points), axis=-1)
+    return points.without(_far(points) | (np.nan_to_num(away) > _SPIKE))
 
 
 def _far(points: NamedPoints) -> Bool[np.ndarray, "moments points"]:
     away = np.linalg.norm(points.positions - points.centre[:, None], axis=-1)
-    return points.visible & (np.nan_to_num(away) > _BODY_RADIUS_M)
+    return np.nan_to_num(away) > _BODY_RADIUS_M
 
 
 def smoothed(points: NamedPoints) -> NamedPoints:
@@ -45,17 +47,10 @@ def smoothed(points: NamedPoints) -> NamedPoints:
 
     They have no standard deviations: medians exist where points were not seen as well.
     """
-    kept = points.without(_far(points))
-    median = _running_median(kept)
+    median = _running_median(points.without(_far(points)))
     known = np.isfinite(median[..., 0])
-    return replace(
-        kept, positions=np.where(known[..., None], median, 0.0), visible=known, std=None
-    )
-
-
-def _spikes(points: NamedPoints) -> Bool[np.ndarray, "moments points"]:
-    away = np.linalg.norm(points.positions - _running_median(points), axis=-1)
-    return points.visible & (np.nan_to_num(away) > _SPIKE)
+    places = np.where(known[..., None], median, 0.0)
+    return replace(points, positions=places, visible=known, std=None)
 
 
 def _running_median(points: NamedPoints) -> Float[np.ndarray, "moments points 3"]:
@@ -101,28 +96,36 @@ def quick_fits(versions: Sequence[TrackedPoints], body: BodyModel) -> list[Quick
     as its noise allows, no other can be clearly better, and none is fitted. Of a long recording
     only the version of the least cost is fitted whole, and only that one is returned.
     """
-    first, method = versions[0], _method(versions[0])
-    excerpts = [_excerpt(one) for one in versions]
+    first, noise = versions[0], _noise(versions[0])
+    method, excerpts = partial(_quick, noise), [_excerpt(one) for one in versions]
     fits = _fitted(excerpts[:1], method, body)
-    if len(versions) > 1 and fits[0].cost > _AT_NOISE * 1.5 * _noise(first) ** 2:
+    if len(versions) > 1 and fits[0].cost > _AT_NOISE * 1.5 * noise**2:
         fits += _fitted(excerpts[1:], method, body)
     if excerpts[0] is first:
         return fits
     best = min(range(len(fits)), key=lambda row: fits[row].cost)
-    whole = versions[best].replace(kernel=partial(geman_mcclure, sigma=ROBUST_SCALE))
-    start = smoothed(NamedPoints.of(whole, body)).observation.start(body)
+    start = smoothed(NamedPoints.of(versions[best], body)).observation.start(body)
     # an excerpt of a long recording is not the whole of it
     from recon.fitting.long import fit_long
 
-    motion = fit_long([whole], method, body, start=start).motion
+    motion = fit_long([_robust(versions[best])], method, body, start=start).motion
     estimate = Estimate.of_clip(motion[0].detach(), body)
     return [QuickFit(versions[best], estimate, fits[best].cost)]
 
 
-def _fitted(versions: Sequence[TrackedPoints], method: Stages, body: BodyModel) -> list[QuickFit]:
-    robust = concatenate(list(versions)).replace(kernel=partial(geman_mcclure, sigma=ROBUST_SCALE))
-    starts = [smoothed(NamedPoints.of(one, body)).observation.start(body) for one in versions]
-    result = solve([robust], method, body, start=concatenate(starts))
+def _robust(points: TrackedPoints) -> TrackedPoints:
+    return points.replace(kernel=partial(geman_mcclure, sigma=ROBUST_SCALE))
+
+
+def _fitted(
+    versions: Sequence[TrackedPoints], method: Stages, body: BodyModel, start: Motion | None = None
+) -> list[QuickFit]:
+    """Fits of all versions at once, from the medians of their points or from a given motion."""
+    robust = _robust(concatenate(list(versions)))
+    if start is None:
+        smooth = [smoothed(NamedPoints.of(one, body)).observation for one in versions]
+        start = concatenate([one.start(body) for one in smooth])
+    result = solve([robust], method, body, start=start)
     value = result.reports[-1].solution.value / robust.visible.sum((-2, -1)).clamp(min=1)
     return [
         QuickFit(one, Estimate.of_clip(result.motion[row].detach(), body), float(value[row]))
@@ -141,28 +144,15 @@ def pursued(fit: QuickFit, body: BodyModel) -> QuickFit:
     """
     if _excerpt(fit.points) is not fit.points:
         return fit
-    method, start = _method(fit.points), fit.estimate.motion
+    method, start = partial(_quick, _noise(fit.points)), fit.estimate.motion
     reached = solve([fit.points.replace(kernel=squared)], method, body, start=start).motion
-    robust = fit.points.replace(kernel=partial(geman_mcclure, sigma=ROBUST_SCALE))
-    result = solve([robust], method, body, start=reached.detach())
-    count = max(int(fit.points.visible.sum()), 1)
-    cost = float(result.reports[-1].solution.value[0]) / count
-    estimate = Estimate.of_clip(result.motion[0].detach(), body)
-    return min(fit, replace(fit, estimate=estimate, cost=cost), key=_cost)
-
-
-def _cost(fit: QuickFit) -> float:
-    return fit.cost
+    (again,) = _fitted([fit.points], method, body, reached.detach())
+    return again if again.cost < fit.cost else fit
 
 
 def _noise(points: TrackedPoints) -> float:
     """Standard deviation of a coordinate, metres."""
     return float(estimate_noise(points.positions, points.visible))
-
-
-def _method(points: TrackedPoints) -> Stages:
-    """The quick stages for these points."""
-    return partial(_quick, _noise(points))
 
 
 def _quick(noise: float, data: tuple[Term, ...]) -> tuple[Stage[Any], ...]:
