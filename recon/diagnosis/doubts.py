@@ -234,7 +234,7 @@ def observed_joints(
 def unseen_findings(observed: Bool[np.ndarray, "time 22"]) -> list[Finding]:
     """Joints that were never seen, and frames in which nothing was seen, as said to the user."""
     found: list[Finding] = []
-    never = chosen(JOINTS, ~observed.any(0))
+    never = chosen(JOINTS, ~np.any(observed, axis=0))
     if never:
         found.append(
             Finding(

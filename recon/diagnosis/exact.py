@@ -52,7 +52,7 @@ def repaired_zeros(points: NamedPoints) -> tuple[NamedPoints, Findings]:
         zero[:, root] = False
     if not zero.any():
         return points, NOTHING
-    joints = chosen(points.names, zero.any(0))
+    joints = chosen(points.names, np.any(zero, axis=0))
     share = float(zero.sum() / points.visible.sum())
     said = Finding(
         "zeros",
@@ -60,7 +60,7 @@ def repaired_zeros(points: NamedPoints) -> tuple[NamedPoints, Findings]:
         f"missing points are often written ({listed(joints)}); they were taken as not visible. "
         "Mark missing points in `visible`",
         joints,
-        stretches(zero.any(1)),
+        stretches(np.any(zero, axis=1)),
         share,
     )
     return points.without(zero), Findings((said,))
@@ -102,7 +102,10 @@ def repaired_held(points: NamedPoints) -> tuple[NamedPoints, Findings]:
             hidden[held, point] = moved[held].mean() > 0.5 and travelled > _TRAVELLED
     if not hidden.any():
         return points, NOTHING
-    joints, frames = chosen(points.names, hidden.any(0)), stretches(hidden.any(1))
+    joints, frames = (
+        chosen(points.names, np.any(hidden, axis=0)),
+        stretches(np.any(hidden, axis=1)),
+    )
     said = Finding(
         "constant point",
         f"{listed(joints)} {'keeps' if len(joints) == 1 else 'keep'} exactly one position while "

@@ -46,14 +46,17 @@ def repaired_zeros(images: Images) -> tuple[Images, Findings]:
     """Keypoints at (0, 0) are made unseen: that is how missing ones are often written."""
 
     def said(v: int, here: Seen) -> Finding:
-        share, points = here.sum() / images.seen[v].sum(), chosen(images.points, here.any(0))
+        share, points = (
+            here.sum() / images.seen[v].sum(),
+            chosen(images.points, np.any(here, axis=0)),
+        )
         return Finding(
             "zeros",
             f"{share:.2g} of the keypoints with a confidence lie at exactly (0, 0), which is how "
             f"missing ones are often written ({listed(points)}); they were taken as not seen. "
             "Write a confidence of 0 for them",
             points,
-            stretches(here.any(-1)),
+            stretches(np.any(here, axis=-1)),
             float(share),
         )
 
@@ -94,7 +97,10 @@ def repaired_held(images: Images) -> tuple[Images, Findings]:
     held = length >= np.maximum(_MIN_HELD_MOMENTS - 1, _LONGER * (usual[:, None, None] + 1))
 
     def said(_: int, here: Seen) -> Finding:
-        frames, points = stretches(here.any(-1)), chosen(images.points, here.any(0))
+        frames, points = (
+            stretches(np.any(here, axis=-1)),
+            chosen(images.points, np.any(here, axis=0)),
+        )
         return Finding(
             "constant point",
             f"{listed(points)} stayed at exactly the same pixel in {spans(frames)} "
@@ -163,7 +169,7 @@ def repaired_outliers(images: Images) -> tuple[Images, Findings]:
             "and are just after; they were taken as not seen. Another detector, or a higher least "
             "confidence, may help",
             (),
-            stretches(here.any(-1)),
+            stretches(np.any(here, axis=-1)),
             float(share[v]),
         )
 
@@ -219,9 +225,9 @@ def identity_findings(images: Images) -> tuple[Finding, ...]:
     if not changed.any():
         return ()
     most = size.max(0)
-    frames = [a + int(most[a : b + 1].argmax()) for a, b in stretches(changed.any(0))]
+    frames = [a + int(most[a : b + 1].argmax()) for a, b in stretches(np.any(changed, axis=0))]
     common = changed.sum(0) >= max(2, len(changed) / 2)
-    names = ", ".join(chosen(images.names, changed.any(1)))
+    names = ", ".join(chosen(images.names, np.any(changed, axis=1)))
     return (
         Finding(
             "identity change",

@@ -138,7 +138,7 @@ def _flips(points: NamedPoints, pairs: list[tuple[int, int]]) -> Bool[np.ndarray
     if not pairs:
         return flips
     rows = np.array(pairs)
-    seen, x = points.visible[:, rows].all(-1), points.positions[:, rows]
+    seen, x = np.all(points.visible[:, rows], axis=-1), points.positions[:, rows]
     last = np.full(len(pairs), -1)
     for t in range(len(flips)):
         known = seen[t] & (last >= 0) & ((t - last) / points.fps <= _FASTEST)
@@ -252,7 +252,7 @@ def outliers(predicted: Predicted, noise: float) -> tuple[NamedPoints, Finding |
     kept = points.without(far)
     if share < _MANY:
         return kept, None
-    joints = chosen(points.names, far.any(0))
+    joints = chosen(points.names, np.any(far, axis=0))
     return kept, Finding(
         "outliers",
         f"{100 * share:.3g} % of the visible positions are more than {limit:.2f} m from the body "

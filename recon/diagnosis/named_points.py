@@ -205,8 +205,8 @@ def out_of_reach(points: NamedPoints, limit: float) -> Bool[np.ndarray, " points
             of the same size.
     """
     wrong: list[list[bool]] = [[] for _ in points.names]
-    ratio = size(points) if points.are_joints else None
-    for a, b in joint_pairs(points) if ratio is not None else ():
+    ratio = size(points) or 0.0
+    for a, b in joint_pairs(points) if ratio and points.are_joints else ():
         seen = distances(points, a, b)
         if len(seen) >= _MIN_MOMENTS:
             middle = float(np.median(seen))
