@@ -13,26 +13,16 @@ from torch import Tensor
 
 from priors.checkpoints import save_checkpoint
 from priors.pose.density import COORDINATES, PoseDensity, fit_density
-from recon.benchmark.dataset import SPLITS, Licence, Splits, load_clips, poses
+from recon.benchmark.dataset import Splits, load_clips, poses
 from recon.body.model import BodyModel
-from training.run import LOG, logged_to
-from training.settings import told_settings
+from training.run import LOG
+from training.settings import CorpusSettings, told_settings
 
 
 @dataclass(frozen=True)
-class PoseTraining:
+class PoseTraining(CorpusSettings):
     """Settings of a run."""
 
-    corpus: Path
-    """Folder of converted motions (`recon convert --all`)."""
-    out: Path = Path("pose.safetensors")
-    """Weights to write."""
-    log: Path | None = None
-    """Log of the run to write; None is beside the weights, .log."""
-    data: Licence = "open"
-    """`open`: clips whose weights may be shipped; `nc`: the non-commercial ones too."""
-    splits: Path = SPLITS
-    """Table of the subjects that are held out."""
     floor: float = 0.05
     """Standard deviation added to every direction of pose space, radians."""
     rate: float = 10.0
@@ -41,19 +31,13 @@ class PoseTraining:
     """Poses of one subject at most."""
 
 
-def train(settings: PoseTraining) -> Path:
+def export_weights(settings: PoseTraining, path: Path) -> None:
     """Fit the density and write it.
 
     Raises:
         FileNotFoundError: when there is no corpus, splits file or folder for the output.
         ValueError: when no clip of the corpus may be learned from.
     """
-    with logged_to(settings.log or settings.out.with_suffix(".log"), "w"):
-        return _fitted(settings)
-
-
-def _fitted(settings: PoseTraining) -> Path:
-    LOG.info("settings: %s", settings)
     splits = Splits.load(settings.splits)
     learned = load_clips(settings.corpus, splits, "train", settings.data)
     held_out = load_clips(settings.corpus, splits, "validation", settings.data)
@@ -70,9 +54,7 @@ def _fitted(settings: PoseTraining) -> Path:
     tensors = {name: tensor.float() for name, tensor in density.tensors().items()}
     subjects = sorted({clip.subject for clip in learned})
     about = told_settings(settings) | {"poses": len(rotations), "subjects": subjects}
-    save_checkpoint(settings.out, "pose", tensors, about)
-    LOG.info("wrote %s", settings.out)
-    return settings.out
+    save_checkpoint(path, "pose", tensors, about)
 
 
 def score(density: PoseDensity, rotations: Float[Tensor, "poses 21 3 3"]) -> float:

@@ -22,7 +22,6 @@ from recon.diagnosis.findings import Finding
 from recon.fitting.fitted import Stretch
 from recon.fitting.observed import Clip
 from recon.formats.motions import MotionFile
-from recon.formats.reports import versions
 from recon.method.derivatives import GroundDeviation
 from recon.method.reconstruction import Reconstruction
 from recon.method.sensor import unposed_camera
@@ -40,6 +39,8 @@ def describe(
         inputs: SHA-256 of everything that was read, by path (`recon.reading.inputs`).
         settings: of the fit, by name.
     """
+    from recon.formats.reports import versions  # results that are not written need none
+
     return {
         "failed": result.failed[0],
         "stages": [_stage(report) for report in result.reports],

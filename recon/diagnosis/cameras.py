@@ -18,7 +18,6 @@ from torch import Tensor
 from observations.camera_paths import tell_distance, triangulate
 from observations.first_guess import one_clock
 from observations.keypoints2d import Keypoints2D
-from recon.body.identities import height
 from recon.body.model import BodyModel
 from recon.core.robust import NORMAL_MAD
 from recon.diagnosis.findings import Finding
@@ -155,7 +154,7 @@ def with_unknown_size(deviations: Deviations, found: ClipFit) -> Deviations:
     estimate = found.result.estimate
     body = estimate.body.model.to(dtype=torch.float64)
     along = _height_direction(body, estimate.motion.shape[0].detach().double())
-    tall = float(height(body, estimate.motion.shape[0].detach().double()))
+    tall = float(body.height(estimate.motion.shape[0].detach().double()))
     factor = float(along.norm()) / tall
     camera = views_of(found.observations)[0].camera
     eye = camera.T_world_camera[0].reshape(-1, 4, 4)[:, :3, 3].mean(0)
@@ -179,7 +178,7 @@ def with_unknown_size(deviations: Deviations, found: ClipFit) -> Deviations:
 def _height_direction(body: BodyModel, shape: Float[Tensor, " shape"]) -> Float[Tensor, " shape"]:
     """Metres that a standard deviation of every coefficient adds to the height."""
     steps = shape + _STEP * torch.eye(len(shape)).to(shape)
-    return torch.stack([(height(body, one) - height(body, shape)) / _STEP for one in steps])
+    return torch.stack([(body.height(one) - body.height(shape)) / _STEP for one in steps])
 
 
 _CONTACTS = tuple(

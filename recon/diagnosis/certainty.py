@@ -20,7 +20,7 @@ from recon.formats.joint_table import JointCertainty
 from recon.method.derivatives import GroundBelief, GroundDeviation
 from recon.method.laplace import Deviations, Measure, deviations
 from recon.method.protocols import Estimate
-from recon.method.sensor import Sensor, views_of
+from recon.method.sensor import Sensor, frame_is_level, views_of
 
 MOST = 360 / 12**0.5
 """Degrees: the standard deviation of an angle of which nothing is known."""
@@ -105,7 +105,7 @@ def _ground(found: ClipFit) -> GroundBelief | None:
         return None
     if found.ground_known:
         return GroundBelief(_STANCE, _LEAN_STD_RAD, 0)
-    level = all(one.level for one in found.observations)
+    level = frame_is_level(found.observations)
     shown = GROUND_DEVIATION**-2 if found.ground_seen else 0.0
     knows = found.result.reports[-1].stage.prior.knows_gravity
     upright = _LEAN_STD_RAD if knows else _UPRIGHT_ALONE

@@ -10,7 +10,8 @@ found. `recon.fit(..., checks=...)` takes any of them, and functions of your own
 
 from dataclasses import replace
 
-from recon.body.identities import ODDEST, SHORTEST_BODY, TALLEST_BODY, height
+from recon.body.model import ODDEST, SHORTEST_BODY, TALLEST_BODY
+from recon.body.soles import sole_heights
 from recon.diagnosis.carried import treadmill_finding, with_belt
 from recon.diagnosis.doubts import guessed_findings, undecided_findings, unseen_findings
 from recon.diagnosis.examination import (
@@ -27,7 +28,6 @@ from recon.diagnosis.frame_rate import rate_finding
 from recon.diagnosis.movement import support_findings
 from recon.diagnosis.points import screen_points
 from recon.fitting.fitted import ClipFit
-from recon.fitting.ground import sole_heights
 from recon.method.sensor import views_of
 
 
@@ -202,7 +202,7 @@ def body_warnings(found: ClipFit) -> list[Finding]:
     Where no camera and no ground tells sizes, the prior does, and nothing can be said.
     """
     posed = found.result.estimate.body
-    tall = float(height(posed.model, posed.shape.detach()).mean())
+    tall = float(posed.model.height(posed.shape.detach()).mean())
     warnings: list[Finding] = []
     if not SHORTEST_BODY < tall < TALLEST_BODY and not _is_child(found, tall):
         warnings.append(
@@ -240,7 +240,7 @@ def body_warnings(found: ClipFit) -> list[Finding]:
 def child_findings(found: ClipFit) -> list[Finding]:
     """Points in metres that a small body fits show a child, which is no fault of the data."""
     posed = found.result.estimate.body
-    tall = float(height(posed.model, posed.shape.detach()).mean())
+    tall = float(posed.model.height(posed.shape.detach()).mean())
     if not _is_child(found, tall):
         return []
     return [

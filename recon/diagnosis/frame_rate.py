@@ -17,7 +17,7 @@ from recon.core.motion import Motion
 from recon.core.skeleton import joint_index
 from recon.diagnosis.findings import Finding, stretches
 from recon.diagnosis.movement import Movement, outside
-from recon.physics.zmp import GRAVITY
+from recon.physics.mass import GRAVITY
 
 _FALL_SECONDS = 0.2
 _PARABOLA = 0.01

@@ -7,7 +7,7 @@ from typing import Any, Literal
 from recon.api.convert import convert
 from recon.api.given import BodyLike, MotionLike, body_given, motion_given
 from recon.api.results import MotionResult
-from recon.body.identities import height, weight
+from recon.body.identities import weight
 from recon.body.model import BodyModel
 from recon.core.errors import FormatError
 from recon.core.units import Axis
@@ -89,7 +89,7 @@ def _report(
         angle_std=file.angle_std,
         observed=file.observed,
     )
-    tall, heavy = height(body, motion.shape), weight(body, motion.shape)
+    tall, heavy = body.height(motion.shape), weight(body, motion.shape)
     decisions = (*said.get("decisions", ()), *said.get("read", ()))
     return LaboratoryReport(
         title=name,

@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 
 from recon.core.errors import ObservationError
-from recon.core.units import AXES, Axis, head_above_feet
+from recon.core.units import AXES, Axis
+from recon.core.upright import head_above_feet
 from recon.reading.tracks import Track, TrackedView, TrackPair, joint_errors, triangulated
 
 _CONSISTENT = 0.03

@@ -3,7 +3,6 @@
 import torch
 
 from observations.keypoints2d import Keypoints2D
-from recon.body.identities import height
 from recon.core.motion import Motion
 from recon.diagnosis.cameras import distance_warnings, mirror_warnings, views_error
 from recon.diagnosis.checks import body_warnings, child_findings
@@ -94,7 +93,7 @@ def test_a_child_in_metres_is_no_fault():
     small = torch.zeros_like(walk().shape)
     small[0] = -4.0
     child = as_fit(walk().replace(shape=small), ground_known=False)
-    tall = float(height(bundled(), small))
+    tall = float(bundled().height(small))
     assert 0.95 < tall < 1.42
     assert body_warnings(child) == []
     (said,) = child_findings(child)

@@ -12,9 +12,9 @@ from torch import Tensor
 
 from observations.correspondences import PLACES, BodyPlace
 from observations.start.rigid import TORSO
-from recon.body.landmarks import (
+from recon.body.landmarks import landmark
+from recon.body.marker_labels import (
     FEWEST_MARKERS,
-    landmark,
     load_marker_map,
     mapping_to_write,
     match_markers,
