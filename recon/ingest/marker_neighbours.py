@@ -10,7 +10,7 @@ found again, from the poses that are steady in time.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -21,9 +21,9 @@ from recon.body.derivatives import logarithm_by
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS
-from recon.ingest.markers.gaps import between
-from recon.ingest.markers.poses import PoseEnergies, Poses, SkinPoints, natural_pose
-from recon.ingest.markers.stages import solved_near
+from recon.ingest.marker_frames import solved_near
+from recon.ingest.marker_gaps import between, widened, with_poses
+from recon.ingest.marker_poses import PoseEnergies, Poses, SkinPoints, natural_pose
 from recon.method.protocols import REFERENCE_FPS
 
 _AROUND = 0.5
@@ -53,27 +53,10 @@ _AT_ONCE = 500
 """Frames whose curvatures are inverted together, for memory's sake."""
 
 
-@dataclass(frozen=True)
-class Joined:
-    """Offsets of markers, poses of some frames, and what holds the poses of all frames."""
-
-    energies: PoseEnergies
-    """Energies of all frames, drawn to the poses that neighbours in time suggest about gaps."""
-    offsets: Float[Tensor, "markers 3"]
-    motion: Motion
-    """Poses of some frames, one after the other."""
-    frames: Int[Tensor, " frames"]
-    """Numbers of these frames, ascending."""
-
-
 def frames_about_gaps(visible: Bool[Tensor, "time markers"], fps: float) -> Bool[Tensor, " time"]:
     """Frames in which a marker is hidden that others show, and those shortly before and after."""
     hidden = (~visible & visible.any(0)).any(-1)
-    around = max(1, round(_AROUND * fps))
-    spread = torch.nn.functional.max_pool1d(
-        hidden[None, None].float(), 2 * around + 1, stride=1, padding=around
-    )
-    return spread[0, 0] > 0
+    return widened(hidden, max(1, round(_AROUND * fps)))
 
 
 def joined_in_time(
@@ -84,8 +67,11 @@ def joined_in_time(
     motion: Motion,
     keys: Int[Tensor, " keys"],
     about: Bool[Tensor, " time"],
-) -> Joined:
+) -> tuple[PoseEnergies, Tensor, Motion, Int[Tensor, " frames"]]:
     """Poses about gaps, each from its own markers and from the frames around it.
+
+    Returns the energies of all frames, drawn to the poses that neighbours in time suggest about
+    gaps; the offsets of the markers; poses of some frames, and their numbers, ascending.
 
     Args:
         energies: of all frames.
@@ -100,7 +86,7 @@ def joined_in_time(
     asked = about.nonzero()[:, 0]
     asked = asked[asked % stride == 0]
     if len(asked) == 0:
-        return Joined(energies, offsets, motion, keys)
+        return energies, offsets, motion, keys
     some, step = energies.frames(asked), stride / motion.fps
     moments = (asked - asked[0]) // stride
     found = solved_near(some, between(motion, keys, asked))
@@ -123,19 +109,18 @@ def joined_in_time(
         pull=some.pull[:1].where(about, energies.pull),
     )
     frames = torch.cat((keys[~about[keys]], asked)).unique()
-    start, row = between(motion, keys, frames), torch.searchsorted(frames, asked)
-    start = start.replace(
-        translation=start.translation.index_copy(0, row, found.translation),
-        rotations=start.rotations.index_copy(0, row, found.rotations),
-    )
-    return Joined(everything, offsets, start, frames)
+    rows = torch.searchsorted(frames, asked)
+    start = with_poses(between(motion, keys, frames), rows, found)
+    return everything, offsets, start, frames
 
 
 def _drawn(
     energies: PoseEnergies, motion: Motion, moments: Int[Tensor, " frames"], step: float
 ) -> PoseEnergies:
     """The energies, drawn to what the neighbours in time of every pose suggest."""
-    natural = _suggested(energies, _poses(motion, energies), moments, step)
+    natural = _suggested(
+        energies, energies.begun(motion.translation, motion.rotations), moments, step
+    )
     return replace(energies, natural=natural, pull=natural.new_full((len(natural),), _PULL))
 
 
@@ -143,7 +128,7 @@ def _offset_changes(
     energies: PoseEnergies, motion: Motion, bones: tuple[int, ...]
 ) -> Float[Tensor, "markers 3"]:
     """Changes of the offsets of markers, towards where they are seen; zero if they never are."""
-    poses = _poses(motion, energies)
+    poses = energies.begun(motion.translation, motion.rotations)
     force, weight = energies.forces(poses)
     turns = poses.orientations[:, list(bones)]
     away = (turns.mT @ force.mT[..., None])[..., 0].sum(0)
@@ -244,7 +229,3 @@ def _precision(time: int, step: float) -> Float[np.ndarray, "7 coordinates"]:
             for b, right in enumerate(stencil[a:]):
                 band[3 * b, 3 * a : 3 * (a + count)] += scale * weight * left * right
     return band
-
-
-def _poses(motion: Motion, energies: PoseEnergies) -> Poses:
-    return Poses.of(motion.translation, motion.rotations, energies.rest)

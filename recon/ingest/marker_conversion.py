@@ -12,23 +12,23 @@ from recon.body.soles import Soles
 from recon.diagnosis.findings import Finding, listed
 from recon.formats.mocap.recording import MarkerRecording
 from recon.ingest.conversion import Conversion, floored
-from recon.ingest.markers.coverage import MarkerSet, full_body_markers, keypoint_finding
-from recon.ingest.markers.exchanges import (
+from recon.ingest.marker_exchanges import (
     exchanged_throughout,
     pair_finding,
     side_pairs,
     steady_labels,
     with_exchanged,
 )
-from recon.ingest.markers.findings import (
+from recon.ingest.marker_findings import (
     FAR,
     marker_distances,
     marker_findings,
     marker_residuals,
 )
-from recon.ingest.markers.fit import MarkerFit, fit_markers, nominal_places
-from recon.ingest.markers.gaps import gap_findings, trimmed
-from recon.ingest.markers.jumps import jump_findings
+from recon.ingest.marker_fit import MarkerFit, fit_markers, nominal_places
+from recon.ingest.marker_frames import jump_findings
+from recon.ingest.marker_gaps import gap_findings, trimmed
+from recon.ingest.marker_sets import MarkerSet, full_body_markers, keypoint_finding
 from recon.solver.solution import one_thread
 
 _BAD = 0.02
@@ -97,8 +97,7 @@ def fitted_markers(
         ValueError: when no frame shows enough markers to place a body.
     """
     chosen, repairs = steady_labels(recording.select(markers.labels))
-    bones = tuple(body.weights[list(markers.vertices)].argmax(-1).tolist())
-    chosen, cut = trimmed(chosen, bones)
+    chosen, cut = trimmed(chosen, markers.bones)
     fit = fit_markers(chosen, markers, body)
     if mean_residual(fit, chosen) > _BAD and (other := _relabelled(chosen, markers, body, fit)):
         chosen, finding = other

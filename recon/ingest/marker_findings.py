@@ -7,8 +7,8 @@ from jaxtyping import Float
 
 from recon.diagnosis.findings import Finding, listed, stretches
 from recon.formats.mocap.recording import MarkerRecording
-from recon.ingest.markers.coverage import MarkerSet
-from recon.ingest.markers.fit import MarkerFit
+from recon.ingest.marker_fit import MarkerFit
+from recon.ingest.marker_sets import MarkerSet
 
 FAR = 0.15
 """Metres from its place on the body beyond which a marker is misplaced for that frame."""
@@ -45,7 +45,7 @@ def marker_findings(
     constant = _constant(fit, recording)
     far = (away > FAR) & seen
     often = far.sum(0) > _OFTEN * seen.sum(0).clip(min=1)
-    offset = (fit.subject.offsets - markers.nominal).norm(dim=-1).numpy()
+    offset = (fit.offsets - markers.nominal).norm(dim=-1).numpy()
     limit = np.where(markers.loose, _LOOSE, _PLACED)
     found: list[Finding] = []
     labels = recording.marker_names

@@ -18,6 +18,7 @@ from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS, descendants, joint_index
 from recon.diagnosis.findings import Finding, listed, spans, stretches
 from recon.formats.mocap.recording import MarkerRecording
+from recon.ingest.marker_poses import Poses
 
 _TORSO_MARKERS = 3
 """Markers of the torso that place a body."""
@@ -146,6 +147,22 @@ def between(
     )
 
 
+def with_poses(motion: Motion, frames: Int[Tensor, " frames"], poses: Motion | Poses) -> Motion:
+    """The motion with the poses of some frames, given by their numbers, replaced."""
+    return motion.replace(
+        translation=motion.translation.index_copy(0, frames, poses.translation),
+        rotations=motion.rotations.index_copy(0, frames, poses.rotations),
+    )
+
+
+def widened(flags: Bool[Tensor, " time"], frames: int) -> Bool[Tensor, " time"]:
+    """Flagged frames and so many before and after each."""
+    wide = torch.nn.functional.max_pool1d(
+        flags[None, None].float(), 2 * frames + 1, stride=1, padding=frames
+    )
+    return wide[0, 0] > 0
+
+
 def gap_findings(observed: Bool[Tensor, "time 22"], fps: float) -> list[Finding]:
     """Frames in which nothing was seen of anybody, and limbs that were not seen for a while."""
     found: list[Finding] = []
@@ -169,12 +186,14 @@ def gap_findings(observed: Bool[Tensor, "time 22"], fps: float) -> list[Finding]
         rows = [JOINTS.index(name) for name in names]
         unseen = ~observed[:, rows].all(-1).numpy() & ~empty
         never = bool(unseen[~empty].all())
-        unseen = unseen if never else _long(unseen, fps)
+        for first, last in () if never else stretches(unseen):
+            # neighbours in time fill short gaps well
+            unseen[first : last + 1] = last - first + 1 > _SHORT * fps
         if not unseen.any():
             continue
         limbs.append(f"{limb} (never seen)" if never else limb)
-        joints += [name for name, row in zip(names, rows, strict=True)
-                   if not bool(observed[~empty, row].all())]  # fmt: skip
+        shown = observed[~empty][:, rows].all(0).tolist()
+        joints += [name for name, known in zip(names, shown, strict=True) if not known]
         hidden |= unseen
     if limbs:
         found.append(
@@ -189,11 +208,3 @@ def gap_findings(observed: Bool[Tensor, "time 22"], fps: float) -> list[Finding]
             )
         )
     return found
-
-
-def _long(flags: Bool[np.ndarray, " time"], fps: float) -> Bool[np.ndarray, " time"]:
-    """The stretches that last longer than what neighbours in time fill well."""
-    kept = np.zeros_like(flags)
-    for first, last in stretches(flags):
-        kept[first : last + 1] = last - first + 1 > _SHORT * fps
-    return kept

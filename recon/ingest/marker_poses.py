@@ -23,7 +23,7 @@ from recon.body.levers import (
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.struct import TensorStruct
-from recon.ingest.markers.tied_frames import TiedFrames
+from recon.ingest.tied_frames import TiedFrames
 
 
 @dataclass(frozen=True)

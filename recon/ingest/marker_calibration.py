@@ -8,8 +8,8 @@ from torch import Tensor
 
 from recon.body.model import BodyModel
 from recon.core.struct import TensorStruct
-from recon.ingest.markers.poses import PoseEnergies, Poses, SkinPoints
-from recon.ingest.markers.tied_frames import LevenbergMarquardt, minimise_frames
+from recon.ingest.marker_poses import PoseEnergies, Poses, SkinPoints
+from recon.ingest.tied_frames import LevenbergMarquardt, minimise_frames
 from recon.solver.banded import Banded
 from recon.solver.gauss_newton import GaussNewton, Problem, Quadratic, minimise
 

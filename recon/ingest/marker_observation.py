@@ -18,10 +18,10 @@ from recon.core.robust import geman_mcclure, squared
 from recon.core.skeleton import FEET
 from recon.diagnosis.findings import listed
 from recon.formats.mocap.recording import MarkerRecording
-from recon.ingest.markers.conversion import FittedMarkers, fitted_markers
-from recon.ingest.markers.coverage import full_body_markers
-from recon.ingest.markers.findings import marker_distances
-from recon.ingest.markers.fit import stands_on_zero
+from recon.ingest.marker_conversion import FittedMarkers, fitted_markers
+from recon.ingest.marker_findings import marker_distances
+from recon.ingest.marker_fit import stands_on_zero
+from recon.ingest.marker_sets import full_body_markers
 from recon.solver.solution import one_thread
 
 
@@ -50,7 +50,7 @@ def seen_markers(
         markers = full_body_markers(recording, body, mapping)
         found = fitted_markers(recording, body, markers)
     shown, fit = found.recording, found.fit
-    offsets = fit.subject.offsets
+    offsets = fit.offsets
     grounded = bool(fit.observed[:, list(FEET)].any()) and stands_on_zero(shown)
     seen = Markers3D(
         torch.from_numpy(shown.positions).float()[None],

@@ -1,8 +1,7 @@
-"""Do these markers show a whole body, and where on it do they sit?"""
+"""Places on the body of the markers of a recording, and the parts of the body that they cover."""
 
-import logging
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,7 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from observations.correspondences import PLACES, BodyPlace
+from observations.correspondences import PLACES
 from observations.start.rigid import TORSO
 from recon.body.landmarks import landmark
 from recon.body.marker_labels import (
@@ -21,33 +20,14 @@ from recon.body.marker_labels import (
 )
 from recon.body.model import BodyModel
 from recon.core.errors import ReconError
+from recon.core.raster import tensor_normals
 from recon.core.skeleton import JOINTS, descendants, joint_index
 from recon.diagnosis.findings import Finding, listed
-from recon.formats.detections.tables import normalised
+from recon.formats.keypoints3d.labels import STUDY, are_keypoints, meant_keypoints
 from recon.formats.mocap.recording import MarkerRecording
 
-_CORE = tuple(f"{side}_{name}" for side in ("left", "right") for name in ("hip", "knee", "ankle"))
-"""Keypoints that every detector of bodies finds, and whose names together no marker set has."""
-_MOST = 0.6
-"""Share of the labels that are names of keypoints."""
-_NAMES = {"hip": "mid_hip", "pelvis": "mid_hip", "c_hip": "mid_hip", "chip": "mid_hip",
-          "head": "head_top", "top_head": "head_top"}  # fmt: skip
-"""Spellings of Pose2Sim and OpenSim's models beside those of `recon.core.skeleton`."""
 _TRUNK = {"neck": "spine3", "thorax": "spine3", "spine": "spine2", "mid_hip": "pelvis"}
 """Bones that carry points between joints of both sides."""
-
-
-def keypoint_of(label: str) -> str | None:
-    """The keypoint that a label means, or None."""
-    name = normalised(label.rsplit(":", 1)[-1])
-    name = _NAMES.get(name, name)
-    return name if name in PLACES else None
-
-
-def are_keypoints(labels: Sequence[str]) -> bool:
-    """Whether most labels mean keypoints, with hips, knees and ankles among them."""
-    found = [keypoint_of(label) for label in labels]
-    return set(_CORE) <= set(found) and sum(f is not None for f in found) > _MOST * len(labels)
 
 
 def keypoint_places(
@@ -59,17 +39,24 @@ def keypoint_places(
     """
     vertices: list[int] = []
     offsets: list[Tensor] = []
-    for label in labels:
-        name = keypoint_of(label)
-        if name is None:
+    for label, name in zip(labels, meant_keypoints(labels), strict=True):
+        if name is None or name not in PLACES:
             raise ReconError(f"{label!r} is no keypoint; there are {', '.join(PLACES)}")
-        place = _at_rest(PLACES[name], body)
-        bone = _bone(name, PLACES[name], body)
+        place = PLACES[name]
+        points = [body.joint_template[joint_index(joint)] for joint in place.joints]
+        points += [body.template[landmark(one)] for one in place.landmarks]
+        centre = torch.stack(points).mean(0)
+        if name in _TRUNK:
+            bone = JOINTS.index(_TRUNK[name])
+        elif place.joints:
+            bone = joint_index(place.joints[0])
+        else:
+            marks = [landmark(one) for one in place.landmarks]
+            bone = int(body.weights[marks].sum(0).argmax())
         rigid = body.weights[:, bone] > body.weights[:, bone].max() - 1e-3
-        away = (body.template - place).norm(dim=-1).where(rigid, torch.inf)
-        vertex = int(away.argmin())
-        vertices.append(vertex)
-        offsets.append(place - body.template[vertex])
+        away = (body.template - centre).norm(dim=-1).where(rigid, torch.inf)
+        vertices.append(int(away.argmin()))
+        offsets.append(centre - body.template[vertices[-1]])
     return tuple(vertices), torch.stack(offsets)
 
 
@@ -84,30 +71,12 @@ def keypoint_finding(labels: Sequence[str]) -> Finding:
     )
 
 
-def _at_rest(place: BodyPlace, body: BodyModel) -> Float[Tensor, " 3"]:
-    points = [body.joint_template[joint_index(joint)] for joint in place.joints]
-    points += [body.template[landmark(name)] for name in place.landmarks]
-    return torch.stack(points).mean(0)
-
-
-def _bone(name: str, place: BodyPlace, body: BodyModel) -> int:
-    if name in _TRUNK:
-        return JOINTS.index(_TRUNK[name])
-    if place.joints:
-        return joint_index(place.joints[0])
-    return int(body.weights[[landmark(name) for name in place.landmarks]].sum(0).argmax())
-
-
-logger = logging.getLogger(__name__)
-
 _LOOSE = re.compile(r"thigh|shank|upper_arm|deltoid|forearm$|forearm_|scapula$|chest")
 """Landmarks that are a region: markers are put anywhere on it."""
 STANDOFF = 0.0095
 """Metres from the skin to a marker's centre, along the normal (MoSh)."""
 _BONES_ABOVE, _ON_TORSO = 3, 3
 """Bones from the chest up with a marker, and markers of the torso, that place an upper body."""
-_STUDY = "_study"
-"""Suffix of OpenCap's augmented markers."""
 
 
 @dataclass(frozen=True)
@@ -120,6 +89,8 @@ class MarkerSet:
     """Whether the place is only roughly known."""
     nominal: Float[Tensor, "markers 3"]
     """Expected offset of each marker from its vertex, in the frame of its bone, metres."""
+    bones: tuple[int, ...]
+    """The bone that moves each marker most."""
     unknown: tuple[str, ...]
     """Labels nobody knows: virtual markers, joint centres, unlabelled points."""
     inside: bool = False
@@ -157,14 +128,14 @@ def full_body_markers(
         for marker, label in enumerate(recording.marker_names)
         if recording.visible[:, marker].any()
     ]
-    if mapping is None and are_keypoints(seen):
+    # OpenCap adds markers that a network placed beside the keypoints they were made from
+    study = {label.removesuffix(STUDY): label for label in seen if label.endswith(STUDY)}
+    if len(study) < FEWEST_MARKERS and mapping is None and are_keypoints(seen):
         return _keypoints(seen, body)
     seen, decisions = _of_one_subject(recording, seen)
     vertices: dict[str, int] = {}
     loose: dict[str, bool] = {}
     if bundled:
-        # OpenCap adds markers that a network placed beside the keypoints they were made from
-        study = {label.removesuffix(_STUDY): label for label in seen if label.endswith(_STUDY)}
         known, _ = match_markers(study if len(study) >= FEWEST_MARKERS else seen)
         names = {study.get(label, label): name for label, name in known.items()}
         vertices = {label: landmark(name) for label, name in names.items()}
@@ -177,8 +148,6 @@ def full_body_markers(
                 vertices[label], loose[label] = vertex, False
     vertices = {label: vertices[label] for label in seen if label in vertices}
     unknown = tuple(label for label in seen if label not in vertices)
-    if unknown:
-        logger.info("%s: markers not known: %s", recording.name, ", ".join(unknown))
     bare = _bare_parts(recording.name, vertices, unknown, body)
     labels = tuple(vertices)
     return MarkerSet(
@@ -186,6 +155,7 @@ def full_body_markers(
         vertices=tuple(vertices.values()),
         loose=tuple(loose[label] for label in labels),
         nominal=nominal_offsets(body, tuple(vertices.values())),
+        bones=_bones(vertices.values(), body),
         unknown=unknown,
         bare=bare,
         decisions=decisions,
@@ -214,7 +184,8 @@ def _of_one_subject(
 
 
 def _keypoints(labels: Sequence[str], body: BodyModel) -> MarkerSet:
-    known = tuple(label for label in labels if keypoint_of(label) is not None)
+    meant = zip(labels, meant_keypoints(labels), strict=True)
+    known = tuple(label for label, name in meant if name in PLACES)
     vertices, nominal = keypoint_places(known, body)
     return MarkerSet(
         labels=known,
@@ -222,9 +193,14 @@ def _keypoints(labels: Sequence[str], body: BodyModel) -> MarkerSet:
         # what detectors call a joint is some centimetres off the body's own joint
         loose=(True,) * len(known),
         nominal=nominal,
+        bones=_bones(vertices, body),
         unknown=tuple(label for label in labels if label not in known),
         inside=True,
     )
+
+
+def _bones(vertices: Iterable[int], body: BodyModel) -> tuple[int, ...]:
+    return tuple(body.weights[list(vertices)].argmax(-1).tolist())
 
 
 def _bare_parts(
@@ -235,7 +211,7 @@ def _bare_parts(
     Raises:
         ValueError: when the others are neither two legs with their pelvis nor a trunk.
     """
-    bones = body.weights[list(vertices.values())].argmax(-1).tolist() if vertices else []
+    bones = _bones(vertices.values(), body)
     parts: dict[str, tuple[int, ...]] = {"pelvis": (0, 1, 2, 3)}
     for side in ("left", "right"):
         knee = joint_index(f"{side}_knee")
@@ -260,10 +236,4 @@ def _bare_parts(
 
 def nominal_offsets(body: BodyModel, vertices: Sequence[int]) -> Float[Tensor, "markers 3"]:
     """A marker's centre off the skin, along the normal of the rest body, metres."""
-    corners = body.template[body.faces]
-    normals = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    total = torch.zeros_like(body.template)
-    for corner in range(3):
-        total.index_add_(0, body.faces[:, corner], normals)
-    chosen = total[list(vertices)]
-    return STANDOFF * chosen / chosen.norm(dim=-1, keepdim=True)
+    return STANDOFF * tensor_normals(body.template, body.faces)[list(vertices)]
