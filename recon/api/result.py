@@ -316,9 +316,9 @@ def result_of(
     cycle = None
     if completes and not found.stretches:
         # only a cycle of gait is judged as one
-        from recon.diagnosis.domain import cycle_report
+        from recon.diagnosis.doubts import cycle_report
 
-        cycle = cycle_report(found, examined.residuals)
+        cycle = cycle_report(found, [one.median for one in examined.residuals])
     belt = None
     if examined.belt is not None:
         from recon.diagnosis.carried import in_room, path_of_belt  # there are few treadmills
@@ -346,10 +346,10 @@ def result_of(
         warnings=(
             *(() if stopped is None else (stopped,)),
             *examined.warnings,
-            *(() if cycle is None else cycle.warnings),
+            *(() if cycle is None else cycle[1]),
         ),
         notes=clip.notes,
-        cycle=None if cycle is None else cycle.numbers,
+        cycle=None if cycle is None else cycle[0],
         arguments=arguments,
     )
 
