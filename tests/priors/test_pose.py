@@ -7,8 +7,7 @@ import torch
 from torch import Tensor
 
 from observations.joints3d import Joints3D
-from priors.checkpoints import load_checkpoint, save_checkpoint
-from priors.pose.density import fit_density
+from priors.checkpoints import load_checkpoint
 from priors.pose.prior import PosePrior, PoseWeights
 from recon.benchmark.dataset import Splits, load_clips, mirrored, mirrored_rotations, poses
 from recon.body.model import BodyModel
@@ -19,7 +18,8 @@ from recon.method.priors import Prior
 from recon.method.reconstruction import solve
 from tests.laws import check_heading_invariance, check_prior
 from training.__main__ import train
-from training.pose import score
+from training.pose import fit_density, score
+from training.weights import save_checkpoint
 
 pytestmark = pytest.mark.numerics
 
