@@ -276,12 +276,16 @@ def _oddest(found: ClipFit) -> float:
 
 @after_fit("view")
 def mirrored(clip: Examined) -> tuple[Examined, Findings]:
-    """Images that fit together better when mirrored."""
-    from recon.diagnosis.cameras import mirror_warnings
+    """Images that fit together better when mirrored, unless that was said before the fit."""
+    from recon.diagnosis.keypoints import together
+    from recon.diagnosis.odds import mirror_warnings
 
-    return clip, Findings(
-        warnings=mirror_warnings([one.view for one in clip.observations if one.view])
-    )
+    if any(one.code == "mirrored" for one in clip.warnings):
+        return clip, NOTHING
+    names = [name for name, one in zip(clip.names, clip.observations, strict=True) if one.view]
+    groups = together([one.view for one in clip.observations if one.view], names, clip.model)
+    found = [said for _, images in groups for said in mirror_warnings(images)]
+    return clip, Findings(warnings=found)
 
 
 @after_fit()

@@ -72,7 +72,7 @@ def repaired_copies(images: Images) -> tuple[Images, Findings]:
     copied = np.pad(copied & ~photographs[:, None], ((0, 0), (1, 0)))
 
     def said(_: int, here: Seen) -> Finding:
-        frames = here.any(-1)
+        frames = np.any(here, axis=-1)
         return Finding(
             "repeated frames",
             f"{frames.sum()} frames are exact copies of the frame before them; they were taken as "
@@ -285,8 +285,7 @@ def screen_views(
         The views to fit, and what was found. Views that are good are the very same objects.
     """
     out, found = list(views), NOTHING
-    for rows in _together(views):
-        given = Images.of([views[k] for k in rows], [names[k] for k in rows], body)
+    for rows, given in together(views, names, body):
         images, more = screened(given)
         for k, view in zip(rows, images.into([views[k] for k in rows], given), strict=True):
             out[k] = view
@@ -311,10 +310,15 @@ def screened(images: Images) -> tuple[Images, Findings]:
     return images, found + Findings(warnings=(*jumps, *disorder, *scale_findings(images)))
 
 
-def _together(views: Sequence[Keypoints2D]) -> list[list[int]]:
-    """Numbers of the views that share clock, length and layout, in groups."""
+def together(
+    views: Sequence[Keypoints2D], names: Sequence[str], body: BodyModel
+) -> list[tuple[list[int], Images]]:
+    """The views that share clock, length and layout, in groups: their numbers and images."""
     groups: dict[tuple[object, ...], list[int]] = {}
     for k, view in enumerate(views):
         clock = (view.fps, view.start_time, *view.pixels.shape, view.points.names)
         groups.setdefault(clock, []).append(k)
-    return list(groups.values())
+    return [
+        (rows, Images.of([views[k] for k in rows], [names[k] for k in rows], body))
+        for rows in groups.values()
+    ]

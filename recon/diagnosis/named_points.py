@@ -120,12 +120,10 @@ class NamedPoints:
     @property
     def centre(self) -> Float[np.ndarray, "moments 3"]:
         """Median of the visible points at every moment; NaN where there is none."""
-        shown, empty = (
-            np.where(self.visible[..., None], self.positions, np.nan),
-            ~self.visible.any(1),
-        )
-        shown[empty] = 0.0
-        return np.where(empty[:, None], np.nan, np.nanmedian(shown, axis=1))
+        there = np.any(self.visible, axis=1, keepdims=True)
+        shown = np.where(self.visible[..., None], self.positions, np.nan)
+        middle = np.nanmedian(np.where(there[..., None], shown, 0.0), axis=1)
+        return np.where(there, middle, np.nan)
 
 
 @dataclass(frozen=True)

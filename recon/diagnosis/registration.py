@@ -13,13 +13,12 @@ from typing import Literal
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
+from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from recon.diagnosis.explanations import (
     centre,
-    matrix_of,
     robust_turns,
-    rotation_vector,
     shifted,
 )
 from recon.diagnosis.images import Images
@@ -211,7 +210,7 @@ class _Problem(Problem[_View]):
         normal, _, inflation = self._equations((late, pose), found)
         covariance, unknown = np.zeros((7, 7)), np.ix_(self._unknown, self._unknown)
         covariance[unknown] = np.linalg.inv(normal[unknown])
-        turn = rotation_vector(pose[:3, :3] @ start[:3, :3].T)
+        turn = Rotation.from_matrix(pose[:3, :3] @ start[:3, :3].T).as_rotvec()
         values = np.concatenate(([late], turn, self._shift(pose)))
         given = self._residuals(0.0, start)
         both = found.there & given.there
@@ -289,7 +288,7 @@ class _Problem(Problem[_View]):
         if not there.any():
             return pose
         turn = robust_turns(ways[there][None], rays[there][None], there[there][None])[0]
-        return _moved(pose, rotation_vector(turn), np.zeros(3))
+        return _moved(pose, Rotation.from_matrix(turn).as_rotvec(), np.zeros(3))
 
     def _residuals(self, late: float, pose: Float[np.ndarray, "4 4"]) -> "_Residuals":
         points, velocity, covariance, exists = self.paths.at(self.frames - late)
@@ -377,6 +376,6 @@ def _moved(
     if not turn.any() and not shift.any():
         return pose
     out = pose.copy()
-    out[:3, :3] = matrix_of(turn) @ pose[:3, :3]
+    out[:3, :3] = Rotation.from_rotvec(turn).as_matrix() @ pose[:3, :3]
     out[:3, 3] = -out[:3, :3] @ (centre(pose) + out[:3, :3].T @ shift)
     return out

@@ -11,9 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 from jaxtyping import Float, Int
+from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from recon.diagnosis.explanations import matrix_of, shifted
+from recon.diagnosis.explanations import shifted
 from recon.diagnosis.findings import Code, Finding, Findings
 from recon.diagnosis.images import Images
 from recon.diagnosis.rays import Rays
@@ -68,7 +69,7 @@ def agreement(images: Images, parts: tuple[Part, ...]) -> Agreement:
     most = max(abs(late) for late in _starts(images))
     values, _ = minimise(_Rays(images, unknown, most), best[1], _OPTIONS)
     pose = images.pose.copy()
-    pose[1, :, :3] = matrix_of(values[1:]) @ pose[1, :, :3]
+    pose[1, :, :3] = Rotation.from_rotvec(values[1:]).as_matrix() @ pose[1, :, :3]
     corrected = shifted(replace(images, pose=pose), 1, float(values[0]))
     angle = float(np.degrees(np.linalg.norm(values[1:])))
     return Agreement(corrected, float(values[0]), angle, common_miss(corrected))
@@ -102,7 +103,7 @@ def _misses(
     there, between = (rays.weight > 0).all(0), rays.origin[1] - rays.origin[0]
     found: list[np.ndarray] = []
     for turn in turns:
-        carry = np.swapaxes(R, -1, -2) @ matrix_of(turn) @ R
+        carry = np.swapaxes(R, -1, -2) @ Rotation.from_rotvec(turn).as_matrix() @ R
         across = np.cross(rays.direction[0], rays.direction[1] @ carry)
         size = np.linalg.norm(across, axis=-1)
         both = there & (size > 0.03)
