@@ -321,7 +321,7 @@ def result_of(
         cycle = cycle_report(found, [one.median for one in examined.residuals])
     belt = None
     if examined.belt is not None:
-        from recon.diagnosis.carried import in_room, path_of_belt  # there are few treadmills
+        from recon.diagnosis.movement import in_room, path_of_belt  # there are few treadmills
 
         belt = path_of_belt(motion, examined.belt)
         motion = in_room(motion, examined.belt)

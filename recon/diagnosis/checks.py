@@ -12,7 +12,6 @@ from dataclasses import replace
 
 from recon.body.model import ODDEST, SHORTEST_BODY, TALLEST_BODY
 from recon.body.soles import sole_heights
-from recon.diagnosis.carried import treadmill_finding, with_belt
 from recon.diagnosis.doubts import guessed_findings, undecided_findings, unseen_findings
 from recon.diagnosis.examination import (
     AfterFit,
@@ -25,7 +24,7 @@ from recon.diagnosis.examination import (
 )
 from recon.diagnosis.findings import NOTHING, Finding, Findings
 from recon.diagnosis.frame_rate import rate_finding
-from recon.diagnosis.movement import support_findings
+from recon.diagnosis.movement import support_findings, treadmill_finding, with_belt
 from recon.diagnosis.points import screen_points
 from recon.fitting.fitted import ClipFit
 from recon.method.sensor import views_of

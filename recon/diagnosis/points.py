@@ -12,7 +12,6 @@ from observations.points import TrackedPoints
 from recon.body.model import BodyModel
 from recon.core.robust import geman_mcclure, squared
 from recon.core.skeleton import PARENTS
-from recon.diagnosis.carried import belt_velocity
 from recon.diagnosis.exact import (
     floor_finding,
     floor_height,
@@ -30,6 +29,7 @@ from recon.diagnosis.misplaced import (
     misplaced_points,
     outliers,
 )
+from recon.diagnosis.movement import belt_velocity
 from recon.diagnosis.named_points import NamedPoints, Predicted
 from recon.diagnosis.quick_fit import QuickFit, plausible, pursued, quick_fits
 from recon.diagnosis.tracks import frame_order, identity_changes, temporal_noise

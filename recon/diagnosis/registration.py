@@ -137,18 +137,7 @@ def registered(
         noise: standard deviation of a pixel coordinate in every view.
         parts: what is corrected.
     """
-    problem = _Problem.of(images, view, noise, parts)
-    if problem.paths.noise > NOISE or problem.seen.sum() < _MIN_KEYPOINTS:
-        return None
-    return problem.solved()
-
-
-def doubted(images: Images, view: int, noise: Float[np.ndarray, " views"]) -> bool:
-    """Whether a view as it is given could agree better with the others; needs no search."""
-    problem = _Problem.of(images, view, noise, PARTS)
-    if problem.paths.noise > NOISE or problem.seen.sum() < _MIN_KEYPOINTS:
-        return False
-    return problem.doubted
+    return Alignment.of(images, view, noise, parts).solved()
 
 
 _View = tuple[float, Float[np.ndarray, "4 4"]]
@@ -156,8 +145,8 @@ _View = tuple[float, Float[np.ndarray, "4 4"]]
 
 
 @dataclass(frozen=True)
-class _Problem(Problem[_View]):
-    """A view beside the paths that the others see, whose clock and pose are corrected."""
+class Alignment(Problem[_View]):
+    """Residuals of a view against the paths that the others see, by its clock and pose."""
 
     images: Images
     """The view alone."""
@@ -176,7 +165,8 @@ class _Problem(Problem[_View]):
         view: int,
         noise: Float[np.ndarray, " views"],
         parts: tuple[Part, ...],
-    ) -> "_Problem":
+    ) -> "Alignment":
+        """The problem of one view of several."""
         rest = [v for v in range(len(images.names)) if v != view]
         paths = Trajectories.of(images.view(rest), noise[rest])
         moments = images.pixels.shape[1]
@@ -186,22 +176,33 @@ class _Problem(Problem[_View]):
 
     @property
     def rows(self) -> np.ndarray:
+        """`frames` as indices."""
         return self.frames.astype(int)
 
     @property
     def seen(self) -> Bool[np.ndarray, "moments points"]:
+        """Keypoints of the view whose points the others see."""
         return self.images.seen[0, self.rows] & self.paths.exists[self.rows]
+
+    @property
+    def trusted(self) -> bool:
+        """Whether the other views agree with each other and enough is seen to tell anything."""
+        return self.paths.noise <= NOISE and self.seen.sum() >= _MIN_KEYPOINTS
 
     @property
     def doubted(self) -> bool:
         """Whether the view as it is given could be better, by a test that needs no search."""
         given = self._residuals(0.0, self.images.pose[0, 0])
         if given.there.sum() < _MIN_KEYPOINTS or robust(given.squared[given.there]) > _CLEAN_COST:
-            return True
+            return self.trusted
         normal, slope, _ = given.equations()
-        return float(slope @ np.linalg.solve(normal + 1e-9 * np.eye(7), slope)) > _CLEAN
+        gain = float(slope @ np.linalg.solve(normal + 1e-9 * np.eye(7), slope))
+        return self.trusted and gain > _CLEAN
 
     def solved(self) -> Registration | None:
+        """The correction after which least remains; None where nothing can be told."""
+        if not self.trusted:
+            return None
         start = self.images.pose[0, 0]
         (late, pose), _ = minimise(self, self._coarse(start), _OPTIONS)
         found = self._residuals(late, pose)

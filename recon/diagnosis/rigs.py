@@ -18,14 +18,7 @@ from recon.diagnosis.explanations import shifted
 from recon.diagnosis.findings import Code, Finding, Findings
 from recon.diagnosis.images import Images
 from recon.diagnosis.rays import Rays
-from recon.diagnosis.registration import (
-    NOISE,
-    PARTS,
-    Part,
-    Registration,
-    doubted,
-    registered,
-)
+from recon.diagnosis.registration import NOISE, PARTS, Alignment, Part, Registration
 from recon.solver.banded import Banded
 from recon.solver.gauss_newton import GaussNewton, Problem, Quadratic, minimise
 
@@ -222,11 +215,13 @@ def candidates(images: Images) -> list[Registration]:
     """
     noise = np.maximum(images.noise, _LEAST_NOISE)
     fixed = [v for v, still in enumerate(images.fixed) if still]
-    if not np.isfinite(noise).all() or not any(doubted(images, v, noise) for v in fixed):
+    given = (
+        [Alignment.of(images, v, noise, PARTS) for v in fixed] if np.isfinite(noise).all() else []
+    )
+    if not any(one.doubted for one in given):
         return []
-    every = [_simplest(images, v, noise) for v in fixed]
-    found = [one for one in every if one is not None]
-    return sorted(found, key=lambda one: one.cost)
+    every = [_simplest(images, one) for one in given]
+    return sorted((one for one in every if one is not None), key=lambda one: one.cost)
 
 
 def certain(found: Registration, fps: float) -> bool:
@@ -236,34 +231,33 @@ def certain(found: Registration, fps: float) -> bool:
     return any(_needed(found, part, fps, _MIN_SQUARED_STDS) for part in PARTS)
 
 
-def _simplest(
-    images: Images, view: int, noise: Float[np.ndarray, " views"]
-) -> Registration | None:
+def _simplest(images: Images, given: Alignment) -> Registration | None:
     """A correction of a view by no more than is needed."""
-    both = registered(images, view, noise)
+    both = given.solved()
     if both is None:
         return None
     parts: list[Part] = [part for part in PARTS if _needed(both, part, images.fps, _FEWER)]
-    return both if len(parts) != 1 else registered(images, view, noise, (parts[0],))
+    return both if len(parts) != 1 else replace(given, parts=(parts[0],)).solved()
 
 
 def _needed(found: Registration, part: Part, fps: float, least: float) -> bool:
-    if found.squared_deviations(part) < least:
-        return False
+    large = found.degrees >= _SMALLEST_TURN or found.metres >= _SMALLEST_SHIFT
     if part == "clock":
-        return abs(found.late) / fps >= _SMALLEST_CLOCK
-    return found.degrees >= _SMALLEST_TURN or found.metres >= _SMALLEST_SHIFT
+        large = abs(found.late) / fps >= _SMALLEST_CLOCK
+    return large and found.squared_deviations(part) >= least
 
 
 def _finding(images: Images, found: Registration) -> Finding:
-    late = found.late / images.fps
-    code: Code = "views out of step" if late else "view at odds"
-    value = late if late else found.degrees
+    code: Code = "views out of step" if found.late else "view at odds"
+    advice = ["Number the frames of all cameras from the same moment"] if found.late else []
+    if found.values[1:].any() or not found.late:
+        advice.append("calibrate anew")
+    text = ", and ".join(advice)
     return Finding(
         code,
         f"{images.names[found.view]} contradicts the other views: {_said(found, images.fps)}. "
-        f"That was corrected. {_advice(found)}",
-        value=value,
+        f"That was corrected. {text[0].upper()}{text[1:]}",
+        value=found.late / images.fps if found.late else found.degrees,
     )
 
 
@@ -284,13 +278,6 @@ def _said(found: Registration, fps: float) -> str:
             f"({100 * std[4:].max():.1f}) against the calibration"
         )
     return " and ".join(out)
-
-
-def _advice(found: Registration) -> str:
-    clock = "Number the frames of all cameras from the same moment"
-    if not found.values[1:].any():
-        return clock
-    return f"{clock}, and calibrate anew" if found.late else "Calibrate anew"
 
 
 def _undecided(images: Images, alike: Sequence[Registration]) -> Finding:
