@@ -187,7 +187,7 @@ class Alignment(Problem[_View]):
     @property
     def trusted(self) -> bool:
         """Whether the other views agree with each other and enough is seen to tell anything."""
-        return self.paths.noise <= NOISE and self.seen.sum() >= _MIN_KEYPOINTS
+        return bool(self.paths.noise <= NOISE and self.seen.sum() >= _MIN_KEYPOINTS)
 
     @property
     def doubted(self) -> bool:
