@@ -129,10 +129,11 @@ def carried_finding(
     least = _SURE_SHARE if rests else _LEAST_SHARE
     if not slowest < abs(rate) < fastest or gain <= max(_LEAST_GAIN, least * max(still, 1e-9)):
         return None
+    turned = abs(rate) * movement.frames / movement.fps
     return Finding(
         "camera moves",
         f"{name}: standing feet all turn about one vertical axis by {abs(rate):.0f} degrees per "
-        f"second, {abs(rate) * movement.seconds:.0f} degrees in this clip, as nobody's do on firm "
+        f"second, {turned:.0f} degrees in this clip, as nobody's do on firm "
         "ground: the camera seems to have been carried or panned, though it is declared fixed. "
         "Places, headings and contacts of the fit are not to be trusted: film with a fixed "
         "camera, or give a pose for every frame (T_camera_world), or its track (--camera-track). "

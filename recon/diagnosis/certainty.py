@@ -40,18 +40,13 @@ def angles_of(body: BodyModel) -> Measure | None:
         away = values - values[:1]
         return values[:1] + away - 360 * (away / 360).round()
 
+    turns, zeros = torch.eye(3).repeat(1, 22, 1, 1), body.template.new_zeros
+    rest = Motion.create(zeros(1, 3), turns.to(zeros(1)), zeros(body.shape_size), 30.0)
     try:
-        isb_angles(_rest(body), body)
+        isb_angles(rest, body)
     except ValueError:  # landmarks of other bodies are not known
         return None
     return measured
-
-
-def _rest(body: BodyModel) -> Motion:
-    """One frame in the rest pose."""
-    turns = torch.eye(3, dtype=body.template.dtype).repeat(1, 22, 1, 1)
-    shape = body.template.new_zeros(body.shape_size)
-    return Motion.create(body.template.new_zeros(1, 3), turns, shape, 30.0)
 
 
 _WORTH: dict[Unit, float] = {"metres": 4.0, "pixels": 1.0}

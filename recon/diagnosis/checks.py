@@ -182,7 +182,7 @@ def basin(clip: Examined) -> tuple[Examined, Findings]:
 @after_fit()
 def size_and_soles(clip: Examined) -> tuple[Examined, Findings]:
     """Nobody is as large or odd as the fitted person, or floats above a known ground."""
-    return clip, Findings(warnings=body_warnings(clip.fit))
+    return clip, body_findings(clip.fit)
 
 
 _ODDEST, _ODDEST_MARKERS = 1.5 * ODDEST, 15.0
@@ -195,82 +195,48 @@ _OFF_GROUND = 0.15
 """Metres between the soles that stand and the ground."""
 
 
-def body_warnings(found: ClipFit) -> list[Finding]:
+def body_findings(found: ClipFit) -> Findings:
     """Wrong focal lengths, units and poses of cameras make nobody's body, or one that floats.
 
-    Where no camera and no ground tells sizes, the prior does, and nothing can be said.
+    Where no camera and no ground tells sizes, the prior does, and nothing can be said. Points in
+    metres that a small body fits show a child, which is no fault of the data.
     """
-    posed = found.result.estimate.body
+    posed, views = found.result.estimate.body, views_of(found.observations)
     tall = float(posed.model.height(posed.shape.detach()).mean())
-    warnings: list[Finding] = []
-    if not SHORTEST_BODY < tall < TALLEST_BODY and not _is_child(found, tall):
-        warnings.append(
-            Finding(
-                "body size",
-                f"the person would be {tall:.2f} m tall; check {_sizes(found)} (for a child this "
-                "is as well as an adult body can do)",
-                value=tall,
-            )
+    odd = float(posed.shape.abs().max())
+    # markers beside the skin bend the shape
+    on_skin = any(one.named and one.named.on_skin for one in found.observations)
+    sizes = "the unit, the scale and the labels of the points"
+    if views:
+        sizes = "focal lengths, units and the poses of the cameras"
+    said = Findings()
+    if not views and _SHORTEST_CHILD < tall <= SHORTEST_BODY:
+        text = (
+            f"the person is {tall:.2f} m tall: a child, whose proportions an adult body meets "
+            "only roughly. If it is an adult, check the unit and the scale of the points"
         )
-    elif (odd := float(posed.shape.abs().max())) > _oddest(found):
-        warnings.append(
-            Finding(
-                "body size",
-                f"the person's shape is {odd:.1f} standard deviations from the average; check "
-                f"{_sizes(found)}",
-                value=odd,
-            )
+        said += Findings(diagnosis=(Finding("body size", text, value=tall),))
+    elif not SHORTEST_BODY < tall < TALLEST_BODY:
+        text = (
+            f"the person would be {tall:.2f} m tall; check {sizes} (for a child this is as well "
+            "as an adult body can do)"
         )
+        said += Findings(warnings=(Finding("body size", text, value=tall),))
+    if not said.warnings and odd > (_ODDEST_MARKERS if on_skin else _ODDEST):
+        text = (
+            f"the person's shape is {odd:.1f} standard deviations from the average; check {sizes}"
+        )
+        said += Findings(warnings=(Finding("body size", text, value=odd),))
     if found.ground_known:
         soles = float(sole_heights(found.result.motion, posed.model).median())
         if abs(soles) > _OFF_GROUND:
-            warnings.append(
-                Finding(
-                    "floor",
-                    f"the soles stand at {soles:.2f} m, but the ground is at 0; check focal "
-                    "lengths, image sizes and the heights of the cameras, unless the person "
-                    "stands or sits on something",
-                    value=soles,
-                )
+            text = (
+                f"the soles stand at {soles:.2f} m, but the ground is at 0; check focal lengths, "
+                "image sizes and the heights of the cameras, unless the person stands or sits on "
+                "something"
             )
-    return warnings
-
-
-def child_findings(found: ClipFit) -> list[Finding]:
-    """Points in metres that a small body fits show a child, which is no fault of the data."""
-    posed = found.result.estimate.body
-    tall = float(posed.model.height(posed.shape.detach()).mean())
-    if not _is_child(found, tall):
-        return []
-    return [
-        Finding(
-            "body size",
-            f"the person is {tall:.2f} m tall: a child, whose proportions an adult body meets "
-            "only roughly. If it is an adult, check the unit and the scale of the points",
-            value=tall,
-        )
-    ]
-
-
-def _is_child(found: ClipFit, tall: float) -> bool:
-    """Whether points that are measured in metres show somebody as small as children are."""
-    return not views_of(found.observations) and _SHORTEST_CHILD < tall <= SHORTEST_BODY
-
-
-def _sizes(found: ClipFit) -> str:
-    """What tells the size of a body, for messages."""
-    if views_of(found.observations):
-        return "focal lengths, units and the poses of the cameras"
-    return "the unit, the scale and the labels of the points"
-
-
-def _oddest(found: ClipFit) -> float:
-    """Standard deviations from which on a shape is odd; markers beside the skin bend it."""
-    return (
-        _ODDEST_MARKERS
-        if any(one.named and one.named.on_skin for one in found.observations)
-        else _ODDEST
-    )
+            said += Findings(warnings=(Finding("floor", text, value=soles),))
+    return said
 
 
 @after_fit("view")
@@ -292,7 +258,7 @@ def frame_rate(clip: Examined) -> tuple[Examined, Findings]:
     """Gait, falls and balance that contradict the frame rate."""
     # cameras whose ground and person do not fit together measure in no metres
     in_metres = not any(one.view for one in clip.observations) or all(
-        one.code != "floor" for one in body_warnings(clip.fit)
+        one.code != "floor" for one in body_findings(clip.fit).warnings
     )
     if not clip.fit.grounded or _broken(clip) or not in_metres:
         return clip, NOTHING
@@ -329,12 +295,6 @@ def support(clip: Examined) -> tuple[Examined, Findings]:
     return clip, Findings(diagnosis=support_findings(clip.motion, clip.model, clip.seen))
 
 
-@after_fit()
-def child(clip: Examined) -> tuple[Examined, Findings]:
-    """Points in metres that a small body fits show a child, which is no fault of the data."""
-    return clip, Findings(diagnosis=child_findings(clip.fit))
-
-
 BEFORE: tuple[BeforeFit, ...] = (images, points, treadmill)
 """Checks of the data; what they repair is fitted as repaired."""
 AFTER: tuple[AfterFit, ...] = (
@@ -350,6 +310,5 @@ AFTER: tuple[AfterFit, ...] = (
     unseen,
     guessed,
     support,
-    child,
 )
 """Checks of the fit."""

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from recon.body.model import BodyModel
@@ -223,10 +223,12 @@ def observed_joints(
     or begins there; or where points of a cloud lie within 15 cm of it.
     """
     motion = estimate.motion
+    times = motion.start_time + np.arange(motion.frames) / motion.fps
     seen = np.zeros((motion.frames, len(JOINTS)), dtype=bool)
     for observation in observations:
         moments = observation.shown_joints(estimate)
-        number = _nearest_moments(observation, motion)
+        # the nearest tick of the observation's clock, for every frame of the motion
+        number = np.rint((times - observation.start_time) * observation.fps).astype(int)
         within = (number >= 0) & (number < len(moments))
         seen[within] |= moments[number[within]]
     return seen
@@ -259,15 +261,6 @@ def unseen_findings(observed: Bool[np.ndarray, "time 22"]) -> list[Finding]:
             )
         )
     return found
-
-
-def _nearest_moments(observation: Sensor, motion: Motion) -> Int[np.ndarray, " time"]:
-    """The number of the nearest tick of the observation's clock, for every frame of the motion.
-
-    Frames before its first and after its last moment have numbers beyond its own.
-    """
-    times = motion.start_time + np.arange(motion.frames) / motion.fps
-    return np.rint((times - observation.start_time) * observation.fps).astype(int)
 
 
 _COVERED = 0.75

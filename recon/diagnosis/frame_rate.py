@@ -58,7 +58,7 @@ def rates_by_falls(movement: Movement) -> Bounds:
         return 0.0, math.inf
     pieces = np.lib.stride_tricks.sliding_window_view(height, count)
     falls = _parabolas(pieces, movement.fps)
-    for _ in range(max(1, math.ceil(movement.seconds / _FALL_EVERY)) - 1):
+    for _ in range(max(1, math.ceil(movement.frames / movement.fps / _FALL_EVERY)) - 1):
         worst = int(np.argmax(falls))
         falls[max(0, worst - 2 * count) : worst + 2 * count] = 0.0
     fall, flight = float(falls.max()), float(np.median(_flights(movement) or _FREE_FALL))
@@ -255,7 +255,7 @@ def rate_range(
         observed: joints that the data shows; what is inferred obeys the rate that was declared.
     """
     movement = Movement.of(motion, body, observed)
-    if movement.seconds < _LEAST_SECONDS:
+    if movement.frames < _LEAST_SECONDS * movement.fps:
         return None
     bounds = {
         "the length of its steps for their duration": rates_by_strides(movement),

@@ -35,9 +35,21 @@ class Movement:
     """Centre of mass."""
     leg: float
     """Length of a leg from the hip joint over the knee to the ankle."""
+    ankles: Float[np.ndarray, "time 2 3"]
+    """Left and right ankle; the toe joints likewise."""
+    toes: Float[np.ndarray, "time 2 3"]
     sole_drop: Float[np.ndarray, " 2"]
     """Height of the ankle and of the toe joint above the sole of a standing foot."""
+    sole_heights: Float[np.ndarray, "time 2"]
+    """Height of the lowest part of the left and the right foot."""
+    soles: Float[np.ndarray, "time 2 2 3"]
+    """Heel and tip of the left and the right foot, at the height of the joints."""
+    ground: float
+    """Height of the ground: the soles are seldom lower."""
+    forward: Float[np.ndarray, "time 2"]
+    """Horizontal direction in which the pelvis faces."""
     fps: float
+    frames: int
 
     @classmethod
     def of(
@@ -53,70 +65,34 @@ class Movement:
         seen = motion.valid.cpu()
         if observed is not None:
             seen = seen & observed[:, list(_ASKED)].cpu().all(-1)
-        first, last = _longest(seen.numpy())
-        posed = body.pose(motion.window(first, last).detach())
+        runs = stretches(seen.numpy())
+        first, last = max(runs, key=lambda run: run[1] - run[0], default=(0, -1))
+        posed = body.pose(motion.window(first, last + 1).detach())
         centre = centre_of_mass(posed, vertex_masses_of_segments(body))
-        rest = posed.rest.double().cpu().numpy()
+        rest, joints = (x.double().cpu().numpy() for x in (posed.rest, posed.joints))
         sole = float(body.rest_vertices(motion.shape)[..., 1].amin())
         thigh = np.linalg.norm(rest[list(_HIPS)] - rest[list(_KNEES)], axis=-1).mean()
         shank = np.linalg.norm(rest[list(_KNEES)] - rest[list(_ANKLES)], axis=-1).mean()
+        ankles, toes = joints[:, list(_ANKLES)], joints[:, list(_TOES)]
+        drop = np.array([rest[list(group), 1].mean() - sole for group in (_ANKLES, _TOES)])
+        heights = (np.stack((ankles[..., 2], toes[..., 2]), -1) - drop).min(-1)
+        across = (joints[:, _HIPS[0]] - joints[:, _HIPS[1]])[:, :2]
+        across = across / np.linalg.norm(across, axis=-1, keepdims=True).clip(min=1e-9)
+        along = toes - ankles
         return cls(
-            joints=posed.joints.double().cpu().numpy(),
+            joints=joints,
             centre=centre.double().cpu().numpy(),
             leg=float(thigh + shank),
-            sole_drop=np.array([rest[list(group), 1].mean() - sole for group in (_ANKLES, _TOES)]),
+            ankles=ankles,
+            toes=toes,
+            sole_drop=drop,
+            sole_heights=heights,
+            soles=np.stack((ankles - _HEEL * along, toes + _TIP * along), -2),
+            ground=float(np.quantile(heights.min(1), _SELDOM)) if len(heights) else 0.0,
+            forward=np.stack((across[:, 1], -across[:, 0]), -1),
             fps=motion.fps,
+            frames=len(joints),
         )
-
-    @property
-    def frames(self) -> int:
-        """Number of frames."""
-        return len(self.joints)
-
-    @property
-    def seconds(self) -> float:
-        """Length of the stretch by the declared rate."""
-        return self.frames / self.fps
-
-    @property
-    def ankles(self) -> Float[np.ndarray, "time 2 3"]:
-        """Left and right ankle."""
-        return self.joints[:, list(_ANKLES)]
-
-    @property
-    def toes(self) -> Float[np.ndarray, "time 2 3"]:
-        """Left and right toe joint."""
-        return self.joints[:, list(_TOES)]
-
-    @property
-    def forward(self) -> Float[np.ndarray, "time 2"]:
-        """Horizontal direction in which the pelvis faces."""
-        across = (self.joints[:, _HIPS[0]] - self.joints[:, _HIPS[1]])[:, :2]
-        across = across / np.linalg.norm(across, axis=-1, keepdims=True).clip(min=1e-9)
-        return np.stack((across[:, 1], -across[:, 0]), -1)
-
-    @property
-    def sole_heights(self) -> Float[np.ndarray, "time 2"]:
-        """Height of the lowest part of the left and the right foot."""
-        both = np.stack((self.ankles[..., 2], self.toes[..., 2]), -1) - self.sole_drop
-        return both.min(-1)
-
-    @property
-    def ground(self) -> float:
-        """Height of the ground: the soles are seldom lower."""
-        return float(np.quantile(self.sole_heights.min(1), _SELDOM))
-
-    @property
-    def soles(self) -> Float[np.ndarray, "time 2 2 3"]:
-        """Heel and tip of the left and the right foot, at the height of the joints."""
-        along = self.toes - self.ankles
-        return np.stack((self.ankles - _HEEL * along, self.toes + _TIP * along), -2)
-
-
-def _longest(seen: Bool[np.ndarray, " time"]) -> tuple[int, int]:
-    """First frame and last + 1 of the longest run of true values; (0, 0) where there is none."""
-    runs = [(first, last + 1) for first, last in stretches(seen)]
-    return max(runs, key=lambda run: run[1] - run[0], default=(0, 0))
 
 
 def outside(
@@ -278,7 +254,9 @@ def belt_velocity(
     carried = _near(velocity, belt)
     shares = [carried[standing[:, side], side].mean() for side in (0, 1)]
     still = (np.linalg.norm(velocity[standing], axis=-1) < _STANDING).mean()
-    drift = (movement.joints[-1, 0, :2] - movement.joints[0, 0, :2]) / movement.seconds
+    drift = (movement.joints[-1, 0, :2] - movement.joints[0, 0, :2]) / (
+        movement.frames / movement.fps
+    )
     facing = movement.forward.mean(0) @ belt / speed
     stays = float(np.linalg.norm(drift)) < _STAYS * speed
     if min(shares) < _MIN_CARRIED_SHARE or still > _STANDING_SHARE or not stays or facing > 0:

@@ -5,7 +5,7 @@ import torch
 from observations.keypoints2d import Keypoints2D
 from recon.core.motion import Motion
 from recon.diagnosis.cameras import distance_warnings
-from recon.diagnosis.checks import body_warnings, child_findings
+from recon.diagnosis.checks import body_findings
 from recon.diagnosis.findings import Finding
 from recon.diagnosis.images import Images
 from recon.diagnosis.odds import mirror_warnings
@@ -79,15 +79,15 @@ def test_people_are_not_filmed_from_a_hundred_metres():
 
 
 def test_bodies_that_nobody_has_and_soles_in_the_air_are_said():
-    assert body_warnings(as_fit(walk())) == []
+    assert body_findings(as_fit(walk())).warnings == ()
     up = walk().translation.new_tensor([0.0, 0.0, 0.4])
     floating = walk().replace(translation=walk().translation + up)
-    (warning,) = body_warnings(as_fit(floating))
+    (warning,) = body_findings(as_fit(floating)).warnings
     assert "soles stand at 0.40 m" in warning.message
-    assert body_warnings(as_fit(floating, ground_known=False)) == []
+    assert body_findings(as_fit(floating, ground_known=False)).warnings == ()
     shape = torch.zeros_like(walk().shape)
     shape[5] = 6.5
-    odd = body_warnings(as_fit(walk().replace(shape=shape), ground_known=False))
+    odd = body_findings(as_fit(walk().replace(shape=shape), ground_known=False)).warnings
     assert "6.5 standard deviations" in odd[0].message
 
 
@@ -98,10 +98,10 @@ def test_a_child_in_metres_is_no_fault():
     child = as_fit(walk().replace(shape=small), ground_known=False)
     tall = float(bundled().height(small))
     assert 0.95 < tall < 1.42
-    assert body_warnings(child) == []
-    (said,) = child_findings(child)
+    assert body_findings(child).warnings == ()
+    (said,) = body_findings(child).diagnosis
     assert f"{tall:.2f} m tall" in said.message
-    assert child_findings(as_fit(walk())) == []
+    assert body_findings(as_fit(walk())).diagnosis == ()
 
 
 def mirror_findings(seen: list[Keypoints2D]) -> tuple[Finding, ...]:
