@@ -52,13 +52,6 @@ def label_distance(cloud: PointCloud, estimate: Estimate) -> float | None:
     return float(np.quantile(found, _MANY)) if found else None
 
 
-def share_on_body(cloud: PointCloud) -> float | None:
-    """Mean probability that a point lies on a body at all; None without labels."""
-    if cloud.labels is None or not bool(cloud.present.any()):
-        return None
-    return float(cloud.labels.on_body[cloud.present].mean())
-
-
 _BESIDE = 0.06
 """Metres at the body within which a point of the cloud stands for a place of the surface; clouds
 of half a thousand points are about as dense."""
@@ -98,7 +91,9 @@ def basin_findings(
     cloud = cloud.labelled()  # where another sensor, or the caller, told where to begin
     outside, far = share_outside(cloud, estimate) or 0.0, quantiles[1]
     labelled = label_distance(cloud, estimate) or 0.0
-    on_body = share_on_body(cloud)
+    on_body = 1.0
+    if cloud.labels is not None and bool(cloud.present.any()):
+        on_body = float(cloud.labels.on_body[cloud.present].mean())
     noise = 0.0 if cloud.std is None else float(cloud.std[0].median())
     reasons = {
         f"a tenth of the points is more than {100 * far:.0f} cm away from it": (
@@ -109,9 +104,7 @@ def basin_findings(
         ),
         f"half of the points lie more than {100 * labelled:.0f} cm from the place on it that "
         "their labels name, in a quarter of the moments": labelled > math.hypot(_ELSEWHERE, noise),
-        "the points look like furniture or something else that is no body": (
-            on_body is not None and on_body < _NO_BODY
-        ),
+        "the points look like furniture or something else that is no body": (on_body < _NO_BODY),
     }
     said = [reason for reason, holds in reasons.items() if holds]
     if not said:

@@ -19,7 +19,7 @@ from observations.first_guess import one_clock
 from observations.keypoints2d import Keypoints2D
 from recon.body.model import BodyModel
 from recon.core.robust import NORMAL_MAD
-from recon.diagnosis.findings import Finding
+from recon.diagnosis.findings import NOTHING, Finding, Findings
 from recon.diagnosis.images import Images
 from recon.fitting.fitted import ClipFit
 from recon.method.laplace import Deviations
@@ -50,8 +50,10 @@ _LEAST, _MOST = 0.5, 2.0
 """Factors by which a found focal length may be off the guessed one; beyond them, one is wrong."""
 
 
-def lens_finding(name: str, found: ClipFit) -> Finding | None:
-    """The focal length of the one camera that nobody calibrated; None where all are known.
+def lens_findings(name: str, found: ClipFit) -> Findings:
+    """The focal length of the one camera that nobody calibrated; nothing where all are known.
+
+    A warning where it is none of a phone's main camera.
 
     Args:
         name: of the camera, for the message.
@@ -59,7 +61,7 @@ def lens_finding(name: str, found: ClipFit) -> Finding | None:
     """
     lens = found.result.estimate.scene.lens
     if not found.lens_found or lens is None:
-        return None
+        return NOTHING
     (view,) = views_of(found.observations)
     factor = float(lens.factor[0])
     focal = float(view.camera.camera_matrix[0, ..., 0, 0].mean())
@@ -68,13 +70,8 @@ def lens_finding(name: str, found: ClipFit) -> Finding | None:
         f"motion as {focal:.0f} pixels; poses depend on it little, the distance of the camera as "
         "much as it is wrong. Give a calibration (--camera) where distances matter"
     )
-    return Finding("focal", message, value=focal)
-
-
-def lens_doubtful(found: ClipFit) -> bool:
-    """Whether the focal length that was found is none of a phone's main camera."""
-    lens = found.result.estimate.scene.lens
-    return lens is not None and not _LEAST < float(lens.factor[0]) < _MOST
+    said = (Finding("focal", message, value=focal),)
+    return Findings(diagnosis=said) if _LEAST < factor < _MOST else Findings(warnings=said)
 
 
 _STEP = 0.01

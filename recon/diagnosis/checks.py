@@ -78,12 +78,9 @@ def treadmill(clip: CheckedClip) -> tuple[CheckedClip, Findings]:
 @after_fit("view")
 def focal_length(clip: Examined) -> tuple[Examined, Findings]:
     """The focal length of the one camera that nobody calibrated, as it was found."""
-    from recon.diagnosis.cameras import lens_doubtful, lens_finding
+    from recon.diagnosis.cameras import lens_findings
 
-    said = () if (one := lens_finding(clip.names[0], clip.fit)) is None else (one,)
-    if lens_doubtful(clip.fit):
-        return clip, Findings(warnings=said)
-    return clip, Findings(diagnosis=said)
+    return clip, lens_findings(clip.names[0], clip.fit)
 
 
 @after_fit("view")
