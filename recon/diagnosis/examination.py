@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
@@ -108,6 +108,10 @@ class Examined(CheckedClip):
     """A clip with its fit, and what is known about the data and the result."""
 
     fit: ClipFit
+    estimate: Estimate
+    """The fitted motion and scene, without derivatives."""
+    motion: Motion
+    """The fitted motion on the processor, at the fit's own frames."""
     residuals: tuple[ResidualSummary, ...]
     """Residuals of every sensor, in the order of the observations."""
     observed: Bool[np.ndarray, "time 22"]
@@ -120,26 +124,18 @@ class Examined(CheckedClip):
     @classmethod
     def of(cls, clip: CheckedClip, fit: ClipFit) -> "Examined":
         """A clip after its fit, without further checks."""
-        here = _detached(fit)
+        here = replace(fit.result.estimate, scene=fit.result.estimate.scene.detach())
         sensors = zip(clip.names, fit.observations, fit.noises, strict=True)
         return cls(
             **{**vars(clip), "observations": fit.observations},
             fit=fit,
+            estimate=here,
+            motion=fit.result.clip(0).detach().to(device="cpu"),
             residuals=tuple(summarise(*sensor, here) for sensor in sensors),
             observed=observed_joints(fit.observations, here),
             deviations=certainty(fit),
             alternatives=alternatives(fit),
         )
-
-    @cached_property
-    def estimate(self) -> Estimate:
-        """The fitted motion and scene, without derivatives."""
-        return _detached(self.fit)
-
-    @cached_property
-    def motion(self) -> Motion:
-        """The fitted motion on the processor, at the fit's own frames."""
-        return self.fit.result.clip(0).detach().to(device="cpu")
 
     @property
     def model(self) -> BodyModel:
@@ -187,10 +183,6 @@ class Examined(CheckedClip):
         return values[torch.from_numpy(np.clip(frames, 0, len(values) - 1))].cpu()
 
 
-def _detached(fit: ClipFit) -> Estimate:
-    return replace(fit.result.estimate, scene=fit.result.estimate.scene.detach())
-
-
 BeforeFit = Callable[[CheckedClip], tuple[CheckedClip, Findings]]
 AfterFit = Callable[[Examined], tuple[Examined, Findings]]
 Check = BeforeFit | AfterFit
@@ -205,12 +197,11 @@ def checked(clip: Clip, checks: Sequence[Callable[..., Any]]) -> Clip:
 
     A check that names what it `sees` is not asked about clips without such sensors.
     """
-
-    def concerned(check: Callable[..., Any]) -> bool:
-        sees = getattr(check, "sees", ())
-        return not sees or any(getattr(one, k, None) for one in clip.observations for k in sees)
-
-    clip, found = in_turn(clip, [check for check in checks if concerned(check)])
+    kinds = ("named", "view", "cloud")
+    there = {kind for one in clip.observations for kind in kinds if getattr(one, kind, None)}
+    there.add("any")
+    asked = [one for one in checks if there.intersection(getattr(one, "sees", ()) or ("any",))]
+    clip, found = in_turn(clip, asked)
     return replace(clip, found=clip.found + found)
 
 

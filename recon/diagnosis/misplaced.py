@@ -196,7 +196,7 @@ def misplaced_points(predicted: Predicted, noise: float) -> tuple[NamedPoints, l
     found: list[Finding] = []
     known, away = typical[typical > 0], predicted.away
     least = max(_AWAY, _OTHERS * float(np.median(known))) if len(known) else np.inf
-    offset, spread = predicted.offsets
+    offset, spread = predicted.offset, predicted.spread
     constant = np.linalg.norm(offset, axis=-1)
     displaced = constant > (_OFFSET_JOINTS if points.are_joints else _OFFSET_MARKERS)
     if not points.are_joints:
