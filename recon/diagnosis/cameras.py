@@ -76,11 +76,11 @@ def lens_findings(name: str, found: ClipFit) -> Findings:
 
 _STEP = 0.01
 _TELLING = frozenset({"height", "known shape"})
-"""Terms by which a caller tells how large the person is."""
+"""Terms by which a caller gives the size of the person."""
 
 
 def size_is_unknown(found: ClipFit) -> bool:
-    """Whether nothing but images of one place, without a ground, tells how large the person is.
+    """Whether only images from one place, without a ground, show how large the person is.
 
     Perspective alone would, if bodies and detections were exact; they are not.
     """
@@ -88,8 +88,8 @@ def size_is_unknown(found: ClipFit) -> bool:
     if found.ground_known or len(views) == 0 or len(views) < len(found.observations):
         return False
     stages = [report.stage for report in found.result.reports]
-    told = any(term.name in _TELLING for stage in stages for term in stage.terms)
-    if told or not any("shape" in stage.free for stage in stages):
+    given = any(term.name in _TELLING for stage in stages for term in stage.terms)
+    if given or not any("shape" in stage.free for stage in stages):
         return False
     alike = one_clock(views)
     return len(alike) == 1 or not tell_distance(alike)
@@ -142,7 +142,7 @@ _LAG = 0.2
 _MIN_RESTING_SHARE = 0.3
 """Share of the moments in which some part of a foot rests, of a fixed camera."""
 _MIN_SEEN_S = 0.8
-"""Time in which feet must be seen to tell anything."""
+"""Seconds for which feet must be seen."""
 _MOVES = 0.035
 """Metres per second, at the person, from which on what rests most moves in the image. In simulated
 films of validation people by fixed cameras it reaches 0.018, in real ones 0.025."""
@@ -189,7 +189,7 @@ class Rest:
 
 
 def rest_of(images: Images) -> Rest | None:
-    """What the feet tell about the one view of some images; None where they are hardly seen."""
+    """How fast the feet move in the one view of some images; None where they are hardly seen."""
     usual, brief = _slowest(images, _LAG), _slowest(images, _BRIEF)
     if usual is None or brief is None:
         return None
@@ -226,14 +226,14 @@ def _slowest(images: Images, lag: float) -> tuple[Float[np.ndarray, " moments"],
     moved = np.linalg.norm(place[:, 2 * half :] - place[:, : -2 * half], axis=-1)
     speeds = np.nan_to_num(moved / lag / images.scale[0, half:-half], nan=np.inf)
     slowest, which = speeds.min(0), speeds.argmin(0)
-    told = np.isfinite(slowest)
-    if told.sum() < _MIN_SEEN_S * images.fps:
+    known = np.isfinite(slowest)
+    if known.sum() < _MIN_SEEN_S * images.fps:
         return None
     # mean size of the second difference of both coordinates
     jitter = np.abs(np.diff(place, 2, axis=1)).mean(-1)[:, half - 1 : place.shape[1] - half - 1]
-    spread = np.nanmedian(jitter[which, np.arange(len(which))][told]) / NORMAL_MAD / np.sqrt(6)
+    spread = np.nanmedian(jitter[which, np.arange(len(which))][known]) / NORMAL_MAD / np.sqrt(6)
     noise = spread * np.sqrt(2) / lag / float(np.median(images.scale[0]))
-    return slowest[told], float(noise)
+    return slowest[known], float(noise)
 
 
 def moving_finding(name: str, images: Images, rest: Rest) -> Finding:
@@ -242,7 +242,7 @@ def moving_finding(name: str, images: Images, rest: Rest) -> Finding:
     Args:
         name: of the camera, for the message.
         images: of the one view.
-        rest: what its feet tell.
+        rest: how fast its feet move.
     """
     pixels = rest.speed * float(np.median(images.scale[0]))
     how = (

@@ -23,7 +23,7 @@ _LAG = 0.13
 """Seconds over which velocities are taken."""
 _MAX_HEIGHT_DIFFERENCE_M = 0.04
 """Metres by which a standing foot may be higher than the other: a ground that is estimated from
-one image is not exact, and a height above it would not tell who stands."""
+one image is not exact, so that heights above it do not show who stands."""
 _UPWARD = 0.35
 """Metres per second up to which a foot may rise or sink while it stands."""
 _SCALE = 0.1
@@ -31,7 +31,7 @@ _SCALE = 0.1
 _ITERATIONS = 20
 """Iterations of reweighting."""
 _MIN_MOMENTS = 20
-"""Moments of a standing foot that are needed to tell a rate."""
+"""Least number of samples of a standing foot."""
 _RATES_DEG_S = (9.0, 50.0)
 """Degrees per second at which cameras are carried around a person or panned with one; people who
 turn on the spot or climb reach less and more."""

@@ -59,7 +59,7 @@ flesh and clothes misses stays the same over many frames."""
 _STANCE = 0.03
 """Metres by which standing feet miss the ground, clip by clip."""
 _LEAN_STD_RAD = 0.04
-"""Radians by which people lean on average over a clip, beside what a prior knows of gravity."""
+"""Radians by which people lean on average over a clip, without what a prior knows of gravity."""
 _UPRIGHT_ALONE = 0.09
 """Radians likewise where the ground is only put below people, by priors that know no gravity."""
 

@@ -184,8 +184,8 @@ def size_and_soles(clip: Examined) -> tuple[Examined, Findings]:
 
 _ODDEST, _ODDEST_MARKERS = 1.5 * ODDEST, 15.0
 """Standard deviations of shape beyond which a fit is no person's. Noise and acrobatics add to what
-people differ by, and real markers stand off the skin or beside the landmark that they are named
-after: good recordings reach 14. Wrong units and scales are told by the height."""
+people differ by, and real markers stand off the skin or away from the landmark that they are named
+after: good recordings reach 14. Wrong units and scales show in the height."""
 _SHORTEST_CHILD = 0.95
 """Metres; smaller children do not walk on command."""
 _OFF_GROUND = 0.15
@@ -195,13 +195,13 @@ _OFF_GROUND = 0.15
 def body_findings(found: ClipFit) -> Findings:
     """Wrong focal lengths, units and poses of cameras make nobody's body, or one that floats.
 
-    Where no camera and no ground tells sizes, the prior does, and nothing can be said. Points in
-    metres that a small body fits show a child, which is no fault of the data.
+    Where no camera and no ground determines the size, the prior does, and nothing is reported.
+    Points in metres that a small body fits show a child, which is no fault of the data.
     """
     posed, views = found.result.estimate.body, views_of(found.observations)
     tall = float(posed.model.height(posed.shape.detach()).mean())
     odd = float(posed.shape.abs().max())
-    # markers beside the skin bend the shape
+    # markers off the skin distort the shape
     on_skin = any(one.named and one.named.on_skin for one in found.observations)
     sizes = "the unit, the scale and the labels of the points"
     if views:

@@ -162,7 +162,7 @@ def guessed_findings(
 ) -> list[Finding]:
     """Stretches in which a large part of the body that nobody saw may be anywhere near.
 
-    Joints that were seen are left out: what one camera cannot tell of their distance is no guess.
+    Joints that were seen are left out: that one camera leaves their distance open is no guess.
 
     Args:
         joint_std: standard deviation of a coordinate of every joint, metres.
@@ -268,7 +268,7 @@ _COVERED = 0.75
 _ANYTHING = 2.0
 """Difference of hips that have nothing to do with gait."""
 _FEW_MOMENTS = 4
-"""Moments seen below which the prior tells most of the motion."""
+"""Number of frames seen below which most of the motion is the prior's."""
 
 
 def cycle_report(
@@ -276,7 +276,7 @@ def cycle_report(
 ) -> tuple[dict[str, Any], tuple[Finding, ...]]:
     """Numbers of the first clip's cycle, and warnings where it is none or little was seen.
 
-    The prior makes something like a cycle of anything. Latent codes do not tell what is none:
+    The prior makes something like a cycle of anything. Latent codes do not show that:
     people who stand have codes like those who walk. Hips do: one cycle of gait takes them once
     through their swing, and back.
 

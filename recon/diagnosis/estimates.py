@@ -57,16 +57,17 @@ def mirrored_limbs(motion: Motion, joints: tuple[int, ...]) -> Float[Tensor, "ti
 FASTEST = 60.0
 """Hz; estimates at higher rates are thinned to it."""
 OWN = Drifting(jitter=0.015, slow=0.06, seconds=1.0)
-"""Error of a point beside the path. The numbers are chosen on windows of validation people and on
-martial arts, runs and climbs of training people (benchmarks/refine.py): numbers that suit walks
-alone let a prior that never saw a handspring overrule it. The jitter is the least assumed."""
+"""Error of a point relative to the path of the body. The numbers are chosen on windows of
+validation people and on martial arts, runs and climbs of training people (benchmarks/refine.py):
+numbers that suit walks alone let a prior that never saw a handspring overrule it. The jitter is
+the least assumed."""
 PATH = Drifting(jitter=0.003, slow=0.06, seconds=2.0)
 """Error of the path."""
 _ALIKE = 2.0
-"""Points of one limb err together, so that what a point's own path tells of its jitter is
+"""Points of one limb err together, so that the jitter estimated from one point is
 multiplied."""
 _LIMITS = (0.004, 0.05)
-"""Metres, of the jitter that a point's path tells."""
+"""Least and largest jitter that is estimated, metres."""
 _JUMP, _TIMES = 0.01, 4.0
 """A point jumps where its step differs from those before and after by more than so many metres
 and so many times as much as usual."""
@@ -79,7 +80,7 @@ _LIMBS = {
 def believed(
     motion: Motion, known: Bool[Tensor, " time"], body: BodyModel
 ) -> tuple[EstimatedPoints, Motion, tuple[Finding, ...]]:
-    """What an estimate tells: points of the skin, how long their errors last, where they jump.
+    """An estimate as observed points: their noise, how long errors last, where they jump.
 
     Args:
         motion: the estimate in a world with z up, of a shape of this body; no leading axis.
@@ -149,8 +150,8 @@ def _segments(points: Float[Tensor, "time points 3"]) -> Float[Tensor, "time poi
     if len(points) < 4:
         return none
     steps = points.diff(dim=0)
-    beside = torch.cat((steps[1:2], (steps[2:] + steps[:-2]) / 2, steps[-2:-1]))
-    away = (steps - beside).norm(dim=-1)
+    usual = torch.cat((steps[1:2], (steps[2:] + steps[:-2]) / 2, steps[-2:-1]))
+    away = (steps - usual).norm(dim=-1)
     around = torch.nn.functional.max_pool1d(away.mT[None], 3, 1, 1)[0].mT
     jumps = (away > _JUMP + _TIMES * away.median(0).values) & (away >= around)
     none[1:] = jumps.to(points).cumsum(0)

@@ -22,7 +22,7 @@ _LEAST_DEPTH = 0.05
 """Share of a ray's length along the axis of the camera from which on it is in the image."""
 _ROUNDS = 8
 _MIN_POINTS, _MIN_SAMPLES = 4, 12
-"""Points of a moment that tell how a camera is turned then, and points that tell where it is."""
+"""Least number of points to find how a camera is turned in one frame, and where it is at all."""
 _INLIER = 0.01
 """Distance on the plane at depth 1 within which a keypoint agrees with a camera's place."""
 

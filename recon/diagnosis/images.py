@@ -30,7 +30,7 @@ class Images:
     pose: Float[np.ndarray, "views moments 4 4"]
     """T_camera_world of every view at every moment, metres."""
     scale: Float[np.ndarray, "views moments"]
-    """Pixels that a metre is long at the body, as told by the least foreshortened bones."""
+    """Pixels per metre at the body, from the least foreshortened bones."""
     size: tuple[tuple[int, int], ...]
     """Width and height of every image, pixels."""
     names: tuple[str, ...]
@@ -162,7 +162,7 @@ class Images:
         )
 
     def without(self, hidden: Bool[np.ndarray, "views moments points"]) -> "Images":
-        """Some keypoints made unseen; what they made of the scale is told anew by the others."""
+        """Some keypoints made unseen; the scale is estimated again from the others."""
         pixels = np.where(hidden[..., None], 0.0, self.pixels)
         confidence = np.where(hidden, 0.0, self.confidence)
         scale = self.scale.copy()

@@ -133,8 +133,8 @@ _TYPICAL = 8.0
 _MEDIAN_FRAMES = 2
 """Frames to either side in that median."""
 _WIDER = (4, 0.35)
-"""Frames to either side, and metres, for a second pass: of three outliers in five frames none can
-be told."""
+"""Frames to either side, and metres, for a second pass: three outliers in five frames hide each
+other."""
 _MAX_ROUNDS = 5
 """Largest number of rounds; outliers hide each other, and make the body look larger than it is."""
 _MANY = 0.01
@@ -303,7 +303,7 @@ def screened(images: Images) -> tuple[Images, Findings]:
     images, more = in_turn(images, names)
     images, together = checked_together(images)
     found += more + together
-    if together.repairs:  # names may have been hidden by what was wrong besides
+    if together.repairs:  # wrong poses may have hidden wrong names
         images, more = repaired_sides(images)
         found += more
     jumps = () if disorder else identity_findings(images)

@@ -89,7 +89,7 @@ def _whole_stretches(
 ) -> Bool[np.ndarray, " moments"]:
     """The stretches of likely moments that hold a sure one, with short gaps closed.
 
-    Limbs that pass each other come too near to tell for a moment within an exchanged stretch.
+    Limbs that pass each other are too close to be distinguished for a few frames.
     """
     if not surely.any():
         return surely

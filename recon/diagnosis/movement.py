@@ -123,9 +123,9 @@ _MIN_LEVEL_S = 0.3
 _MIN_LEVEL_SHARE = 0.1
 """Share of the time of all standing feet for which feet must stand on another level."""
 _MAX_BESIDE_M = 0.12
-"""Metres by which the centre of mass may lie beside the feet while a body stands still."""
+"""Metres by which the centre of mass may lie outside the feet while a body stands still."""
 _LEAST_REST = 0.8
-"""Seconds of rest beside the feet that make it sitting, lying or leaning."""
+"""Seconds of rest outside the feet that make it sitting, lying or leaning."""
 _BELOW = 0.3
 """Lengths of a leg by which a standing sole is below the pelvis."""
 _SEATED, _INVERTED = 0.75, -0.2

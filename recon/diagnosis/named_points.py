@@ -17,7 +17,7 @@ _MIRRORED_WITHIN = 0.04
 """Metres between a point's mirror image at rest and its counterpart on the other side; markers
 are not placed more alike than this."""
 _MIN_PAIR_LENGTH_M = 0.1
-"""Metres of distance at rest from which on a pair of points tells the size of a body."""
+"""Metres of distance at rest from which on a pair of points is used for the size of a body."""
 _MIN_PAIRS, _MIN_MOMENTS = 4, 3
 _MAX_SPREAD_RATIO = 0.5
 """Share of its error up to which a length may vary where a joint is misplaced by a constant."""
@@ -41,7 +41,7 @@ class NamedPoints:
     are_joints: bool
     """Whether the points are joints and keypoints rather than markers on the skin."""
     rigid: tuple[tuple[int, int], ...] | None = None
-    """Pairs of points whose distance no pose changes; None where the bones alone tell them."""
+    """Pairs of points whose distance no pose changes; None where they follow from `bones`."""
     std: Float[np.ndarray, "moments points"] | None = None
     """Standard deviation of the coordinates, metres; None where none are given."""
 
@@ -186,7 +186,7 @@ def out_of_reach(points: NamedPoints, limit: float) -> Bool[np.ndarray, " points
     """Joints whose bones to all of their neighbours are longer or shorter than a person's.
 
     Args:
-        points: joints; of markers none is told.
+        points: joints; for markers the answer is always no.
         limit: metres by which the median length of each bone differs from the average body's
             of the same size.
     """

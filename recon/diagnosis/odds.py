@@ -89,7 +89,7 @@ def mirror_warnings(images: Images) -> tuple[Finding, ...]:
 def mirrored_together(images: Images) -> tuple[Images, Finding | None, bool]:
     """The images mirrored, what is said if they fit together better so, and whether fully.
 
-    One view alone cannot tell: it shows what the mirrored person would have done.
+    One view is not enough: it shows what the mirrored person would have done.
     """
     floor = noise_of_views(images) * (_PAIR_FLOOR if len(images.names) == 2 else _ALL_FLOOR)
     turned = mirrored(images, list(range(len(images.names))))
@@ -218,7 +218,7 @@ def _one_left_out(images: Images, noise: float) -> tuple[Images, Findings]:
 
 
 def _two_views(images: Images, noise: float) -> tuple[Images, Findings]:
-    """Two views contradict each other: their clocks are told, but not which pose is wrong."""
+    """Two views that contradict each other: clocks can be corrected, poses only reported."""
     given, floor = common_miss(images), _PAIR_FLOOR * noise
     if given <= max(_WORSE * floor, 0.002):
         return images, NOTHING

@@ -67,7 +67,7 @@ def screen_points(
     named, found = in_turn(NamedPoints.of(points, body), exact)
     if named.visible.sum() < _MIN_POSITIONS:
         return named.observation, found, None
-    if disorder := frame_order(named):  # nothing else can be told from such frames
+    if disorder := frame_order(named):  # no other check works on such frames
         return named.observation, found + Findings(warnings=disorder), None
     steady = plausible(named)
     flips = find_exchanges(steady)
@@ -189,9 +189,9 @@ def _against_a_body(
             given = given.replace(kernel=partial(geman_mcclure, sigma=scale))
     motion = fitted.estimate.motion
     belt = None
-    if grounded and given.placed:  # what is relative to the body tells neither heights nor paths
+    if grounded and given.placed:  # root-relative points have no heights and paths
         height = floor_height(kept, motion, body, noise) if given.ground_known else 0.0
-        if height != 0:  # soles tell it to two centimetres
+        if height != 0:  # it is known to two centimetres
             given, floor = given.replace(ground_known=False), floor_finding(height)
             repairs, warnings = (*repairs, floor), (*warnings, floor)
         belt = belt_velocity(motion[0], body)

@@ -33,7 +33,7 @@ class Rays:
     def meet(
         self,
     ) -> tuple[Float[np.ndarray, "moments points 3"], Bool[np.ndarray, "moments points"]]:
-        """The points nearest to their rays, and which exist: those that two views tell apart.
+        """The points nearest to their rays, and which exist: two views must see them at an angle.
 
         The least Σ w |(I - d dᵀ)(x - o)|² over the views: a symmetric 3 x 3 system per point.
         """

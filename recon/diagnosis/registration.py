@@ -54,7 +54,7 @@ _MAX_MOMENTS = 500
 _OPTIONS = GaussNewton(12, tolerance=1.4e-3, scale=1.0, damping=0.0)
 """Rounds end with a step of the seven unknowns of about 0.02 standard deviations each."""
 _MIN_KEYPOINTS = 100
-"""Keypoints from which on clock and pose can be told."""
+"""Least number of keypoints to estimate clock and pose from."""
 _OUTLIER = 9.0
 """Squared standard deviations at which a keypoint counts half."""
 _MEDIAN = 1.386
@@ -65,11 +65,11 @@ _CLEAN_COST = 1.85
 """Mean robust squared residual above which a correction is searched at once; white noise has
 1.6."""
 _LEAST_MOTION = 0.2
-"""Share of the squared velocities that must be more than noise for a clock to be told."""
+"""Share of the squared velocities that must be more than noise for a clock to be estimated."""
 _MAX_RESIDUAL_RATIO = 0.97
 """Share of the residuals at an offset nearer to zero that those at a better one have at most."""
 _GLANCE = 40
-"""Moments that tell which offset to begin with."""
+"""Frames from which the first offset is chosen."""
 _UNKNOWN: dict[Part, slice] = {"clock": slice(0, 1), "pose": slice(1, 7)}
 
 
@@ -186,7 +186,7 @@ class Alignment(Problem[_View]):
 
     @property
     def trusted(self) -> bool:
-        """Whether the other views agree with each other and enough is seen to tell anything."""
+        """Whether the other views agree with each other and enough keypoints are seen."""
         return bool(self.paths.noise <= NOISE and self.seen.sum() >= _MIN_KEYPOINTS)
 
     @property
@@ -200,7 +200,7 @@ class Alignment(Problem[_View]):
         return self.trusted and gain > _CLEAN
 
     def solved(self) -> Registration | None:
-        """The correction after which least remains; None where nothing can be told."""
+        """The correction after which least remains; None where the data do not determine it."""
         if not self.trusted:
             return None
         start = self.images.pose[0, 0]
@@ -338,7 +338,7 @@ class _Residuals:
     def equations(self) -> tuple[np.ndarray, np.ndarray, float]:
         """Normal equations of a step, and how much variance the residuals have beyond white noise.
 
-        A clock of which the residuals tell nothing, as nobody moves, is left as it is.
+        A clock on which the residuals do not depend, as nobody moves, is left as it is.
 
         Residuals of neighbouring moments are alike where a detector or the smoothing makes them
         so; by as much as that they say the same twice.
@@ -354,7 +354,7 @@ class _Residuals:
         inflation = scale * (1 + along) / (1 - along)
         weighed = (j * counted[:, None, None]).reshape(-1, 7).T
         normal, slope = weighed @ j.reshape(-1, 7), weighed @ r.ravel()
-        # noise of velocities looks like motion, and is in the positions beside the middle, too
+        # noise of velocities looks like motion, and is in positions away from the middle, too
         blur = counted * self.blur[self.there]
         past = np.broadcast_to(self.past[:, None], self.there.shape)[self.there]
         slope[0] -= float((blur * past).sum())

@@ -1,7 +1,7 @@
 """Rigs out of step or calibration: clock and pose of one camera of several, found and corrected.
 
-Of three views and more, leaving one out tells which is at fault: the others agree, and the one
-agrees with them after a correction of its clock and pose. Two views tell that something is wrong,
+Of three views and more, leaving one out shows which is at fault: the others agree, and the one
+agrees with them after a correction of its clock and pose. Two views show that something is wrong,
 but not which of them.
 """
 
@@ -158,11 +158,13 @@ _LEAST_NOISE = 0.5
 _MIN_SQUARED_STDS = 60.0
 """Squared standard deviations by which a part of a correction must be different from none."""
 _FEWER = 30.0
-"""Squared standard deviations from none of a part that is corrected beside a certain one."""
+"""Squared standard deviations from none of a part that is corrected together with a certain
+one."""
 _MIN_MOVED_STDS = 0.4
 """Least distance, in standard deviations of the keypoints, that a correction moves them by."""
 _TOLD = 60.0
-"""Difference of robust squared residuals that tells two views apart."""
+"""Difference of robust squared residuals from which on one view is clearly the better one to
+correct."""
 _SMALLEST_CLOCK = 0.004
 """Seconds below which a clock is left as it is."""
 _SMALLEST_TURN = 0.08

@@ -1,4 +1,4 @@
-"""What the order of frames tells: noise in time against noise along bones, jumps of the body."""
+"""The order of frames: noise in time against noise along bones, jumps of the body."""
 
 import itertools
 
@@ -53,9 +53,9 @@ more than ten times gravity."""
 
 
 def temporal_noise(points: NamedPoints) -> float:
-    """Standard deviation of one coordinate, metres, told by third differences in time.
+    """Standard deviation of one coordinate, metres, from third differences in time.
 
-    Zero where nothing tells it.
+    Zero where it cannot be estimated.
     """
     positions, visible = torch.from_numpy(points.positions), torch.from_numpy(points.visible)
     noise = estimate_noise(positions, visible, (0.0, torch.inf))
@@ -63,7 +63,7 @@ def temporal_noise(points: NamedPoints) -> float:
 
 
 def bone_noise(points: NamedPoints) -> float | None:
-    """Standard deviation of one coordinate, metres, told by the lengths of bones.
+    """Standard deviation of one coordinate, metres, from the lengths of bones.
 
     Points on one bone, and joints at its two ends, keep their distance whatever the order of the
     frames. None where there are no such pairs.
