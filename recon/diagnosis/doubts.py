@@ -90,43 +90,25 @@ def _runners_up(compared: Compared, body: BodyModel) -> list[Alternative]:
     best = int(kept[compared.value[kept].argmin()])
     given_up = finite[~compared.kept[finite]]
     ordered = given_up[compared.value[given_up].argsort()].tolist()
-    joints = {k: _joints(compared.motion, k, body) for k in (best, *ordered)}
-    distinct, found = [joints[best]], list[Alternative]()
-    for row in ordered:
-        if all(_apart(joints[row], other) > _SAME_MOTION_M for other in distinct):
-            distinct.append(joints[row])
-            found.append(_alternative(compared, best, row, joints[best], joints[row]))
-    return found
-
-
-def _alternative(
-    compared: Compared,
-    best: int,
-    row: int,
-    chosen: Float[Tensor, "time 22 3"],
-    other: Float[Tensor, "time 22 3"],
-) -> Alternative:
-    turn = _turn(compared.motion[best], compared.motion[row])
-    kind = "posture"
-    if turn > _TURNED:
-        kind = "heading"
-    elif _apart(other[:, _EXCHANGED], chosen[:, _LEGS]) < 0.5 * _apart(
-        other[:, _LEGS], chosen[:, _LEGS]
-    ):
-        kind = "leg order"
-    return Alternative(
-        kind,
-        math.degrees(turn),
-        _apart(chosen, other),
-        float(compared.value[row]),
-        float(compared.value[best]),
-    )
-
-
-def _joints(motion: Motion, row: int, body: BodyModel) -> Float[Tensor, "time 22 3"]:
-    one = motion[row]
     with torch.no_grad():
-        return body.pose(one.window(0, int(one.valid.sum()))).joints
+        clips = [compared.motion[k] for k in (best, *ordered)]
+        posed = [body.pose(one.window(0, int(one.valid.sum()))).joints for one in clips]
+    (kept_joints, *others), found = posed, list[Alternative]()
+    distinct = [kept_joints]
+    for row, joints in zip(ordered, others, strict=True):
+        if all(_apart(joints, other) > _SAME_MOTION_M for other in distinct):
+            distinct.append(joints)
+            turn = _turn(compared.motion[best], compared.motion[row])
+            sides = [
+                _apart(joints[:, legs], kept_joints[:, _LEGS]) for legs in (_EXCHANGED, _LEGS)
+            ]
+            kind = "leg order" if sides[0] < 0.5 * sides[1] else "posture"
+            kind = "heading" if turn > _TURNED else kind
+            energies = (float(compared.value[k]) for k in (row, best))
+            found.append(
+                Alternative(kind, math.degrees(turn), _apart(kept_joints, joints), *energies)
+            )
+    return found
 
 
 def _apart(one: Float[Tensor, "time some 3"], other: Float[Tensor, "time some 3"]) -> float:

@@ -147,40 +147,33 @@ class Examined(CheckedClip):
         """`observed` at the frames of the fitted motion."""
         return torch.from_numpy(self.observed[: self.motion.frames])
 
-    def observed_at(self, motion: Motion) -> Bool[np.ndarray, "time 22"]:
-        """`observed` at the frames of the fitted motion resampled to another rate."""
-        return self._at(motion, torch.from_numpy(self.observed)).numpy()
+    def described_at(self, motion: Motion) -> dict[str, Tensor | None]:
+        """What is known of the frames of the fitted motion resampled to another rate.
 
-    def joint_std_at(self, motion: Motion) -> Float[Tensor, "time 22"] | None:
-        """Standard deviations of a joint's coordinates at the frames of that motion, metres."""
-        if self.deviations is None:
-            return None
-        return self._at(motion, self.deviations.joints.float())
-
-    def angle_std_at(self, motion: Motion) -> Float[Tensor, "time angles"] | None:
-        """Standard deviations of ISB angles at the frames of that motion, degrees."""
-        if self.deviations is None or self.deviations.measures is None:
-            return None
-        return self._at(motion, self.deviations.measures.clamp(max=MOST).float())
-
-    def contact_probability_at(self, motion: Motion) -> Float[Tensor, "time 22"] | None:
-        """How likely joints touch the ground in frames of that motion; None without a ground."""
-        if not self.fit.grounded:
-            return None
-        return self._at(motion, fitted_contacts(self.fit, self.deviations).float())
-
-    @property
-    def ground_std(self) -> Float[Tensor, "2"] | None:
-        """Standard deviations of a ground that was found: normal, radians, and height, metres."""
-        ground = None if self.deviations is None else self.deviations.ground
-        return None if ground is None else torch.tensor([ground.normal, ground.height])
-
-    def _at(self, motion: Motion, values: Tensor) -> Tensor:
-        """Values of the fitted frames that are nearest to each of a motion's frames."""
-        fitted = self.fit.result.motion
+        By the names of `MotionFile`: `observed`; standard deviations `joint_std` of a joint's
+        coordinates, metres, `angle_std` of ISB angles, degrees, and `ground_std` of a ground that
+        was found (normal, radians; height, metres); `contact_probability`. None where unknown.
+        """
+        fitted, known = self.fit.result.motion, self.deviations
         times = motion.start_time + np.arange(motion.frames) / motion.fps
-        frames = np.rint((times - fitted.start_time) * fitted.fps).astype(int)
-        return values[torch.from_numpy(np.clip(frames, 0, len(values) - 1))].cpu()
+        frames = torch.from_numpy(np.rint((times - fitted.start_time) * fitted.fps).astype(int))
+        ground = None if known is None else known.ground
+        angles = None if known is None else known.measures
+        values = {
+            "observed": torch.from_numpy(self.observed),
+            "joint_std": None if known is None else known.joints.float(),
+            "angle_std": None if angles is None else angles.clamp(max=MOST).float(),
+            "contact_probability": (
+                fitted_contacts(self.fit, known).float() if self.fit.grounded else None
+            ),
+        }
+        return {
+            "ground_std": None if ground is None else torch.tensor([ground.normal, ground.height]),
+            **{
+                name: None if one is None else one[frames.clamp(0, len(one) - 1)].cpu()
+                for name, one in values.items()
+            },
+        }
 
 
 BeforeFit = Callable[[CheckedClip], tuple[CheckedClip, Findings]]
