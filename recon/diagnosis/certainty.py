@@ -17,7 +17,7 @@ from recon.core.skeleton import JOINTS
 from recon.fitting.clip import GROUND_DEVIATION
 from recon.fitting.fitted import ClipFit
 from recon.formats.joint_table import JointCertainty
-from recon.method.derivatives import GroundBelief, GroundDeviation
+from recon.method.derivatives import GroundBelief
 from recon.method.laplace import Deviations, Measure, deviations
 from recon.method.protocols import Estimate
 from recon.method.sensor import Sensor, frame_is_level, views_of
@@ -120,17 +120,14 @@ def certainty_report(deviations: Deviations, joints: JointCertainty | None) -> d
     """Standard deviations as a report has them: medians of joints and root, shape, ground."""
     every = deviations.joints.median(0).values.tolist()
     ground = deviations.ground
+    lean = ground and {"normal_degrees": ground.normal_degrees, "height": ground.height}
     return {
         **({} if joints is None else asdict(joints)),
-        **({} if ground is None else {"ground": _ground_report(ground)}),
+        **({} if ground is None else {"ground": lean}),
         "joints": dict(zip(JOINTS, every, strict=True)),
         "root": float(deviations.root.median()),
         "shape": deviations.shape.tolist(),
     }
-
-
-def _ground_report(ground: GroundDeviation) -> dict[str, float]:
-    return {"normal_degrees": ground.normal_degrees, "height": ground.height}
 
 
 _HEIGHT_STD_RATIO = 0.3

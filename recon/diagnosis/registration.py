@@ -43,11 +43,11 @@ SHIFT = 0.01
 pushed has moved by. A turn of 1 degree moves what is seen at 4 m by 0.07 m."""
 NOISE = 1.5
 """Multiple of the noise of keypoints that may remain where everything is right."""
-_LATEST = 0.7
+MAX_LATE_S = 0.7
 """Seconds by which a clock may be off."""
 _LEAST_OVERLAP = 0.5
 """Share of the moments that the view must share with the others after a shift of its clock."""
-_COARSE = 1 / 30
+COARSE_STEP_S = 1 / 30
 """Seconds between the offsets from which the best one is refined."""
 _MAX_MOMENTS = 500
 """Moments that are looked at, evenly chosen from a longer recording."""
@@ -264,12 +264,12 @@ class Alignment(Problem[_View]):
         if "clock" not in self.parts:
             return 0.0, pose
         fps, moments = self.images.fps, self.images.pixels.shape[1]
-        most = min(_LATEST * fps, (1 - _LEAST_OVERLAP) * moments)
-        count = int(most / max(_COARSE * fps, 1.0))
+        most = min(MAX_LATE_S * fps, (1 - _LEAST_OVERLAP) * moments)
+        count = int(most / max(COARSE_STEP_S * fps, 1.0))
         best = (np.inf, 0.0, pose)
         step = max(len(self.frames) // _GLANCE, 1)
         some = replace(self, frames=self.frames[::step])
-        lates = np.arange(-count, count + 1) * max(_COARSE * fps, 1.0)
+        lates = np.arange(-count, count + 1) * max(COARSE_STEP_S * fps, 1.0)
         for late in sorted(lates.tolist(), key=abs):
             turned = some._turned(late, pose) if "pose" in self.parts else pose
             found = some._residuals(late, turned)

@@ -5,7 +5,6 @@ agrees with them after a correction of its clock and pose. Two views show that s
 but not which of them.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,14 +17,18 @@ from recon.diagnosis.explanations import shifted
 from recon.diagnosis.findings import Code, Finding, Findings
 from recon.diagnosis.images import Images
 from recon.diagnosis.rays import Rays
-from recon.diagnosis.registration import NOISE, PARTS, Alignment, Part, Registration
+from recon.diagnosis.registration import (
+    COARSE_STEP_S,
+    MAX_LATE_S,
+    NOISE,
+    PARTS,
+    Alignment,
+    Part,
+    Registration,
+)
 from recon.solver.banded import Banded
 from recon.solver.gauss_newton import GaussNewton, Problem, Quadratic, minimise
 
-_LATEST = 0.7
-"""Seconds by which the clock of one view may be off against the other's."""
-_COARSE = 1 / 30
-"""Seconds between the offsets from which the best one is refined."""
 _OPTIONS = GaussNewton(8, tolerance=1e-12, scale=1.0, damping=1e-6)
 """Rounds end when the sum of squared distances would fall by less than 1e-12 metres²."""
 _LATE_STEP, _TURN_STEP = 0.5, 1e-4
@@ -77,8 +80,8 @@ def common_miss(images: Images) -> float:
 
 
 def _starts(images: Images) -> Float[np.ndarray, " offsets"]:
-    step = max(_COARSE * images.fps, 1.0)
-    count = int(min(_LATEST * images.fps, images.pixels.shape[1] / 2) / step)
+    step = max(COARSE_STEP_S * images.fps, 1.0)
+    count = int(min(MAX_LATE_S * images.fps, images.pixels.shape[1] / 2) / step)
     return np.arange(-count, count + 1) * step
 
 
@@ -206,8 +209,17 @@ def corrected_rig(images: Images) -> tuple[Images, Findings]:
     """The views after `corrections`, in the words of findings."""
     found = corrections(images)
     repairs = tuple(_finding(images, one) for one in found.applied)
-    warnings = (_undecided(images, found.undecided),) if found.undecided else ()
-    return found.images, Findings(repairs, warnings)
+    if not found.undecided:
+        return found.images, Findings(repairs)
+    every = [f"{images.names[one.view]}: {_said(one, images.fps)}" for one in found.undecided]
+    said = Finding(
+        "view at odds",
+        "the views contradict each other, and they do not tell which of them is wrong: "
+        f"{'; or '.join(every)}. Nothing was changed. Check the calibration and the clocks, or "
+        "add a view",
+        value=found.undecided[0].degrees,
+    )
+    return found.images, Findings(repairs, (said,))
 
 
 def candidates(images: Images) -> list[Registration]:
@@ -280,13 +292,3 @@ def _said(found: Registration, fps: float) -> str:
             f"({100 * std[4:].max():.1f}) against the calibration"
         )
     return " and ".join(out)
-
-
-def _undecided(images: Images, alike: Sequence[Registration]) -> Finding:
-    each = "; or ".join(f"{images.names[one.view]}: {_said(one, images.fps)}" for one in alike)
-    return Finding(
-        "view at odds",
-        f"the views contradict each other, and they do not tell which of them is wrong: {each}. "
-        "Nothing was changed. Check the calibration and the clocks, or add a view",
-        value=alike[0].degrees,
-    )
