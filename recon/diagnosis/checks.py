@@ -18,7 +18,6 @@ from recon.diagnosis.examination import (
     BeforeFit,
     CheckedClip,
     Examined,
-    ResidualSummary,
     after_fit,
     before_fit,
 )
@@ -111,41 +110,35 @@ def _broken(clip: Examined) -> bool:
     return any(one.code in ("identity change", "frame order") for one in clip.warnings)
 
 
-@after_fit()
-def residuals(clip: Examined) -> tuple[Examined, Findings]:
-    """Sensors whose residuals are far above their noise: model and data contradict each other."""
-    every = [said.of(one.name) for one in clip.residuals for said in _doubts_about(one)]
-    return clip, Findings(warnings=every)
-
-
 _SUSPECT = 5.0
 """Multiple of the estimated standard deviation from which on a median residual is suspicious."""
 _MIN_SUSPICIOUS_RESIDUAL = {"pixels": 15.0, "metres": 0.06, "radians": 0.4}
 """Median residuals below these are not suspicious, whatever the noise."""
 
 
-def _doubts_about(summary: ResidualSummary) -> list[Finding]:
-    median, noise = summary.median, summary.noise
-    if median is None:
-        return [Finding("unseen", "nothing was seen at the times of the motion")]
-    if median <= max(_SUSPECT * noise, _MIN_SUSPICIOUS_RESIDUAL[summary.unit]):
-        return []
-    worst = sorted(
-        ((value, point) for point, value in summary.by_point.items() if value is not None),
-        reverse=True,
-    )[:3]
-    points = tuple(point for _, point in worst)
-    where = f", most at {', '.join(points)}" if points else ""
-    return [
-        Finding(
-            "residual",
-            f"half of the data is more than {median:.3g} {summary.unit} away from the fitted "
-            f"body{where}, and the data's own noise is {noise:.2g}; what was recorded is not what "
-            "the file says: check which person, which points and which camera it shows",
-            points,
-            value=median,
-        )
-    ]
+@after_fit()
+def residuals(clip: Examined) -> tuple[Examined, Findings]:
+    """Sensors whose residuals are far above their noise: model and data contradict each other."""
+    found: list[Finding] = []
+    for one in clip.residuals:
+        if one.median is None:
+            said = Finding("unseen", "nothing was seen at the times of the motion")
+            found.append(said.of(one.name))
+        elif one.median > max(_SUSPECT * one.noise, _MIN_SUSPICIOUS_RESIDUAL[one.unit]):
+            known = [(value, name) for name, value in one.by_point.items() if value is not None]
+            points = tuple(name for _, name in sorted(known, reverse=True)[:3])
+            where = f", most at {', '.join(points)}" if points else ""
+            said = Finding(
+                "residual",
+                f"half of the data is more than {one.median:.3g} {one.unit} away from the fitted "
+                f"body{where}, and the data's own noise is {one.noise:.2g}; what was recorded is "
+                "not what the file says: check which person, which points and which camera it "
+                "shows",
+                points,
+                value=one.median,
+            )
+            found.append(said.of(one.name))
+    return clip, Findings(warnings=found)
 
 
 @after_fit("view")

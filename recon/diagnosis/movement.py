@@ -247,7 +247,11 @@ def belt_velocity(
     standing = low[1:] & low[:-1] & (lower[1:] == lower[:-1])
     if (standing.sum(0) < max(3, _MIN_CONTACT_S * movement.fps)).any():
         return None
-    belt = _commonest(velocity[standing])
+    # the velocity with most others near it, refined to their median
+    every = velocity[standing]
+    some = every[:: max(1, len(every) // 400)]
+    best = some[int(np.argmax([int(_near(every, candidate).sum()) for candidate in some]))]
+    belt = np.median(every[_near(every, best)], axis=0)
     speed = float(np.linalg.norm(belt))
     if speed < _SLOWEST:
         return None
@@ -280,14 +284,6 @@ def _near(
 ) -> Bool[np.ndarray, "*shape"]:
     reach = max(_STEADY_LEAST, _MAX_RELATIVE_DEVIATION * float(np.linalg.norm(belt)))
     return np.linalg.norm(velocity - belt, axis=-1) < reach
-
-
-def _commonest(velocity: Float[np.ndarray, "samples 2"]) -> Float[np.ndarray, " 2"]:
-    """The velocity with most others near it, refined to their median."""
-    some = velocity[:: max(1, len(velocity) // 400)]
-    near = [int(_near(velocity, candidate).sum()) for candidate in some]
-    best = some[int(np.argmax(near))]
-    return np.median(velocity[_near(velocity, best)], axis=0)
 
 
 def with_belt(points: TrackedPoints, belt: Float[Tensor, " 2"]) -> TrackedPoints:

@@ -152,9 +152,17 @@ def _seams(points: NamedPoints) -> tuple[Finding, ...]:
 def identity_changes(points: NamedPoints) -> tuple[Finding, ...]:
     """Frames at which the whole body jumps, as where a tracker goes on with somebody else.
 
-    The middle of the points steps there unlike it does before and after.
+    The middle of the points steps there unlike it does before and after: the median displacement
+    of the points that are seen now and were seen at the last frame with any.
     """
-    step, elapsed = _middle_step(points)
+    count = len(points.visible)
+    step, elapsed = np.full(count, np.nan), np.full(count, 1 / points.fps)
+    for last, t in itertools.pairwise(np.flatnonzero(points.visible.any(1))):
+        common = points.visible[t] & points.visible[last]
+        if common.sum() >= 3:
+            moved = points.positions[t, common] - points.positions[last, common]
+            step[t] = np.linalg.norm(np.median(moved, axis=0))
+            elapsed[t] = (t - last) / points.fps
     beyond, noise = np.zeros(len(step)), temporal_noise(points)
     for t in np.flatnonzero(np.isfinite(step)):
         near = np.r_[max(t - 3, 0) : t, t + 1 : min(t + 4, len(step))]
@@ -179,24 +187,6 @@ def identity_changes(points: NamedPoints) -> tuple[Finding, ...]:
             "them by their time stamps"
         )
     return (Finding(code, said, (), frames, most),)
-
-
-def _middle_step(
-    points: NamedPoints,
-) -> tuple[Float[np.ndarray, " moments"], Float[np.ndarray, " moments"]]:
-    """Length of the median displacement since the last moment with the same points, and seconds.
-
-    NaN where fewer than three points are common to both moments.
-    """
-    moments = len(points.visible)
-    step, elapsed = np.full(moments, np.nan), np.full(moments, 1 / points.fps)
-    for last, t in itertools.pairwise(np.flatnonzero(points.visible.any(1))):
-        common = points.visible[t] & points.visible[last]
-        if common.sum() >= 3:
-            moved = points.positions[t, common] - points.positions[last, common]
-            step[t] = np.linalg.norm(np.median(moved, axis=0))
-            elapsed[t] = (t - last) / points.fps
-    return step, elapsed
 
 
 def _travelled(points: NamedPoints, lag: int) -> float:
