@@ -23,7 +23,7 @@ _LEAST_DEPTH = 0.05
 _ROUNDS = 8
 _MIN_POINTS, _MIN_SAMPLES = 4, 12
 """Least number of points to find how a camera is turned in one frame, and where it is at all."""
-_INLIER = 0.01
+_INLIER = 0.02
 """Distance on the plane at depth 1 within which a keypoint agrees with a camera's place."""
 
 
