@@ -26,14 +26,22 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 import recon
-from benchmarks.protocol import Cell, Table, number, parser, recordings_source, spread, tell
-from benchmarks.strangers.compare import estimated, over_people, quotient
+from benchmarks.protocol import (
+    Cell,
+    Table,
+    number,
+    parser,
+    ratio,
+    recordings_source,
+    spread,
+    tell,
+)
 from recon import BodyModel, Markers3D
 from recon.benchmark.table import Interval
 from recon.formats.mocap.reader import read_recording
 from recon.formats.mocap.recording import MarkerRecording
-from recon.ingest.markers.coverage import MarkerSet, full_body_markers
-from recon.ingest.markers.fit import MarkerFit, fit_markers
+from recon.ingest.marker_fit import MarkerFit, fit_markers
+from recon.ingest.marker_sets import MarkerSet, full_body_markers
 
 LIST = Path(__file__).parent / "hidden_markers.toml"
 SECONDS, HIDDEN_BELOW, NOISE = 3.0, 0.9, 0.02
@@ -166,8 +174,7 @@ def over(
     for one, found in errors.items():
         pair = found[label], 1.0 if other is None else found[other]
         by_person.setdefault(one.person, []).append(pair)
-    sums = [np.array(own) for own in by_person.values()]
-    return estimated(sums[0], quotient) if len(sums) == 1 else over_people(sums, quotient)
+    return ratio([np.array(own) for own in by_person.values()])
 
 
 def recordings(errors: Mapping[HiddenMarkers, Mapping[str, float]]) -> Table:

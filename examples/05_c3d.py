@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 
 import recon
-from recon.body.landmarks import landmark, match_markers
+from recon.body.landmarks import landmark
+from recon.body.marker_labels import match_markers
 
 PAIRS = (
     "FHD", "BHD", "SHO", "UPA", "ELB", "WRA", "WRB", "FIN",

@@ -5,7 +5,7 @@ refused by name. Nothing here runs while a fit minimises: records that the libra
 checked ones (`TensorStruct.map`, indexing, `derived`) are not checked again.
 """
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from jaxtyping import Bool, Float
@@ -20,9 +20,13 @@ from recon.core.arrays import (
     positive,
     require_shape,
 )
-from recon.core.camera import Camera
 from recon.core.errors import ObservationError, UnitsError
 from recon.core.limits import CONFIDENCE, FRAME_RATE, PIXEL, POINT_DEVIATION, POSITION, TIME
+
+if TYPE_CHECKING:
+    from recon.core.camera import Camera
+else:  # points in space have no camera
+    from typing import Any as Camera
 
 FARTHEST = 5.0
 """Metres that the points of one moment lie from their middle, the median over points and moments.

@@ -1,14 +1,19 @@
 """Quadratic models of energies of points about their predicted places."""
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from recon.core.camera import NEAREST, Camera
 from recon.core.robust import geman_mcclure, squared
 from recon.method.quadratic import PointModel
+
+if TYPE_CHECKING:
+    from recon.core.camera import Camera
+else:  # points in space have no camera
+    from typing import Any as Camera
 
 
 def of_places(
@@ -46,6 +51,8 @@ def of_pixels(
     rate: float,
 ) -> PointModel:
     """The model of rate ½ Σ c² (ρ(Δu) + ρ(Δv)), with the kernel ρ of Geman and McClure."""
+    from recon.core.camera import NEAREST
+
     seen = camera.to_camera(points)
     in_front = seen[..., 2] > NEAREST
     depth = torch.where(in_front, seen[..., 2], 1.0)[..., None]

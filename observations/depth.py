@@ -46,6 +46,7 @@ class PointCloud(Sensor):
     """
 
     sees = "surface"
+    level = False
     timed = ("points", "present", "labels", "std")
     points: Float[Tensor, "*batch moments points 3"]
     """Positions in metres, in the frame of the recording; zero where not present."""

@@ -11,6 +11,19 @@ from recon.cli import run_command
 from recon.cli.places import Arguments, Overwrite, Place, Quiet, writes
 from recon.formats.outputs import Kind, Output
 
+_IN_STEPS = {
+    "humor": "training.humor.train:HumorTraining",
+    "humos": "training.humos.train:HumosTraining",
+    "labels": "training.labels.train:LabelTraining",
+}
+"""Settings of runs that go on where they were cut; beside them are `train`, which takes the steps,
+and `export_weights`."""
+_AT_ONCE = {
+    "pose": "training.pose:PoseTraining",
+    "anchor": "training.anchor.train:AnchorTraining",
+}
+"""Settings of priors whose fit has a closed form; beside them is `export_weights`."""
+
 
 def _is_former(folder: Path) -> bool:
     """Whether a folder has a checkpoint, or the log of a run that was cut before its first."""
@@ -19,7 +32,7 @@ def _is_former(folder: Path) -> bool:
 
 def _weights(out: Path, given: Arguments) -> tuple[Output, ...]:
     """The weights, and the log or the folder of the run, which goes on where it was cut."""
-    if given["prior"] == "pose":
+    if given["prior"] in _AT_ONCE:
         return Output(out), Output(out.with_suffix(".log"))
     run = Output(out.with_suffix(""), Kind.CONTINUED, is_former=_is_former)
     return Output(out), run
@@ -40,11 +53,11 @@ def train(
 ) -> None:
     """Learn the weights of a prior.
 
-    `pose` is a density of single poses, takes seconds and has no steps. `humor` is the transition
-    network: hours on two cores. `anchor` is the anchor-frame VAE of gait cycles: minutes on two
-    cores. `humos` is the decoder that sees the body: an hour on one core. `labels` tells which
-    part of a body a point of a cloud shows: an hour on one core, and the clouds that it draws
-    first a quarter of one. A run that was cut goes on from its checkpoint.
+    `pose` is a density of single poses, and `anchor` principal components of gait cycles: both
+    take less than a minute and have no steps. `humor` is the transition network: hours on two
+    cores. `humos` is the decoder that sees the body: an hour on one core. `labels` says which part
+    of a body a point of a cloud shows: an hour on one core, and the clouds that it draws first a
+    quarter of one. A run in steps that was cut goes on from its checkpoint.
 
     Args:
         prior: which one.
@@ -52,11 +65,10 @@ def train(
         out: weights to write (.safetensors); logs and checkpoints are kept beside them.
         data: `open` learns from clips whose weights may be shipped, `nc` also from those under a
             non-commercial licence.
-        steps: of the optimiser; for `anchor` of its first phase, on parameters; for `humos` of
-            its second part, from body to body. Default: 20,000 for `humor`; 1,000 for `anchor`,
-            followed by 2,500 on the surface; 1,200 for `humos`, after 1,500 of its auto-encoder;
-            12,000 for `labels`.
-        latent: size of the code of `anchor` (default: 256) and of `humos` (default: 96 for every
+        steps: of the optimiser; for `humos` of its second part, from body to body. Default:
+            20,000 for `humor`; 1,200 for `humos`, after 1,500 of its auto-encoder; 12,000 for
+            `labels`.
+        latent: size of the code of `anchor` (default: 512) and of `humos` (default: 96 for every
             0.4 s).
         device: where to compute.
         seed: of everything random.
@@ -66,46 +78,43 @@ def train(
     del quiet  # heeded by `writes`
     from recon.cli import console
 
-    asked = {"steps": steps, "latent": latent}
+    asked: dict[str, Any] = {"steps": steps, "latent": latent}
     asked = {name: value for name, value in asked.items() if value is not None}
     if latent is not None and prior not in ("anchor", "humos"):
         raise ValueError(f"{prior} has no size of a code to choose: leave --latent out")
-    if prior in ("anchor", "humos", "labels") and device != "cpu":
+    if steps is not None and prior in _AT_ONCE:
+        raise ValueError(f"{prior} is learned without steps: leave --steps out")
+    if prior != "humor" and device != "cpu":
         raise ValueError(f"{prior} is trained on the processor: give --device cpu")
 
     from recon.formats.reports import versions
     from recon.formats.writing import writing, writing_file
+    from training.run import LOG, logged_to
 
     report = {"prior": prior, "corpus": str(corpus), "data": data, "seed": seed, **asked}
     report["versions"] = versions()
-    if prior == "pose":
-        from training.pose import PoseTraining
-        from training.pose import train as train_pose
-
+    module, _, name = {**_IN_STEPS, **_AT_ONCE}[prior].partition(":")
+    kind = import_module(module)
+    if prior != "pose":
+        asked["seed"] = seed
+    if prior in _AT_ONCE:
+        settings = getattr(kind, name)(corpus=corpus, out=out, data=data, **asked)
         outputs = _weights(out, {"prior": prior})
-        with writing(*outputs, report=report, overwrite=overwrite) as (made, log):
-            train_pose(PoseTraining(corpus=corpus, out=made, log=log, data=data))
-        console.last(str(out))
-        return
-    ask: dict[str, Any] = {"corpus": corpus, "out": out.with_suffix(""), "data": data}
-    ask |= {"seed": seed, **asked}
-    if prior == "humor":
-        ask["device"] = device
-    kind = import_module(f"training.{prior}.train")
-    settings = getattr(kind, _SETTINGS[prior])(**ask)
-    kind.train(settings)
-    with writing_file(out, report, overwrite=overwrite) as made:
-        kind.export_weights(settings, made)
+        with (
+            writing(*outputs, report=report, overwrite=overwrite) as (made, log),
+            logged_to(log, "w"),
+        ):
+            LOG.info("settings: %s", settings)
+            kind.export_weights(settings, made)
+            LOG.info("wrote %s", out)
+    else:
+        if prior == "humor":
+            asked["device"] = device
+        settings = getattr(kind, name)(corpus, out.with_suffix(""), data=data, **asked)
+        kind.train(settings)
+        with writing_file(out, report, overwrite=overwrite) as made:
+            kind.export_weights(settings, made)
     console.last(str(out))
-
-
-_SETTINGS = {
-    "humor": "HumorTraining",
-    "anchor": "AnchorTraining",
-    "humos": "HumosTraining",
-    "labels": "LabelTraining",
-}
-"""Settings in `training.PRIOR.train`, beside `train` and `export_weights`."""
 
 
 if __name__ == "__main__":

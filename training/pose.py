@@ -8,31 +8,24 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from priors.checkpoints import save_checkpoint
-from priors.pose.density import COORDINATES, PoseDensity, fit_density
-from recon.benchmark.dataset import SPLITS, Licence, Splits, load_clips, poses
+from priors.pose.density import COORDINATES, ROTATIONS, PoseDensity
+from recon.benchmark.dataset import Splits, load_clips, poses
+from recon.body.kinematics import forward_kinematics
 from recon.body.model import BodyModel
-from training.run import LOG, logged_to
-from training.settings import told_settings
+from recon.core import rotations as so3
+from training.run import LOG
+from training.settings import CorpusSettings, told_settings
+from training.weights import save_checkpoint
 
 
 @dataclass(frozen=True)
-class PoseTraining:
+class PoseTraining(CorpusSettings):
     """Settings of a run."""
 
-    corpus: Path
-    """Folder of converted motions (`recon convert --all`)."""
-    out: Path = Path("pose.safetensors")
-    """Weights to write."""
-    log: Path | None = None
-    """Log of the run to write; None is beside the weights, .log."""
-    data: Licence = "open"
-    """`open`: clips whose weights may be shipped; `nc`: the non-commercial ones too."""
-    splits: Path = SPLITS
-    """Table of the subjects that are held out."""
     floor: float = 0.05
     """Standard deviation added to every direction of pose space, radians."""
     rate: float = 10.0
@@ -41,19 +34,13 @@ class PoseTraining:
     """Poses of one subject at most."""
 
 
-def train(settings: PoseTraining) -> Path:
+def export_weights(settings: PoseTraining, path: Path) -> None:
     """Fit the density and write it.
 
     Raises:
         FileNotFoundError: when there is no corpus, splits file or folder for the output.
         ValueError: when no clip of the corpus may be learned from.
     """
-    with logged_to(settings.log or settings.out.with_suffix(".log"), "w"):
-        return _fitted(settings)
-
-
-def _fitted(settings: PoseTraining) -> Path:
-    LOG.info("settings: %s", settings)
     splits = Splits.load(settings.splits)
     learned = load_clips(settings.corpus, splits, "train", settings.data)
     held_out = load_clips(settings.corpus, splits, "validation", settings.data)
@@ -70,9 +57,7 @@ def _fitted(settings: PoseTraining) -> Path:
     tensors = {name: tensor.float() for name, tensor in density.tensors().items()}
     subjects = sorted({clip.subject for clip in learned})
     about = told_settings(settings) | {"poses": len(rotations), "subjects": subjects}
-    save_checkpoint(settings.out, "pose", tensors, about)
-    LOG.info("wrote %s", settings.out)
-    return settings.out
+    save_checkpoint(path, "pose", tensors, about)
 
 
 def score(density: PoseDensity, rotations: Float[Tensor, "poses 21 3 3"]) -> float:
@@ -80,3 +65,49 @@ def score(density: PoseDensity, rotations: Float[Tensor, "poses 21 3 3"]) -> flo
     coordinates = density.coordinates(rotations.to(density.basis))
     normaliser = density.basis.slogdet().logabsdet + COORDINATES / 2 * math.log(2 * math.pi)
     return (-0.5 * coordinates.square().sum(-1).mean() - normaliser).item()
+
+
+def frechet_mean(
+    rotations: Float[Tensor, "poses 21 3 3"], rounds: int = 10
+) -> Float[Tensor, "21 3 3"]:
+    """The rotation of each joint about which the tangent vectors of all poses average to zero."""
+    mean = so3.nearest(rotations.mean(0))
+    for _ in range(rounds):
+        mean = mean @ so3.exp(so3.log(mean.mT @ rotations).mean(0))
+    return mean
+
+
+def fit_density(
+    rotations: Float[Tensor, "poses 21 3 3"], floor: float, body: BodyModel
+) -> PoseDensity:
+    """The density of the given poses, all weighing the same.
+
+    Args:
+        rotations: of the 21 body joints, each relative to its parent.
+        floor: standard deviation in radians added to every direction; without it, directions in
+            which the recorded skeletons cannot move would be forbidden to everybody.
+        body: whose joints the stiffness is of.
+    """
+    rotations = rotations.double()
+    mean = frechet_mean(rotations)
+    steps = so3.log(mean.mT @ rotations).flatten(-2)
+    covariance = steps.mT @ steps / len(steps)
+    covariance = covariance + floor**2 * torch.eye(COORDINATES, dtype=covariance.dtype)
+    variances, directions = torch.linalg.eigh(covariance)
+    basis = directions * variances.sqrt()
+    return PoseDensity(mean, basis, _stiffness(mean, basis, body))
+
+
+def _stiffness(
+    mean: Float[Tensor, "21 3 3"], basis: Float[Tensor, "63 63"], body: BodyModel
+) -> Float[Tensor, "66 66"]:
+    rest = body.joint_template.to(mean)
+
+    def joints(x: Tensor) -> Tensor:
+        root = so3.exp(x[:3])[None]
+        pose = mean @ so3.exp((basis @ x[3:]).unflatten(0, (ROTATIONS, 3)))
+        return forward_kinematics(torch.cat((root, pose))[None], rest)[1].flatten()
+
+    jacobian = torch.autograd.functional.jacobian(joints, basis.new_zeros(3 + COORDINATES))
+    assert isinstance(jacobian, Tensor)
+    return jacobian.mT @ jacobian

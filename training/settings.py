@@ -17,18 +17,28 @@ from recon.formats.replacing import file_checksum, files_checksum
 
 
 @dataclass(frozen=True)
-class TrainingSettings:
-    """Settings that every run has; each prior adds its own and has its own defaults."""
+class CorpusSettings:
+    """What every prior is learned from, and where to."""
 
     corpus: Path
     """Folder of converted motions (`recon convert --all`)."""
     out: Path
-    """Folder of the run: checkpoint.pt, losses.csv, losses.png, train.log. A run that was
-    interrupted goes on from its checkpoint."""
+    """Weights to write; or the folder of a run that takes steps: checkpoint.pt, losses.csv,
+    losses.png, train.log. A run that was interrupted goes on from its checkpoint."""
     data: Licence = "open"
     """`open`: clips whose weights may be shipped; `nc`: the non-commercial ones too."""
     splits: Path = SPLITS
     """Table of the subjects that are held out."""
+
+    def flat_files(self, part: Part) -> dict[str, Path]:
+        """The motion files on flat ground that a part may be taken from, by clip name."""
+        return files_on_flat_ground(self.corpus, Splits.load(self.splits), part, self.data)
+
+
+@dataclass(frozen=True)
+class TrainingSettings(CorpusSettings):
+    """Settings that every run in steps has; each prior adds its own and has its own defaults."""
+
     steps: int = 20_000
     """Steps of the optimiser."""
     rate: float = 1e-3
@@ -46,10 +56,6 @@ class TrainingSettings:
     seed: int = 0
     threads: int = 1
 
-    def flat_files(self, part: Part) -> dict[str, Path]:
-        """The motion files on flat ground that a part may be taken from, by clip name."""
-        return files_on_flat_ground(self.corpus, Splits.load(self.splits), part, self.data)
-
 
 FREE = ("out", "threads", "save_every", "device")
 """Settings that may change while a run goes on: where it is written, and how fast it goes."""
@@ -63,7 +69,7 @@ def plain(settings: Any) -> dict[str, Any]:
 
 
 def told_settings(settings: Any) -> dict[str, Any]:
-    """The settings of a run that a weights file tells: all but places on the trainer's disk."""
+    """The settings that a weights file says: all but paths on the trainer's disk."""
     found = dataclasses.asdict(settings)
     return {k: v for k, v in found.items() if not isinstance(v, Path | None)}
 

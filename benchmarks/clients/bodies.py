@@ -5,7 +5,8 @@ import torch
 
 from recon.body.landmarks import landmark
 from recon.body.model import BodyModel
-from recon.body.segments import carried, opensim_axes
+from recon.body.opensim import opensim_axes
+from recon.body.segments import carried
 from recon.core.motion import Motion
 from recon.core.skeleton import joint_index
 from recon.core.units import to_z_up

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from priors.humor.mixture import first_states
+from priors.humor.first_states import first_states
 from priors.humor.networks import HumorNetworks
 from priors.humor.prior import Humor
 from priors.humor.state import (

@@ -8,18 +8,8 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from priors.humor.state import State, distinct_features
-from priors.pose.prior import PosePrior, PoseWeights
-from recon.body.model import BodyModel
 from recon.core.errors import ReconError
-from recon.core.motion import Motion
-from recon.core.scene import Scene
-from recon.core.skeleton import JOINTS
 from recon.core.struct import TensorStruct
-from recon.formats.opening import load_arrays
-from recon.method.protocols import REFERENCE_FPS, Estimate
-from recon.method.running import run_stages
-from recon.method.terms import Term
 
 
 @dataclass(frozen=True)
@@ -66,37 +56,6 @@ class Mixture(TensorStruct):
         return cls(features, weights.double().log(), means.double(), whitening.mT.contiguous())
 
     @classmethod
-    def fit(
-        cls,
-        samples: Float[Tensor, "samples numbers"],
-        features: Int[Tensor, " features"],
-        components: int = 12,
-        regularisation: float = 1e-4,
-        seed: int = 0,
-    ) -> "Mixture":
-        """A mixture fitted by expectation maximisation from k-means (HuMoR, section 4).
-
-        Args:
-            samples: rows of all numbers.
-            features: those to model.
-            components: Gaussians.
-            regularisation: added to every variance; 1e-4 is a centimetre, or 1 cm/s, squared.
-            seed: of the k-means start.
-        """
-        from sklearn.mixture import GaussianMixture
-
-        mixture = GaussianMixture(
-            components, reg_covar=regularisation, max_iter=200, random_state=seed
-        )
-        mixture.fit(samples[:, features].double().cpu().numpy())
-        return cls.create(
-            torch.from_numpy(mixture.weights_),
-            torch.from_numpy(mixture.means_),
-            torch.from_numpy(mixture.covariances_),
-            features,
-        )
-
-    @classmethod
     def load(cls, path: str | Path) -> "Mixture":
         """HuMoR's released file: weights, means and covariances of all 138 numbers.
 
@@ -104,6 +63,8 @@ class Mixture(TensorStruct):
             FileNotFoundError: when there is no such file.
             ValueError: when it holds something else.
         """
+        from recon.formats.opening import load_arrays  # of the released files alone
+
         arrays = load_arrays(Path(path))
         names = ("weights", "means", "covariances")
         if missing := [name for name in names if name not in arrays]:
@@ -175,79 +136,3 @@ class Mixture(TensorStruct):
         lower = self.whitening[which].mT  # Uᵀ (x - m) = y is solved for x
         away = torch.linalg.solve_triangular(lower, white[..., None], upper=False)
         return self.means[which] + temperature * away[..., 0]
-
-
-_FACING = ((-1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 1.0, 0.0))
-"""Root of an upright body in its canonical frame: its right along +x, so it looks along +y."""
-
-
-@dataclass(frozen=True)
-class _Joints(TensorStruct):
-    """½ Σ |p - p̂|² of all joints of one frame; metres²."""
-
-    positions: Float[Tensor, "clips 22 3"]
-
-    def __call__(self, estimate: Estimate) -> Float[Tensor, " clips"]:
-        away = estimate.body.joints[:, 0] - self.positions
-        return 0.5 * away.square().sum((-1, -2))
-
-
-def first_states(
-    initial: Mixture,
-    body: BodyModel,
-    count: int,
-    random: torch.Generator,
-    temperature: float = 1.0,
-) -> tuple[State, Float[Tensor, "clips shape"]]:
-    """Canonical states and the shapes of their bodies.
-
-    The mixture knows no rotations. They and the shape are fitted to the drawn joints under the
-    pose prior; the state's joints are those of the fitted body.
-
-    Raises:
-        ValueError: when the mixture is over other numbers than ours.
-    """
-    if not torch.equal(initial.features.cpu(), distinct_features()):
-        raise ValueError("first states need a mixture over our features; the released one is not")
-    drawn = initial.sample(count, random, temperature).to(body.template)
-    full = drawn.new_zeros(count, 6 * len(JOINTS) + 6)
-    full[:, initial.features] = drawn
-    positions, velocities = (
-        part.unflatten(-1, (len(JOINTS), 3)) for part in full[:, :-6].chunk(2, 1)
-    )
-    level = full.new_tensor([1.0, 1.0, 0.0])
-    shape = full.new_zeros(count, body.shape_size)
-    # what follows from other numbers: the pelvis is over its place, and moves as the translation
-    positions[:, 0] += body.rest_joints(shape)[:, 0] * level
-    velocities[:, 0] = full[:, -6:-3]
-
-    prior = PosePrior.load(weights=PoseWeights(pose=1e-5, shape=1e-5))
-    motion = _fitted(positions, shape, body, prior)
-    return (
-        State(
-            translation=motion.translation[:, 0] * (1 - level),
-            velocity=full[:, -6:-3],
-            root=motion.rotations[:, 0, 0],
-            angular_velocity=full[:, -3:],
-            pose=motion.rotations[:, 0, 1:],
-            joints=body.pose(motion).joints[:, 0] - motion.translation[:, 0, None] * level,
-            joint_velocities=velocities,
-        ),
-        motion.shape,
-    )
-
-
-def _fitted(
-    positions: Float[Tensor, "clips 22 3"],
-    shape: Float[Tensor, "clips shape"],
-    body: BodyModel,
-    prior: PosePrior,
-) -> Motion:
-    rotations = torch.eye(3).to(positions).repeat(len(positions), 1, len(JOINTS), 1, 1)
-    rotations[:, :, 0] = positions.new_tensor(_FACING)
-    pelvis = body.rest_joints(shape)[:, 0]
-    start = Motion.create((positions[:, 0] - pelvis)[:, None], rotations, shape, REFERENCE_FPS)
-    data = Term("joints", _Joints(positions), 1.0)
-    scene = Scene.create(len(positions), like=positions)
-    estimate, _ = run_stages(prior.stages((data,)), body, start, scene)
-    return estimate.motion.detach()

@@ -6,8 +6,8 @@ from typing import Literal
 import numpy as np
 
 from recon.api.given import BodyLike, MotionLike, body_given, motion_given
+from recon.api.made import Made
 from recon.api.result import described
-from recon.api.results import Made
 from recon.core.arrays import positive
 from recon.core.units import Axis
 from recon.diagnosis.findings import Finding

@@ -34,7 +34,6 @@ from recon.diagnosis.findings import Finding, Findings
 from recon.fitting.methods import FitOptions, trait_of
 from recon.fitting.observed import Clip
 from recon.fitting.settings import ReadOptions
-from recon.formats.foreign import is_estimate
 from recon.method.priors import PriorLike
 from recon.method.stages import Watch
 from recon.method.terms import Term
@@ -130,7 +129,7 @@ def fit(
         observations = tuple(observations)
     paths = paths_given(observations)
     how_read = ReadOptions.of(reading)
-    if is_estimate(paths):
+    if paths and _is_estimate(paths):
         _refuse_others(paths[0], how_read, start)
         return refine(
             paths[0], prior, weights=weights, method=method, body=body, shape=shape,  # pyright: ignore[reportArgumentType]
@@ -269,13 +268,19 @@ def refine(
         raise ReconError(
             f"expected an estimate of at least {LEAST_FRAMES} frames, got {given.frames}"
         )
-    found = believed(given, known, model)
-    seen = found.seen.replace(ground_known=ground == "known")
-    how |= {"body": model, "shape": given.shape, "start": found.motion, "repair": False}
+    seen, start, repaired = believed(given, known, model)
+    seen = seen.replace(ground_known=ground == "known")
+    how |= {"body": model, "shape": given.shape, "start": start, "repair": False}
     result = fit(seen, prior, **how)
-    repairs = Findings(found.repairs)
+    repairs = Findings(repaired)
     examined = replace(result.examined, found=repairs + result.examined.found)
     return replace(result, notes=(*notes, *result.notes), examined=examined)
+
+
+def _is_estimate(paths: Sequence[Path]) -> bool:
+    from recon.formats.foreign import is_estimate  # of files alone
+
+    return is_estimate(paths)
 
 
 def _refuse_others(path: Path, options: ReadOptions, start: object) -> None:

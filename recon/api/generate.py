@@ -17,7 +17,7 @@ from recon.api.given import (
     shape_given,
     shape_name,
 )
-from recon.api.results import Made, MotionResults
+from recon.api.made import Made, MotionResults
 from recon.body.contacts import contact_labels, rest_heights
 from recon.body.identities import doubts
 from recon.body.model import BodyModel

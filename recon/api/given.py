@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -11,9 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from recon.api.results import MotionResult
-from recon.body.identities import identity
 from recon.body.model import BodyModel
-from recon.body.motion_files import WITH_BODY, of_body
 from recon.core.arrays import Numbers, finite, float_tensor, positive
 from recon.core.errors import ReconError, WeightsError
 from recon.core.limits import SHAPE
@@ -22,7 +20,11 @@ from recon.fitting.methods import checked_method, class_of, trait_of
 from recon.formats.motions import MotionFile, load_motion, motion_from
 from recon.method.plugins import PRIORS, registered
 from recon.method.priors import PriorLike, is_prior
-from recon.method.shape_prior import ShapePrior
+
+if TYPE_CHECKING:
+    from recon.method.shape_prior import ShapePrior
+else:  # of most people no shape is known
+    from typing import Any as ShapePrior
 
 MotionLike = Motion | MotionResult | MotionFile | Mapping[str, Any] | Path | str
 """A motion of one clip, what a function of `recon` returned, a motion file or its path, or the
@@ -65,7 +67,7 @@ def body_given(given: BodyLike) -> BodyModel:
 
 
 def motion_given(
-    given: Any, body: BodyModel, name: str = "motion", remedy: str = WITH_BODY
+    given: Any, body: BodyModel, name: str = "motion", remedy: str = ""
 ) -> GivenMotion:
     """A motion in the precision of the body, with all of its shape coefficients.
 
@@ -73,12 +75,15 @@ def motion_given(
         given: a `MotionLike`; a leading axis of length one is taken off, padding cut off.
         body: whose motion it must be.
         name: of the argument, for messages about what is no file.
-        remedy: what to do about a motion of another body, for messages.
+        remedy: what to do about a motion of another body, for messages; "" says to give its body.
 
     Raises:
         FileNotFoundError: when there is no such file.
         ReconError: when it is no motion of one clip, is damaged, or was made with another body.
     """
+    from recon.body.motion_files import WITH_BODY, of_body  # most fits are given no motion
+
+    remedy = remedy or WITH_BODY
     if isinstance(given, Path | str):
         path = Path(given)
         file = load_motion(path, body.template.dtype)
@@ -155,6 +160,9 @@ class Shape:
         """
         if self.height is None and self.like is None:
             raise ReconError("shape: expected a height, or a shape that it is like, got neither")
+        from recon.body.identities import identity
+        from recon.method.shape_prior import ShapePrior
+
         height_std = positive(self.height_std, "shape.height_std")
         if self.like is None:
             tall = identity(f"height={finite(self.height, 'shape.height')}", body)
@@ -189,6 +197,8 @@ def shape_given(given: ShapeLike, body: BodyModel) -> Float[Tensor, " shape"]:
         ReconError: when this is nothing that is understood, or no body has it.
     """
     if isinstance(given, str):
+        from recon.body.identities import identity
+
         return identity(given, body)
     if isinstance(given, Motion | MotionResult | MotionFile | Mapping | Path):
         return motion_given(given, body, "shape").motion.shape

@@ -9,8 +9,8 @@ from torch import Tensor
 from priors.anchor.frames import ANCHORS
 from priors.anchor.prior import AnchorFrames
 from recon.api.given import BodyLike, GivenMotion, MotionLike, body_given, motion_given
+from recon.api.made import Made
 from recon.api.result import described
-from recon.api.results import Made
 from recon.body.cycles import LONGEST_CYCLE, SHORTEST_CYCLE, Cycle
 from recon.body.model import BodyModel
 from recon.core.arrays import finite, positive

@@ -11,9 +11,8 @@ from jaxtyping import Float
 
 from recon.body.model import BodyModel
 from recon.core.errors import ObservationError, ReconError
-from recon.fitting.ground import LEVEL_CAMERA, camera_above, world_above
 from recon.fitting.observed import Clip
-from recon.method.sensor import Sensor, unposed_camera
+from recon.method.sensor import Sensor, frame_is_level, unposed_camera
 
 Plane = tuple[float, float, float, float]
 """(nx, ny, nz, d): the points x of the ground have n·x = d in the observations' frame, metres."""
@@ -89,15 +88,19 @@ def on_ground(clip: Clip, ground: Any) -> Sighting:
                 "is not at z = 0; give the pose, the plane (nx, ny, nz, d), or 'unknown'"
             )
         if unposed:
+            from recon.fitting.ground import LEVEL_CAMERA, camera_above
+
             return _carried(clip, camera_above(LEVEL_CAMERA), known=False)
         return Sighting(clip if ground == "auto" else _declared(clip, known=ground == "known"))
+    from recon.fitting.ground import camera_above, world_above  # few planes are given
+
     plane = _checked_plane(ground)
     if clip.T_recording_camera is not None and clip.notes:
         raise ReconError("ground: the files were read with a ground; give the plane to the reader")
     if unposed:
         found = _carried(clip, camera_above(plane), known=False)
     else:
-        level = all(one.level for one in clip.observations)
+        level = frame_is_level(clip.observations)
         found = _carried(clip, world_above(plane), known=level)
     return replace(found, clip=replace(found.clip, ground_given=True))
 

@@ -1,8 +1,8 @@
 """A motion with what is known about it: what most functions of `recon` return."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -10,17 +10,12 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from recon.body.identities import height
 from recon.body.model import BodyModel
-from recon.core.errors import ReconError
 from recon.core.motion import Motion
-from recon.diagnosis.agreement import ResidualSummary
+from recon.diagnosis.examination import ResidualSummary
 from recon.diagnosis.findings import Finding
-from recon.formats.joint_table import JointCertainty, write_joint_table
-from recon.formats.motions import MotionFile, save_motion
-from recon.formats.outputs import Kind, Output
-from recon.formats.reports import versions
-from recon.formats.writing import writing, writing_file
+from recon.formats.joint_table import JointCertainty
+from recon.formats.motions import MotionFile
 
 Tables = Mapping[str, Mapping[str, Mapping[str, Any]]]
 """Numbers for the person at the terminal: rows of columns, by title and by name."""
@@ -180,6 +175,10 @@ class MotionResult(ABC):
         Raises:
             FileExistsError: when either is there and recon did not write it, unless `overwrite`.
         """
+        # results that are not written need no writers
+        from recon.formats.motions import save_motion
+        from recon.formats.writing import writing_file
+
         said = self.report() if report is None else report
         with writing_file(Path(path), said, overwrite=overwrite) as staged:
             save_motion(staged, self.file)
@@ -204,161 +203,23 @@ class MotionResult(ABC):
         Raises:
             FileExistsError: when either is there and recon did not write it, unless `overwrite`.
         """
+        from recon.formats.joint_table import write_joint_table
+        from recon.formats.writing import writing_file
+
         said = self.report() if report is None else report
         with writing_file(Path(path), said, overwrite=overwrite) as staged:
             write_joint_table(staged, self.file, self.joints)
 
     def _headline(self) -> str:
-        tall = float(height(self.body, self.motion.shape))
+        tall = float(self.body.height(self.motion.shape))
         return f"{type(self).__name__}: {described_motion(self.motion, tall)}"
-
-
-@dataclass(frozen=True, repr=False)
-class Made(MotionResult):
-    """A motion made from other motions, by a prior, or from a recording."""
-
-    about: Mapping[str, Any]
-    """What the function knows about it, in plain values, as its report has it."""
-    summary: tuple[str, ...] = ()
-    """A summary in a few lines for the person at the terminal."""
-    repairs: tuple[Finding, ...] = ()
-    """What was wrong with a recording and was put right."""
-    diagnosis: tuple[Finding, ...] = ()
-    """What is worth knowing but is no fault."""
-    shown: Tables = field(default_factory=dict)
-    """Numbers for the person at the terminal."""
-
-    @property
-    def tables(self) -> Tables:
-        """Its most important numbers."""
-        return self.shown
-
-    def report(
-        self, inputs: Mapping[str, str] | None = None, settings: Mapping[str, Any] | None = None
-    ) -> dict[str, Any]:
-        """What is written beside the motion; see `MotionResult.report`."""
-        return {**self.about, **told(inputs, settings)}
-
-    def __repr__(self) -> str:
-        """A summary of at most ten lines: length, person, what is known, and findings."""
-        found = [f"repaired: {finding.message}" for finding in self.repairs]
-        found += [f"warning: {finding.message}" for finding in self.warnings]
-        return in_ten_lines(self._headline(), self.summary, found)
-
-
-@dataclass(frozen=True, repr=False)
-class MotionResults:
-    """Several motions, used like a tuple."""
-
-    made: tuple[Made, ...]
-    """Each with its motion, joints, contacts and ground."""
-    noun: str
-    """What one of them is called, in names of files: "sample"."""
-    warnings: tuple[Finding, ...] = ()
-    """What should be read before they are used."""
-    about: Mapping[str, Any] = field(default_factory=dict)
-    """What is known of all of them, in plain values."""
-    settings: Mapping[str, Any] = field(default_factory=dict)
-    """What was taken for settings that the caller left open."""
-
-    @property
-    def tables(self) -> Tables:
-        """What is known of each."""
-        rows = {f"{self.noun} {k}": one.about for k, one in enumerate(self.made)}
-        return {repr(self).splitlines()[0]: rows}
-
-    def __len__(self) -> int:
-        """How many they are."""
-        return len(self.made)
-
-    def __getitem__(self, index: int) -> Made:
-        """One of them."""
-        return self.made[index]
-
-    def __iter__(self) -> Iterator[Made]:
-        """One after the other."""
-        return iter(self.made)
-
-    def report(
-        self,
-        out: Path | str,
-        inputs: Mapping[str, str] | None = None,
-        settings: Mapping[str, Any] | None = None,
-    ) -> dict[str, Any]:
-        """What is written beside them, in plain values.
-
-        Args:
-            out: where they are written, as `save` takes it.
-            inputs: SHA-256 of the files that were read, by path; none by default.
-            settings: how they were made, by name.
-        """
-        path = Path(out)
-        names = file_names(path, len(self), self.noun)
-        paths = [path] if path.suffix == ".npz" else [path / name for name in names]
-        files = {str(p): dict(one.about) for p, one in zip(paths, self.made, strict=True)}
-        warnings = [finding.message for finding in self.warnings]
-        asked = None if settings is None else {**settings, **self.settings}
-        return {"files": files, "warnings": warnings, **self.about, **told(inputs, asked)}
-
-    def save(
-        self,
-        out: Path | str,
-        *,
-        overwrite: bool = False,
-        report: Mapping[str, Any] | None = None,
-    ) -> None:
-        """Write one motion file, or a folder of `sample_000.npz` and so on, and the report.
-
-        Args:
-            out: file (.npz) for one motion, whose report is OUT.json, or a folder for several, in
-                which the report is `report.json`.
-            overwrite: replace what is there and recon did not write.
-            report: what to write instead of `report(out)`.
-
-        Raises:
-            ReconError: when there are several motions for one file.
-            FileExistsError: when something is there that recon did not write, unless `overwrite`.
-        """
-        path = Path(out)
-        names = file_names(path, len(self), self.noun)
-        one = path.suffix == ".npz"
-        output = Output(path, Kind.FILE if one else Kind.FOLDER)
-        said = self.report(path) if report is None else report
-        with writing(output, report=said, overwrite=overwrite) as (staged,):
-            for name, made in zip(names, self.made, strict=True):
-                save_motion(staged if one else staged / name, made.file)
-
-    def __repr__(self) -> str:
-        """A summary of at most ten lines: number, lengths, and findings."""
-        motion = self.made[0].motion
-        seconds = (motion.frames - 1) / motion.fps
-        first = (
-            f"{len(self)} motions ({self.noun}) of {motion.frames} frames, {seconds:.2f} s at "
-            f"{motion.fps:g} frames per second"
-        )
-        kept = [one_line(repr(one).splitlines()[0]) for one in self.made]
-        found = [f"warning: {finding.message}" for finding in self.warnings]
-        return in_ten_lines(first, kept, found)
 
 
 def told(inputs: Mapping[str, str] | None, settings: Mapping[str, Any] | None) -> dict[str, Any]:
     """The end of every report: settings and inputs where they are known, and versions."""
+    from recon.formats.reports import versions
+
     known = {"settings": settings, "inputs": inputs}
     return {key: dict(one) for key, one in known.items() if one is not None} | {
         "versions": versions()
     }
-
-
-def file_names(out: Path, count: int, noun: str) -> list[str]:
-    """Names of the files to write: one file, or several in a folder.
-
-    Raises:
-        ReconError: when there is no motion, or there are several for one file.
-    """
-    if count < 1:
-        raise ReconError(f"nothing to write: expected one motion or more, got {count}")
-    if out.suffix != ".npz":
-        return [f"{noun}_{k:03d}.npz" for k in range(count)]
-    if count > 1:
-        raise ReconError(f"{out} is one file, but {count} motions were asked for; give a folder")
-    return [out.name]

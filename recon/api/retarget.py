@@ -19,9 +19,9 @@ from recon.api.given import (
     shape_given,
     shape_name,
 )
+from recon.api.made import Made
 from recon.api.result import described
-from recon.api.results import Made
-from recon.body.identities import doubts, height, weight
+from recon.body.identities import doubts, weight
 from recon.body.model import BodyModel
 from recon.body.motion_files import copied
 from recon.core import rotations as so3
@@ -236,7 +236,7 @@ def _physics(motion: Motion, body: BodyModel, source: PhysicsSamples) -> dict[st
 
 def _measures(body: BodyModel, shape: Float[Tensor, " shape"]) -> dict[str, Any]:
     return {
-        "height": float(height(body, shape)),
+        "height": float(body.height(shape)),
         "weight": float(weight(body, shape)),
         "shape": [round(x, 4) for x in shape.tolist()],
     }

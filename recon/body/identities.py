@@ -12,17 +12,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from recon.body.model import BodyModel
+from recon.body.model import ODDEST, SHORTEST_BODY, TALLEST_BODY, BodyModel
 from recon.body.motion_files import load_motion_of
 from recon.body.parts import Parts, part_volumes
 from recon.core.errors import ReconError
 
 DENSITY = 1010.0
 """kg/m³ of a living person, lungs half full."""
-SHORTEST_BODY, TALLEST_BODY = 1.42, 1.96
-"""Metres; body models know adults alone, of whom one in a hundred is smaller or taller."""
-ODDEST = 4.0
-"""Standard deviations that no coefficient of a real person's shape is away from the mean."""
 ONE_IN_TWENTY = 1.645
 """Standard deviations beyond which one person in twenty lies, on one side; what `tall` means."""
 
@@ -89,12 +85,6 @@ def identity(spec: str, body: BodyModel) -> Float[Tensor, " shape"]:
     return _person(_wishes(spec, words), body)
 
 
-def height(body: BodyModel, shape: Float[Tensor, "*batch shape"]) -> Float[Tensor, "*batch"]:
-    """Height of the unposed body from the soles to the crown, metres."""
-    level = body.rest_vertices(shape)[..., 1]
-    return level.amax(-1) - level.amin(-1)
-
-
 def weight(body: BodyModel, shape: Float[Tensor, "*batch shape"]) -> Float[Tensor, "*batch"]:
     """Volume of the unposed body times the density of people, kg."""
     return DENSITY * part_volumes(body.rest_vertices(shape), Parts.of(body)).sum(-1)
@@ -102,7 +92,7 @@ def weight(body: BodyModel, shape: Float[Tensor, "*batch shape"]) -> Float[Tenso
 
 def doubts(body: BodyModel, shape: Float[Tensor, " shape"]) -> list[str]:
     """Reasons, in words, why no adult has this shape; empty where an adult may have it."""
-    tall, odd = float(height(body, shape)), float(shape.abs().max())
+    tall, odd = float(body.height(shape)), float(shape.abs().max())
     found: list[str] = []
     if not SHORTEST_BODY < tall < TALLEST_BODY:
         found.append(
@@ -204,7 +194,7 @@ def _measure(spec: str, name: str, value: str) -> float:
 def _person(wishes: _Wishes, body: BodyModel) -> Tensor:
     exact = body.to(dtype=torch.float64)
     base, free = _sex(wishes.sex, exact)
-    tall, heavy = partial(height, exact), partial(weight, exact)
+    tall, heavy = exact.height, partial(weight, exact)
     metres, kilograms = wishes.height, wishes.weight
     if isinstance(metres, Lean):
         # one standard deviation of a linear measure is the length of its gradient

@@ -1,19 +1,14 @@
-"""Named points on the bundled body's surface, and the marker labels that mean them.
+"""Named points on the bundled body's surface.
 
 A landmark is a vertex of the bundled mesh (`assets/landmarks.json`, found geometrically by
-`scripts/build_landmarks.py`). Marker labels of the common protocols map to landmarks through
-`assets/markers.toml`; a marker's own distance from the skin is not part of it. Bodies with another
-mesh have other vertices: these numbers do not hold for SMPL files.
+`scripts/build_landmarks.py`). Bodies with another mesh have other vertices: these numbers do not
+hold for SMPL files.
 """
 
 import json
-import re
-import tomllib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from functools import cache
 from importlib.resources import files
-from itertools import takewhile
-from pathlib import Path
 from types import MappingProxyType
 from typing import cast
 
@@ -54,11 +49,6 @@ Nearly all marker protocols put a marker on each; of heads, those that mark them
 temples' front.
 """
 
-FEWEST_MARKERS = 10
-"""Markers of known places without which no recording is put on a body."""
-_SIDES = {"left": ("l", "left"), "right": ("r", "right")}
-_IGNORED = re.compile(r"[\s._\-]+")
-
 
 @cache
 def landmarks() -> Mapping[str, int]:
@@ -75,152 +65,3 @@ def landmark(name: str) -> int:
         raise ReconError(
             f"no landmark {name!r}; there are: {', '.join(sorted(landmarks()))}"
         ) from None
-
-
-def normalised(label: str) -> str:
-    """A marker label without subject prefix, case, spaces, dots, underscores and hyphens."""
-    return _IGNORED.sub("", label.rsplit(":", 1)[-1]).lower()
-
-
-def match_markers(labels: Iterable[str]) -> tuple[dict[str, str], tuple[str, ...]]:
-    """Landmark of every known label, and the labels nobody knows, in their order.
-
-    Labels keep the spelling they came with. Two labels may share a landmark. A recording that
-    uses one label for several markers must be told apart before: equal labels are one entry. A
-    beginning that all labels share (Walk01_LASI, Walk01_RASI) is ignored where more are known
-    without it.
-    """
-    labels = tuple(labels)
-    plain = {label: normalised(label) for label in labels}
-    table = _synonyms()
-    if (shorter := _without_beginning(labels)) is not None and (
-        sum(word in table for word in shorter.values())
-        > sum(word in table for word in plain.values())
-    ):
-        plain |= shorter
-    words = set(plain.values())
-    matched: dict[str, str] = {}
-    unknown: list[str] = []
-    for label, word in plain.items():
-        point = None if _centres().get(word) in words else table.get(word)
-        if point is None:
-            unknown.append(label)
-        else:
-            matched[label] = point
-    return matched, tuple(unknown)
-
-
-def _without_beginning(labels: Sequence[str]) -> dict[str, str] | None:
-    """Normalised labels without the beginning that all share up to a separator, if they do.
-
-    Points without a name, *12 or C_12, do not count.
-    """
-    named = [label for label in labels if not label.startswith("*")]
-    same = takewhile(lambda column: len(set(column)) == 1, zip(*named, strict=False))
-    beginning = "".join(column[0] for column in same)
-    cut = max((beginning.rfind(mark) for mark in "_.-: "), default=-1) + 1
-    if len(named) < 2 or cut == 0:
-        return None
-    return {label: normalised(label[cut:]) for label in named}
-
-
-def load_marker_map(path: str | Path) -> dict[str, int | None]:
-    """A user's own mapping, marker label -> vertex number on the bundled body.
-
-    The file is JSON or TOML with one entry per marker: `"Subject:LASI": "left_asis"` (a landmark's
-    name) or `"C7": 1234` (a vertex number); an empty text leaves a marker out and gives None.
-
-    Raises:
-        FileNotFoundError: when there is no such file.
-        ReconError: when it is damaged, or names no landmark; says what to write.
-    """
-    path = Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(
-            f"no marker map at {path}; expected a JSON or TOML file, label = landmark"
-        )
-    try:
-        text = path.read_text(encoding="utf-8")
-        entries = json.loads(text) if path.suffix.lower() == ".json" else tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, ValueError, RecursionError) as error:
-        raise ReconError(
-            f"{path} is not TOML or JSON ({error}); write one line per marker, like "
-            '"LASI" = "left_asis" (TOML) or {"LASI": "left_asis"} (JSON)'
-        ) from error
-    if not isinstance(entries, dict):
-        raise ReconError(f'{path}: expected an object like {{"LASI": "left_asis"}}')
-    return {label: _vertex(path, label, point) for label, point in entries.items()}
-
-
-def mapping_to_write(labels: Sequence[str]) -> str:
-    """The beginning of a mapping file for labels that nobody knows, for messages."""
-    shown = ", ".join(f'"{label}": "LANDMARK"' for label in labels[:3])
-    more = ", ..." if len(labels) > 3 else ""
-    return (
-        f"say where markers sit in a file names.json, {{{shown}{more}}}, and give it with "
-        "--mapping; landmarks are left_asis, sacrum, right_knee_lateral, ... "
-        "(docs/start/points.md)"
-    )
-
-
-def _vertex(path: Path, label: str, point: object) -> int | None:
-    if point in ("", None):
-        return None
-    if isinstance(point, str):
-        try:
-            return landmark(point)
-        except ValueError as error:
-            raise ReconError(f"{path}, marker {label!r}: {error}") from None
-    if isinstance(point, int) and not isinstance(point, bool) and point >= 0:
-        return point
-    if isinstance(point, dict):
-        raise ReconError(
-            f"{path}: {label!r} became a table; labels with dots need quotes, "
-            f'like "{label}.ASIS" = "left_asis"'
-        )
-    raise ReconError(
-        f"{path}, marker {label!r}: expected a landmark's name or a vertex number, got {point!r}"
-    )
-
-
-@cache
-def _synonyms() -> Mapping[str, str]:
-    """Normalised label -> landmark, from `assets/markers.toml`."""
-    sections = _sections()
-    table: dict[str, str] = {}
-
-    def add(label: str, point: str) -> None:
-        known = table.setdefault(normalised(label), point)
-        if known != point or point not in landmarks():
-            raise ReconError(f"markers.toml: label {label!r} -> {point!r}, but also {known!r}")
-
-    for section in ("middle", "single"):
-        for point, labels in sections[section].items():
-            for label in labels:
-                add(label, point)
-    for point, patterns in sections["pairs"].items():
-        for side, spellings in _SIDES.items():
-            for pattern in patterns:
-                for spelling in spellings:
-                    add(pattern.replace("*", spelling), f"{side}_{point}")
-    return MappingProxyType(table)
-
-
-@cache
-def _centres() -> Mapping[str, str]:
-    """Normalised label of a computed joint centre -> that of the marker beside it."""
-    pairs = cast("dict[str, str]", _sections()["centres"])
-    return MappingProxyType(
-        {
-            normalised(label.replace("*", spelling)): normalised(other.replace("*", spelling))
-            for label, other in pairs.items()
-            for spellings in _SIDES.values()
-            for spelling in spellings
-        }
-    )
-
-
-@cache
-def _sections() -> Mapping[str, dict[str, list[str]]]:
-    text = files("recon").joinpath("assets", "markers.toml").read_text(encoding="utf-8")
-    return cast("dict[str, dict[str, list[str]]]", tomllib.loads(text))

@@ -17,6 +17,11 @@ from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS
 from recon.core.struct import TensorStruct
 
+SHORTEST_BODY, TALLEST_BODY = 1.42, 1.96
+"""Metres; body models know adults alone, of whom one in a hundred is smaller or taller."""
+ODDEST = 4.0
+"""Standard deviations that no coefficient of a real person's shape is away from the mean."""
+
 
 @dataclass(frozen=True)
 class BodyModel(TensorStruct):
@@ -76,6 +81,11 @@ class BodyModel(TensorStruct):
         return template + torch.einsum(
             "vdk,...k->...vd", directions[..., : self._size(shape)], shape
         )
+
+    def height(self, shape: Float[Tensor, "*batch shape"]) -> Float[Tensor, "*batch"]:
+        """Height of the unposed body from the soles to the crown, metres."""
+        level = self.rest_vertices(shape)[..., 1]
+        return level.amax(-1) - level.amin(-1)
 
     def pose(self, motion: Motion) -> "PosedBody":
         """The body in every frame of a motion; only joints are computed here."""

@@ -59,7 +59,7 @@ def refuse_unknown_markers(paths: Sequence[Path], mapping: Path | None, unit: st
         return
     import numpy as np
 
-    from recon.body.landmarks import FEWEST_MARKERS, mapping_to_write, match_markers
+    from recon.body.marker_labels import FEWEST_MARKERS, mapping_to_write, match_markers
     from recon.core.errors import FormatError
     from recon.formats.keypoints3d.labels import STUDY, are_keypoints
     from recon.formats.mocap.reader import read_recording

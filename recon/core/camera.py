@@ -12,6 +12,7 @@ from recon.core import rotations as so3
 from recon.core.arrays import Numbers, float_tensor, index_tuple, require_shape
 from recon.core.errors import ReconError
 from recon.core.limits import check_camera, check_pose
+from recon.core.rotations import transform as transform
 from recon.core.struct import TensorStruct
 
 NEAREST = 0.01
@@ -183,13 +184,6 @@ class Camera(TensorStruct):
             ValueError: when it would look straight up or down.
         """
         return self.replace(T_camera_world=looking(position, target))
-
-
-def transform(
-    T: Float[Tensor, "*frames 4 4"], points: Float[Tensor, "*batch points 3"]
-) -> Float[Tensor, "*all points 3"]:
-    """Points after a rigid transform; leading axes broadcast."""
-    return points @ T[..., :3, :3].mT + T[..., None, :3, 3]
 
 
 def looking(position: Float[Tensor, "3"], target: Float[Tensor, "3"]) -> Float[Tensor, "4 4"]:

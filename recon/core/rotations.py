@@ -187,6 +187,13 @@ def rigid(
     return torch.cat((upper, last), -2)
 
 
+def transform(
+    T: Float[Tensor, "*frames 4 4"], points: Float[Tensor, "*batch points 3"]
+) -> Float[Tensor, "*all points 3"]:
+    """Points after a rigid transform; leading axes broadcast."""
+    return points @ T[..., :3, :3].mT + T[..., None, :3, 3]
+
+
 def inverse_rigid(T: Float[Tensor, "*shape 4 4"]) -> Float[Tensor, "*shape 4 4"]:
     """The inverse of a rigid transform, a rotation and a shift in metres."""
     back = T[..., :3, :3].mT

@@ -1,14 +1,20 @@
 """Unknowns of a clip that belong to no prior: ground, lens, and offsets of tracked points."""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from recon.core import rotations as so3
-from recon.core.camera import Camera, Ground
 from recon.core.struct import TensorStruct
+
+if TYPE_CHECKING:
+    from recon.core.camera import Camera, Ground
+else:  # most scenes have no camera
+    from typing import Any as Camera
+    from typing import Any as Ground
 
 TILT = 0.2
 """Radians that one unit of `UnknownGround.tilt` turns the ground by."""
@@ -59,6 +65,8 @@ class UnknownGround(TensorStruct):
     @property
     def plane(self) -> Ground:
         """The ground in the recording's frame."""
+        from recon.core.camera import Ground  # few grounds are unknown
+
         T = self.T_world_recording
         return Ground(T[..., 2, :3], -T[..., 2, 3])
 

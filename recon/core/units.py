@@ -1,11 +1,9 @@
-"""Unit and up axis of a recording: read from the file, told from the body, or refused."""
+"""Units of length and axes that point up: their names, conversions, and units by a body's size."""
 
-import re
-from collections.abc import Sequence
 from typing import Literal, get_args
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from recon.core.errors import UnitsError
 
@@ -13,7 +11,6 @@ Axis = Literal["x", "y", "z"]
 AXES: tuple[Axis, ...] = get_args(Axis)
 Up = Literal["x", "y", "z", "x-down", "y-down", "z-down"]
 """The direction that is up: along an axis, or against one, as y points down in cameras."""
-_DOWN: dict[Axis, Up] = {"x": "x-down", "y": "y-down", "z": "z-down"}
 
 METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "cmu": 0.0254 / 0.45}
 """Metres per unit; `cmu` is the unit of the CMU database's ASF files, inches over 0.45."""
@@ -32,27 +29,6 @@ _MARKER_EXTENT = (0.5, 2.5)
 """Metres spanned by markers, upright or crouched; only m, cm and mm can be told apart by it."""
 _SANE_EXTENT = (0.05, 10.0)
 """Metres; outside it no body was recorded and the unit a file declares is wrong."""
-
-_LOW = re.compile(
-    r"foot|toe|heel|hee$|hel$|ank|calc|cal$|mt\d|\dmt|meta|mal$|^[lr]_?f(cc|al|m\d)$"
-)
-_HIGH = re.compile(
-    r"head|[fb]hd$|^top|temple|ariel|neck|^c7$|^cv7$|^t10$|should|sho$|^[lr]_?[fb]?sh$|clav|acr"
-    r"|stern|strn|^man$|^s[jx][ns]$|^[lr]_?s(aa|ae|ia)$"
-)
-_PELVIS = re.compile(r"asi|psi|sac|ias$|ips$|pelvi|waist|wt$|hip")
-_HEAD = re.compile(r"head|[fb]hd$|^top|temple|ariel")
-_NECK = re.compile(r"^c7$|^cv7$|^ij$|clav|acr|sho$|should")
-_CHEST = re.compile(r"^px$|strn|stern|xiph|^sxs$|^tv?(7|8|10|12)$")
-_SURE = 0.7
-"""Mean cosine between the body and an axis from which it surely stands along that axis."""
-_CLEAR = 1.5
-"""Multiple of the cosine along the axis that a file says is up that another's must be."""
-_STEADY = 0.25
-"""Share of its movement along another axis, at most, by which the lowest point of a body that
-moves over a floor goes up and down."""
-_STILL = 0.02
-"""Share of the body's size by which a point moves that stands in the room."""
 
 
 def parse_unit(text: str) -> str | None:
@@ -120,168 +96,6 @@ def check_override(unit: str | None) -> None:
     """
     if unit is not None and unit not in METRES:
         raise UnitsError(f"--unit is one of {', '.join(METRES)}, got {unit!r}")
-
-
-def head_above_feet(
-    names: Sequence[str],
-    positions: Float[np.ndarray, "time points 3"],
-    visible: Bool[np.ndarray, "time points"],
-) -> Float[np.ndarray, "3"] | None:
-    """Mean vector from the feet to the head, or of what else is seen; see `along_body`.
-
-    None when the names tell neither or no frame shows both.
-    """
-    found = along_body(names, positions, visible)
-    return found.mean(0) if len(found) else None
-
-
-def along_body(
-    names: Sequence[str],
-    positions: Float[np.ndarray, "time points 3"],
-    visible: Bool[np.ndarray, "time points"],
-) -> Float[np.ndarray, "frames 3"]:
-    """The vector up the body in every frame that shows one, its ends found by names.
-
-    It goes from the feet to the head and shoulders, or to the pelvis where neither is seen. Feet
-    count where more than half of their points are seen: one foot alone may be a raised one whose
-    fellow on the floor is hidden. Without them it goes from the pelvis to head and neck, from the
-    chest to the neck, or from the shoulders to the head; a single foot is the last resort.
-    """
-    words = [re.sub(r"[^a-z0-9]+", "_", name.lower().split(":")[-1]).strip("_") for name in names]
-
-    def seen(pattern: re.Pattern[str]) -> np.ndarray:
-        return visible & np.array([bool(pattern.search(word)) for word in words])
-
-    feet, head, neck = seen(_LOW), seen(_HEAD), seen(_NECK)
-    high, pelvis = seen(_HIGH) & ~feet, seen(_PELVIS) & ~feet
-    of_feet = sum(bool(_LOW.search(word)) for word in words)
-    both_feet = feet & (feet.sum(1, keepdims=True) > of_feet / 2)
-    pairs = (
-        (both_feet, high), (both_feet, pelvis), (pelvis, high | neck),
-        (seen(_CHEST) & ~neck, neck), (high & ~head, head & ~feet), (feet, high), (feet, pelvis),
-    )  # fmt: skip
-    found = np.zeros((len(positions), 3))
-    shown = np.zeros(len(positions), dtype=bool)
-    for low, top in pairs:
-        new = low.any(1) & top.any(1) & ~shown
-        found[new] = _centres(positions[new], top[new]) - _centres(positions[new], low[new])
-        shown |= new
-    return found[shown]
-
-
-def _centres(positions: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-    """Mean of the chosen points of every frame."""
-    return np.einsum("tk,tkd->td", chosen / chosen.sum(1, keepdims=True), positions)
-
-
-def decide_up(
-    rise: Float[np.ndarray, "3"] | None, usual: Axis | None, name: str
-) -> tuple[Axis, str]:
-    """The up axis and the reason for it.
-
-    Args:
-        rise: mean vector from feet to head, in any unit; None when unknown.
-        usual: what the file hints at or its format has by custom; it decides where the body
-            does not (somebody lying down), and never against an upright body.
-        name: of the recording, for the message.
-
-    Raises:
-        ValueError: when neither tells.
-    """
-    if rise is not None:
-        order = np.argsort(np.abs(rise))
-        best, second = int(order[-1]), int(order[-2])
-        if rise[best] >= 1.5 * abs(rise[second]) and rise[best] > 0:
-            against = f" (the file hints at {usual})" if usual not in (None, AXES[best]) else ""
-            return AXES[best], f"up axis {AXES[best]}: the head is above the feet{against}"
-        if usual is not None and rise[AXES.index(usual)] >= 0.5 * abs(rise[best]):
-            return usual, f"up axis {usual}: by the file's custom, the body lies or bends"
-    elif usual is not None:
-        return usual, f"up axis {usual}: by the file's custom, no head and feet by name"
-    described = "unknown" if rise is None else np.array2string(rise, precision=3)
-    raise UnitsError(
-        f"{name}: cannot tell which axis points up (from feet to head: {described}); "
-        "give it with --up x, y or z"
-    )
-
-
-def axis_of_floor(
-    rise: Float[np.ndarray, "3"],
-    positions: Float[np.ndarray, "time points 3"],
-    visible: Bool[np.ndarray, "time points"],
-) -> tuple[Axis, str] | None:
-    """The up axis of somebody who crouches or bends but moves over a floor, and the reason.
-
-    Along it, the lowest point that moves stays where the floor is. None where that is not clear.
-
-    Args:
-        rise: mean vector from feet to head.
-        positions: of the points, in any unit.
-        visible: whether each is seen.
-    """
-    size = float(np.abs(rise).max())
-    ends = [np.where(visible[..., None], positions, far) for far in (np.inf, -np.inf)]
-    moves = (ends[1].max(0) - ends[0].min(0)).max(-1) > _STILL * size
-    shown = visible & moves
-    frames = shown.any(1)
-    if frames.sum() < 2:
-        return None
-    lowest = np.where(shown[frames][..., None], positions[frames], np.inf).min(1)
-    moved = np.quantile(lowest, 0.95, axis=0) - np.quantile(lowest, 0.05, axis=0)
-    above = rise >= 0.5 * size
-    best = int(np.where(above, moved, np.inf).argmin())
-    others = np.delete(moved, best)[np.delete(above, best)]
-    if moved[best] > _STEADY * others.min(initial=np.inf):
-        return None
-    return AXES[best], f"up axis {AXES[best]}: the lowest point stays at the floor along it"
-
-
-def surely_up(
-    declared: Axis,
-    names: Sequence[str],
-    positions: Float[np.ndarray, "time points 3"],
-    visible: Bool[np.ndarray, "time points"],
-) -> Up | None:
-    """The direction along which the body surely stands where a file says another; None otherwise.
-
-    The body is sure where its unit vectors of all frames have a mean of at least `_SURE` along an
-    axis or against it, and `_CLEAR` times as much as along the declared one.
-    """
-    vectors = along_body(names, positions, visible)
-    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    if not (lengths > 0).any():
-        return None
-    mean = (vectors / np.maximum(lengths, 1e-12)).mean(0)
-    best, own = int(np.abs(mean).argmax()), AXES.index(declared)
-    if abs(mean[best]) < _SURE or (best == own and mean[own] > 0):
-        return None
-    if best != own and abs(mean[best]) < _CLEAR * abs(mean[own]):
-        return None
-    return AXES[best] if mean[best] > 0 else _DOWN[AXES[best]]
-
-
-def decide_any_up(rise: Float[np.ndarray, "3"], name: str) -> tuple[Up, str]:
-    """The axis along which or against which a person stands, and the reason for it.
-
-    Args:
-        rise: mean vector from feet to head, in any unit.
-        name: of the file, for the message.
-
-    Raises:
-        ValueError: when the person stands along none.
-    """
-    order = np.argsort(np.abs(rise))
-    best, second = int(order[-1]), int(order[-2])
-    if not abs(rise[best]) >= 1.5 * abs(rise[second]):
-        raise UnitsError(
-            f"{name}: cannot tell which axis points up (from feet to head: "
-            f"{np.array2string(rise, precision=3)}); give it with --up, one of "
-            f"{', '.join(get_args(Up))}"
-        )
-    axis = AXES[best]
-    if rise[best] > 0:
-        return axis, f"up axis {axis}: the head is above the feet"
-    return _DOWN[axis], f"up axis: {axis} points down, as the feet are farther along it"
 
 
 def to_z_up(up: Up) -> Float[np.ndarray, "3 3"]:

@@ -10,8 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from recon.body.model import BodyModel
-from recon.body.soles import Soles, Stance
-from recon.core.camera import Ground, world_from_camera
+from recon.body.soles import sole_heights
 from recon.core.errors import ObservationError
 from recon.core.motion import Motion
 from recon.core.scene import TILT, UnknownGround
@@ -64,25 +63,13 @@ def pelvis_path(motion: Motion, body: BodyModel) -> Float[Tensor, "clips 3"]:
     return mean * mean.new_tensor([1.0, 1.0, 0.0])
 
 
-def sole_heights(motion: Motion, body: BodyModel) -> Float[Tensor, " clips"]:
-    """Height of level ground below every clip, metres; see `recon.body.soles`."""
-    here, clips = body.to(device="cpu"), motion.detach().to(device="cpu")
-    soles = Soles.of(here)
-    heights = [
-        Stance.of(clip.window(0, int(clip.valid.sum())), here, soles).height()
-        for clip in (clips[row] for row in range(len(clips.translation)))
-    ]
-    return motion.translation.new_tensor(heights)
-
-
 def camera_above(ground: tuple[float, float, float, float]) -> Float[np.ndarray, "4 4"]:
     """T_recording_camera of a camera that sees the ground n·x = d; it stands above the origin.
 
     Raises:
         ValueError: when the normal is zero, or the camera is below the ground.
     """
-    plane = Ground.create(torch.tensor(ground[:3]), torch.tensor(ground[3]))
-    if not float(plane.offset) < 0:
+    if not ground[3] < 0:
         raise ObservationError(
             f"the ground {ground} is not below the camera: expected (nx, ny, nz, d) with the "
             "normal up and d < 0, such as (0, -1, 0, -1.2) for a level camera 1.2 m above it"
@@ -98,5 +85,7 @@ def world_above(ground: tuple[float, float, float, float]) -> Float[np.ndarray, 
     Raises:
         ValueError: when the normal is zero.
     """
+    from recon.core.camera import Ground, world_from_camera  # few planes are given
+
     plane = Ground.create(torch.tensor(ground[:3]), torch.tensor(ground[3]))
     return world_from_camera(plane, torch.tensor(_FACING), torch.zeros(3)).double().numpy()

@@ -18,11 +18,12 @@ def guessed(
 
     Arguments and errors as of `recon.fitting.clip.fit_clip`.
     """
-    known = {observation.ground_known for observation in observations}
-    if len(known) > 1 and any(one.view for one in observations):
+    if len({one.ground_known for one in observations}) > 1:
+        said = ", ".join(f"{one.kind} {one.ground_known}" for one in observations)
         raise ObservationError(
-            "some observations know where the ground is and some do not: give every camera its "
-            "pose (T_camera_world), or none"
+            "observations share one frame, and only some say that its z = 0 is the ground "
+            f"(ground_known: {said}). Make ground_known the same in all, or give recon.fit "
+            "ground='known' or 'unknown'; cameras know it by their pose, T_camera_world"
         )
     if start is not None:
         seen = tuple(observations)

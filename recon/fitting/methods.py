@@ -1,7 +1,7 @@
 """The options of a fit, and the door where its prior is found and loaded."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from jaxtyping import Float
 from torch import Tensor
@@ -10,8 +10,12 @@ from recon.body.model import BodyModel
 from recon.core.errors import ReconError, WeightsError
 from recon.method.plugins import PRIORS, imported, registered
 from recon.method.priors import PriorLike, as_prior, is_prior, trait
-from recon.method.shape_prior import ShapePrior
 from recon.method.terms import Term
+
+if TYPE_CHECKING:
+    from recon.method.shape_prior import ShapePrior
+else:  # of most people no shape is known
+    from typing import Any as ShapePrior
 
 
 def class_of(prior: str) -> Any:

@@ -134,6 +134,8 @@ def refuse_place(output: Output) -> None:
     """
     real = output.real
     for place in output.places:
+        if place.is_symlink():  # links are resolved, but for those that lead in a circle
+            raise OSError(f"{output.path}: its links lead in a circle; give another name")
         folder_asked = output.is_folder and place == real
         if place.is_dir() and not folder_asked:
             raise ValueError(f"{place} is a folder; give the name of a file")

@@ -7,11 +7,11 @@ from typing import Any, Literal
 from recon.api.convert import convert
 from recon.api.given import BodyLike, MotionLike, body_given, motion_given
 from recon.api.results import MotionResult
-from recon.body.identities import height, weight
+from recon.body.identities import weight
 from recon.body.model import BodyModel
 from recon.core.errors import FormatError
 from recon.core.units import Axis
-from recon.diagnosis.motions.belt import belt_velocity
+from recon.diagnosis.movement import belt_velocity
 from recon.formats.json_files import read_json
 from recon.formats.mocap.asf_amc import recording_files
 from recon.formats.motions import MotionFile
@@ -89,7 +89,7 @@ def _report(
         angle_std=file.angle_std,
         observed=file.observed,
     )
-    tall, heavy = height(body, motion.shape), weight(body, motion.shape)
+    tall, heavy = body.height(motion.shape), weight(body, motion.shape)
     decisions = (*said.get("decisions", ()), *said.get("read", ()))
     return LaboratoryReport(
         title=name,

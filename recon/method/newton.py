@@ -9,7 +9,6 @@ from torch import Tensor
 
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
-from recon.core.camera import transform
 from recon.core.motion import Motion
 from recon.method.protocols import REFERENCE_FPS, Estimate
 from recon.method.quadratic import FRAME, ClipModel
@@ -96,7 +95,7 @@ def _add_points(weight: float, sensor: Any, model: ClipModel) -> None:
     carried = sensor.carried(model.body, motion.shape, scene.offsets[clip])
     places = carried.of(*model.posed)
     if scene.ground is not None:
-        places = transform(so3.inverse_rigid(scene.ground.T_world_recording[clip]), places)
+        places = so3.transform(so3.inverse_rigid(scene.ground.T_world_recording[clip]), places)
     before, share, seen = _between(motion, sensor)
     after = (before + 1).clamp(max=motion.frames - 1)
     share = share.to(places)[:, None, None]

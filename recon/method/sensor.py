@@ -12,7 +12,6 @@ from torch import Tensor
 
 from recon.body.model import BodyModel, PosedBody
 from recon.core import rotations as so3
-from recon.core.camera import Camera, transform
 from recon.core.errors import ObservationError
 from recon.core.motion import Motion
 from recon.core.residuals import Noise, Residuals, Unit
@@ -26,7 +25,9 @@ if TYPE_CHECKING:
     from observations.depth import PointCloud
     from observations.keypoints2d import Keypoints2D
     from observations.points import TrackedPoints
+    from recon.core.camera import Camera
 else:  # the code of a sensor is loaded with its data
+    from typing import Any as Camera
     from typing import Any as Keypoints2D
     from typing import Any as PointCloud
     from typing import Any as TrackedPoints
@@ -71,8 +72,9 @@ class Sensor(TensorStruct):
     """Time of the first frame, seconds of the clock that all sensors of a clip share."""
     ground_known: bool
     """Whether z = 0 of the recording's frame is the ground."""
-    level: bool = False
-    """Whether the z axis of the recording's frame points up even where its ground is not known."""
+    level: bool | None = None
+    """Whether the z axis of the recording's frame points up even where its ground is not known;
+    None where the sensor says nothing of it. See `frame_is_level`."""
     kernel: Callable[..., Tensor] = staticmethod(squared)
     """Robust kernel of squared residuals; see `recon.core.robust`."""
     ground_seen: bool = False
@@ -121,6 +123,15 @@ class Sensor(TensorStruct):
                 f"{name}: expected a dataclass with the fields {', '.join(sorted(missing))}, "
                 "which windows of long recordings change; write them as fields with annotations"
             )
+        for field in ("values", "shown"):
+            tensor = getattr(self, field)
+            if not isinstance(tensor, Tensor) or tensor.ndim < 2 + (field == "values"):
+                got = f" of {tuple(tensor.shape)}" if hasattr(tensor, "shape") else ""
+                dims = ", dims" if field == "values" else ""
+                raise ObservationError(
+                    f"{name}.{field}: expected a tensor of torch with axes (frames, points{dims}) "
+                    f"and any axes of clips before them, got {type(tensor).__name__}{got}"
+                )
         if self.shown.shape != self.values.shape[:-1] or self.shown.dtype != torch.bool:
             raise ObservationError(
                 f"{name}.shown: expected booleans of {tuple(self.values.shape[:-1])}, values "
@@ -296,7 +307,7 @@ class Sensor(TensorStruct):
             return self.derived(camera=camera)
         T = torch.from_numpy(T_new_old).to(self.values)
         points = self.vectors == "points"
-        values = transform(T, self.values) if points else self.values @ T[:3, :3].mT
+        values = so3.transform(T, self.values) if points else self.values @ T[:3, :3].mT
         name = self.timed[0]
         return self.derived(**{name: values.where(self.shown[..., None], 0.0)}, camera=camera)
 
@@ -354,6 +365,15 @@ def standing(
 def views_of(sensors: Sequence[Sensor]) -> list[Keypoints2D]:
     """The sensors that measure named points in images."""
     return [view for one in sensors if (view := one.view)]
+
+
+def frame_is_level(sensors: Sequence[Sensor]) -> bool:
+    """Whether the z axis of the frame that the sensors share points up.
+
+    Those that know have to agree; where none does, it may be tilted.
+    """
+    said = [one.level for one in sensors if one.level is not None]
+    return bool(said) and all(said)
 
 
 def unposed_camera(sensors: Sequence[Sensor]) -> Float[np.ndarray, "4 4"] | None:

@@ -6,7 +6,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from recon.body.identities import height
 from recon.body.model import BodyModel
 from recon.method.priors import MODEL_NOISE
 from recon.method.protocols import REFERENCE_FPS, Energy, Estimate
@@ -52,7 +51,7 @@ def _height_energy(
     exact = body.to(device="cpu", dtype=torch.float64)
     at = mean.detach().cpu().double().requires_grad_()
     with torch.enable_grad():
-        tall = height(exact, at)
+        tall = exact.height(at)
         (slope,) = torch.autograd.grad(tall, at)
     rest = float(tall.detach()) - float(slope @ at.detach()) - metres
 

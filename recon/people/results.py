@@ -7,7 +7,6 @@ from typing import Any
 
 from recon.api.result import Result
 from recon.api.results import in_ten_lines, one_line
-from recon.body.identities import height
 from recon.diagnosis.findings import Finding
 from recon.formats.motions import save_motion
 from recon.formats.outputs import Kind, Output
@@ -64,7 +63,7 @@ class People:
             out[name] = {
                 "from s": round(motion.start_time, 3),
                 "to s": round(end, 3),
-                "height m": round(float(height(one.body, motion.shape)), 2),
+                "height m": round(float(one.body.height(motion.shape)), 2),
                 "residual": residuals,
                 "warnings": len(one.warnings),
             }

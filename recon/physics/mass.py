@@ -15,6 +15,8 @@ from recon.body.model import BodyModel, PosedBody
 from recon.body.parts import PARTS, Parts, part_volumes
 from recon.core.struct import TensorStruct
 
+GRAVITY = 9.81
+"""m/s², downward."""
 SPAN = 1 / 20
 """Seconds between the samples of a second difference: the frame time of HUMOS."""
 

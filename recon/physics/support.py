@@ -18,8 +18,8 @@ from recon.core.skeleton import FEET
 from recon.core.struct import TensorStruct
 from recon.method.protocols import REFERENCE_FPS, Estimate
 from recon.physics.energies import dynamics_of
-from recon.physics.mass import difference_step, inner, second_differences
-from recon.physics.zmp import GRAVITY, zmp
+from recon.physics.mass import GRAVITY, difference_step, inner, second_differences
+from recon.physics.zmp import zmp
 from recon.solver.banded import add_differences
 
 TOLERANCE = 0.02

@@ -5,10 +5,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from recon.physics.mass import Dynamics
-
-GRAVITY = 9.81
-"""m/s², downward."""
+from recon.physics.mass import GRAVITY, Dynamics
 
 RELEASED_GRAVITY = 9.8
 """m/s², in the released code of HUMOS."""

@@ -144,7 +144,7 @@ def _recorded(path: Path, settings: FitSettings, body: BodyModel) -> tuple[Senso
     file = markers_of_study(recording)
     skin = file is None and not are_keypoints(recording.marker_names)
     if skin or settings.mapping is not None:
-        from recon.ingest.markers.observation import seen_markers
+        from recon.ingest.marker_observation import seen_markers
 
         return seen_markers(recording, body, settings.mapping, settings.robust)
     if file is None:

@@ -12,7 +12,8 @@ from observations.correspondences import BodyPoints
 from recon.body.model import BodyModel
 from recon.core.errors import FormatError, UnitsError
 from recon.core.skeleton import JOINT, keypoint_names
-from recon.core.units import METRES, Up, check_override, decide_any_up, head_above_feet, to_z_up
+from recon.core.units import METRES, Up, check_override, to_z_up
+from recon.core.upright import decide_any_up, head_above_feet
 from recon.formats.keypoints3d.labels import meant_keypoints
 from recon.formats.keypoints3d.reader import with_rate
 from recon.formats.keypoints3d.records import Points3D

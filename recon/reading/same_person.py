@@ -5,7 +5,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from recon.core.errors import ObservationError
-from recon.core.units import AXES, Axis, head_above_feet
+from recon.core.units import AXES, Axis
+from recon.core.upright import head_above_feet
 from recon.reading.tracks import Track, TrackedView, Triangulated, triangulated
 
 _CONSISTENT = 0.03

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from recon.body.identities import height, weight
+from recon.body.identities import weight
 from recon.body.model import BodyModel
 from recon.body.motion_files import load_motion_of
 from recon.core.camera import Ground
@@ -124,7 +124,7 @@ def _another(path: Path, first: Path) -> str:
 def _measured(figure: Figure) -> Figure:
     """The figure with its height and weight in its name."""
     shape = figure.motion.shape
-    tall, heavy = height(figure.body, shape), weight(figure.body, shape)
+    tall, heavy = figure.body.height(shape), weight(figure.body, shape)
     return replace(figure, name=f"{figure.name}: {tall:.2f} m, {heavy:.0f} kg")
 
 

@@ -13,7 +13,6 @@ import recon
 from priors.pose.prior import PosePrior
 from recon.api.given import prior_of
 from recon.api.observations import clip_of, on_ground
-from recon.body.identities import height
 from recon.core.skeleton import JOINTS
 from recon.fitting import clip as clip_module
 from recon.formats.observations import PositionsFile, save_observation
@@ -266,7 +265,7 @@ def test_a_height_is_heeded_where_data_cannot_tell():
     lost = recon.Keypoints2D(true.pixels[0], true.confidence[0], true.points, camera, fps=30.0)
     for metres in (1.6, 1.9):
         result = recon.fit(lost, Quick(), shape=metres)
-        assert float(height(result.body, result.motion.shape)) == pytest.approx(metres, abs=0.03)
+        assert float(result.body.height(result.motion.shape)) == pytest.approx(metres, abs=0.03)
         assert result.arguments["shape_prior"]["height"] == metres
 
 

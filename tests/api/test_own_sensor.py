@@ -63,6 +63,36 @@ def test_its_ground_may_be_unknown():
     assert joint_error(tilted.motion, truth) < 0.03
 
 
+@dataclass(frozen=True)
+class Heights(Sensor):
+    """Heights of heads above z = 0, metres: of which way is up it says nothing."""
+
+    vectors: ClassVar = "numbers"
+    typical_noise: ClassVar = (0.05, 0.05)
+    values: torch.Tensor
+    shown: torch.Tensor
+    fps: float
+    start_time: float = 0.0
+    ground_known: bool = False
+
+    def predict(self, body: PosedBody) -> torch.Tensor:
+        return body.joints[..., 15:16, 2:]
+
+
+def test_a_sensor_that_says_nothing_of_up_leaves_a_level_frame_level():
+    """It turned the ground under level joints, which were then 20 cm off."""
+    truth = walk(24)
+    every = joints3d(truth, bundled(), Corruption(noise=0.01), 0).replace(ground_known=False)
+    measured = bundled().pose(truth).joints[..., 15:16, 2:]
+    heights = Heights(measured, measured[..., 0] > 0, truth.fps)
+    result = recon.fit([every, heights], "pose")
+    assert joint_error(result.motion, truth) < 0.03
+    assert result.ground is not None
+    assert result.ground[:3].tolist() == pytest.approx([0, 0, 1])
+    with pytest.raises(ObservationError, match="ground_known: joints3d False, heights True"):
+        recon.fit([every, heights.replace(ground_known=True)], "pose")
+
+
 def test_beside_a_camera_its_posture_is_better():
     truth = walk(FRAMES)
     seen = view(truth, cameras(truth)[0], seed=3)
@@ -112,6 +142,8 @@ def test_a_sensor_whose_fields_do_not_fit_is_refused_by_name():
     for wrong, words in (
         (seen.replace(shown=seen.shown[:, :1]), "Imus.shown: expected booleans"),
         (seen.replace(values=seen.values[..., :2]), "three coordinates"),
+        (seen.replace(values=seen.values.numpy()), "Imus.values: expected a tensor of torch"),
+        (seen.replace(values=seen.values[:, 0, 0]), r"Imus.values: .*got Tensor of \(16,\)"),
         (seen.replace(values=spoiled), "nan or inf"),
         (seen.replace(bones=seen.bones[:1]), "predict: expected axes"),
     ):

@@ -4,10 +4,11 @@ import json
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from benchmarks.all import COMMANDS, placed
-from benchmarks.protocol import RESULTS, ROOT, Table, shown
+from benchmarks.protocol import RESULTS, ROOT, Table, ratio, shown
 from benchmarks.tables import documents, filled, loose_numbers, used
 
 PAGES = documents()
@@ -129,3 +130,15 @@ def test_markers_without_a_table_are_refused(text: str, tmp_path: Path) -> None:
     TABLE.write(tmp_path / "a.json")
     with pytest.raises(ValueError, match="page"):
         filled(text, "page", tmp_path)
+
+
+def test_other_people_are_drawn_where_ratios_are_averaged() -> None:
+    """With people that stay, an interval would say nothing of anybody else."""
+    errors = 0.01 * np.arange(1, 7)
+    people = [np.stack([factor * errors, errors], -1) for factor in (0.6, 0.8, 1.0)]
+    alone, found = ratio(people[1:2]), ratio(people)
+    assert alone.mean == pytest.approx(0.8)
+    assert (alone.low, alone.high) == pytest.approx((0.8, 0.8))  # paired: every window says so
+    assert found.mean == pytest.approx(0.8)
+    assert found.low < 0.7
+    assert found.high > 0.9

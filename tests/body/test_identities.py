@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from recon.body.identities import doubts, height, identity, weight
+from recon.body.identities import doubts, identity, weight
 from recon.body.model import BodyModel
 from recon.formats.motions import MotionFile, save_motion
 from tests.walking import a_walk
@@ -19,7 +19,7 @@ BODY = BodyModel.load()
 def measures(spec: str) -> tuple[float, float]:
     shape = identity(spec, BODY)
     assert shape.shape == (16,)
-    return float(height(BODY, shape)), float(weight(BODY, shape))
+    return float(BODY.height(shape)), float(weight(BODY, shape))
 
 
 def test_many_long_coefficients_are_no_file():
@@ -54,7 +54,10 @@ def test_no_other_body_with_these_measures_is_nearer_to_the_average():
     """At the nearest one, |shape| grows along every direction that keeps the measures."""
     exact = BODY.to(dtype=torch.float64)
     shape = identity("height=1.9,weight=70", BODY).double().requires_grad_()
-    slopes = [torch.autograd.grad(of(exact, shape), shape)[0] for of in (height, weight)]
+    slopes = [
+        torch.autograd.grad(tall_or_heavy, shape)[0]
+        for tall_or_heavy in (exact.height(shape), weight(exact, shape))
+    ]
     basis = torch.linalg.qr(torch.stack(slopes, 1)).Q
     off = shape - basis @ (basis.mT @ shape)
     assert float(off.detach().norm()) < 1e-3 * float(shape.detach().norm())
@@ -132,4 +135,4 @@ def test_a_body_of_one_sex_has_no_other():
     neutral = replace(BODY, male=torch.zeros(16), female=torch.zeros(16))
     with pytest.raises(ValueError, match="one sex only"):
         identity("man", neutral)
-    assert float(height(neutral, identity("tall", neutral))) > 1.85
+    assert float(neutral.height(identity("tall", neutral))) > 1.85

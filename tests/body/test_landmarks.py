@@ -11,10 +11,8 @@ from recon.body.landmarks import (
     LANDMARKS_16,
     landmark,
     landmarks,
-    load_marker_map,
-    match_markers,
-    normalised,
 )
+from recon.body.marker_labels import load_marker_map, match_markers, normalised
 from recon.core.skeleton import JOINTS
 
 PLUG_IN_GAIT = (

@@ -8,15 +8,13 @@ from recon.core.units import (
     Up,
     check_declared,
     check_override,
-    decide_up,
-    head_above_feet,
     parse_unit,
     snapped_rate,
-    surely_up,
     to_z_up,
     unit_from_bones,
     unit_from_markers,
 )
+from recon.core.upright import decide_up, head_above_feet, surely_up
 
 
 @pytest.mark.parametrize("unit", list(METRES))

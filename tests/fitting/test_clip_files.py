@@ -9,7 +9,7 @@ import torch
 
 from observations.joints3d import Joints3D
 from observations.keypoints2d import Keypoints2D
-from recon.core.camera import transform
+from recon.core.rotations import transform
 from recon.fitting.observed import Clip, window
 from recon.fitting.settings import FitSettings
 from recon.formats.motions import load_motion

@@ -14,8 +14,9 @@ from recon.batch.corpus import config_hash, convert_corpus
 from recon.batch.corpus_jobs import split
 from recon.body.contacts import MAXIMUM_SPEED
 from recon.body.landmarks import landmark
+from recon.body.levelling import levelling, standing_flat, turned
 from recon.body.model import BodyModel
-from recon.body.soles import Soles, Stance, levelling, standing_flat, turned
+from recon.body.soles import Soles, Stance
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS, LEGS
@@ -25,7 +26,7 @@ from recon.formats.motions import load_motion
 from recon.ingest import Conversion, convert
 from recon.ingest.conversion import glitches, resampled
 from recon.ingest.maps import alignments_from_rest, recognise
-from recon.ingest.markers.coverage import STANDOFF, full_body_markers, nominal_offsets
+from recon.ingest.marker_sets import STANDOFF, full_body_markers, nominal_offsets
 from tests.ingest.walker import MARKERS
 
 FPS = 60.0

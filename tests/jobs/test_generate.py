@@ -9,15 +9,14 @@ from torch import Tensor
 
 from priors.humor.mixture import Mixture
 from priors.humor.state import canonical, distinct_features, initial_features, states_of
-from priors.humor.weights import save_weights
 from recon import cli
-from recon.body.identities import height
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.formats.motions import MotionFile, load_motion, save_motion
 from recon.view.files import view
 from tests.priors.test_humor import humor, motions
 from tests.priors.test_pose import swinging
+from training.weights import save_humor
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +30,7 @@ def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
     covariances = 1e-6 * torch.eye(len(known)).double().expand(2, len(known), len(known))
     initial = Mixture.create(torch.tensor([0.5, 0.5]), means.double(), covariances, known)
     path = tmp_path_factory.mktemp("weights") / "humor.safetensors"
-    save_weights(path, prior.networks, initial, prior.error_whitening, {"data": "open"})
+    save_humor(path, prior.networks, initial, prior.error_whitening, {"data": "open"})
     return path
 
 
@@ -131,7 +130,7 @@ def test_a_body_of_choice_is_sampled_from_humos(tmp_path: Path, monkeypatch, cap
     assert (report["settings"]["shape"], report["warnings"]) == ("height=1.7", [])
     one, two = (load_motion(path) for path in sorted((tmp_path / "made").glob("*.npz")))
     assert (one.motion.frames, one.motion.fps) == (31, 30)
-    assert float(height(BodyModel.load(), two.motion.shape)) == pytest.approx(1.7, abs=1e-4)
+    assert float(BodyModel.load().height(two.motion.shape)) == pytest.approx(1.7, abs=1e-4)
     assert one.contacts is not None
     speed = one.motion.translation[:, 1].diff() * 30
     torch.testing.assert_close(speed, torch.ones(30), atol=1e-4, rtol=0)  # m/s at any rate

@@ -139,7 +139,17 @@ def somebodys_report(case: Case, place: Path) -> tuple[Path, str]:
     return out, "--overwrite"
 
 
-BAD = (an_input, a_folder, below_a_file, not_writable, somebodys_file, somebodys_report)
+def a_circle(case: Case, place: Path) -> tuple[Path, str]:
+    """`simulate` replaced a link that leads to itself, and said that all was well."""
+    out, other = place / f"out{case.suffix}", place / f"back{case.suffix}"
+    out.symlink_to(other)
+    other.symlink_to(out)
+    return out, "lead in a circle"
+
+
+BAD = (
+    an_input, a_folder, below_a_file, not_writable, somebodys_file, somebodys_report, a_circle,
+)  # fmt: skip
 
 
 @pytest.mark.parametrize("bad", BAD, ids=lambda bad: bad.__name__)

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 import recon
-from recon.core.camera import transform
+from recon.core.rotations import transform
 from recon.fitting.settings import FitSettings
 from recon.people.together import load_people
 from recon.reading.clip import load_clip

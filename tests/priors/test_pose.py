@@ -7,8 +7,7 @@ import torch
 from torch import Tensor
 
 from observations.joints3d import Joints3D
-from priors.checkpoints import load_checkpoint, save_checkpoint
-from priors.pose.density import fit_density
+from priors.checkpoints import load_checkpoint
 from priors.pose.prior import PosePrior, PoseWeights
 from recon.benchmark.dataset import Splits, load_clips, mirrored, mirrored_rotations, poses
 from recon.body.model import BodyModel
@@ -18,7 +17,9 @@ from recon.formats.motions import save_motion
 from recon.method.priors import Prior
 from recon.method.reconstruction import solve
 from tests.laws import check_heading_invariance, check_prior
-from training.pose import PoseTraining, score, train
+from training.__main__ import train
+from training.pose import fit_density, score
+from training.weights import save_checkpoint
 
 pytestmark = pytest.mark.numerics
 
@@ -247,18 +248,23 @@ def test_training_learns_from_training_clips_only(splits: Splits, tmp_path: Path
     assert [c.name for c in load_clips(corpus, splits, "train")] == ["08_01", "09_01"]
     assert load_clips(corpus, splits, "train")[0].motion.frames == 60
 
-    settings = PoseTraining(corpus, tmp_path / "pose.safetensors", splits=tmp_path / "splits.toml")
-    first = train(settings).read_bytes()
-    assert train(settings).read_bytes() == first
-    checkpoint = load_checkpoint(settings.out, "pose")
+    out = tmp_path / "pose.safetensors"
+    train("pose", corpus, out)
+    first = out.read_bytes()
+    train("pose", corpus, out)
+    assert out.read_bytes() == first
+    checkpoint = load_checkpoint(out, "pose")
     assert checkpoint.settings["subjects"] == ["08", "09"]
     assert checkpoint.settings["poses"] == 2 * 2 * 20  # two clips of 2 s, 10 Hz, and mirrored
-    assert "held-out people" in (tmp_path / "pose.log").read_text()
+    log = (tmp_path / "pose.log").read_text()
+    assert "held-out people" in log
+    # it named the temporary file that the weights were written to first
+    assert log.strip().endswith(f"wrote {out}")
 
     learned = poses(load_clips(corpus, splits, "train"), 10.0, 500)[:, 1:]
     turned = learned @ so3.exp(torch.full((21, 3), 0.3))
     assert len(poses(load_clips(corpus, splits, "train"), 10.0, most=7)) == 2 * 2 * 7
-    density = PosePrior.load(settings.out).density
+    density = PosePrior.load(out).density
     assert score(density, learned) > score(density, turned)
 
 

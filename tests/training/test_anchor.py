@@ -1,6 +1,5 @@
-"""Training the anchor-frame VAE: cycles are what was recorded, runs go on, losses fall."""
+"""Learning cycles of gait: cycles are what was recorded, and their components are a prior."""
 
-import csv
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,22 +7,14 @@ import pytest
 import torch
 
 from priors.anchor.frames import Anchors, rest_pelvis
+from priors.anchor.networks import AnchorWeights
 from priors.anchor.prior import AnchorFrames
 from recon.body.model import BodyModel
-from recon.body.sampled import spread_vertices
 from recon.formats.motions import MotionFile, save_motion
 from tests.training.test_humor import SPLITS
 from tests.walking import a_walk
 from training.anchor.corpus import CycleCorpus, CycleVariation
-from training.anchor.train import (
-    AnchorRun,
-    AnchorTraining,
-    Reconstructed,
-    export_weights,
-    surface_error,
-    train,
-)
-from training.descent import LEAST, GradNorm
+from training.anchor.train import AnchorTraining, export_weights, linear
 
 RECORDED = CycleVariation(mirror=0.0, shift=0, shape=0.0, speed=0.0, exchange=0.0, mix=0.0)
 """No variation."""
@@ -60,21 +51,8 @@ def _nearest(rows, others):
 
 
 def settings_of(folder: Path, out: Path) -> AnchorTraining:
-    return AnchorTraining(
-        corpus=folder / "corpus",
-        out=out,
-        splits=folder / "splits.toml",
-        latent=4,
-        basis=8,
-        basis_from=64,
-        width=16,
-        steps=6,
-        surface_steps=6,
-        cycles=8,
-        surface_cycles=4,
-        validate_every=3,
-        save_every=0.0,
-    )
+    splits = folder / "splits.toml"
+    return AnchorTraining(folder / "corpus", out, splits=splits, latent=24, basis_from=512)
 
 
 def test_only_cycles_of_the_part_and_licence_on_flat_ground(folder):
@@ -131,115 +109,44 @@ def test_a_mirrored_walk_begins_with_the_other_foot(folder):
     assert float(away.max()) < 1e-3
 
 
-def test_gradnorm_balances_the_same_loss_scaled_differently():
-    """The toy problem: two tasks, one a hundred times the other."""
-    torch.manual_seed(0)
-    shared = torch.randn(6, requires_grad=True)
-    targets = torch.randn(2, 6)
-    balance = GradNorm(("small", "large"), alpha=0.12)
-    for _ in range(200):
-        losses = {
-            "small": (shared - targets[0]).square().sum(),
-            "large": 3 * (shared - targets[1]).square().sum(),
-        }
-        balance.update(losses, shared)
-        (step,) = torch.autograd.grad(balance.total(losses), shared)
-        with torch.no_grad():
-            shared -= 0.01 * step
-    assert sum(balance.weights.values()) == pytest.approx(2.0)
-    assert balance.weights["small"] > 1.3
-    assert min(balance.weights.values()) >= LEAST * 0.9
-    # equal pull: the shared parameters end in the middle, not at the louder task
-    middle = targets.mean(0)
-    assert float((shared - middle).detach().norm()) < 0.25 * float(
-        (targets[0] - targets[1]).norm()
-    )
+@pytest.fixture(scope="module")
+def weights(folder: Path) -> AnchorWeights:
+    return linear(settings_of(folder, folder / "run"), corpus_of(folder))
 
 
-def test_the_surface_error_of_what_it_was_made_of_is_zero(folder, tmp_path):
-    corpus = corpus_of(folder)
-    batch = corpus.every()
-    run_settings = settings_of(folder, tmp_path)
-    run = AnchorRun(run_settings, corpus, batch)
-    vertices, anchors = spread_vertices(BODY, 20), torch.arange(0, 100, 10)
-    rows = batch.anchors.pack()
-    normalised = run.networks.basis.normalised(rows)
-    nothing = torch.zeros(len(rows), 4)
-    exact = Reconstructed(nothing, nothing, nothing, normalised)
-    error = surface_error(run.networks, exact, batch, BODY, vertices, anchors)
-    assert float(error.max()) < 1e-9
-    risen = normalised.clone()
-    risen[..., -2] += 2 / (run.networks.basis.high[2] - run.networks.basis.low[2]) * 0.1
-    moved = replace(exact, normalised=risen)
-    error = surface_error(run.networks, moved, batch, BODY, vertices, anchors)
-    torch.testing.assert_close(error, torch.full_like(error, 0.01), atol=1e-5, rtol=0)
+def test_cycles_are_their_components(folder, weights):
+    learned = corpus_of(folder)
+    rows = learned.every().anchors.pack()
+    mean, log_variance = weights.networks.posterior(rows)
+    made = weights.networks.decode(mean, learned.shape)
+    assert float((made - rows).abs().max()) < 0.05  # the training cycles, nearly
+    assert bool((log_variance <= -10).all())
 
 
-def test_a_run_trains_exports_and_loads(folder, tmp_path):
-    settings = settings_of(folder, tmp_path / "run")
-    # the validation subject has few cycles; they are enough to be measured
-    train(settings)
-    table = (tmp_path / "run" / "losses.csv").read_text()
-    rows = list(csv.DictReader(table.splitlines()))
-    assert [row["step"] for row in rows] == ["3", "6", "9", "12"]
-    assert all(float(row["vertex_cm"]) < 50 for row in rows)
-    path = export_weights(settings, tmp_path / "w.safetensors")
+def test_the_decoder_is_linear_and_does_not_see_the_body(weights):
+    a, b = torch.randn(2, weights.networks.latent, generator=torch.Generator().manual_seed(0))
+    none, other = torch.zeros(BODY.shape_size), torch.ones(BODY.shape_size)
+    one, two, half = (weights.networks.decode(z, none) for z in (a, b, (a + b) / 2))
+    assert torch.allclose((one + two) / 2, half, atol=1e-4)
+    assert torch.equal(weights.networks.decode(a, other), one)
+
+
+def test_codes_are_spread_as_training_cycles_are(folder, weights):
+    random = torch.Generator().manual_seed(1)
+    rows = corpus_of(folder).draw(512, CycleVariation(), random).anchors.pack()
+    mean, _ = weights.networks.posterior(rows)
+    spread = weights.spread
+    whitened = torch.linalg.solve_triangular(spread.root, (mean - spread.mean).mT, upper=False)
+    assert float(whitened.square().mean()) < 3  # one for those that it was taken from
+
+
+def test_the_file_is_a_prior(folder, weights, tmp_path):
+    """Weights without hidden layers were refused: all sizes had to be above zero."""
+    path = tmp_path / "components.safetensors"
+    export_weights(settings_of(folder, path), path)
     prior = AnchorFrames.load(str(path), BODY)
+    assert prior.code_size == 24
     walk = a_walk(BODY, seconds=0.9, period=0.9)[None]
     decoded = prior.decode(prior.encode(walk)).motion
     error = BODY.pose(decoded).joints - BODY.pose(walk).joints
     assert float(error[..., :10, :].norm(dim=-1).mean()) < 0.15
-
-
-def test_a_cut_run_goes_on_where_it_was(folder, tmp_path, monkeypatch):
-    corpus = corpus_of(folder)
-    checked = corpus_of(folder, part="validation").every()
-    whole, cut = (settings_of(folder, tmp_path / name) for name in ("whole", "cut"))
-    for settings in (whole, cut):
-        settings.out.mkdir()
-    AnchorRun(whole, corpus, checked).go()
-
-    class Cut(Exception):
-        pass
-
-    run = AnchorRun(cut, corpus, checked)
-    losses = run.losses
-
-    def stopping():
-        if run.step == 8:
-            raise Cut
-        return losses()
-
-    monkeypatch.setattr(run, "losses", stopping)
-    with pytest.raises(Cut):
-        run.go()
-    assert AnchorRun(cut, corpus, checked).step == 8
-    AnchorRun(cut, corpus, checked).go()
-    one, other = (
-        torch.load(settings.out / "checkpoint.pt", weights_only=True)["networks"]
-        for settings in (whole, cut)
-    )
-    for name, tensor in one.items():
-        torch.testing.assert_close(tensor, other[name], atol=1e-5, rtol=1e-4)
-
-
-def test_the_weight_decay_of_the_settings_is_taken(folder, tmp_path):
-    """It was a setting that nothing read: torch's own default decayed the weights."""
-    settings = replace(settings_of(folder, tmp_path), decay=0.5)
-    (group,) = AnchorRun(
-        settings, corpus_of(folder), corpus_of(folder).every()
-    ).optimiser.param_groups
-    assert group["weight_decay"] == 0.5
-
-
-def test_another_run_in_the_folder_is_refused(folder, tmp_path):
-    settings = settings_of(folder, tmp_path)
-    corpus = corpus_of(folder)
-    AnchorRun(settings, corpus, corpus.every()).save()
-    with pytest.raises(ValueError, match="latent"):
-        AnchorRun(replace(settings, latent=5), corpus, corpus.every())
-
-
-def test_exporting_before_training_says_so(folder, tmp_path):
-    with pytest.raises(FileNotFoundError, match="train first"):
-        export_weights(settings_of(folder, tmp_path), tmp_path / "w")

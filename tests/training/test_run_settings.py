@@ -7,14 +7,13 @@ from typing import Any
 
 import pytest
 
-from training.anchor.train import AnchorTraining
 from training.humor.train import HumorTraining
 from training.humor.variation import Variation
 from training.humos.train import HumosTraining
 from training.labels.train import LabelTraining
 from training.settings import FREE, identity, same_run, told_settings
 
-KINDS = (AnchorTraining, HumorTraining, HumosTraining, LabelTraining)
+KINDS = (HumorTraining, HumosTraining, LabelTraining)
 CHECKPOINT = Path("run/checkpoint.pt")
 
 

@@ -17,7 +17,7 @@ from recon.core.skeleton import MIRROR, UPPER
 from recon.core.struct import TensorStruct, concatenate
 from recon.formats.motions import load_motion
 from training.run import LOG
-from training.settings import TrainingSettings
+from training.settings import CorpusSettings
 
 MARGIN = 10
 """Anchors kept before and after a cycle, where the recording goes on."""
@@ -74,7 +74,7 @@ class CycleCorpus(TensorStruct):
     """The clip of every cycle."""
 
     @classmethod
-    def load(cls, settings: TrainingSettings, part: Part, body: BodyModel) -> "CycleCorpus":
+    def load(cls, settings: CorpusSettings, part: Part, body: BodyModel) -> "CycleCorpus":
         """All cycles of the clips of one part on flat ground.
 
         Raises:

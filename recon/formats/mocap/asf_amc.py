@@ -7,16 +7,22 @@ Each bone becomes one joint at the bone's near end, named after the bone, and a 
 
 import io
 from array import array
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from recon.core.errors import FormatError
 from recon.core.limits import ANGLE, JOINTS, POSITION, SAMPLES, TABLE
 from recon.core.units import Axis
-from recon.formats.mocap.bvh import about_axis
-from recon.formats.mocap.recording import SkeletonRecording, settle_skeleton
+from recon.formats.mocap.recording import (
+    SkeletonRecording,
+    finite_numbers,
+    posed_skeleton,
+    settle_skeleton,
+)
 from recon.formats.opening import decode, read_bytes
 
 CMU_RATE = 120.0
@@ -72,19 +78,10 @@ def read_amc(
     skeleton = find_skeleton(path) if skeleton is None else skeleton
     tree = _parse_asf(decode(read_bytes(skeleton, TABLE)), skeleton.name)
     motion, degrees = _parse_amc(decode(data), path.name)
-    raw = _pose(tree, motion, degrees, path.name)
-    names, parents, offsets, positions, orientations = raw
-    recording = SkeletonRecording(
-        name=path.name,
-        joint_names=names,
-        parents=parents,
-        rest_offsets=offsets,
-        positions=positions,
-        orientations=orientations,
-        fps=fps,
-        decisions=(f"skeleton {skeleton.name}", f"{fps:g} frames per second: not in the file"),
-    )
-    return settle_skeleton(recording, unit=unit, up=up, declared=tree.declared, usual_up="y")
+    recording = _posed(tree, motion, degrees, path.name, fps)
+    said = (f"skeleton {skeleton.name}", f"{fps:g} frames per second: not in the file")
+    recording = replace(recording, decisions=said)
+    return settle_skeleton(recording, unit=unit, up=up, declared=tree.declared)
 
 
 def find_skeleton(path: Path) -> Path:
@@ -107,26 +104,12 @@ def find_skeleton(path: Path) -> Path:
     return same[0]
 
 
-def _floats(words: list[str], count: int, name: str) -> list[float]:
-    try:
-        values = [float(word) for word in words]
-    except ValueError as error:
-        raise FormatError(f"{name}: expected numbers, got {' '.join(words)[:60]!r}") from error
-    if len(values) != count or not np.isfinite(values).all():
-        raise FormatError(f"{name}: expected {count} numbers, got {' '.join(words)[:60]!r}")
-    return values
-
-
 def _axis_matrix(angles: list[float], order: str, degrees: bool, name: str) -> np.ndarray:
     """Rotation by fixed axes, the first of `order` first."""
     if sorted(order.upper()) != ["X", "Y", "Z"]:
         raise FormatError(f"{name}: expected an axis order such as XYZ, got {order!r}")
     ANGLE.check(angles if degrees else np.rad2deg(angles), name, "axis")
-    radians = np.deg2rad(angles) if degrees else np.array(angles)
-    matrix = np.eye(3)
-    for letter, angle in zip(order.upper(), radians, strict=True):
-        matrix = about_axis("XYZ".index(letter), np.asarray(angle)) @ matrix
-    return matrix
+    return Rotation.from_euler(order.lower(), angles, degrees=degrees).as_matrix()
 
 
 def _parse_asf(text: str, name: str) -> _Skeleton:
@@ -143,7 +126,7 @@ def _parse_asf(text: str, name: str) -> _Skeleton:
         raise FormatError(f"{name}: expected an ASF skeleton, but there is no :{missing[0]}")
     units = {words[0].lower(): words[-1].lower() for words in sections.get("units", [])}
     degrees = not units.get("angle", "deg").startswith("rad")
-    length = _floats([units.get("length", "1")], 1, f"{name}: units length")[0]
+    length = finite_numbers([units.get("length", "1")], 1, f"{name}: units length")[0]
     root, origin = _parse_root(sections["root"], degrees, name)
     bones = {"root": root}
     for block in _blocks(sections["bonedata"]):
@@ -179,8 +162,12 @@ def _blocks(lines: list[list[str]]) -> list[dict[str, list[str]]]:
 
 def _parse_root(lines: list[list[str]], degrees: bool, name: str) -> tuple[_Bone, np.ndarray]:
     fields = {words[0].lower(): words[1:] for words in lines}
-    angles = _floats(fields.get("orientation", ["0", "0", "0"]), 3, f"{name}: root orientation")
-    origin = np.array(_floats(fields.get("position", ["0", "0", "0"]), 3, f"{name}: position"))
+    angles = finite_numbers(
+        fields.get("orientation", ["0", "0", "0"]), 3, f"{name}: root orientation"
+    )
+    origin = np.array(
+        finite_numbers(fields.get("position", ["0", "0", "0"]), 3, f"{name}: position")
+    )
     order = "".join(fields.get("axis", ["XYZ"]))
     axis = _axis_matrix(angles, order, degrees, name)
     channels = tuple(w.lower() for w in fields.get("order", ["tx", "ty", "tz", "rx", "ry", "rz"]))
@@ -193,11 +180,11 @@ def _parse_bone(block: dict[str, list[str]], degrees: bool, name: str) -> _Bone:
     if missing := [k for k in ("name", "direction", "length", "axis") if not block.get(k)]:
         raise FormatError(f"{name}: expected every bone to have a {missing[0]}")
     place = f"{name}: bone {block['name'][0]}"
-    direction = np.array(_floats(block["direction"], 3, place))
+    direction = np.array(finite_numbers(block["direction"], 3, place))
     POSITION.check(direction, place, "direction")
-    length = _floats(block["length"], 1, place)[0]
+    length = finite_numbers(block["length"], 1, place)[0]
     order = "".join(block["axis"][3:]) or "XYZ"
-    axis = _axis_matrix(_floats(block["axis"][:3], 3, place), order, degrees, place)
+    axis = _axis_matrix(finite_numbers(block["axis"][:3], 3, place), order, degrees, place)
     channels = tuple(word.lower() for word in block.get("dof", []))
     if not set(channels) <= {"rx", "ry", "rz", "l"}:
         raise FormatError(f"{place}: expected dof rx, ry, rz or l, got {' '.join(channels)}")
@@ -245,9 +232,9 @@ def _parse_amc(text: str, name: str) -> tuple[dict[str, np.ndarray], bool]:
     return arrays, degrees
 
 
-def _pose(
-    tree: _Skeleton, motion: dict[str, np.ndarray], degrees: bool, name: str
-) -> tuple[tuple[str, ...], tuple[int, ...], np.ndarray, np.ndarray, np.ndarray]:
+def _posed(
+    tree: _Skeleton, motion: dict[str, np.ndarray], degrees: bool, name: str, fps: float
+) -> SkeletonRecording:
     frames = len(motion["root"])
     JOINTS.check(2 * len(tree.bones), name, "bones and their ends, of which there are ")
     SAMPLES.check(frames * 2 * len(tree.bones), name)
@@ -260,42 +247,36 @@ def _pose(
     names = (*order, *(f"{bone}_end" for bone in tips))
     parents = (-1, *(number[tree.parents[b]] for b in order[1:]), *(number[b] for b in tips))
     # a joint sits at the far end of its parent's bone
-    near = [tree.origin * 0 if p < 0 else tree.bones[order[p]].direction for p in parents]
-    offsets = np.array(near)
-    orientations = np.empty((frames, len(names), 3, 3))
-    positions = np.empty((frames, len(names), 3))
-    for joint, parent in enumerate(parents):
-        bone = tree.bones[order[joint]] if joint < len(order) else None
-        local, shift = np.eye(3), np.zeros(3)
-        if bone is not None and bone.name in motion:
-            local, shift = _bone_motion(bone, motion[bone.name], degrees, name)
-        if parent < 0:
-            orientations[:, joint], positions[:, joint] = local, tree.origin + shift
-        else:
-            orientations[:, joint] = orientations[:, parent] @ local
-            turned = orientations[:, parent] @ offsets[joint]
-            positions[:, joint] = positions[:, parent] + turned
-    return names, parents, offsets, positions, orientations
+    offsets = np.stack([np.zeros(3) if p < 0 else tree.bones[order[p]].direction for p in parents])
+
+    def local() -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        for joint, (title, offset) in enumerate(zip(names, offsets, strict=True)):
+            turn, shift = np.eye(3), np.zeros(3)
+            if joint < len(order) and title in motion:
+                turn, shift = _bone_motion(tree.bones[title], motion[title], degrees, name)
+            yield (tree.origin + shift if title == "root" else offset), turn
+
+    positions, orientations = posed_skeleton(parents, local(), frames)
+    return SkeletonRecording(name, names, parents, offsets, positions, orientations, fps, ())
 
 
 def _bone_motion(
     bone: _Bone, values: np.ndarray, degrees: bool, name: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """C M C^-1 and the shift of a bone; bone lengths (`l`) are not varied."""
+    """C M C^-1 and the shift of a bone; changes of a bone's length (`l`) are left out."""
     if values.shape[1] != len(bone.channels):
         raise FormatError(
             f"{name}: expected {len(bone.channels)} numbers ({' '.join(bone.channels)}) for "
             f"{bone.name!r}, got {values.shape[1]}; the skeleton is of another subject"
         )
-    turn, shift = np.broadcast_to(np.eye(3), (len(values), 3, 3)), np.zeros((len(values), 3))
+    turn, shift = Rotation.identity(len(values)), np.zeros((len(values), 3))
     for column, channel in zip(values.T, bone.channels, strict=True):
         if channel.startswith("r"):
             ANGLE.check(column if degrees else np.rad2deg(column), name, f"{bone.name} {channel}")
-            angle = np.deg2rad(column) if degrees else column
-            turn = about_axis("xyz".index(channel[1]), angle) @ turn
+            turn = Rotation.from_euler(channel[1], column[:, None], degrees=degrees) * turn
         elif channel.startswith("t"):
             shift[:, "xyz".index(channel[1])] = column
-    return bone.axis @ turn @ bone.axis.T, shift
+    return bone.axis @ turn.as_matrix() @ bone.axis.T, shift
 
 
 def recording_files(recording: Path) -> list[Path]:

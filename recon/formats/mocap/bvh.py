@@ -6,17 +6,23 @@ are zero throughout. The file states neither unit nor up axis; by custom y is up
 
 import dataclasses
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
 from recon.core.errors import FormatError
-from recon.core.limits import ANGLE, FRAME_RATE, FRAMES, JOINTS, SAMPLES
-from recon.core.units import Axis, snapped_rate
-from recon.formats.mocap.recording import SkeletonRecording, settle_skeleton
+from recon.core.limits import ANGLE, FRAMES, JOINTS, SAMPLES
+from recon.core.units import Axis
+from recon.formats.mocap.recording import (
+    SkeletonRecording,
+    finite_numbers,
+    posed_skeleton,
+    settle_skeleton,
+    stated_rate,
+)
 from recon.formats.opening import decode, numbers_in, read_bytes
 
 _LOST = (("Spine1", 1.0), ("LeftHand", 0.5), ("RightHand", 0.5))
@@ -55,13 +61,13 @@ _CHANNEL = re.compile(r"^([XYZ])(position|rotation)$", re.IGNORECASE)
 _TIMING = re.compile(r"\s*frames\s*:\s*(\S+)\s+frame\s+time\s*:\s*(\S+)", re.IGNORECASE)
 
 
-@dataclass(frozen=True)
-class _Hierarchy:
-    names: list[str]
-    parents: list[int]
-    offsets: list[list[float]]
-    channels: list[list[tuple[int, bool]]]
-    """Channels of every joint, (axis, is a rotation), in the order of the file."""
+@dataclass
+class _Joint:
+    name: str
+    parent: int
+    offset: list[float]
+    channels: list[tuple[int, bool]]
+    """(axis, is a rotation), in the order of the file."""
 
 
 def read_bvh(path: Path, *, unit: str | None = None, up: Axis | None = None) -> SkeletonRecording:
@@ -81,28 +87,27 @@ def parse_bvh(
     head, keyword, body = text.partition("MOTION")
     if not keyword:
         raise FormatError(f"{name}: expected a BVH file, but there is no line MOTION")
-    tree = _parse_hierarchy(head, name)
-    values, fps = _parse_motion(body, tree, name)
-    orientations, positions, offsets = _pose(tree, values)
-    del values
+    joints = _parse_hierarchy(head, name)
+    values, (fps, said) = _parse_motion(body, joints, name)
+    parents = tuple(joint.parent for joint in joints)
+    positions, orientations = posed_skeleton(parents, _local(joints, values), len(values))
     raw = SkeletonRecording(
         name=name,
-        joint_names=tuple(tree.names),
-        parents=tuple(tree.parents),
-        rest_offsets=offsets,
+        joint_names=tuple(joint.name for joint in joints),
+        parents=parents,
+        rest_offsets=np.array([joint.offset for joint in joints]),
         positions=positions,
         orientations=orientations,
         fps=fps,
-        decisions=(f"{fps:g} frames per second: stated by the file",),
+        decisions=(said,),
     )
-    return restore_lost_bones(settle_skeleton(raw, unit=unit, up=up, usual_up="y"))
+    return restore_lost_bones(settle_skeleton(raw, unit=unit, up=up))
 
 
-def _parse_hierarchy(head: str, name: str) -> _Hierarchy:
-    tree = _Hierarchy([], [], [], [])
+def _parse_hierarchy(head: str, name: str) -> list[_Joint]:
+    joints: list[_Joint] = []
     taken: set[str] = set()
     open_joints: list[int] = []
-    current = -1
     lines = head.replace("{", "\n{\n").replace("}", "\n}\n").splitlines()
     for line in filter(None, (line.strip() for line in lines)):
         word, _, rest = line.replace("\t", " ").partition(" ")
@@ -110,48 +115,32 @@ def _parse_hierarchy(head: str, name: str) -> _Hierarchy:
         if keyword == "HIERARCHY":
             continue
         if keyword in ("ROOT", "JOINT", "END"):
-            if (keyword == "ROOT") != (len(tree.names) == 0) or not (
-                open_joints or not tree.names
-            ):
+            if (keyword == "ROOT") != (not joints) or (joints and not open_joints):
                 raise FormatError(
                     f"{name}: expected one tree of joints, got {line[:50]!r} outside"
                 )
             parent = open_joints[-1] if open_joints else -1
-            current = len(tree.names)
-            title = f"{tree.names[parent]}_end" if keyword == "END" else rest.strip()
+            title = f"{joints[parent].name}_end" if keyword == "END" else rest.strip()
             if not title or title in taken:
                 raise FormatError(f"{name}: expected a new joint name, got {line[:60]!r}")
             taken.add(title)
             JOINTS.check(len(taken), name)
-            tree.names.append(title)
-            tree.parents.append(parent)
-            tree.offsets.append([])
-            tree.channels.append([])
-        elif keyword == "{" and current >= 0:
-            open_joints.append(current)
+            joints.append(_Joint(title, parent, [], []))
+        elif keyword == "{" and joints:
+            open_joints.append(len(joints) - 1)
         elif keyword == "}" and open_joints:
             open_joints.pop()
         elif keyword == "OFFSET" and open_joints:
-            tree.offsets[open_joints[-1]] = _numbers(rest.split(), 3, f"{name}: OFFSET")
+            joints[open_joints[-1]].offset = finite_numbers(rest.split(), 3, f"{name}: OFFSET")
         elif keyword == "CHANNELS" and open_joints:
-            tree.channels[open_joints[-1]] = _parse_channels(rest.split(), name)
+            joints[open_joints[-1]].channels = _parse_channels(rest.split(), name)
         else:
             raise FormatError(f"{name}: expected a line of a BVH hierarchy, got {line[:60]!r}")
-    if open_joints or not tree.names:
+    if open_joints or not joints:
         raise FormatError(f"{name}: the BVH hierarchy is cut short or empty")
-    if missing := [n for n, o in zip(tree.names, tree.offsets, strict=True) if not o]:
+    if missing := [joint.name for joint in joints if not joint.offset]:
         raise FormatError(f"{name}: expected an OFFSET of three numbers for joint {missing[0]!r}")
-    return tree
-
-
-def _numbers(words: Sequence[str], count: int, place: str) -> list[float]:
-    try:
-        values = [float(word) for word in words]
-    except ValueError as error:
-        raise FormatError(f"{place}: expected numbers, got {' '.join(words)[:60]!r}") from error
-    if len(values) != count or not np.isfinite(values).all():
-        raise FormatError(f"{place}: expected {count} numbers, got {' '.join(words)[:60]!r}")
-    return values
+    return joints
 
 
 def _parse_channels(words: list[str], name: str) -> list[tuple[int, bool]]:
@@ -169,7 +158,10 @@ def _parse_channels(words: list[str], name: str) -> list[tuple[int, bool]]:
     return channels
 
 
-def _parse_motion(body: str, tree: _Hierarchy, name: str) -> tuple[np.ndarray, float]:
+def _parse_motion(
+    body: str, joints: list[_Joint], name: str
+) -> tuple[np.ndarray, tuple[float, str]]:
+    """Numbers of all frames and channels, and `stated_rate` of the file."""
     timing = _TIMING.match(body)
     if timing is None:
         raise FormatError(f"{name}: expected 'Frames: N' and 'Frame Time: seconds' after MOTION")
@@ -177,10 +169,10 @@ def _parse_motion(body: str, tree: _Hierarchy, name: str) -> tuple[np.ndarray, f
         frames, step = int(timing[1]), float(timing[2])
     except ValueError as error:
         raise FormatError(f"{name}: expected numbers, got {timing[0].strip()[:80]!r}") from error
-    width = sum(len(channels) for channels in tree.channels)
+    width = sum(len(joint.channels) for joint in joints)
     FRAMES.check(frames, name, "Frames")
-    SAMPLES.check(frames * len(tree.names), name, "Frames")
-    FRAME_RATE.check(1 / step if step > 0 else 0.0, name, "Frame Time")
+    SAMPLES.check(frames * len(joints), name, "Frames")
+    rate = stated_rate(1 / step if step > 0 else 0.0, name, "Frame Time")
     try:
         values = numbers_in(body, frames * width, timing.end())
     except ValueError as error:
@@ -191,52 +183,23 @@ def _parse_motion(body: str, tree: _Hierarchy, name: str) -> tuple[np.ndarray, f
     if width == 0 or not np.isfinite(values).all():
         raise FormatError(f"{name}: the motion has no channels, or holds NaN or infinity")
     values = values.reshape(frames, width)
-    turns = [turn for channels in tree.channels for _, turn in channels]
+    turns = [turn for joint in joints for _, turn in joint.channels]
     ANGLE.check(values, name, "[frame, channel]", seen=np.broadcast_to(turns, values.shape))
-    return values, snapped_rate(1 / step)
+    return values, rate
 
 
-def _pose(tree: _Hierarchy, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """World orientations and positions, and offsets, in the units of the file."""
-    frames, joints = len(values), len(tree.names)
-    offsets = np.array(tree.offsets)
-    orientations, positions = np.empty((frames, joints, 3, 3)), np.empty((frames, joints, 3))
+def _local(joints: list[_Joint], values: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Place (frames, 3) of every joint in its parent, in the file's unit, and its rotation."""
     column = 0
-    for joint, (parent, channels) in enumerate(zip(tree.parents, tree.channels, strict=True)):
+    for joint in joints:
+        channels = joint.channels
         columns = values[:, column : column + len(channels)]
         column += len(channels)
-        shift, local = _motion_of(channels, columns, offsets[joint], root=parent < 0)
-        if parent < 0:
-            orientations[:, joint], positions[:, joint] = local, shift
-        else:
-            above = orientations[:, parent]
-            orientations[:, joint] = above @ local
-            positions[:, joint] = positions[:, parent] + (above @ shift[..., None])[..., 0]
-    return orientations, positions, offsets
-
-
-def _motion_of(
-    channels: list[tuple[int, bool]], columns: np.ndarray, offset: np.ndarray, *, root: bool
-) -> tuple[np.ndarray, np.ndarray]:
-    """Place (frames, 3) of a joint in its parent, and its rotation (frames, 3, 3)."""
-    shift = np.tile(offset, (len(columns), 1))
-    moved = [(axis, k) for k, (axis, turn) in enumerate(channels) if not turn]
-    if moved and (root or columns[:, [k for _, k in moved]].any()):
-        shift[:, [axis for axis, _ in moved]] = columns[:, [k for _, k in moved]]
-    local = np.broadcast_to(np.eye(3), (len(columns), 3, 3))
-    for k, (axis, turn) in enumerate(channels):
-        if turn:
-            local = local @ about_axis(axis, np.deg2rad(columns[:, k]))
-    return shift, local
-
-
-def about_axis(axis: int, angle: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape 3 3"]:
-    """Rotation about x, y or z (0, 1, 2) by an angle in radians."""
-    cosine, sine = np.cos(angle), np.sin(angle)
-    one, two = (axis + 1) % 3, (axis + 2) % 3
-    matrix = np.zeros((*angle.shape, 3, 3))
-    matrix[..., axis, axis] = 1.0
-    matrix[..., one, one] = matrix[..., two, two] = cosine
-    matrix[..., two, one] = sine
-    matrix[..., one, two] = -sine
-    return matrix
+        shift, turn = np.tile(joint.offset, (len(values), 1)), Rotation.identity(len(values))
+        moved = [(axis, k) for k, (axis, turns) in enumerate(channels) if not turns]
+        if moved and (joint.parent < 0 or columns[:, [k for _, k in moved]].any()):
+            shift[:, [axis for axis, _ in moved]] = columns[:, [k for _, k in moved]]
+        for k, (axis, turns) in enumerate(channels):
+            if turns:
+                turn = turn * Rotation.from_euler("xyz"[axis], columns[:, [k]], degrees=True)
+        yield shift, turn.as_matrix()

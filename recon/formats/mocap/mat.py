@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from recon.core.errors import FormatError
-from recon.core.limits import BINARY, FRAME_RATE, JOINTS, SAMPLES
-from recon.core.units import Axis, snapped_rate
-from recon.formats.mocap.recording import MarkerRecording, settle_markers
+from recon.core.limits import BINARY, JOINTS, SAMPLES
+from recon.core.units import Axis
+from recon.formats.mocap.recording import MarkerRecording, settle_markers, stated_rate
 from recon.formats.opening import existing
 
 _READER = Path(__file__).with_name("mat_process.py")
@@ -42,8 +42,8 @@ def read_mat(
         )
     name = f"{path.name}::{variable}"
     labels = tuple(arrays[f"{variable}/markerName"].tolist())
-    data, rate = arrays[f"{variable}/data"], float(arrays[f"{variable}/freq"].reshape(()))
-    FRAME_RATE.check(rate, name, "freq")
+    data = arrays[f"{variable}/data"]
+    fps, said = stated_rate(float(arrays[f"{variable}/freq"].reshape(())), name, "freq")
     JOINTS.check(len(labels), name, "markerName")
     if data.ndim != 2 or data.shape[1] != 3 * len(labels) or len(data) == 0:
         raise FormatError(
@@ -51,15 +51,13 @@ def read_mat(
             f"{data.shape}"
         )
     SAMPLES.check(len(data) * len(labels), name, "data")
-    values = data.reshape(len(data), len(labels), 3)
-    visible = np.isfinite(values).all(-1) & (values != 0).any(-1)
     raw = MarkerRecording(
         name=name,
         marker_names=labels,
-        positions=np.where(visible[..., None], values, 0.0),
-        visible=visible,
-        fps=snapped_rate(rate),
-        decisions=(f"{rate:g} frames per second: stated by the file",),
+        positions=data.reshape(len(data), len(labels), 3),
+        visible=np.ones((len(data), len(labels)), bool),
+        fps=fps,
+        decisions=(said,),
     )
     return settle_markers(raw, unit=unit, up=up, usual_up="z")
 

@@ -13,12 +13,18 @@ from typing import cast
 from recon.core.errors import FormatError
 from recon.core.limits import TEXT
 from recon.core.units import Axis
-from recon.formats.mocap.bvh import parse_bvh
+from recon.formats.mocap.asf_amc import read_amc
+from recon.formats.mocap.bvh import parse_bvh, read_bvh
+from recon.formats.mocap.c3d import read_c3d
+from recon.formats.mocap.mat import read_mat
 from recon.formats.mocap.recording import MarkerRecording, SkeletonRecording
+from recon.formats.mocap.trc import read_trc
 from recon.formats.opening import decode, existing, read_bytes
 
 RECORDINGS = (".bvh", ".bvh.xz", ".amc", ".amc.xz", ".c3d", ".trc", ".mat", ".tar", ".tar.xz")
 """Suffixes that `read_recording` knows, among others of the same families."""
+_READERS = {".bvh": read_bvh, ".amc": read_amc, ".c3d": read_c3d, ".trc": read_trc}
+"""Readers of files that hold one recording."""
 
 
 def read_recording(
@@ -36,38 +42,21 @@ def read_recording(
         ValueError: when the format is not known, the file is damaged, or unit or axis cannot be
             told; the message says what was expected.
     """
-    # readers are imported when needed: some load large libraries
-    location, _, member = str(path).partition("::")
-    file, inside = Path(location), member or None
-    name = file.name.lower()
-    if inside is not None and not name.endswith((".mat", ".tar", ".tar.gz", ".tgz", ".tar.xz")):
+    location, _, inside = str(path).partition("::")
+    file, name = Path(location), Path(location).name.lower()
+    archived = name.endswith((".tar", ".tar.gz", ".tgz", ".tar.xz"))
+    if inside and not (archived or name.endswith(".mat")):
         raise FormatError(f"{path}: only archives and .mat files hold several recordings (::)")
-    if name.endswith((".tar", ".tar.gz", ".tgz", ".tar.xz")):
-        return read_member(file, inside, unit=unit, up=up)
-    name = name.removesuffix(".xz")
-    if name.endswith(".bvh"):
-        from recon.formats.mocap.bvh import read_bvh
-
-        return read_bvh(file, unit=unit, up=up)
-    if name.endswith(".amc"):
-        from recon.formats.mocap.asf_amc import read_amc
-
-        return read_amc(file, unit=unit, up=up)
-    if name.endswith(".c3d"):
-        from recon.formats.mocap.c3d import read_c3d
-
-        return read_c3d(file, unit=unit, up=up)
-    if name.endswith(".trc"):
-        from recon.formats.mocap.trc import read_trc
-
-        return read_trc(file, unit=unit, up=up)
+    if archived:
+        return read_member(file, inside or None, unit=unit, up=up)
     if name.endswith(".mat"):
-        from recon.formats.mocap.mat import read_mat
-
-        return read_mat(file, inside, unit=unit, up=up)
-    if name.endswith(".asf"):
+        return read_mat(file, inside or None, unit=unit, up=up)
+    read = _READERS.get(Path(name.removesuffix(".xz")).suffix)
+    if read is not None:
+        return read(file, unit=unit, up=up)
+    if name.endswith((".asf", ".asf.xz")):
         raise FormatError(f"{path}: a skeleton without motion; give one of its .amc files")
-    if name.endswith(".npz"):
+    if name.endswith((".npz", ".npz.xz")):
         raise FormatError(f"{path}: a motion or observation already, not a recording to convert")
     raise FormatError(f"{path}: not a known recording; expected one of {', '.join(RECORDINGS)}")
 

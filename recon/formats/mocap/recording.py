@@ -2,13 +2,14 @@
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from recon.core import limits, units
+from recon.core import limits, units, upright
 from recon.core.errors import FormatError, UnitsError
 from recon.core.units import Axis
 
@@ -80,11 +81,6 @@ class SkeletonRecording:
         branching = np.flatnonzero(children > 1)
         return int(branching[0]) if len(branching) > 0 else 0
 
-    @property
-    def stature(self) -> float:
-        """Metres along the bones from the head to the farther foot."""
-        return head_to_foot(self.joint_names, self.parents, self.rest_offsets)
-
 
 @dataclass(frozen=True)
 class MarkerRecording:
@@ -140,38 +136,29 @@ def settle_skeleton(
     unit: str | None,
     up: Axis | None,
     declared: str | None = None,
-    usual_up: Axis | None = None,
 ) -> SkeletonRecording:
     """Bring a skeleton in a file's unit and axes to metres and z up, saying how it was decided.
 
     Args:
-        raw: as in the file.
+        raw: as in the file; by custom of its format y points up.
         unit: what the user says; the file and the body are not asked then.
         up: axis that points up, given by the user; the body is not asked then.
         declared: unit that the file states.
-        usual_up: axis that the file hints at, or the custom of its format.
 
     Raises:
         ValueError: when unit or axis cannot be told, or numbers are not finite.
     """
-    units.check_override(unit)
     if raw.frames == 0:
         raise FormatError(f"{raw.name}: expected at least one frame, got none")
     limits.FRAME_RATE.check(raw.fps, raw.name)
-    _check_finite(raw.name, raw.positions, raw.orientations, raw.rest_offsets)
-    if unit is not None:
-        reason = f"unit {unit}: given"
-    elif declared is not None:
-        unit, length = declared, head_to_foot(raw.joint_names, raw.parents, raw.rest_offsets)
-        reason = units.check_declared(declared, length, raw.name)
-    else:
-        length = head_to_foot(raw.joint_names, raw.parents, raw.rest_offsets)
-        unit, reason = units.unit_from_bones(length, raw.name)
+    arrays = (raw.positions, raw.orientations, raw.rest_offsets)
+    if not all(np.isfinite(array).all() for array in arrays):
+        raise FormatError(f"{raw.name}: expected finite numbers, got NaN or infinity")
+    length = head_to_foot(raw.joint_names, raw.parents, raw.rest_offsets)
+    unit, reason = _unit(unit, declared, length, units.unit_from_bones, raw.name)
     visible = np.ones(raw.positions.shape[:2], dtype=bool)
-    rise = units.head_above_feet(raw.joint_names, raw.positions, visible)
-    up, up_reason = (
-        (up, f"up axis {up}: given") if up else units.decide_up(rise, usual_up, raw.name)
-    )
+    rise = upright.head_above_feet(raw.joint_names, raw.positions, visible)
+    up, up_reason = (up, f"up axis {up}: given") if up else upright.decide_up(rise, "y", raw.name)
     turn, metres = units.to_z_up(up), units.METRES[unit]
     limits.POSITION.check(raw.rest_offsets * metres, raw.name, "offsets of the joints")
     limits.POSITION.check(raw.positions * metres, raw.name, "[frame, joint, axis]")
@@ -194,49 +181,122 @@ def settle_markers(
 ) -> MarkerRecording:
     """Bring markers in a file's unit and axes to metres and z up; see `settle_skeleton`.
 
-    Labels that repeat are numbered (RKNE, RKNE#2).
+    A marker that is not finite, or lies exactly at the origin, is not visible. Labels that repeat
+    are numbered (RKNE, RKNE#2).
+
+    Args:
+        raw: as in the file.
+        unit: as in `settle_skeleton`.
+        up: as in `settle_skeleton`.
+        declared: as in `settle_skeleton`.
+        usual_up: axis that the file hints at, or the custom of its format.
 
     Raises:
-        ValueError: when unit or axis cannot be told, numbers are not finite or none is visible.
+        ValueError: when unit or axis cannot be told, or no marker is visible.
     """
-    units.check_override(unit)
-    if not raw.visible.any():
+    visible = raw.visible & np.isfinite(raw.positions).all(-1) & (raw.positions != 0).any(-1)
+    if not visible.any():
         raise FormatError(f"{raw.name}: expected markers, but none is visible in any frame")
     limits.FRAME_RATE.check(raw.fps, raw.name)
-    positions = np.where(raw.visible[..., None], raw.positions, 0.0)
-    _check_finite(raw.name, positions)
-    rise = units.head_above_feet(raw.marker_names, positions, raw.visible)
-    extent = _extent(positions, raw.visible)
-    if unit is not None:
-        reason = f"unit {unit}: given"
-    elif declared is not None:
-        unit, reason = declared, units.check_declared(declared, float(extent.max()), raw.name)
+    positions = np.where(visible[..., None], raw.positions, 0.0)
+    shown = visible.any(1)
+    ends = [np.where(visible[..., None], positions, far)[shown] for far in (math.inf, -math.inf)]
+    extent = np.median(ends[1].max(1) - ends[0].min(1), axis=0)
+    unit, reason = _unit(unit, declared, float(extent.max()), units.unit_from_markers, raw.name)
+    if up is None:
+        rise = upright.head_above_feet(raw.marker_names, positions, visible)
+        if rise is None and usual_up is None:
+            rise = extent
+        try:
+            up, up_reason = upright.decide_up(rise, usual_up, raw.name)
+        except UnitsError:
+            floor = None if rise is None else upright.axis_of_floor(rise, positions, visible)
+            if floor is None:
+                raise
+            up, up_reason = floor
     else:
-        unit, reason = units.unit_from_markers(float(extent.max()), raw.name)
-    if rise is None and usual_up is None:
-        rise = extent
-    up, up_reason = (up, f"up axis {up}: given") if up else _up_of_markers(raw, rise, usual_up)
+        up_reason = f"up axis {up}: given"
     turned = positions @ (units.to_z_up(up).T * units.METRES[unit])
     limits.POSITION.check(turned, raw.name, "[frame, marker, axis]")
+    times_seen: Counter[str] = Counter()
+    names: list[str] = []
+    for name in raw.marker_names:
+        times_seen[name] += 1
+        names.append(name if times_seen[name] == 1 else f"{name}#{times_seen[name]}")
     return dataclasses.replace(
         raw,
-        marker_names=_unique(raw.marker_names),
+        marker_names=tuple(names),
         positions=turned,
+        visible=visible,
         decisions=(*raw.decisions, reason, up_reason),
     )
 
 
-def _up_of_markers(
-    raw: MarkerRecording, rise: Float[np.ndarray, "3"] | None, usual_up: Axis | None
-) -> tuple[Axis, str]:
-    """The up axis by the body, by the file's custom, or by the floor it moves over."""
+def _unit(
+    given: str | None,
+    declared: str | None,
+    size: float,
+    guess: Callable[[float, str], tuple[str, str]],
+    name: str,
+) -> tuple[str, str]:
+    """The unit that the user gives, the file states or the size of the body implies, and why."""
+    units.check_override(given)
+    if given is not None:
+        return given, f"unit {given}: given"
+    if declared is not None:
+        return declared, units.check_declared(declared, size, name)
+    return guess(size, name)
+
+
+def stated_rate(rate: float, source: object, place: str) -> tuple[float, str]:
+    """Frames per second as a file states them, and the sentence that says so.
+
+    Raises:
+        ValueError: when nothing is recorded at such a rate.
+    """
+    limits.FRAME_RATE.check(rate, source, place)
+    fps = units.snapped_rate(rate)
+    return fps, f"{fps:g} frames per second: stated by the file"
+
+
+def posed_skeleton(
+    parents: Sequence[int],
+    local: Iterable[tuple[np.ndarray, np.ndarray]],
+    frames: int,
+) -> tuple[Float[np.ndarray, "time joints 3"], Float[np.ndarray, "time joints 3 3"]]:
+    """World positions and orientations of joints by forward kinematics.
+
+    Args:
+        parents: of the joints, which come before their children; -1 for the root.
+        local: place (3) or (time, 3) of every joint in its parent's frame, and its rotation
+            (3, 3) or (time, 3, 3) there; those of the root are in the world.
+        frames: how many there are.
+    """
+    positions = np.empty((frames, len(parents), 3))
+    orientations = np.empty((frames, len(parents), 3, 3))
+    for joint, (parent, (shift, turn)) in enumerate(zip(parents, local, strict=True)):
+        if parent < 0:
+            positions[:, joint], orientations[:, joint] = shift, turn
+        else:
+            above = orientations[:, parent]
+            positions[:, joint] = positions[:, parent] + (above @ shift[..., None])[..., 0]
+            orientations[:, joint] = above @ turn
+    return positions, orientations
+
+
+def finite_numbers(words: Sequence[str], count: int, place: str) -> list[float]:
+    """So many finite numbers.
+
+    Raises:
+        ValueError: when there are more or fewer, or something is no number.
+    """
     try:
-        return units.decide_up(rise, usual_up, raw.name)
-    except UnitsError:
-        found = None if rise is None else units.axis_of_floor(rise, raw.positions, raw.visible)
-        if found is None:
-            raise
-        return found
+        values = [float(word) for word in words]
+    except ValueError as error:
+        raise FormatError(f"{place}: expected numbers, got {' '.join(words)[:60]!r}") from error
+    if len(values) != count or not np.isfinite(values).all():
+        raise FormatError(f"{place}: expected {count} numbers, got {' '.join(words)[:60]!r}")
+    return values
 
 
 def drop_lead_in(recording: SkeletonRecording) -> SkeletonRecording:
@@ -286,26 +346,3 @@ def head_to_foot(
             longest = max(longest, float(max(head, foot) - 2 * depth[parent]))
             deepest[:, parent] = np.maximum(deepest[:, parent], deepest[:, joint])
     return longest
-
-
-def _extent(positions: np.ndarray, visible: np.ndarray) -> np.ndarray:
-    """Median over frames of what the visible markers span along each axis."""
-    shown = visible.any(1)
-    top = np.where(visible[shown][..., None], positions[shown], -math.inf).max(1)
-    bottom = np.where(visible[shown][..., None], positions[shown], math.inf).min(1)
-    return np.median(top - bottom, axis=0)
-
-
-def _check_finite(name: str, *arrays: np.ndarray) -> None:
-    if not all(np.isfinite(array).all() for array in arrays):
-        raise FormatError(f"{name}: expected finite numbers, got NaN or infinity")
-
-
-def _unique(names: Sequence[str]) -> tuple[str, ...]:
-    """Repeated labels numbered: RKNE, RKNE#2, ..."""
-    seen: dict[str, int] = {}
-    unique: list[str] = []
-    for name in names:
-        seen[name] = seen.get(name, 0) + 1
-        unique.append(name if seen[name] == 1 else f"{name}#{seen[name]}")
-    return tuple(unique)

@@ -35,10 +35,13 @@ def read_trc(path: Path, *, unit: str | None = None, up: Axis | None = None) -> 
     if not any(labels) or lines[3].split()[0].lower() != "frame#":
         raise FormatError(f"{name}: expected 'Frame# Time' and marker names in line 4")
     times, values, beyond = _parse_table(lines[_HEADER:], len(labels), name)
-    _check_count(header.get("NumFrames"), len(values), name)
+    stated = header.get("NumFrames", "")[:9]
+    if stated.isdigit() and int(stated) > len(values):
+        raise FormatError(
+            f"{name}: expected {stated} frames, got {len(values)}; the file is cut short"
+        )
     named = [k for k, label in enumerate(labels) if label]
     labels, values = [labels[k] for k in named], values[:, named]
-    visible = np.isfinite(values).all(-1) & (values != 0).any(-1)
     notes = [f"{beyond} columns of points without a label left out"] if beyond else []
     custom: Axis = "y"
     if set(labels) >= _POSE2SIM and lines[_HEADER].strip():
@@ -50,8 +53,8 @@ def read_trc(path: Path, *, unit: str | None = None, up: Axis | None = None) -> 
     raw = MarkerRecording(
         name=name,
         marker_names=tuple(labels),
-        positions=np.where(visible[..., None], values, 0.0),
-        visible=visible,
+        positions=values,
+        visible=np.ones(values.shape[:2], bool),
         fps=fps,
         decisions=(note, *notes),
         start_time=float(times[0]),
@@ -103,19 +106,14 @@ def _parse_table(lines: list[str], markers: int, name: str) -> tuple[np.ndarray,
     return table[:, 1], table[:, 2:].reshape(len(table), markers, 3), beyond
 
 
-def _check_count(stated: str | None, frames: int, name: str) -> None:
-    if stated is not None and stated[:9].isdigit() and int(stated[:9]) > frames:
-        raise FormatError(f"{name}: expected {stated} frames, got {frames}; the file is cut short")
-
-
 def _rate(stated: str, times: np.ndarray, name: str) -> tuple[float, str]:
     """Frames per second of the header, unless the time column clearly says otherwise."""
     try:
         header = float(stated)
     except ValueError:
         header = 0.0
-    step = (times[-1] - times[0]) / (len(times) - 1) if len(times) > 1 else 0.0
-    measured = 1 / step if step > 1 / FRAME_RATE.high else 0.0
+    span = float(times[-1] - times[0])
+    measured = (len(times) - 1) / span if span > (len(times) - 1) / FRAME_RATE.high else 0.0
     if FRAME_RATE.holds(header) and (measured == 0 or abs(measured - header) <= 0.01 * header):
         return snapped_rate(header), f"{header:g} frames per second: stated by the file"
     if not FRAME_RATE.holds(measured):
