@@ -13,8 +13,8 @@ from torch import Tensor
 
 from priors.checkpoints import save_checkpoint
 from priors.pose.density import COORDINATES, PoseDensity, fit_density
-from recon.benchmark.dataset import Splits, load_clips, poses
 from recon.body.model import BodyModel
+from training.recordings import poses
 from training.run import LOG
 from training.settings import CorpusSettings, told_settings
 
@@ -38,9 +38,7 @@ def export_weights(settings: PoseTraining, path: Path) -> None:
         FileNotFoundError: when there is no corpus, splits file or folder for the output.
         ValueError: when no clip of the corpus may be learned from.
     """
-    splits = Splits.load(settings.splits)
-    learned = load_clips(settings.corpus, splits, "train", settings.data)
-    held_out = load_clips(settings.corpus, splits, "validation", settings.data)
+    learned, held_out = settings.load_clips("train"), settings.load_clips("validation")
     if len(learned) == 0:
         raise ValueError(f"{settings.corpus}: no clip there may be learned from ({settings.data})")
 

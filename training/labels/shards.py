@@ -9,7 +9,7 @@ from jaxtyping import Float
 from scipy.spatial import KDTree
 
 from priors.labels.regions import Regions
-from recon.benchmark.dataset import Part, Splits, load_clips
+from recon.benchmark.dataset import Part
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from training.labels.clouds import POINTS, LabelledClouds
@@ -45,8 +45,7 @@ class Source:
             FileNotFoundError: when the corpus holds no motion files.
             ValueError: when no clip of it may be learned from.
         """
-        body, splits = BodyModel.load(), Splits.load(settings.splits)
-        clips = load_clips(settings.corpus, splits, part, settings.data)
+        body, clips = BodyModel.load(), settings.load_clips(part)
         if len(clips) == 0:
             raise ValueError(f"{settings.corpus}: no {part} clip there ({settings.data})")
         rows = [(clip.subject, clip.motion.rotations) for clip in clips]
