@@ -15,9 +15,8 @@ from typing import Any, ClassVar
 from jaxtyping import Float
 from torch import Tensor
 
-from priors.humor.likely import as_read, at_tempo
 from priors.humor.prior import Humor
-from priors.humor.state import contact_probabilities, posed_states
+from priors.humor.state import as_read, at_tempo, contact_probabilities, posed_states
 from priors.humor.steps import (
     ERROR,
     SPAN,

@@ -16,11 +16,10 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from priors.humor.prior import Humor
-from priors.humor.state import canonical, initial_features, posed_states
+from priors.humor.state import as_read, canonical, initial_features, posed_states
 from priors.humor.steps import RARITY, heavy_tailed
-from recon.core.motion import Motion
 from recon.core.struct import TensorStruct
-from recon.method.protocols import REFERENCE_FPS, Estimate
+from recon.method.protocols import Estimate
 from recon.method.terms import Term
 
 FASTEST = 3.6
@@ -43,23 +42,6 @@ def tempo(data: Sequence[Term]) -> float:
         return 1.0
     slowest = float(torch.stack(told).amax(0).min())
     return math.sqrt(FASTEST / max(slowest, FASTEST))
-
-
-def at_tempo(motion: Motion, tempo: float) -> Motion:
-    """The motion with `REFERENCE_FPS` frames in every second of the time that the networks see.
-
-    Read slower, its frames are as many as fill its whole length.
-    """
-    if tempo == 1.0:
-        return motion.resample(REFERENCE_FPS)
-    seconds = (motion.frames - 1) / motion.fps
-    steps = math.ceil(seconds * REFERENCE_FPS / tempo - 1e-6)
-    return motion.resample(steps / seconds)
-
-
-def as_read(motion: Motion) -> Motion:
-    """A motion with `REFERENCE_FPS` frames in every second that networks see, on their clock."""
-    return motion.replace(fps=REFERENCE_FPS)
 
 
 def _speed(sensor: Any) -> Float[Tensor, " clips"]:

@@ -8,9 +8,8 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from priors.humor.generation import drawn_step
-from priors.humor.likely import as_read
 from priors.humor.prior import Humor
-from priors.humor.state import Frame, State, initial_features, posed_joints, states_of
+from priors.humor.state import Frame, State, as_read, initial_features, posed_joints, states_of
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion

@@ -56,37 +56,6 @@ class Mixture(TensorStruct):
         return cls(features, weights.double().log(), means.double(), whitening.mT.contiguous())
 
     @classmethod
-    def fit(
-        cls,
-        samples: Float[Tensor, "samples numbers"],
-        features: Int[Tensor, " features"],
-        components: int = 12,
-        regularisation: float = 1e-4,
-        seed: int = 0,
-    ) -> "Mixture":
-        """A mixture fitted by expectation maximisation from k-means (HuMoR, section 4).
-
-        Args:
-            samples: rows of all numbers.
-            features: those to model.
-            components: Gaussians.
-            regularisation: added to every variance; 1e-4 is a centimetre, or 1 cm/s, squared.
-            seed: of the k-means start.
-        """
-        from sklearn.mixture import GaussianMixture
-
-        mixture = GaussianMixture(
-            components, reg_covar=regularisation, max_iter=200, random_state=seed
-        )
-        mixture.fit(samples[:, features].double().cpu().numpy())
-        return cls.create(
-            torch.from_numpy(mixture.weights_),
-            torch.from_numpy(mixture.means_),
-            torch.from_numpy(mixture.covariances_),
-            features,
-        )
-
-    @classmethod
     def load(cls, path: str | Path) -> "Mixture":
         """HuMoR's released file: weights, means and covariances of all 138 numbers.
 

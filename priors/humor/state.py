@@ -1,5 +1,6 @@
 """HuMoR's state of a body at one moment, its canonical frame, and a step to the next."""
 
+import math
 from dataclasses import dataclass
 
 import torch
@@ -13,6 +14,7 @@ from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.skeleton import CONTACT_JOINTS, JOINTS
 from recon.core.struct import TensorStruct
+from recon.method.protocols import REFERENCE_FPS
 
 _SIZES = (3, 3, 9, 3, 189, 66, 66)
 """Sizes of the parts of a packed state, in the order of `State`'s fields."""
@@ -168,6 +170,23 @@ def step_between(before: State, after: State) -> Float[Tensor, "*batch 207"]:
 
 def _turned(turn: Float[Tensor, "*batch 3 3"], vector: Float[Tensor, "*batch 3"]) -> Tensor:
     return (turn @ vector[..., None])[..., 0]
+
+
+def at_tempo(motion: Motion, tempo: float) -> Motion:
+    """The motion with `REFERENCE_FPS` frames in every second of the time that the networks see.
+
+    Read slower, its frames are as many as fill its whole length.
+    """
+    if tempo == 1.0:
+        return motion.resample(REFERENCE_FPS)
+    seconds = (motion.frames - 1) / motion.fps
+    steps = math.ceil(seconds * REFERENCE_FPS / tempo - 1e-6)
+    return motion.resample(steps / seconds)
+
+
+def as_read(motion: Motion) -> Motion:
+    """A motion with `REFERENCE_FPS` frames in every second that networks see, on their clock."""
+    return motion.replace(fps=REFERENCE_FPS)
 
 
 def states_of(motion: Motion, body: BodyModel) -> State:

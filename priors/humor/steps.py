@@ -18,9 +18,6 @@ from recon.core.struct import TensorStruct
 from recon.method.quadratic import FRAME
 from recon.solver.banded import Banded
 
-_SHRINKAGE = 0.05
-"""Share by which variances are raised, so that what repeats itself does not count without end."""
-
 
 @dataclass(frozen=True)
 class StepOutputs(TensorStruct):
@@ -44,7 +41,7 @@ def explain(
         states: of motions at 30 Hz, axes (clips, time).
         pelvis: of the bodies at rest, horizontally.
     """
-    steps = _Steps.of(states, pelvis)
+    steps = Steps.of(states, pelvis)
     mean, log_variance = networks.posterior(steps.start, steps.end)
     prior_mean, prior_log_variance = networks.prior(steps.start)
     raw = networks.decode(steps.start, mean)
@@ -55,16 +52,8 @@ def explain(
     )
 
 
-def latents_of(
-    networks: HumorNetworks, states: State, pelvis: Float[Tensor, "clips 3"]
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Mean and log-variance of the posterior of every step's latent, then those of the prior."""
-    steps = _Steps.of(states, pelvis)
-    return *networks.posterior(steps.start, steps.end), *networks.prior(steps.start)
-
-
 @dataclass(frozen=True)
-class _Steps(TensorStruct):
+class Steps(TensorStruct):
     """States at both ends of all steps, packed (`State.pack`), in the frame of the start.
 
     The same as `Frame.enter` and `step_between` make, with all vectors turned at once.
@@ -76,7 +65,8 @@ class _Steps(TensorStruct):
     """Rotations of root and joints, at the start and at the end."""
 
     @classmethod
-    def of(cls, states: State, pelvis: Float[Tensor, "clips 3"]) -> "_Steps":
+    def of(cls, states: State, pelvis: Float[Tensor, "clips 3"]) -> "Steps":
+        """The steps between neighbouring states; `pelvis` is of the bodies at rest."""
         frame = Frame.of(states[:, :-1])
         level = torch.cat((frame.origin[..., None, :], pelvis[:, None, None].expand_as(
             frame.origin[..., None, :])), -2)  # fmt: skip
@@ -153,19 +143,6 @@ def divergence(
     ratio = log_variance - prior_log_variance
     away = (mean - prior_mean).square() * (-prior_log_variance).exp()
     return 0.5 * (ratio.exp() + away - 1 - ratio).sum(-1)
-
-
-def error_whitening(
-    networks: HumorNetworks, states: State, pelvis: Float[Tensor, "clips 3"]
-) -> Float[Tensor, "207 207"]:
-    """U with C⁻¹ = U Uᵀ for the covariance C (about zero) of the decoder's errors on motions."""
-    with torch.no_grad():
-        errors = explain(networks, states, pelvis).error.flatten(0, 1).double()
-    covariance = errors.mT @ errors / len(errors)
-    covariance = covariance + _SHRINKAGE * torch.diag(covariance.diagonal() + 1e-9)
-    factor = torch.linalg.cholesky(covariance)
-    identity = torch.eye(len(factor), dtype=factor.dtype)
-    return torch.linalg.solve_triangular(factor, identity, upper=False).mT.contiguous()
 
 
 SPAN = 4

@@ -11,7 +11,6 @@ from jaxtyping import Float
 
 from recon.body.model import BodyModel
 from recon.core.errors import ObservationError, ReconError
-from recon.fitting.ground import LEVEL_CAMERA, camera_above, world_above
 from recon.fitting.observed import Clip
 from recon.method.sensor import Sensor, frame_is_level, unposed_camera
 
@@ -89,8 +88,12 @@ def on_ground(clip: Clip, ground: Any) -> Sighting:
                 "is not at z = 0; give the pose, the plane (nx, ny, nz, d), or 'unknown'"
             )
         if unposed:
+            from recon.fitting.ground import LEVEL_CAMERA, camera_above
+
             return _carried(clip, camera_above(LEVEL_CAMERA), known=False)
         return Sighting(clip if ground == "auto" else _declared(clip, known=ground == "known"))
+    from recon.fitting.ground import camera_above, world_above  # few planes are given
+
     plane = _checked_plane(ground)
     if clip.T_recording_camera is not None and clip.notes:
         raise ReconError("ground: the files were read with a ground; give the plane to the reader")

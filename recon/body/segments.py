@@ -7,7 +7,7 @@ are the frames of the bodies of OpenSim's gait models, all of which are parallel
 pose: upright, arms hanging, palms forwards, soles level.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -39,16 +39,14 @@ BONES: Mapping[str, str] = MappingProxyType(
     }
 )  # fmt: skip
 """The joint whose bone carries each segment."""
-_UP = np.array([0.0, 1.0, 0.0])
-_UPRIGHT = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
-"""Axes of a person who stands in the rest pose, as columns: the pose has y up and faces z."""
+UP = np.array([0.0, 1.0, 0.0])
 
 Axes = Mapping[str, Float[np.ndarray, "3 3"]]
 """Axes of every segment on the unposed body, as columns of a rotation."""
 
 
 @dataclass(frozen=True)
-class _RestPoints:
+class RestPoints:
     """Joints and landmarks of the unposed body, metres, by name."""
 
     body: BodyModel
@@ -80,7 +78,7 @@ def isb_axes(body: BodyModel, shape: Float[Tensor, " shape"]) -> Axes:
     Raises:
         ValueError: when the body is not the bundled one, whose landmarks alone are known.
     """
-    points = _points(body, shape)
+    points = rest_points(body, shape)
     across = points.mean("right_asis") - points.mean("left_asis")
     behind = points.mean("left_psis", "right_psis")
     front = points.mean("left_asis", "right_asis") - behind
@@ -89,7 +87,7 @@ def isb_axes(body: BodyModel, shape: Float[Tensor, " shape"]) -> Axes:
     depth = points.mean("sternal_notch") - points.mean("c7")
     axes = {
         "pelvis": _about_z(across, np.cross(across, front)),
-        "thorax": _along_y(high - low, np.cross(depth, high - low)),
+        "thorax": along_y(high - low, np.cross(depth, high - low)),
     }
     for end, side in SIDES.items():
         knee = points.mean(f"{side}_knee_lateral", f"{side}_knee_medial")
@@ -101,71 +99,23 @@ def isb_axes(body: BodyModel, shape: Float[Tensor, " shape"]) -> Axes:
         tibia = _about_z(malleoli, knee - ankle)
         knuckles = points.mean(f"{side}_index_knuckle", f"{side}_pinky_knuckle")
         axes |= {
-            f"femur_{end}": _along_y(
+            f"femur_{end}": along_y(
                 hip - knee, points.rightwards(end, "knee_medial", "knee_lateral")
             ),
             f"tibia_{end}": tibia,
-            f"foot_{end}": _along_y(_UP, tibia[:, 2]),
-            f"humerus_{end}": _along_y(
+            f"foot_{end}": along_y(UP, tibia[:, 2]),
+            f"humerus_{end}": along_y(
                 shoulder - elbow, points.rightwards(end, "elbow_medial", "elbow_lateral")
             ),
-            f"forearm_{end}": _along_y(
+            f"forearm_{end}": along_y(
                 elbow - points.mean(f"{side}_wrist_ulnar"),
                 points.rightwards(end, "wrist_ulnar", "wrist_radial"),
             ),
-            f"hand_{end}": _along_y(
+            f"hand_{end}": along_y(
                 wrist - knuckles, points.rightwards(end, "pinky_knuckle", "index_knuckle")
             ),
         }
     return axes
-
-
-def opensim_axes(body: BodyModel, shape: Float[Tensor, " shape"]) -> Axes:
-    """Axes of segments as the bodies of OpenSim's gait models have them in their zero pose.
-
-    Pelvis, thorax and soles are upright in our rest pose; long bones point from joint to joint.
-    Thigh, shank and foot share the axis of the knee: the models know no torsion of the shank, and
-    would have to turn the ankle for feet that point outwards at rest.
-
-    Raises:
-        ValueError: when the body is not the bundled one, whose landmarks alone are known.
-    """
-    points = _points(body, shape)
-    axes = {"pelvis": _UPRIGHT, "thorax": _UPRIGHT}
-    for end, side in SIDES.items():
-        names = ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")
-        hip, knee, ankle, shoulder, elbow, wrist = (points.joint(f"{side}_{n}") for n in names)
-        flexion = points.rightwards(end, "knee_medial", "knee_lateral")
-        foot = _along_y(_UP, flexion)
-        knuckles = points.mean(f"{side}_index_knuckle", f"{side}_pinky_knuckle")
-        axes |= {
-            f"femur_{end}": _along_y(hip - knee, flexion),
-            f"tibia_{end}": _along_y(knee - ankle, flexion),
-            f"foot_{end}": foot,
-            f"toes_{end}": foot,
-            f"humerus_{end}": _along_y(
-                shoulder - elbow, points.rightwards(end, "elbow_medial", "elbow_lateral")
-            ),
-            f"forearm_{end}": _along_y(
-                elbow - wrist, points.rightwards(end, "wrist_ulnar", "wrist_radial")
-            ),
-            f"hand_{end}": _along_y(
-                wrist - knuckles, points.rightwards(end, "pinky_knuckle", "index_knuckle")
-            ),
-        }
-    return axes
-
-
-def pelvis_origin(body: BodyModel, motion: Motion) -> Float[np.ndarray, "time 3"]:
-    """The middle of the frontal iliac spines in every frame, world, metres.
-
-    It is the origin of the pelvis in OpenSim's gait models, and moves with the bone.
-    """
-    posed = body.pose(motion)
-    points = _points(body, motion.shape)
-    offset = points.mean("left_asis", "right_asis") - points.joint("pelvis")
-    orientations = posed.orientations[:, 0].detach().double().cpu().numpy()
-    return posed.joints[:, 0].detach().double().cpu().numpy() + orientations @ offset
 
 
 def carried(
@@ -182,16 +132,21 @@ def carried(
     return {name: orientations[:, joint_index(BONES[name])] @ at for name, at in axes.items()}
 
 
-def _points(body: BodyModel, shape: Tensor) -> _RestPoints:
+def rest_points(body: BodyModel, shape: Tensor) -> RestPoints:
+    """Joints and landmarks of the unposed bundled body.
+
+    Raises:
+        ReconError: when the body is another one, whose landmarks are not known.
+    """
     if body.checksum != BodyModel.load().checksum:
         raise ReconError(
             f"joint angles need bony landmarks, which are known of the bundled body only, not of "
             f"{body.name!r}: export a motion of the bundled body"
         )
-    return _RestPoints(body, shape)
+    return RestPoints(body, shape)
 
 
-def _along_y(up: np.ndarray, right: np.ndarray) -> Float[np.ndarray, "3 3"]:
+def along_y(up: np.ndarray, right: np.ndarray) -> Float[np.ndarray, "3 3"]:
     """Axes whose y is given and whose z lies in the plane of it and a vector to the right."""
     y = up / np.linalg.norm(up)
     x = np.cross(y, right)
@@ -210,9 +165,6 @@ def _about_z(right: np.ndarray, up: np.ndarray) -> Float[np.ndarray, "3 3"]:
 _LOCKED = 1e-6
 """Distance from gimbal lock, as the sine of an angle, below which only the sum or the difference
 of the first and the last angle is known."""
-_ROUNDS = 60
-"""Rounds of fitting one axis after the other; axes of joints are far from parallel, so that every
-round leaves less than a tenth of the error."""
 
 
 def cardan(rotations: Float[np.ndarray, "time 3 3"], order: str) -> Float[np.ndarray, "time 3"]:
@@ -309,50 +261,3 @@ def _continued_through_lock(
             near = choices
         before = found[k] = min(near, key=lambda q: float(np.abs(q - before).sum()))
     return found
-
-
-def about_axes(
-    rotations: Float[np.ndarray, "time 3 3"], axes: Sequence[Sequence[float]]
-) -> Float[np.ndarray, "time axes"]:
-    """Angles, radians, of the turns about one or two axes in sequence that are nearest to R.
-
-    Nearest in the Frobenius norm, as a joint of a model can follow a rotation that has parts it
-    does not allow.
-
-    Args:
-        rotations: R of the distal segment relative to the proximal one.
-        axes: one or two unit vectors, in the frame of the proximal segment in its zero pose.
-    """
-    units = [np.asarray(axis, dtype=float) / np.linalg.norm(axis) for axis in axes]
-    turns: list[Callable[[np.ndarray], np.ndarray]] = [_turner(unit) for unit in units]
-    angles = np.zeros((len(rotations), len(units)))
-    if len(units) == 1:
-        angles[:, 0] = _nearest_angle(rotations, units[0])
-    else:
-        for _ in range(_ROUNDS):
-            rest = rotations @ np.swapaxes(turns[1](angles[:, 1]), -1, -2)
-            angles[:, 0] = _nearest_angle(rest, units[0])
-            rest = np.swapaxes(turns[0](angles[:, 0]), -1, -2) @ rotations
-            angles[:, 1] = _nearest_angle(rest, units[1])
-    return np.unwrap(angles, axis=0)
-
-
-def _turner(unit: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-    x, y, z = unit
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-
-    def turn(angle: np.ndarray) -> np.ndarray:
-        sine, cosine = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
-        return np.eye(3) + sine * cross + (1 - cosine) * (cross @ cross)
-
-    return turn
-
-
-def _nearest_angle(matrices: np.ndarray, unit: np.ndarray) -> Float[np.ndarray, " time"]:
-    """The angle q at which trace(R(q)ᵀ M) is greatest."""
-    m = matrices
-    axial = np.stack(
-        (m[:, 2, 1] - m[:, 1, 2], m[:, 0, 2] - m[:, 2, 0], m[:, 1, 0] - m[:, 0, 1]), 1
-    )
-    trace = np.trace(m, axis1=1, axis2=2)
-    return np.arctan2(axial @ unit, trace - np.einsum("i,tij,j->t", unit, m, unit))

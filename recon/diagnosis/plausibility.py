@@ -1,9 +1,9 @@
 """What a fitted person says about the input: size and soles; in words."""
 
 from recon.body.model import ODDEST, SHORTEST_BODY, TALLEST_BODY
+from recon.body.soles import sole_heights
 from recon.diagnosis.findings import Finding
 from recon.fitting.fitted import ClipFit
-from recon.fitting.ground import sole_heights
 from recon.method.sensor import views_of
 
 _ODDEST, _ODDEST_MARKERS = 1.5 * ODDEST, 15.0

@@ -12,15 +12,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from observations.correspondences import PLACES, BodyPlace, BodyPoints
-from recon.body.angles import (
-    ISB_ANGLES,
-    MODEL_NAMES,
-    OpenSimModel,
-    isb_angles,
-    opensim_coordinates,
-)
+from recon.body.angles import ISB_ANGLES, isb_angles
 from recon.body.landmarks import landmarks
 from recon.body.model import BodyModel
+from recon.body.opensim import MODEL_NAMES, OpenSimModel, opensim_coordinates
 from recon.core.errors import ReconError
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS

@@ -13,12 +13,12 @@ from observations.noise import weights_of
 from observations.points import OFFSET_UNIT
 from priors.checkpoints import FIRST
 from recon.body.model import BodyModel
+from recon.body.soles import sole_heights
 from recon.core.motion import Motion
 from recon.core.residuals import Noise
 from recon.core.scene import GROUND, HEIGHT, LENS, OFFSETS, Scene, UnknownGround, UnknownLens
 from recon.core.skeleton import joint_index
 from recon.fitting.fitted import ClipFit
-from recon.fitting.ground import ground_below, pelvis_path, sole_heights, upright_ground
 from recon.fitting.guess import guessed
 from recon.fitting.methods import FitOptions
 from recon.fitting.stages import (
@@ -311,6 +311,9 @@ class ClipProblem:
 
     def with_ground(self) -> Reconstruction:
         """The whole clip and its ground, found from the way people stand."""
+        # most grounds are known
+        from recon.fitting.ground import ground_below, pelvis_path, upright_ground
+
         start = self.guess.motion
         if frame_is_level(self.observations):  # z is up, only heights are not known
             start, unknown = self.free(), HEIGHT

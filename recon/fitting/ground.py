@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from recon.body.model import BodyModel
-from recon.body.soles import Soles, Stance
+from recon.body.soles import sole_heights
 from recon.core.errors import ObservationError
 from recon.core.motion import Motion
 from recon.core.scene import TILT, UnknownGround
@@ -61,17 +61,6 @@ def pelvis_path(motion: Motion, body: BodyModel) -> Float[Tensor, "clips 3"]:
     pelvis = body.pose(motion).joints[..., 0, :].where(motion.valid[..., None], 0.0)
     mean = pelvis.sum(-2) / motion.valid.sum(-1, keepdim=True)
     return mean * mean.new_tensor([1.0, 1.0, 0.0])
-
-
-def sole_heights(motion: Motion, body: BodyModel) -> Float[Tensor, " clips"]:
-    """Height of level ground below every clip, metres; see `recon.body.soles`."""
-    here, clips = body.to(device="cpu"), motion.detach().to(device="cpu")
-    soles = Soles.of(here)
-    heights = [
-        Stance.of(clip.window(0, int(clip.valid.sum())), here, soles).height()
-        for clip in (clips[row] for row in range(len(clips.translation)))
-    ]
-    return motion.translation.new_tensor(heights)
 
 
 def camera_above(ground: tuple[float, float, float, float]) -> Float[np.ndarray, "4 4"]:

@@ -9,7 +9,8 @@ from jaxtyping import Float
 
 from recon.api.given import BodyLike, MotionLike, body_given, motion_given
 from recon.api.results import in_ten_lines
-from recon.body.angles import TRANSLATIONS, isb_angles, opensim_coordinates
+from recon.body.angles import isb_angles
+from recon.body.opensim import TRANSLATIONS, opensim_coordinates
 from recon.core.errors import ReconError
 
 

@@ -13,8 +13,9 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from recon.body.contacts import contact_labels, rest_heights
+from recon.body.levelling import levelling, turned
 from recon.body.model import BodyModel
-from recon.body.soles import Soles, Stance, levelling, turned
+from recon.body.soles import Soles, Stance
 from recon.core.motion import Motion
 from recon.core.skeleton import FEET, JOINTS
 from recon.diagnosis.findings import Finding

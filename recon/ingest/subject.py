@@ -10,8 +10,9 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from observations.joints3d import Joints3D
+from recon.body.levelling import standing_flat
 from recon.body.model import BodyModel
-from recon.body.soles import Soles, standing_flat
+from recon.body.soles import Soles
 from recon.core import rotations as so3
 from recon.core.scene import Scene
 from recon.core.skeleton import FEET

@@ -8,10 +8,11 @@ import torch
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
-from recon.body.angles import isb_angles, opensim_coordinates
+from recon.body.angles import isb_angles
 from recon.body.landmarks import landmark
 from recon.body.model import BodyModel
-from recon.body.segments import about_axes, cardan, elevation
+from recon.body.opensim import about_axes, opensim_coordinates
+from recon.body.segments import cardan, elevation
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.skeleton import MIRROR, joint_index

@@ -9,12 +9,12 @@ from observations.depth import PointCloud
 from observations.joints3d import Joints3D
 from observations.keypoints2d import Keypoints2D
 from observations.surfels import Surfels
+from recon.body.soles import sole_heights
 from recon.core.motion import Motion
 from recon.core.struct import concatenate
 from recon.fitting import clip as clip_module
 from recon.fitting.clip import fit_clip
 from recon.fitting.fitted import ClipFit
-from recon.fitting.ground import sole_heights
 from recon.fitting.methods import FitOptions
 from recon.formats.observations import CameraArrays, KeypointsFile
 from recon.method.stages import StageReport

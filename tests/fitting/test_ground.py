@@ -5,11 +5,12 @@ import math
 import pytest
 import torch
 
+from recon.body.soles import sole_heights
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.rotations import transform
 from recon.fitting.clip import fit_clip
-from recon.fitting.ground import ground_below, mean_up, pelvis_path, sole_heights, upright_ground
+from recon.fitting.ground import ground_below, mean_up, pelvis_path, upright_ground
 from recon.fitting.methods import FitOptions
 from recon.simulation.points import Corruption, joints3d
 from tests.filmed import bundled, turned, walk

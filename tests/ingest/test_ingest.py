@@ -14,8 +14,9 @@ from recon.batch.corpus import config_hash, convert_corpus
 from recon.batch.corpus_jobs import split
 from recon.body.contacts import MAXIMUM_SPEED
 from recon.body.landmarks import landmark
+from recon.body.levelling import levelling, standing_flat, turned
 from recon.body.model import BodyModel
-from recon.body.soles import Soles, Stance, levelling, standing_flat, turned
+from recon.body.soles import Soles, Stance
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.skeleton import JOINTS, LEGS

@@ -7,7 +7,7 @@ from observations.joints3d import Joints3D
 from priors.humor.collocation import Collocation
 from priors.humor.prior import Humor
 from priors.humor.state import states_of
-from priors.humor.steps import error_whitening, explain
+from priors.humor.steps import explain
 from priors.pose.prior import PosePrior
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
@@ -17,6 +17,7 @@ from recon.method.reconstruction import solve
 from recon.method.terms import Term
 from tests.priors.test_humor import humor, motions
 from tests.priors.test_pose import swinging
+from training.humor.densities import error_whitening
 
 pytestmark = pytest.mark.numerics
 

@@ -8,6 +8,7 @@ import torch
 
 from priors.humor.mixture import Mixture
 from tests.priors.test_humor_nets import golden
+from training.humor.densities import fitted_mixture
 
 
 def golden_covariances() -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
@@ -46,7 +47,7 @@ def test_a_planted_mixture_is_found_and_sampled() -> None:
     samples = centres[which] + 0.2 * torch.randn(20_000, 3, generator=random).double()
     samples = torch.cat((samples, samples[:, :1]), 1)  # the last repeats the first
     features = torch.tensor([1, 2, 3])
-    found = Mixture.fit(samples, features, components=2)
+    found = fitted_mixture(samples, features, components=2)
     order = found.log_weights.argsort(descending=True)
     torch.testing.assert_close(
         found.log_weights.exp()[order], torch.tensor([0.7, 0.3]).double(), rtol=0, atol=0.02

@@ -8,9 +8,9 @@ import torch
 
 from observations.joints3d import Joints3D
 from priors.humor.collocation import Collocation
-from priors.humor.likely import FASTEST, as_read, at_tempo, tempo
+from priors.humor.likely import FASTEST, tempo
 from priors.humor.prior import Humor
-from priors.humor.state import states_of
+from priors.humor.state import as_read, at_tempo, states_of
 from recon.body.model import BodyModel
 from recon.core.skeleton import LEGS
 from recon.method.reconstruction import solve

@@ -18,7 +18,7 @@ from priors.checkpoints import save_checkpoint
 from priors.humor.collocation import Collocation
 from priors.humor.prior import Humor
 from priors.humor.state import states_of
-from priors.humor.steps import SPAN, explain, latents_of
+from priors.humor.steps import SPAN, Steps, explain
 from priors.pose.prior import PoseVariables
 from recon.benchmark.dataset import SPLITS
 from recon.core import rotations as so3
@@ -124,7 +124,9 @@ def _residuals(prior: Collocation, variables: PoseVariables) -> tuple[Tensor, Te
     middle = states.map(lambda t: t[:, 1:3])
     networks, pelvis = prior.humor.networks, prior.humor.pelvis(motion.shape)
     error = explain(networks, middle, pelvis).error[:, 0] @ prior.humor.error_whitening
-    mean, log_variance, prior_mean, prior_log_variance = latents_of(networks, middle, pelvis)
+    steps = Steps.of(middle, pelvis)
+    mean, log_variance = networks.posterior(steps.start, steps.end)
+    prior_mean, prior_log_variance = networks.prior(steps.start)
     # KL is ½ (e^r - 1 - r + |away|²) with r the difference of the log-variances
     away = (mean - prior_mean) * (-0.5 * prior_log_variance).exp()
     ratio = 2 * (0.5 * (log_variance - prior_log_variance)).exp()

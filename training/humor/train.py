@@ -17,13 +17,12 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from priors.humor.mixture import Mixture
 from priors.humor.networks import HumorNetworks
 from priors.humor.state import canonical, distinct_features, initial_features, rest_pelvis
-from priors.humor.steps import error_whitening
 from priors.humor.weights import networks_from, read_weights, save_weights
 from recon.body.model import BodyModel
 from training.humor.corpus import Corpus, StateWindows
+from training.humor.densities import error_whitening, fitted_mixture
 from training.humor.losses import LossWeights, loss_terms, total_loss, unroll
 from training.humor.scaling import ScaledNetworks, Scaling
 from training.humor.variation import VARIED, Variation
@@ -183,7 +182,7 @@ def export_weights(settings: HumorTraining, path: Path, samples: int = 20_000) -
     # motions begin as people were recorded, and neither in the air nor on one leg more often
     states = learned.draw(samples, 2, Variation(), random).states[:, 0]
     features = initial_features(canonical(states, rest_pelvis(states)))
-    initial = Mixture.fit(features, distinct_features(), seed=settings.seed)
+    initial = fitted_mixture(features, distinct_features(), seed=settings.seed)
 
     about = told_settings(settings) | {"step": found["step"]}
     save_weights(path, networks, initial, whitening, about)
