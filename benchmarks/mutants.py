@@ -28,7 +28,7 @@ MODULES = {
         "tests/formats/test_npz.py", "tests/formats/test_keypoints.py",
         "tests/core/test_limits.py",
     ),
-    "recon/ingest/markers/fit.py": (
+    "recon/ingest/marker_fit.py": (
         "tests/ingest/test_ingest.py::test_markers_bring_back_the_motion",
         "tests/ingest/test_markers.py",
     ),

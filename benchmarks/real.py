@@ -40,8 +40,8 @@ from recon import BodyModel, Markers3D
 from recon.benchmark.table import Interval
 from recon.formats.mocap.reader import read_recording
 from recon.formats.mocap.recording import MarkerRecording
-from recon.ingest.markers.coverage import MarkerSet, full_body_markers
-from recon.ingest.markers.fit import MarkerFit, fit_markers
+from recon.ingest.marker_fit import MarkerFit, fit_markers
+from recon.ingest.marker_sets import MarkerSet, full_body_markers
 
 LIST = Path(__file__).parent / "hidden_markers.toml"
 SECONDS, HIDDEN_BELOW, NOISE = 3.0, 0.9, 0.02

@@ -24,7 +24,7 @@ VERBS = {
 TOOLS = {
     "recon/live/tracking.py", "recon/live/objective.py",
     "recon/live/stream.py", "recon/diagnosis/points/quick.py", "recon/fitting/retargeting.py",
-    "recon/ingest/markers/poses.py",
+    "recon/ingest/marker_poses.py",
 }  # fmt: skip
 """Files that use the pose prior for a step of their own, not for the fit that was asked for."""
 BENCH = {"recon/benchmark/methods.py"}

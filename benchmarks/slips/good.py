@@ -32,7 +32,7 @@ from recon.benchmark.windows import FPS, FRAMES, TrueWindows
 from recon.diagnosis.findings import Code, Finding
 from recon.formats.mocap.reader import read_recording
 from recon.formats.mocap.recording import MarkerRecording
-from recon.ingest.markers.coverage import full_body_markers
+from recon.ingest.marker_sets import full_body_markers
 from recon.method.sensor import Sensor as Seen
 from recon.simulation.points import Corruption
 

@@ -110,7 +110,7 @@ def fitted(
         fit = _completed(clip.observations, options, body, watch)
     else:
         if clip.belt is not None and start is not None:
-            from recon.diagnosis.motions.belt import on_belt  # there are few treadmills
+            from recon.diagnosis.carried import on_belt  # there are few treadmills
 
             start = on_belt(start, clip.belt)
         # first guess: the motion that the data tell without a prior, or the caller's

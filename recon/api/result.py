@@ -15,10 +15,9 @@ from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.core.residuals import Noise
-from recon.diagnosis.agreement import ResidualSummary
 from recon.diagnosis.certainty import certainty_report
 from recon.diagnosis.doubts import Alternative
-from recon.diagnosis.examination import Examined
+from recon.diagnosis.examination import Examined, ResidualSummary
 from recon.diagnosis.findings import Finding
 from recon.fitting.fitted import Stretch
 from recon.fitting.observed import Clip
@@ -317,12 +316,12 @@ def result_of(
     cycle = None
     if completes and not found.stretches:
         # only a cycle of gait is judged as one
-        from recon.diagnosis.domain import cycle_report
+        from recon.diagnosis.doubts import cycle_report
 
-        cycle = cycle_report(found, examined.residuals)
+        cycle = cycle_report(found, [one.median for one in examined.residuals])
     belt = None
     if examined.belt is not None:
-        from recon.diagnosis.motions.belt import in_room, path_of_belt  # there are few treadmills
+        from recon.diagnosis.carried import in_room, path_of_belt  # there are few treadmills
 
         belt = path_of_belt(motion, examined.belt)
         motion = in_room(motion, examined.belt)
@@ -347,10 +346,10 @@ def result_of(
         warnings=(
             *(() if stopped is None else (stopped,)),
             *examined.warnings,
-            *(() if cycle is None else cycle.warnings),
+            *(() if cycle is None else cycle[1]),
         ),
         notes=clip.notes,
-        cycle=None if cycle is None else cycle.numbers,
+        cycle=None if cycle is None else cycle[0],
         arguments=arguments,
     )
 

@@ -93,7 +93,7 @@ def certainty(found: ClipFit) -> Deviations | None:
     if not views_of(found.observations):
         return known
     # images alone leave the size of a person open
-    from recon.diagnosis.views.fitted import size_is_unknown, with_unknown_size
+    from recon.diagnosis.cameras import size_is_unknown, with_unknown_size
 
     with torch.no_grad():
         return with_unknown_size(known, found) if size_is_unknown(found) else known

@@ -10,28 +10,31 @@ found. `recon.fit(..., checks=...)` takes any of them, and functions of your own
 
 from dataclasses import replace
 
-from recon.diagnosis.agreement import residual_warnings
+from recon.body.model import ODDEST, SHORTEST_BODY, TALLEST_BODY
+from recon.body.soles import sole_heights
+from recon.diagnosis.carried import treadmill_finding, with_belt
 from recon.diagnosis.doubts import guessed_findings, undecided_findings, unseen_findings
 from recon.diagnosis.examination import (
     AfterFit,
     BeforeFit,
     CheckedClip,
     Examined,
+    ResidualSummary,
     after_fit,
     before_fit,
 )
 from recon.diagnosis.findings import NOTHING, Finding, Findings
-from recon.diagnosis.motions.belt import treadmill_finding, with_belt
-from recon.diagnosis.motions.gravity import rate_finding
-from recon.diagnosis.motions.support import support_findings
-from recon.diagnosis.plausibility import child_findings
-from recon.diagnosis.points.screening import screen_points
+from recon.diagnosis.frame_rate import rate_finding
+from recon.diagnosis.movement import support_findings
+from recon.diagnosis.points import screen_points
+from recon.fitting.fitted import ClipFit
+from recon.method.sensor import views_of
 
 
 @before_fit("view")
 def images(clip: CheckedClip) -> tuple[CheckedClip, Findings]:
     """Zeros, copies, outliers, exchanged names, and cameras that contradict each other."""
-    from recon.diagnosis.views.screening import screen_views  # for clips with images alone
+    from recon.diagnosis.keypoints import screen_views  # for clips with images alone
 
     views = {k: one.view for k, one in enumerate(clip.observations) if one.view}
     names = [clip.names[k] for k in views]
@@ -76,7 +79,7 @@ def treadmill(clip: CheckedClip) -> tuple[CheckedClip, Findings]:
 @after_fit("view")
 def focal_length(clip: Examined) -> tuple[Examined, Findings]:
     """The focal length of the one camera that nobody calibrated, as it was found."""
-    from recon.diagnosis.views.fitted import lens_doubtful, lens_finding
+    from recon.diagnosis.cameras import lens_doubtful, lens_finding
 
     said = () if (one := lens_finding(clip.names[0], clip.fit)) is None else (one,)
     if lens_doubtful(clip.fit):
@@ -92,9 +95,9 @@ def camera_moves(clip: Examined) -> tuple[Examined, Findings]:
         return clip, NOTHING
     if view.camera.T_camera_world.shape[-3] > 1:
         return clip, NOTHING
-    from recon.diagnosis.motions.carried import carried_finding
-    from recon.diagnosis.views.images import Images
-    from recon.diagnosis.views.rest import moving_finding, rest_of
+    from recon.diagnosis.cameras import moving_finding, rest_of
+    from recon.diagnosis.carried import carried_finding
+    from recon.diagnosis.images import Images
 
     seen = Images.of([view], clip.names, clip.model)
     rest = rest_of(seen)
@@ -115,13 +118,44 @@ def _broken(clip: Examined) -> bool:
 @after_fit()
 def residuals(clip: Examined) -> tuple[Examined, Findings]:
     """Sensors whose residuals are far above their noise: model and data contradict each other."""
-    return clip, Findings(warnings=residual_warnings(clip.residuals))
+    every = [said.of(one.name) for one in clip.residuals for said in _doubts_about(one)]
+    return clip, Findings(warnings=every)
+
+
+_SUSPECT = 5.0
+"""Multiple of the estimated standard deviation from which on a median residual is suspicious."""
+_MIN_SUSPICIOUS_RESIDUAL = {"pixels": 15.0, "metres": 0.06, "radians": 0.4}
+"""Median residuals below these are not suspicious, whatever the noise."""
+
+
+def _doubts_about(summary: ResidualSummary) -> list[Finding]:
+    median, noise = summary.median, summary.noise
+    if median is None:
+        return [Finding("unseen", "nothing was seen at the times of the motion")]
+    if median <= max(_SUSPECT * noise, _MIN_SUSPICIOUS_RESIDUAL[summary.unit]):
+        return []
+    worst = sorted(
+        ((value, point) for point, value in summary.by_point.items() if value is not None),
+        reverse=True,
+    )[:3]
+    points = tuple(point for _, point in worst)
+    where = f", most at {', '.join(points)}" if points else ""
+    return [
+        Finding(
+            "residual",
+            f"half of the data is more than {median:.3g} {summary.unit} away from the fitted "
+            f"body{where}, and the data's own noise is {noise:.2g}; what was recorded is not what "
+            "the file says: check which person, which points and which camera it shows",
+            points,
+            value=median,
+        )
+    ]
 
 
 @after_fit("view")
 def distance(clip: Examined) -> tuple[Examined, Findings]:
     """A wrong focal length moves a body to where nobody films."""
-    from recon.diagnosis.views.fitted import distance_warnings
+    from recon.diagnosis.cameras import distance_warnings
 
     sensors = zip(clip.names, clip.observations, strict=True)
     return clip, Findings(warnings=tuple(
@@ -149,13 +183,101 @@ def basin(clip: Examined) -> tuple[Examined, Findings]:
 @after_fit()
 def size_and_soles(clip: Examined) -> tuple[Examined, Findings]:
     """Nobody is as large or odd as the fitted person, or floats above a known ground."""
-    return clip, Findings(warnings=clip.of_body)
+    return clip, Findings(warnings=body_warnings(clip.fit))
+
+
+_ODDEST, _ODDEST_MARKERS = 1.5 * ODDEST, 15.0
+"""Standard deviations of shape beyond which a fit is no person's. Noise and acrobatics add to what
+people differ by, and real markers stand off the skin or beside the landmark that they are named
+after: good recordings reach 14. Wrong units and scales are told by the height."""
+_SHORTEST_CHILD = 0.95
+"""Metres; smaller children do not walk on command."""
+_OFF_GROUND = 0.15
+"""Metres between the soles that stand and the ground."""
+
+
+def body_warnings(found: ClipFit) -> list[Finding]:
+    """Wrong focal lengths, units and poses of cameras make nobody's body, or one that floats.
+
+    Where no camera and no ground tells sizes, the prior does, and nothing can be said.
+    """
+    posed = found.result.estimate.body
+    tall = float(posed.model.height(posed.shape.detach()).mean())
+    warnings: list[Finding] = []
+    if not SHORTEST_BODY < tall < TALLEST_BODY and not _is_child(found, tall):
+        warnings.append(
+            Finding(
+                "body size",
+                f"the person would be {tall:.2f} m tall; check {_sizes(found)} (for a child this "
+                "is as well as an adult body can do)",
+                value=tall,
+            )
+        )
+    elif (odd := float(posed.shape.abs().max())) > _oddest(found):
+        warnings.append(
+            Finding(
+                "body size",
+                f"the person's shape is {odd:.1f} standard deviations from the average; check "
+                f"{_sizes(found)}",
+                value=odd,
+            )
+        )
+    if found.ground_known:
+        soles = float(sole_heights(found.result.motion, posed.model).median())
+        if abs(soles) > _OFF_GROUND:
+            warnings.append(
+                Finding(
+                    "floor",
+                    f"the soles stand at {soles:.2f} m, but the ground is at 0; check focal "
+                    "lengths, image sizes and the heights of the cameras, unless the person "
+                    "stands or sits on something",
+                    value=soles,
+                )
+            )
+    return warnings
+
+
+def child_findings(found: ClipFit) -> list[Finding]:
+    """Points in metres that a small body fits show a child, which is no fault of the data."""
+    posed = found.result.estimate.body
+    tall = float(posed.model.height(posed.shape.detach()).mean())
+    if not _is_child(found, tall):
+        return []
+    return [
+        Finding(
+            "body size",
+            f"the person is {tall:.2f} m tall: a child, whose proportions an adult body meets "
+            "only roughly. If it is an adult, check the unit and the scale of the points",
+            value=tall,
+        )
+    ]
+
+
+def _is_child(found: ClipFit, tall: float) -> bool:
+    """Whether points that are measured in metres show somebody as small as children are."""
+    return not views_of(found.observations) and _SHORTEST_CHILD < tall <= SHORTEST_BODY
+
+
+def _sizes(found: ClipFit) -> str:
+    """What tells the size of a body, for messages."""
+    if views_of(found.observations):
+        return "focal lengths, units and the poses of the cameras"
+    return "the unit, the scale and the labels of the points"
+
+
+def _oddest(found: ClipFit) -> float:
+    """Standard deviations from which on a shape is odd; markers beside the skin bend it."""
+    return (
+        _ODDEST_MARKERS
+        if any(one.named and one.named.on_skin for one in found.observations)
+        else _ODDEST
+    )
 
 
 @after_fit("view")
 def mirrored(clip: Examined) -> tuple[Examined, Findings]:
     """Images that fit together better when mirrored."""
-    from recon.diagnosis.views.fitted import mirror_warnings
+    from recon.diagnosis.cameras import mirror_warnings
 
     return clip, Findings(
         warnings=mirror_warnings([one.view for one in clip.observations if one.view])
@@ -167,7 +289,7 @@ def frame_rate(clip: Examined) -> tuple[Examined, Findings]:
     """Gait, falls and balance that contradict the frame rate."""
     # cameras whose ground and person do not fit together measure in no metres
     in_metres = not any(one.view for one in clip.observations) or all(
-        one.code != "floor" for one in clip.of_body
+        one.code != "floor" for one in body_warnings(clip.fit)
     )
     if not clip.fit.grounded or _broken(clip) or not in_metres:
         return clip, NOTHING

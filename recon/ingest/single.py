@@ -9,7 +9,7 @@ from recon.formats.mocap.reader import read_recording
 from recon.formats.mocap.recording import MarkerRecording, SkeletonRecording, drop_lead_in
 from recon.ingest.conversion import Conversion, convert_skeletons, resampled
 from recon.ingest.maps import recognise
-from recon.ingest.markers.conversion import convert_markers
+from recon.ingest.marker_conversion import convert_markers
 from recon.ingest.subject import SubjectModel, calibrate
 
 

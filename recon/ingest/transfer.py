@@ -14,8 +14,8 @@ from recon.core.motion import Motion
 from recon.core.nearest import closest_points
 from recon.core.raster import vertex_normals
 from recon.core.skeleton import JOINTS, PARENTS, joint_index
-from recon.ingest.markers.poses import PoseEnergies, Poses, SkinPoints
-from recon.ingest.markers.tied_frames import LevenbergMarquardt, minimise_frames
+from recon.ingest.marker_poses import PoseEnergies, Poses, SkinPoints
+from recon.ingest.tied_frames import LevenbergMarquardt, minimise_frames
 from recon.solver.banded import Banded
 from recon.solver.gauss_newton import GaussNewton, Problem, Quadratic, minimise
 

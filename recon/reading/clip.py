@@ -113,7 +113,7 @@ def _read(
     recording = _recording(path, settings)
     if recording is not None and _on_skin(recording, settings):
         # markers alone need the body that meets them
-        from recon.ingest.markers.observation import seen_markers
+        from recon.ingest.marker_observation import seen_markers
 
         return seen_markers(recording, body, settings.mapping, settings.robust)
     if (file := _points_3d(path, settings, body, recording)) is not None:

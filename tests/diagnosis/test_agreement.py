@@ -4,8 +4,8 @@ import torch
 
 from observations.keypoints2d import Keypoints2D
 from recon.core.motion import Motion
-from recon.diagnosis.plausibility import body_warnings, child_findings
-from recon.diagnosis.views.fitted import distance_warnings, mirror_warnings, views_error
+from recon.diagnosis.cameras import distance_warnings, mirror_warnings, views_error
+from recon.diagnosis.checks import body_warnings, child_findings
 from recon.fitting.fitted import ClipFit
 from recon.method.protocols import Estimate
 from recon.method.reconstruction import Reconstruction

@@ -15,9 +15,9 @@ from recon.core.motion import Motion
 from recon.core.skeleton import ARMS, FEET, LEGS, joint_index
 from recon.formats.mocap.recording import MarkerRecording
 from recon.ingest import convert
-from recon.ingest.markers.coverage import full_body_markers
-from recon.ingest.markers.fit import fit_markers
-from recon.ingest.markers.observation import seen_markers
+from recon.ingest.marker_fit import fit_markers
+from recon.ingest.marker_observation import seen_markers
+from recon.ingest.marker_sets import full_body_markers
 from recon.method.protocols import Estimate
 from tests.ingest.walker import MARKERS
 
@@ -195,4 +195,4 @@ def test_a_marker_seen_where_others_are_not_gets_its_offset(
     chosen = full_body_markers(spoiled, single)
     fit = fit_markers(spoiled.select(chosen.labels), chosen, single)
     row = chosen.labels.index("C7")
-    assert float((fit.subject.offsets[row] - chosen.nominal[row]).norm()) > 0.01
+    assert float((fit.offsets[row] - chosen.nominal[row]).norm()) > 0.01

@@ -26,7 +26,7 @@ from recon.formats.motions import load_motion
 from recon.ingest import Conversion, convert
 from recon.ingest.conversion import glitches, resampled
 from recon.ingest.maps import alignments_from_rest, recognise
-from recon.ingest.markers.coverage import STANDOFF, full_body_markers, nominal_offsets
+from recon.ingest.marker_sets import STANDOFF, full_body_markers, nominal_offsets
 from tests.ingest.walker import MARKERS
 
 FPS = 60.0

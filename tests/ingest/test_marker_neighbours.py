@@ -11,14 +11,14 @@ from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.formats.mocap.recording import MarkerRecording
-from recon.ingest.markers.coverage import full_body_markers
-from recon.ingest.markers.fit import fit_markers
-from recon.ingest.markers.gaps import observed_joints
-from recon.ingest.markers.neighbours import (
+from recon.ingest.marker_fit import fit_markers
+from recon.ingest.marker_gaps import observed_joints
+from recon.ingest.marker_neighbours import (
     _precision,
     _smoothed,
     frames_about_gaps,
 )
+from recon.ingest.marker_sets import full_body_markers
 
 
 def with_gaps(recording: MarkerRecording) -> MarkerRecording:
@@ -41,7 +41,7 @@ def test_gaps_are_filled_by_the_frames_around_them(
 ) -> None:
     """Joints whose markers were hidden fell back to the natural pose within two frames: hidden
     markers were 27 mm off, joints 12 mm; with all markers shown, joints are 5.5 mm off."""
-    monkeypatch.setattr("recon.ingest.markers.neighbours._AT_ONCE", 7)  # long recordings: parts
+    monkeypatch.setattr("recon.ingest.marker_neighbours._AT_ONCE", 7)  # long recordings: parts
     gappy = with_gaps(markers)
     where = full_body_markers(gappy, single)
     fit = fit_markers(gappy, where, single)
@@ -62,7 +62,7 @@ def test_recordings_without_gaps_are_solved_as_they_are(
     def refuse(*_: object) -> None:
         raise AssertionError("no marker is hidden")
 
-    monkeypatch.setattr("recon.ingest.markers.fit.joined_in_time", refuse)
+    monkeypatch.setattr("recon.ingest.marker_fit.joined_in_time", refuse)
     where = full_body_markers(markers, single)
     assert fit_markers(markers, where, single).motion.frames == markers.frames
     visible = markers.visible.copy()

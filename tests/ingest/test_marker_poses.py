@@ -19,11 +19,17 @@ from recon.core.robust import geman_mcclure
 from recon.core.scene import Scene
 from recon.formats.mocap.reader import read_recording
 from recon.formats.mocap.recording import MarkerRecording
-from recon.ingest.markers.calibration import Calibrated, SubjectEnergies
-from recon.ingest.markers.coverage import full_body_markers, nominal_offsets
-from recon.ingest.markers.fit import OUTLIER, MarkerWeights, fit_markers
-from recon.ingest.markers.poses import PoseEnergies, Poses, SkinPoints, natural_pose
-from recon.ingest.markers.tied_frames import LevenbergMarquardt, minimise_frames
+from recon.ingest.marker_calibration import Calibrated, SubjectEnergies
+from recon.ingest.marker_fit import (
+    GROUND_WEIGHT,
+    OUTLIER,
+    REST_WEIGHT,
+    TURNING_WEIGHT,
+    fit_markers,
+)
+from recon.ingest.marker_poses import PoseEnergies, Poses, SkinPoints, natural_pose
+from recon.ingest.marker_sets import full_body_markers, nominal_offsets
+from recon.ingest.tied_frames import LevenbergMarquardt, minimise_frames
 from recon.method.free import FreeMotion
 from recon.method.protocols import REFERENCE_FPS, Decoded, Estimate
 from recon.method.running import run_stages
@@ -34,7 +40,6 @@ from tests.ingest.walker import MARKERS
 
 STEP = 1e-6
 FRAMES = 4
-WEIGHTS = MarkerWeights()
 
 
 def random(*shape: int) -> Tensor:
@@ -63,9 +68,9 @@ def terms_of(seen: Markers3D, soles: Tensor) -> tuple[Term, ...]:
     """The objective as energies of an estimate, for L-BFGS."""
     return (
         Term("markers", seen, 1.0),
-        Term("natural", natural, WEIGHTS.rest),
-        Term("ground", partial(above_ground, soles), WEIGHTS.ground),
-        Term("turning", turning, WEIGHTS.turning),
+        Term("natural", natural, REST_WEIGHT),
+        Term("ground", partial(above_ground, soles), GROUND_WEIGHT),
+        Term("turning", turning, TURNING_WEIGHT),
     )
 
 
@@ -92,9 +97,9 @@ def energies_of(
         visible=seen.visible[0].to(shape),
         linked=torch.ones(seen.moments - 1, dtype=torch.bool),
         natural=natural_pose().to(shape)[None],
-        pull=shape.new_full((1,), WEIGHTS.rest),
-        ground=WEIGHTS.ground,
-        turning=torch.full((22,), WEIGHTS.turning / rate).to(shape),
+        pull=shape.new_full((1,), REST_WEIGHT),
+        ground=GROUND_WEIGHT,
+        turning=torch.full((22,), TURNING_WEIGHT / rate).to(shape),
         weight=rate,
         sigma=OUTLIER,
     )

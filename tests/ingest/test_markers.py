@@ -21,16 +21,16 @@ from recon.formats.mocap.recording import MarkerRecording
 from recon.formats.motions import load_motion
 from recon.ingest import Conversion, convert
 from recon.ingest.conversion import floored
-from recon.ingest.markers.coverage import full_body_markers
-from recon.ingest.markers.exchanges import (
+from recon.ingest.marker_exchanges import (
     exchanged_throughout,
     mirrored,
     side_pairs,
     steady_labels,
 )
-from recon.ingest.markers.gaps import bridged, gap_findings, observed_joints, placed_frames
-from recon.ingest.markers.observation import seen_markers
-from recon.ingest.markers.poses import natural_pose
+from recon.ingest.marker_gaps import bridged, gap_findings, observed_joints, placed_frames
+from recon.ingest.marker_observation import seen_markers
+from recon.ingest.marker_poses import natural_pose
+from recon.ingest.marker_sets import full_body_markers
 from tests.ingest.walker import LABELS
 
 ARM = [LABELS.index(label) for label in ("LELB", "LWRA", "LWRB")]
@@ -155,7 +155,7 @@ def test_markers_are_fitted_on_one_thread(
         threads.append(torch.get_num_threads())
         raise KeyError
 
-    monkeypatch.setattr("recon.ingest.markers.conversion.fit_markers", fitted)
+    monkeypatch.setattr("recon.ingest.marker_conversion.fit_markers", fitted)
     torch.set_num_threads(2)
     with pytest.raises(KeyError):
         convert(markers, single)

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from recon.core.struct import TensorStruct
-from recon.ingest.markers.tied_frames import LevenbergMarquardt, TiedFrames, minimise_frames
+from recon.ingest.tied_frames import LevenbergMarquardt, TiedFrames, minimise_frames
 
 TIGHT = LevenbergMarquardt(tolerance=1e-9, floor=1e-3, inner_tolerance=1e-3, inner_iterations=30)
 

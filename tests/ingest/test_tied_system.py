@@ -2,7 +2,7 @@
 
 import torch
 
-from recon.ingest.markers.tied_frames import Ties, solve_tied
+from recon.ingest.tied_frames import Ties, solve_tied
 
 
 def system(blocks: int, n: int) -> tuple[torch.Tensor, Ties, torch.Tensor, torch.Tensor]:

@@ -7,8 +7,7 @@ import torch
 from torch import Tensor
 
 from observations.joints3d import Joints3D
-from priors.checkpoints import load_checkpoint, save_checkpoint
-from priors.pose.density import fit_density
+from priors.checkpoints import load_checkpoint
 from priors.pose.prior import PosePrior, PoseWeights
 from recon.benchmark.dataset import Splits
 from recon.body.model import BodyModel
@@ -19,9 +18,10 @@ from recon.method.priors import Prior
 from recon.method.reconstruction import solve
 from tests.laws import check_heading_invariance, check_prior
 from training.__main__ import train
-from training.pose import score
+from training.pose import fit_density, score
 from training.recordings import mirrored_rotations, poses
 from training.settings import CorpusSettings
+from training.weights import save_checkpoint
 
 pytestmark = pytest.mark.numerics
 

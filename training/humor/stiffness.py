@@ -14,7 +14,6 @@ import tyro
 from jaxtyping import Float
 from torch import Tensor
 
-from priors.checkpoints import save_checkpoint
 from priors.humor.collocation import Collocation
 from priors.humor.prior import Humor
 from priors.humor.state import states_of
@@ -29,6 +28,7 @@ from recon.formats.weight_files import weights_path
 from recon.method.quadratic import FRAME
 from training.run import LOG
 from training.settings import CorpusSettings
+from training.weights import save_checkpoint
 
 _STEP = 1e-5
 """Metres, radians and standard deviations over which derivatives are differences."""

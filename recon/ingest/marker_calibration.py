@@ -1,0 +1,174 @@
+"""The shape of a body and the offsets of its markers, found with the poses of some frames."""
+
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from recon.body.model import BodyModel
+from recon.core.struct import TensorStruct
+from recon.ingest.marker_poses import PoseEnergies, Poses, SkinPoints
+from recon.ingest.tied_frames import LevenbergMarquardt, minimise_frames
+from recon.solver.banded import Banded
+from recon.solver.gauss_newton import GaussNewton, Problem, Quadratic, minimise
+
+_EVERY = 4
+"""Shape and offsets are found from every fourth frame before they are found from all."""
+_ROUGH = 0.1
+"""Relative decrease of an energy that ends a fit which only begins another."""
+_NEAR = 1e-2
+_TOLERANCE = 1e-3
+_DAMPING = 1e-2
+"""Damping of first steps, which begin in another pose than that of the markers."""
+
+
+@dataclass(frozen=True)
+class Calibrated(TensorStruct):
+    """Poses of frames, and what they share."""
+
+    poses: Poses
+    shape: Float[Tensor, " shape"]
+    offsets: Float[Tensor, "markers 3"]
+    """Offsets of the markers from their vertices, in the frames of their bones, metres."""
+
+
+@dataclass(frozen=True)
+class SubjectEnergies(Problem[Calibrated]):
+    """Energies of poses, shape and offsets together.
+
+    They are those of `PoseEnergies`, and per frame the squared length of the shape and half of
+    the squared distances of offsets from expected ones, each with a weight.
+    """
+
+    body: BodyModel
+    vertices: Int[Tensor, " markers"]
+    under: Int[Tensor, " soles"] | None
+    """Vertices under the feet; None where the ground is not at z = 0."""
+    nominal: Float[Tensor, "markers 3"]
+    """Expected offsets, metres."""
+    stiffness: Float[Tensor, " markers"]
+    """Weight of every marker's offset, per frame."""
+    stature: float
+    """Weight of the shape, per frame."""
+    poses: PoseEnergies
+    """Energies of the poses, without ties; their body and points are replaced by a state's, and
+    each of their frames counts 1."""
+    with_offsets: bool
+    """Whether offsets are moved; the shape always is."""
+
+    def of(self, shape: Tensor, offsets: Tensor) -> PoseEnergies:
+        """The energies of the poses of a body with this shape and these offsets."""
+        under = self.under
+        return replace(
+            self.poses,
+            rest=self.body.rest_joints(shape),
+            markers=SkinPoints.of(self.body, shape, self.vertices, offsets),
+            soles=None if under is None else SkinPoints.of(self.body, shape, under),
+        )
+
+    def frames(self, index: Int[Tensor, " frames"]) -> "SubjectEnergies":
+        """The energies of some frames."""
+        return replace(self, poses=self.poses.frames(index))
+
+    def value(self, x: Calibrated, rows: Int[Tensor, " rows"]) -> Float[Tensor, "rows 1"]:
+        """The whole energy."""
+        value, _ = self.of(x.shape, x.offsets).look(x.poses, self._frames)
+        return self._whole(x, value).expand(len(rows), 1)
+
+    def _whole(self, x: Calibrated, value: Float[Tensor, " frames"]) -> Float[Tensor, ""]:
+        away = (x.offsets - self.nominal).square().sum(-1)
+        common = self.stature * x.shape.square().sum() + 0.5 * self.stiffness @ away
+        return value.double().sum() + len(value) * common.double()
+
+    def moved(
+        self, x: Calibrated, rows: Int[Tensor, " rows"], steps: Float[Tensor, "rows n"]
+    ) -> Calibrated:
+        """The state after steps of the poses, of the shape and of the offsets."""
+        del rows
+        count, poses, offsets = len(x.shape), len(self._frames), x.offsets
+        moved = 3 * len(offsets) if self.with_offsets else 0
+        own, by_shape, by_offsets = steps[0].split((steps.shape[1] - count - moved, count, moved))
+        shape = x.shape + by_shape
+        if self.with_offsets:
+            offsets = offsets + by_offsets.unflatten(-1, (-1, 3))
+        rest = self.body.rest_joints(shape)
+        return Calibrated(x.poses.moved(own.view(poses, -1), rest), shape, offsets)
+
+    def model(self, x: Calibrated, rows: Int[Tensor, " rows"]) -> Quadratic:
+        """The energy about a state, with a border of the shape and the offsets."""
+        energies, poses = self.of(x.shape, x.offsets), x.poses
+        value, gradient = energies.look(poses, self._frames)
+        force, weight = energies.forces(poses)
+        jacobian = energies.markers.levers.jacobian(poses.bones)
+        grown = energies.markers.by_shape(poses, self.body)
+        weighted = (grown * weight[..., None, None]).flatten(1, 2)
+        border = jacobian.flatten(1, 2).mT @ weighted
+        frames = len(value)
+        count = frames * self.stature
+        corner = (grown.flatten(1, 2).mT @ weighted).sum(0)
+        corner.diagonal().add_(2 * count)
+        slope = torch.einsum("tvdk,tdv->k", grown, force) + 2 * count * x.shape
+        if energies.soles is not None:
+            depth, pressed = energies.depths(poses)
+            lift = energies.soles.by_shape(poses, self.body)[..., 2, :]
+            rising = energies.soles.levers.jacobian(poses.bones)[..., 2, :]
+            weighted = lift * pressed[..., None]
+            border = border + rising.mT @ weighted
+            corner = corner + (lift.mT @ weighted).sum(0)
+            slope = slope + torch.einsum("tpk,tp->k", weighted, depth)
+        if self.with_offsets:
+            bones = self.body.weights[self.vertices].argmax(-1)
+            turns = poses.orientations[:, bones]
+            weighted = turns * weight[..., None, None]
+            moved = (jacobian.mT @ weighted).transpose(1, 2).flatten(2)
+            border = torch.cat((border, moved), -1)
+            beside = torch.einsum("tvdk,tvde->kve", grown, weighted).flatten(1)
+            stiffness = frames * self.stiffness
+            own = (weight.sum(0) + stiffness).repeat_interleave(3).diag()
+            corner = torch.cat((torch.cat((corner, beside), 1), torch.cat((beside.mT, own), 1)))
+            away = stiffness[:, None] * (x.offsets - self.nominal)
+            drawn = torch.einsum("tvde,tdv->ve", turns, force) + away
+            slope = torch.cat((slope, drawn.flatten()))
+        inner = energies.curvature(poses, self._frames)[:, None]
+        return Quadratic(
+            self._whole(x, value).expand(len(rows), 1),
+            torch.cat((gradient.flatten(), slope))[None],
+            [Banded(inner, border, corner)],
+        )
+
+    @property
+    def _frames(self) -> Int[Tensor, " frames"]:
+        return torch.arange(len(self.poses.visible))
+
+
+def calibrated(
+    energies: SubjectEnergies,
+    translation: Float[Tensor, "frames 3"],
+    rotations: Float[Tensor, "frames 22 3 3"],
+    sigma: float,
+) -> Calibrated:
+    """Poses, shape and offsets from rough poses of the average body.
+
+    Args:
+        energies: of all frames.
+        translation: of the rough poses, metres.
+        rotations: of the rough poses.
+        sigma: scale of Geman and McClure's kernel, metres. First everything counts alike: a body
+            lying in another pose is no outlier.
+    """
+    shape = energies.body.joint_directions.new_zeros(energies.body.shape_size)
+    plain = replace(energies, poses=replace(energies.poses, sigma=None), with_offsets=False)
+    robust = replace(energies, poses=replace(energies.poses, sigma=sigma), with_offsets=True)
+    average = plain.of(shape, energies.nominal)
+    rough = LevenbergMarquardt(tolerance=_ROUGH, damping=_DAMPING)
+    poses = minimise_frames(average, average.begun(translation, rotations), rough).state
+    few = torch.arange(0, len(translation), _EVERY)
+    state = Calibrated(poses[few], shape, energies.nominal)
+    state, _ = minimise(plain.frames(few), state, GaussNewton(20, _ROUGH, damping=0.0))
+    state, _ = minimise(robust.frames(few), state, GaussNewton(50, _NEAR, damping=0.0))
+    of_subject = robust.of(state.shape, state.offsets)
+    began = of_subject.begun(poses.translation, poses.rotations)
+    poses = minimise_frames(of_subject, began, LevenbergMarquardt(tolerance=_NEAR)).state
+    state = Calibrated(poses, state.shape, state.offsets)
+    return minimise(robust, state, GaussNewton(50, _TOLERANCE, damping=0.0))[0]

@@ -1,0 +1,231 @@
+"""A recording of markers as a motion of our body: checked, fitted, and checked again."""
+
+import dataclasses
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool
+
+from recon.body.model import BodyModel
+from recon.body.soles import Soles
+from recon.diagnosis.findings import Finding, listed
+from recon.formats.mocap.recording import MarkerRecording
+from recon.ingest.conversion import Conversion, floored
+from recon.ingest.marker_exchanges import (
+    exchanged_throughout,
+    pair_finding,
+    side_pairs,
+    steady_labels,
+    with_exchanged,
+)
+from recon.ingest.marker_findings import (
+    FAR,
+    marker_distances,
+    marker_findings,
+    marker_residuals,
+)
+from recon.ingest.marker_fit import MarkerFit, fit_markers, nominal_places
+from recon.ingest.marker_frames import jump_findings
+from recon.ingest.marker_gaps import gap_findings, trimmed
+from recon.ingest.marker_sets import MarkerSet, full_body_markers, keypoint_finding
+from recon.solver.solution import one_thread
+
+_BAD = 0.02
+"""Metres of mean residual from which on other labels are tried."""
+_MOSTLY = 0.5
+"""Share of a marker's frames."""
+_TRIAL_FRAMES = 40
+_BETTER = 0.6
+"""Share of the residual that other labels must leave."""
+
+
+def convert_markers(
+    recording: MarkerRecording,
+    body: BodyModel,
+    *,
+    mapping: str | Path | None = None,
+    keep_frame: bool = False,
+) -> Conversion:
+    """A recording of markers on a body, its legs or its trunk as a motion of our body.
+
+    Labels that change over between markers are put right first, and labels that do not fit any
+    body after a first fit. Frames before the first and after the last with enough markers are
+    left out; frames and limbs without markers in between are joined from their neighbours.
+
+    Args:
+        recording: in metres, z up.
+        body: whose motion it becomes; marker names are points of the bundled body's mesh.
+        mapping: JSON or TOML file, marker label = landmark or vertex; None uses the known labels.
+        keep_frame: whether the motion stays where the laboratory has it instead of standing on
+            z = 0.
+
+    Raises:
+        FileNotFoundError: when there is no such mapping file.
+        ValueError: when the markers are not known, or cover neither legs nor trunk.
+    """
+    with one_thread():
+        markers = full_body_markers(recording, body, mapping)
+        return _converted(fitted_markers(recording, body, markers), markers, body, keep_frame)
+
+
+@dataclass(frozen=True)
+class FittedMarkers:
+    """Markers whose labels fit a body, and the body that was moved to meet them."""
+
+    recording: MarkerRecording
+    """The known markers under labels that fit, from the first to the last frame that places a
+    body."""
+    fit: MarkerFit
+    repairs: tuple[Finding, ...]
+    """Labels that were exchanged."""
+    warnings: tuple[Finding, ...]
+    """Markers that were left out: no frame of `recording` shows them."""
+    decisions: tuple[str, ...]
+    """What was read, chosen and left out, one sentence each."""
+
+
+def fitted_markers(
+    recording: MarkerRecording, body: BodyModel, markers: MarkerSet
+) -> FittedMarkers:
+    """The markers of a recording with labels put right, and the body that meets them.
+
+    Markers that the body misses by more than `FAR` in most of their frames are left out, and it is
+    fitted again: they are virtual points, or not what their labels say.
+
+    Raises:
+        ValueError: when no frame shows enough markers to place a body.
+    """
+    chosen, repairs = steady_labels(recording.select(markers.labels))
+    chosen, cut = trimmed(chosen, markers.bones)
+    fit = fit_markers(chosen, markers, body)
+    if mean_residual(fit, chosen) > _BAD and (other := _relabelled(chosen, markers, body, fit)):
+        chosen, finding = other
+        repairs.append(finding)
+        fit = fit_markers(chosen, markers, body)
+    lost: list[str] = []
+    while (far := _lost(fit, chosen)).any() and not far[chosen.visible.any(0)].all():
+        lost += [label for label, one in zip(chosen.marker_names, far, strict=True) if one]
+        visible = chosen.visible & ~far
+        positions = np.where(visible[..., None], chosen.positions, 0.0)
+        chosen = dataclasses.replace(chosen, positions=positions, visible=visible)
+        fit = fit_markers(chosen, markers, body)
+    left = f"; not known: {', '.join(markers.unknown)}" if markers.unknown else ""
+    kind = "keypoints" if markers.inside else "markers"
+    used = f"{len(markers.labels) - len(lost)} {kind} used{left}"
+    said = (*recording.decisions, *markers.decisions, used, *cut)
+    return FittedMarkers(chosen, fit, tuple(repairs), _left_out(lost), said)
+
+
+def _lost(fit: MarkerFit, recording: MarkerRecording) -> Bool[np.ndarray, " markers"]:
+    """Markers that are far from their places in most of their frames."""
+    far = (marker_distances(fit, recording) > FAR) & recording.visible
+    return far.sum(0) > _MOSTLY * recording.visible.sum(0).clip(min=1)
+
+
+def _left_out(lost: list[str]) -> tuple[Finding, ...]:
+    if not lost:
+        return ()
+    said = (
+        f"{listed(lost)}: left out, for most frames have them more than {100 * FAR:.0f} cm from "
+        "their places on the body; look for virtual points, exchanged labels and ghosts, or say "
+        "where they sit with --mapping"
+    )
+    return (Finding("outliers", said, tuple(lost), value=float(len(lost))),)
+
+
+def _converted(
+    found: FittedMarkers, markers: MarkerSet, body: BodyModel, keep_frame: bool
+) -> Conversion:
+    fit, chosen = found.fit, found.recording
+    mended, jumps = jump_findings(fit.unmade, fit.mended)
+    warnings = [*found.warnings, *gap_findings(fit.observed, chosen.fps), *jumps]
+    if markers.inside:
+        warnings.append(keypoint_finding(markers.labels))
+    warnings += marker_findings(fit, chosen, markers)
+    converted = floored(
+        fit.motion,
+        marker_residuals(fit, chosen),
+        found.decisions,
+        body,
+        Soles.of(body),
+        n_glitch=int(fit.unmade.any(-1).sum()),
+        observed=fit.observed,
+        keep_frame=keep_frame,
+    )
+    return dataclasses.replace(
+        converted,
+        diagnosis=(*converted.diagnosis, *_by_time(fit, chosen)),
+        repairs=(*converted.repairs, *found.repairs, *mended),
+        warnings=(*converted.warnings, *warnings),
+    )
+
+
+def mean_residual(fit: MarkerFit, recording: MarkerRecording) -> float:
+    """Mean distance of visible markers from their places, metres."""
+    return float(marker_distances(fit, recording)[recording.visible].mean())
+
+
+def _relabelled(
+    recording: MarkerRecording, markers: MarkerSet, body: BodyModel, fit: MarkerFit
+) -> tuple[MarkerRecording, Finding] | None:
+    """The recording under labels that fit a body better, and what they are; None if none do."""
+    labels = recording.marker_names
+    pairs = exchanged_throughout(
+        labels, recording.positions, recording.visible, nominal_places(fit, markers, body).numpy()
+    )
+    sides = side_pairs(list(labels))
+    choices = [
+        (with_exchanged(recording, pairs), pair_finding(labels, pairs)) if pairs else None,
+        (with_exchanged(recording, sides), _sides_finding()) if sides else None,
+    ]
+    sample = _evenly(recording)
+    limit = _BETTER * mean_residual(fit_markers(sample, markers, body), sample)
+    best = None
+    for choice in choices:
+        if choice is None:
+            continue
+        some = _evenly(choice[0])
+        left = mean_residual(fit_markers(some, markers, body), some)
+        if left < limit:
+            best, limit = choice, left
+    return best
+
+
+def _evenly(recording: MarkerRecording) -> MarkerRecording:
+    """Some frames of it, spread over all."""
+    index = np.unique(np.linspace(0, recording.frames - 1, _TRIAL_FRAMES).round().astype(int))
+    return dataclasses.replace(
+        recording, positions=recording.positions[index], visible=recording.visible[index]
+    )
+
+
+def _sides_finding() -> Finding:
+    return Finding(
+        "sides exchanged",
+        "the markers fit a body only when left and right are exchanged: all labels were "
+        "exchanged. If the recording is mirrored instead, this result is its mirror image",
+    )
+
+
+def _by_time(fit: MarkerFit, recording: MarkerRecording) -> tuple[Finding, ...]:
+    """The mean residual of every second."""
+    away = marker_distances(fit, recording)
+    step = max(1, round(recording.fps))
+    found: list[Finding] = []
+    for first in range(0, recording.frames, step):
+        part = slice(first, first + step)
+        seen = recording.visible[part]
+        if seen.any():
+            mean = float(away[part][seen].mean())
+            last = min(first + step, recording.frames) - 1
+            found.append(
+                Finding(
+                    "residual",
+                    f"frames {first}-{last}: markers {1000 * mean:.1f} mm from their places",
+                    (),
+                    ((first, last),),
+                    mean,
+                )
+            )
+    return tuple(found)

@@ -1,0 +1,124 @@
+"""What the distances of markers from the fitted body say about the recording."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from jaxtyping import Float
+
+from recon.diagnosis.findings import Finding, listed, stretches
+from recon.formats.mocap.recording import MarkerRecording
+from recon.ingest.marker_fit import MarkerFit
+from recon.ingest.marker_sets import MarkerSet
+
+FAR = 0.15
+"""Metres from its place on the body beyond which a marker is misplaced for that frame."""
+_OFTEN = 0.02
+"""Share of a marker's frames in which it is, that is worth a word."""
+_LARGE = 0.03
+"""Metres of mean residual of all markers that no good recording leaves."""
+_PLACED, _LOOSE = 0.12, 0.20
+"""Metres between where a marker's name says that it sits and where it does, at most; by whether
+the name says a point or a region."""
+_STILL = 0.002
+"""Metres within which a marker that stays in the room does not move."""
+_MOVED = 0.15
+"""Metres that the body takes its place along meanwhile."""
+
+
+def marker_residuals(fit: MarkerFit, recording: MarkerRecording) -> Mapping[str, float]:
+    """Mean distance of every marker that is ever visible from its place, millimetres."""
+    away, seen = marker_distances(fit, recording), recording.visible
+    frames = seen.sum(0)
+    mean = (away * seen).sum(0) / frames.clip(min=1)
+    return {
+        label: 1000 * float(mean[marker])
+        for marker, label in enumerate(recording.marker_names)
+        if frames[marker] > 0
+    }
+
+
+def marker_findings(
+    fit: MarkerFit, recording: MarkerRecording, markers: MarkerSet
+) -> list[Finding]:
+    """Markers that stand still, leave their places, or sit elsewhere than their names say."""
+    away, seen = marker_distances(fit, recording), recording.visible
+    constant = _constant(fit, recording)
+    far = (away > FAR) & seen
+    often = far.sum(0) > _OFTEN * seen.sum(0).clip(min=1)
+    offset = (fit.offsets - markers.nominal).norm(dim=-1).numpy()
+    limit = np.where(markers.loose, _LOOSE, _PLACED)
+    found: list[Finding] = []
+    labels = recording.marker_names
+
+    def names(flags: np.ndarray) -> tuple[str, ...]:
+        return tuple(label for label, flag in zip(labels, flags, strict=True) if flag)
+
+    if constant.any():
+        found.append(
+            Finding(
+                "constant point",
+                f"{listed(names(constant))} stay in one place in the room while the body moves; "
+                "they hardly count, but delete or relabel them",
+                names(constant),
+                value=float(constant.sum()),
+            )
+        )
+    wild = often & ~constant
+    if wild.any():
+        found.append(
+            Finding(
+                "outliers",
+                f"{listed(names(wild))} are more than {100 * FAR:.0f} cm from their places on "
+                f"the body in up to {100 * _share(far, seen, wild):.0f} % of their frames: look "
+                "for exchanged labels, ghosts and loose markers",
+                names(wild),
+                stretches(np.any(far[:, wild], axis=1)),
+                _share(far, seen, wild),
+            )
+        )
+    elsewhere = (offset > limit) & ~wild & ~constant & seen.any(0)
+    if elsewhere.any():
+        most = float(offset[elsewhere].max())
+        found.append(
+            Finding(
+                "offset point",
+                f"{listed(names(elsewhere))} sit up to {100 * most:.0f} cm from where their names "
+                "say: check the labels, or say where they sit with --mapping",
+                names(elsewhere),
+                value=most,
+            )
+        )
+    mean = float(away[seen].mean())
+    if mean > _LARGE:
+        found.append(
+            Finding(
+                "residual",
+                f"markers are {1000 * mean:.0f} mm from the body on average: check the unit "
+                "(--unit), the up axis (--up) and the labels",
+                value=mean,
+            )
+        )
+    return found
+
+
+def _share(far: np.ndarray, seen: np.ndarray, chosen: np.ndarray) -> float:
+    return float((far[:, chosen].sum(0) / seen[:, chosen].sum(0).clip(min=1)).max())
+
+
+def _constant(fit: MarkerFit, recording: MarkerRecording) -> np.ndarray:
+    """Markers that stay within millimetres of one place while the body takes theirs along."""
+    still = np.zeros(len(recording.marker_names), dtype=bool)
+    for marker in range(len(still)):
+        seen = recording.visible[:, marker]
+        if seen.sum() < 2:
+            continue
+        x, place = recording.positions[seen, marker], fit.predicted.numpy()[seen, marker]
+        still[marker] = np.ptp(x, axis=0).max() < _STILL and np.ptp(place, axis=0).max() > _MOVED
+    return still
+
+
+def marker_distances(
+    fit: MarkerFit, recording: MarkerRecording
+) -> Float[np.ndarray, "time markers"]:
+    """Distance of every marker from its place on the body, metres; visible or not."""
+    return np.linalg.norm(fit.predicted.numpy() - recording.positions, axis=-1)

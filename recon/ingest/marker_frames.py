@@ -1,0 +1,329 @@
+"""The poses of all frames of a known subject: key frames, frames in turn, and wrong ones again.
+
+Frames are found one by one, from the poses of key frames. Where markers leave their places for a
+moment, or a limb turns fast, a frame may end with a foot or a hand turned over, which the robust
+kernel then takes for outliers: the body makes a step that its markers do not make. Such frames are
+solved again from the poses around them.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from recon.core.motion import Motion
+from recon.core.skeleton import JOINTS, PARENTS
+from recon.diagnosis.findings import Finding, listed, spans, stretches
+from recon.ingest.marker_gaps import between, chosen, widened, with_poses
+from recon.ingest.marker_poses import PoseEnergies
+from recon.ingest.tied_frames import LevenbergMarquardt, minimise_frames
+
+_NOISE = 3.0
+"""Multiple of the mean residual by which joints may step without their markers, as noise does."""
+_CHUNK = 3000
+_WIDE = 0.3
+"""Scale of the kernel, metres, while key frames are far from their markers."""
+_SHARED_RATE = 30.0
+"""Rate, Hz, at which curvatures are computed at first: poses change little in between."""
+_ROUGH, _NEAR, _EXACT = 0.1, 1e-2, 3e-4
+"""Relative decreases of a frame's energy that end the fits of first guesses, keys and frames."""
+_UNSEEN = 1e-4
+"""Metres: residuals of this size, in all markers, are too small to be worth lowering."""
+UNMADE = 0.025
+"""Metres by which a joint's step may exceed those of the markers about it: their dropping out and
+coming back shifts it so."""
+_SHARE = 0.3
+"""Share of the markers' step that a joint's step may exceed it by besides: joints turn about
+markers that stand."""
+_FAR = 0.08
+"""Metres of a marker from its place on the body in a frame that may be wrong."""
+_OFTEN = 0.2
+"""Share of the frames from which on a marker's distance is no exception."""
+_AROUND = 0.08
+"""Seconds on either side of a suspicious frame that are solved again with it."""
+_LIMIT = 0.5
+"""Share of all frames up to which frames are exceptions that their neighbours can mend."""
+_ROUNDS = 2
+_STIFFER = (1e2, 1e3, 1e4)
+"""Multiples of the weight of turns that spread a step that remains over the frames around it."""
+
+
+def solved_apart(energies: PoseEnergies, frames: Int[Tensor, " frames"], start: Motion) -> Motion:
+    """Poses of single frames without ties, from a rough guess.
+
+    Args:
+        energies: of all frames.
+        frames: their numbers, ascending.
+        start: rough poses of these frames.
+    """
+    apart = energies.frames(frames).untied()
+    return solved_near(apart, solved_near(replace(apart, sigma=_WIDE), start, _ROUGH))
+
+
+def solved_near(energies: PoseEnergies, start: Motion, tolerance: float = _NEAR) -> Motion:
+    """Poses of some frames, roughly, from a good guess."""
+    begun = energies.begun(start.translation, start.rotations)
+    found = minimise_frames(energies, begun, _settings(energies, tolerance)).state
+    return Motion.create(found.translation, found.rotations, start.shape, start.fps)
+
+
+def solved_in_turn(energies: PoseEnergies, start: Motion) -> Motion:
+    """Poses of all frames, tied to each other, from a good guess.
+
+    Long recordings are solved part by part; the frames before and after a part hold it.
+    """
+    stride = max(1, round(start.fps / _SHARED_RATE))
+    settings = replace(_settings(energies, _EXACT), stride=stride)
+    motion = start
+    for part in torch.arange(start.frames).split(_CHUNK):
+        motion = _solved(energies, part, motion, settings)
+    return motion
+
+
+def mended_frames(
+    energies: PoseEnergies,
+    bones: tuple[int, ...],
+    joints: Callable[[Motion], Float[Tensor, "frames 22 3"]],
+    motion: Motion,
+) -> tuple[Motion, Bool[Tensor, " frames"], Bool[Tensor, "steps 22"]]:
+    """Frames in which the body leaves its markers solved again; which, and what steps remain.
+
+    Args:
+        energies: of all frames.
+        bones: the bone that moves each marker most.
+        joints: of a motion, world, metres.
+        motion: of all frames.
+    """
+    positions, visible = energies.positions.mT, energies.visible > 0
+
+    def residuals(motion: Motion) -> Float[Tensor, "frames markers"]:
+        poses = energies.begun(motion.translation, motion.rotations)
+        away = energies.markers.places(poses).mT - positions
+        return away.norm(dim=-1).where(visible, 0.0)
+
+    limit = max(UNMADE, _NOISE * float(residuals(motion)[visible].mean()))
+
+    def unmade(motion: Motion) -> Bool[Tensor, "steps 22"]:
+        return unmade_steps(joints(motion), positions, visible, bones, limit)
+
+    def again(frames: Int[Tensor, " frames"], start: Motion) -> Motion:
+        # first everything counts alike: limbs that were turned over are no outliers
+        plain = replace(energies, sigma=None)
+        start = _solved(plain, frames, start, _settings(energies, _NEAR))
+        return _solved(energies, frames, start, _settings(energies, _EXACT))
+
+    def stiffer(
+        frames: Int[Tensor, " frames"], start: Motion, turning: Float[Tensor, " 22"]
+    ) -> Motion:
+        stiff = replace(energies, turning=energies.turning * turning)
+        return _solved(stiff, frames, start, _settings(energies, _EXACT))
+
+    motion, changed = mended(motion, unmade, residuals, again)
+    motion, spread = eased(motion, unmade, stiffer)
+    return motion, changed | spread, unmade(motion)
+
+
+def _solved(
+    energies: PoseEnergies,
+    frames: Int[Tensor, " frames"],
+    start: Motion,
+    settings: LevenbergMarquardt,
+) -> Motion:
+    """A motion with the poses of some frames solved; their neighbours hold them."""
+    around = torch.unique(torch.cat((frames - 1, frames, frames + 1)))
+    around = around[(around >= 0) & (around < start.frames)]
+    inside = torch.searchsorted(around, frames)
+    poses = energies.begun(start.translation[around], start.rotations[around])
+    found = minimise_frames(energies.frames(around), poses, settings, inside).state[inside]
+    return with_poses(start, frames, found)
+
+
+def _settings(energies: PoseEnergies, tolerance: float) -> LevenbergMarquardt:
+    floor = 0.5 * energies.weight * energies.visible.shape[-1] * _UNSEEN**2
+    return LevenbergMarquardt(tolerance=tolerance, floor=floor)
+
+
+def unmade_steps(
+    joints: Float[Tensor, "time 22 3"],
+    positions: Float[Tensor, "time markers 3"],
+    visible: Bool[Tensor, "time markers"],
+    bones: tuple[int, ...],
+    limit: float = UNMADE,
+) -> Bool[Tensor, "steps 22"]:
+    """Steps from frame to frame in which a joint moves and no marker about it does.
+
+    A joint is asked where a marker on its bone, on its parent's or on one of its children's is
+    visible at both ends of the step. `limit` is in metres.
+    """
+    of = torch.tensor(bones)
+    parents = torch.tensor(PARENTS)
+    # markers on the joint's bone, on its parent's and on those of its children
+    near = torch.stack(
+        [(of == j) | (of == PARENTS[j]) | (parents[of] == j) for j in range(len(JOINTS))]
+    )
+    both = (visible[1:] & visible[:-1])[:, None] & near
+    steps = (positions[1:] - positions[:-1]).norm(dim=-1)[:, None]
+    made = steps.where(both, 0.0).amax(-1)
+    moved = (joints[1:] - joints[:-1]).norm(dim=-1)
+    return both.any(-1) & (moved > made + limit + _SHARE * made)
+
+
+def mended(
+    motion: Motion,
+    unmade: Callable[[Motion], Bool[Tensor, "steps 22"]],
+    residuals: Callable[[Motion], Float[Tensor, "time markers"]],
+    solve: Callable[[Int[Tensor, " frames"], Motion], Motion],
+) -> tuple[Motion, Bool[Tensor, " time"]]:
+    """The motion with wrong frames solved again, and which frames those are.
+
+    A new solution is kept, stretch by stretch, where markers fit no worse and fewer steps of
+    the body are unmade by its markers.
+
+    Args:
+        motion: of all frames.
+        unmade: steps of a motion that the markers do not make.
+        residuals: distance of every marker from its place on the body in a motion, metres; zero
+            where not visible.
+        solve: solves frames, given by their numbers, of a motion.
+    """
+    changed = failed = torch.zeros(motion.frames, dtype=torch.bool)
+    for _ in range(_ROUNDS):
+        jumps, far = unmade(motion), residuals(motion)
+        suspects = _suspects(jumps, far, motion.fps)
+        # what was solved before and did not become better is not solved again
+        suspects = _stretches_where(suspects, partial(_not_all, failed))
+        if not suspects.any() or suspects.float().mean() > _LIMIT:
+            break
+        tried = solve(*_joined(motion, suspects))
+        fits = partial(_fits_better, jumps, unmade(tried), far, residuals(tried))
+        better = _stretches_where(suspects, fits)
+        if not better.any():
+            break
+        failed = failed | (suspects & ~better)
+        changed = changed | better
+        taken = better.nonzero()[:, 0]
+        motion = with_poses(motion, taken, chosen(tried, taken))
+    return motion, changed
+
+
+def eased(
+    motion: Motion,
+    unmade: Callable[[Motion], Bool[Tensor, "steps 22"]],
+    solve: Callable[[Int[Tensor, " frames"], Motion, Float[Tensor, " 22"]], Motion],
+) -> tuple[Motion, Bool[Tensor, " time"]]:
+    """The motion with steps that remain spread over the frames around them, and which those are.
+
+    Markers that change places, or filled gaps that cross, leave two poses that are good each and
+    far from each other. The limb goes from one to the other in the time that markers take.
+
+    Args:
+        motion: of all frames.
+        unmade: steps of a motion that the markers do not make.
+        solve: solves frames with the weights of all joints' turns from frame to frame multiplied.
+    """
+    changed = torch.zeros(motion.frames, dtype=torch.bool)
+    for stiffer in _STIFFER:
+        jumps = unmade(motion)
+        around = _suspects(jumps, motion.translation.new_zeros(motion.frames, 0), motion.fps)
+        if not around.any() or around.float().mean() > _LIMIT:
+            break
+        turning = torch.ones(len(JOINTS))
+        for joint in jumps.any(0).nonzero()[:, 0].tolist():
+            # a joint is moved fast by the turns of its parent and of the parent of that
+            parent = max(PARENTS[joint], 0)
+            turning[[parent, max(PARENTS[parent], 0)]] = stiffer
+        tried = solve(*_joined(motion, around), turning)
+        better = _stretches_where(around, partial(_fewer_steps, jumps, unmade(tried)))
+        changed |= better
+        taken = better.nonzero()[:, 0]
+        motion = with_poses(motion, taken, chosen(tried, taken))
+    return motion, changed
+
+
+def _joined(motion: Motion, flags: Bool[Tensor, " time"]) -> tuple[Int[Tensor, " frames"], Motion]:
+    """Numbers of the flagged frames, and the motion in which the others join over them."""
+    frames, kept = flags.nonzero()[:, 0], (~flags).nonzero()[:, 0]
+    return frames, with_poses(motion, frames, between(chosen(motion, kept), kept, frames))
+
+
+def _stretches_where(
+    flags: Bool[Tensor, " time"], holds: Callable[[slice, slice], bool]
+) -> Bool[Tensor, " time"]:
+    """Stretches of flagged frames whose frames, and steps to and from them, pass a test."""
+    kept = torch.zeros_like(flags)
+    for first, last in stretches(flags.numpy()):
+        inside = slice(first, last + 1)
+        kept[inside] = holds(inside, slice(max(0, first - 1), last + 1))
+    return kept
+
+
+def _not_all(failed: Bool[Tensor, " time"], inside: slice, _: slice) -> bool:
+    return not bool(failed[inside].all())
+
+
+def _fewer_steps(before: Tensor, after: Tensor, _: slice, steps: slice) -> bool:
+    return int(after[steps].sum()) < int(before[steps].sum())
+
+
+def _fits_better(
+    before: Tensor, after: Tensor, far: Tensor, left: Tensor, inside: slice, steps: slice
+) -> bool:
+    """Whether markers fit no worse and fewer steps are unmade, or as many and markers better."""
+    old, new = (float(one[inside].square().clamp(max=_FAR**2).sum()) for one in (far, left))
+    same = int(after[steps].sum()) == int(before[steps].sum())
+    better = _fewer_steps(before, after, inside, steps) or (same and new < 0.9 * old)
+    return new <= 1.02 * old + 1e-6 and better
+
+
+def jump_findings(
+    unmade: Bool[Tensor, "steps 22"], changed: Bool[Tensor, " time"]
+) -> tuple[list[Finding], list[Finding]]:
+    """What was repaired, and what remains for the user to look at."""
+    repairs: list[Finding] = []
+    warnings: list[Finding] = []
+    frames = changed.numpy()
+    if frames.any():
+        repairs.append(
+            Finding(
+                "jump",
+                f"{frames.sum()} frames were solved into a pose that the markers do not show "
+                f"({spans(stretches(frames))}); they were solved again from those around them",
+                (),
+                stretches(frames),
+                float(frames.sum()),
+            )
+        )
+    steps = unmade.any(-1).numpy()
+    if steps.any():
+        joints = tuple(
+            name for name, hit in zip(JOINTS, unmade.any(0).tolist(), strict=True) if hit
+        )
+        after = np.concatenate(([False], steps))
+        warnings.append(
+            Finding(
+                "jump",
+                f"{listed(joints)} move faster than the markers about them in {steps.sum()} steps "
+                f"to {spans(stretches(after))}: look there for exchanged or misplaced markers",
+                joints,
+                stretches(after),
+                float(steps.sum()),
+            )
+        )
+    return repairs, warnings
+
+
+def _suspects(
+    jumps: Bool[Tensor, "steps 22"], far: Float[Tensor, "time markers"], fps: float
+) -> Bool[Tensor, " time"]:
+    """Frames beside an unmade step, or with a marker that is away from its place by exception."""
+    steps = jumps.any(-1)
+    away = far > _FAR
+    away &= away.float().mean(0) < _OFTEN
+    flags = away.any(-1)
+    flags[1:] |= steps
+    flags[:-1] |= steps
+    return widened(flags, max(1, round(_AROUND * fps)))

@@ -1,0 +1,210 @@
+"""What no marker showed: frames and limbs that are inferred from their neighbours in time.
+
+Frames before the first and after the last that place a body are left out, not invented. A limb
+without markers keeps the pose in which it was last seen and goes over into the one in which it is
+seen next; a whole body without markers keeps its place likewise. A limb that never has a marker
+keeps the natural pose that the fit gave it.
+"""
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Int
+from torch import Tensor
+
+from observations.start.rigid import TORSO
+from recon.body.model import BodyModel
+from recon.core import rotations as so3
+from recon.core.motion import Motion
+from recon.core.skeleton import JOINTS, descendants, joint_index
+from recon.diagnosis.findings import Finding, listed, spans, stretches
+from recon.formats.mocap.recording import MarkerRecording
+from recon.ingest.marker_poses import Poses
+
+_TORSO_MARKERS = 3
+"""Markers of the torso that place a body."""
+_SHARE = 1 / 3
+"""Share of all markers that places a body as well, wherever the markers are."""
+_REACH = 0.14
+"""Metres at rest from a marker to the joints whose place it shows."""
+_ABOUT_PELVIS = (0, *(joint_index(name) for name in ("left_hip", "right_hip", "spine1")))
+_LIMBS = {
+    f"{side} {part}": tuple(f"{side}_{joint}" for joint in joints)
+    for side in ("left", "right")
+    for part, joints in (("arm", ("elbow", "wrist")), ("leg", ("knee", "ankle")))
+} | {"trunk": ("spine3",), "pelvis": ("pelvis",)}
+_SHORT = 0.25
+"""Seconds of a gap in one limb that its neighbours in time fill well; it is not worth a word."""
+
+
+def placed_frames(
+    visible: Bool[Tensor, "time markers"], bones: tuple[int, ...]
+) -> Bool[Tensor, " time"]:
+    """Frames whose markers are enough to place a body."""
+    torso = torch.tensor([bone in TORSO for bone in bones])
+    enough = (visible & torso).sum(-1) >= _TORSO_MARKERS
+    return enough | (visible.sum(-1) > _SHARE * visible.shape[-1])
+
+
+def trimmed(
+    recording: MarkerRecording, bones: tuple[int, ...]
+) -> tuple[MarkerRecording, tuple[str, ...]]:
+    """The recording from the first to the last frame that places a body, and what was left out.
+
+    Args:
+        recording: whose clock goes on.
+        bones: the bone that moves each of its markers most.
+    """
+    placed = placed_frames(torch.from_numpy(recording.visible), bones).nonzero()[:, 0].tolist()
+    if not placed:
+        return recording, ()
+    kept = recording.window(placed[0], placed[-1] + 1)
+    before, after = placed[0], recording.frames - 1 - placed[-1]
+    if before == after == 0:
+        return recording, ()
+    parts = [f"the {where} {n}" for where, n in (("first", before), ("last", after)) if n]
+    return kept, (
+        f"{' and '.join(parts)} of {recording.frames} frames show too few markers to place a body "
+        f"and are left out: the motion begins at {kept.start_time:.3f} s of the recording",
+    )
+
+
+def observed_joints(
+    visible: Bool[Tensor, "time markers"],
+    vertices: tuple[int, ...],
+    body: BodyModel,
+) -> Bool[Tensor, "time 22"]:
+    """Joints whose place a visible marker shows: one near the joint, or on a bone beyond it.
+
+    All bones lie beyond the pelvis, of which a marker on the head tells little: its place is
+    shown by those near it, on it, on thighs and on the lowest spine.
+    """
+    bones = body.weights[list(vertices)].argmax(-1)
+    away = torch.cdist(body.joint_template, body.template[list(vertices)])
+    shows = away < _REACH
+    shows[0] |= torch.isin(bones, torch.tensor(_ABOUT_PELVIS))
+    for joint in range(1, len(JOINTS)):
+        shows[joint] |= torch.isin(bones, torch.tensor(descendants(joint)))
+    seen = (visible[:, None] & shows).any(-1)
+    return seen & placed_frames(visible, tuple(bones.tolist()))[:, None]
+
+
+def turned_joints(
+    visible: Bool[Tensor, "time markers"], bones: tuple[int, ...]
+) -> Bool[Tensor, "time 22"]:
+    """Joints whose rotation a visible marker shows: it sits on their bone or beyond it."""
+    shows = torch.tensor(
+        [[bone in descendants(joint) for bone in bones] for joint in range(len(JOINTS))]
+    )
+    return (visible[:, None] & shows).any(-1)
+
+
+def bridged(
+    motion: Motion,
+    known: Int[Tensor, " known"],
+    turned: Bool[Tensor, "time 22"],
+) -> Motion:
+    """All frames from those that are known, joint by joint where joints were not seen.
+
+    Args:
+        motion: poses of the known frames.
+        known: their numbers among all frames, ascending.
+        turned: over all frames, joints whose rotation the markers show.
+    """
+    everything = torch.arange(len(turned))
+    whole = between(motion, known, everything)
+    rotations = whole.rotations.clone()
+    here = torch.zeros(len(turned), dtype=torch.bool)
+    here[known] = True
+    for joint in range(1, len(JOINTS)):
+        shown = (turned[:, joint] & here).nonzero()[:, 0]
+        if 0 < len(shown) < len(turned):
+            sparse = chosen(whole, shown)
+            rotations[:, joint] = between(sparse, shown, everything).rotations[:, joint]
+    return whole.replace(rotations=rotations)
+
+
+def chosen(motion: Motion, frames: Int[Tensor, " frames"]) -> Motion:
+    """Some frames of a motion, one after the other."""
+    return Motion.create(
+        motion.translation[frames], motion.rotations[frames], motion.shape, motion.fps
+    )
+
+
+def between(
+    motion: Motion, known: Int[Tensor, " known"], wanted: Int[Tensor, " wanted"]
+) -> Motion:
+    """Poses of frames between known frames, evenly; beyond them the nearest known one."""
+    after = torch.searchsorted(known, wanted).clamp(max=len(known) - 1)
+    before = (after - (known[after] > wanted).long()).clamp(min=0)
+    gap = (known[after] - known[before]).clamp(min=1)
+    fraction = ((wanted - known[before]) / gap).clamp(0, 1)
+    a, b = motion.rotations[before], motion.rotations[after]
+    return Motion.create(
+        translation=motion.translation[before].lerp(motion.translation[after], fraction[:, None]),
+        rotations=so3.interpolate(a, b, fraction[:, None].expand(a.shape[:2])),
+        shape=motion.shape,
+        fps=motion.fps,
+    )
+
+
+def with_poses(motion: Motion, frames: Int[Tensor, " frames"], poses: Motion | Poses) -> Motion:
+    """The motion with the poses of some frames, given by their numbers, replaced."""
+    return motion.replace(
+        translation=motion.translation.index_copy(0, frames, poses.translation),
+        rotations=motion.rotations.index_copy(0, frames, poses.rotations),
+    )
+
+
+def widened(flags: Bool[Tensor, " time"], frames: int) -> Bool[Tensor, " time"]:
+    """Flagged frames and so many before and after each."""
+    wide = torch.nn.functional.max_pool1d(
+        flags[None, None].float(), 2 * frames + 1, stride=1, padding=frames
+    )
+    return wide[0, 0] > 0
+
+
+def gap_findings(observed: Bool[Tensor, "time 22"], fps: float) -> list[Finding]:
+    """Frames in which nothing was seen of anybody, and limbs that were not seen for a while."""
+    found: list[Finding] = []
+    empty = ~observed.any(-1).numpy()
+    if empty.any():
+        found.append(
+            Finding(
+                "gap",
+                f"{empty.sum()} of {len(empty)} frames have too few markers to place a body "
+                f"({spans(stretches(empty))}): there the pose and place seen before and after are "
+                "held or joined, and `observed` is false",
+                (),
+                stretches(empty),
+                float(empty.sum() / fps),
+            )
+        )
+    limbs: list[str] = []
+    joints: list[str] = []
+    hidden = np.zeros(len(empty), dtype=bool)
+    for limb, names in _LIMBS.items():
+        rows = [JOINTS.index(name) for name in names]
+        unseen = ~observed[:, rows].all(-1).numpy() & ~empty
+        never = bool(unseen[~empty].all())
+        for first, last in () if never else stretches(unseen):
+            # neighbours in time fill short gaps well
+            unseen[first : last + 1] = last - first + 1 > _SHORT * fps
+        if not unseen.any():
+            continue
+        limbs.append(f"{limb} (never seen)" if never else limb)
+        shown = observed[~empty][:, rows].all(0).tolist()
+        joints += [name for name, known in zip(names, shown, strict=True) if not known]
+        hidden |= unseen
+    if limbs:
+        found.append(
+            Finding(
+                "unseen",
+                f"no marker shows {listed(limbs, 6)} ({spans(stretches(hidden))}): their pose is "
+                "that before and after, or a natural one where they are never seen, and "
+                "`observed` is false",
+                tuple(joints),
+                stretches(hidden),
+                float(hidden.mean()),
+            )
+        )
+    return found

@@ -1,0 +1,231 @@
+"""What hidden markers leave open, told by the frames before and after that show them.
+
+Every joint's rotation is a Gaussian process in time (Matérn 3/2) about its mean. What the markers
+of a frame say of a joint is a datum with its information: a frame in which the joint's markers are
+hidden says little, and takes its rotation from its neighbours in time.
+
+Where markers come and go, their offsets matter more than elsewhere: a marker that is drawn to its
+landmark pulls at the pose while it is seen, and lets go when it is hidden. Offsets are therefore
+found again, from the poses that are steady in time.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from recon.body.derivatives import logarithm_by
+from recon.core import rotations as so3
+from recon.core.motion import Motion
+from recon.core.skeleton import JOINTS
+from recon.ingest.marker_frames import solved_near
+from recon.ingest.marker_gaps import between, widened, with_poses
+from recon.ingest.marker_poses import PoseEnergies, Poses, SkinPoints, natural_pose
+from recon.method.protocols import REFERENCE_FPS
+
+_AROUND = 0.5
+"""Seconds before and after a frame with a hidden marker that tell what it hides."""
+_SAMPLED = 20.0
+"""Rate, Hz, at which poses are looked at: joints turn little in between."""
+_PULL = 1e-2
+"""Weight of the distance from the pose that neighbours in time suggest."""
+_OFTEN = 0.02
+"""Share of hidden positions from which on offsets are found again."""
+_ROUNDS = 5
+_FURTHER = 1.6
+"""Multiple of the mean residual by which an offset is moved: poses follow their markers."""
+_STILL = 2e-4
+"""Metres of the mean change of an offset that ends the rounds."""
+_MARKER = 0.02
+"""Standard deviation of a marker about its place on the body, metres, in each thirtieth of a
+second. It is larger than residuals are, because skin moves slowly: frames err alike."""
+_RATE = 6.0
+"""The square root of three over the length scale of a joint's rotation, 1 / second."""
+_SPREAD = 0.3
+"""Standard deviation of a joint's rotation about its mean, radians."""
+_MEAN = 1.0
+"""Information about every joint's mean that the natural pose has, 1 / radian²."""
+_LEAST = 1e-6
+_AT_ONCE = 500
+"""Frames whose curvatures are inverted together, for memory's sake."""
+
+
+def frames_about_gaps(visible: Bool[Tensor, "time markers"], fps: float) -> Bool[Tensor, " time"]:
+    """Frames in which a marker is hidden that others show, and those shortly before and after."""
+    hidden = (~visible & visible.any(0)).any(-1)
+    return widened(hidden, max(1, round(_AROUND * fps)))
+
+
+def joined_in_time(
+    energies: PoseEnergies,
+    points: Callable[[Tensor], SkinPoints],
+    offsets: Float[Tensor, "markers 3"],
+    bones: tuple[int, ...],
+    motion: Motion,
+    keys: Int[Tensor, " keys"],
+    about: Bool[Tensor, " time"],
+) -> tuple[PoseEnergies, Tensor, Motion, Int[Tensor, " frames"]]:
+    """Poses about gaps, each from its own markers and from the frames around it.
+
+    Returns the energies of all frames, drawn to the poses that neighbours in time suggest about
+    gaps; the offsets of the markers; poses of some frames, and their numbers, ascending.
+
+    Args:
+        energies: of all frames.
+        points: the markers on the body, by their offsets.
+        offsets: of the markers from the skin, in the frames of their bones, metres.
+        bones: the bone that moves each marker most.
+        motion: poses of key frames.
+        keys: numbers of the key frames, ascending.
+        about: frames in and about gaps that place a body.
+    """
+    stride = max(1, round(motion.fps / _SAMPLED))
+    asked = about.nonzero()[:, 0]
+    asked = asked[asked % stride == 0]
+    if len(asked) == 0:
+        return energies, offsets, motion, keys
+    some, step = energies.frames(asked), stride / motion.fps
+    moments = (asked - asked[0]) // stride
+    found = solved_near(some, between(motion, keys, asked))
+    hidden = (some.visible == 0) & (some.visible > 0).any(0)
+    for _ in range(_ROUNDS if float(hidden.float().mean()) > _OFTEN else 0):
+        some = _drawn(some, found, moments, step)
+        change = _offset_changes(some, found, bones)
+        offsets = offsets + change
+        some = replace(some, markers=points(offsets))
+        found = solved_near(some, found)
+        if float(change.norm(dim=-1).mean()) < _STILL:
+            break
+    some = _drawn(some, found, moments, step)
+    suggested = found.replace(rotations=torch.cat((found.rotations[:, :1], some.natural), 1))
+    everywhere = between(suggested, asked, torch.arange(len(about))).rotations[:, 1:]
+    everything = replace(
+        energies,
+        markers=some.markers,
+        natural=everywhere.where(about[:, None, None, None], energies.natural),
+        pull=some.pull[:1].where(about, energies.pull),
+    )
+    frames = torch.cat((keys[~about[keys]], asked)).unique()
+    rows = torch.searchsorted(frames, asked)
+    start = with_poses(between(motion, keys, frames), rows, found)
+    return everything, offsets, start, frames
+
+
+def _drawn(
+    energies: PoseEnergies, motion: Motion, moments: Int[Tensor, " frames"], step: float
+) -> PoseEnergies:
+    """The energies, drawn to what the neighbours in time of every pose suggest."""
+    natural = _suggested(
+        energies, energies.begun(motion.translation, motion.rotations), moments, step
+    )
+    return replace(energies, natural=natural, pull=natural.new_full((len(natural),), _PULL))
+
+
+def _offset_changes(
+    energies: PoseEnergies, motion: Motion, bones: tuple[int, ...]
+) -> Float[Tensor, "markers 3"]:
+    """Changes of the offsets of markers, towards where they are seen; zero if they never are."""
+    poses = energies.begun(motion.translation, motion.rotations)
+    force, weight = energies.forces(poses)
+    turns = poses.orientations[:, list(bones)]
+    away = (turns.mT @ force.mT[..., None])[..., 0].sum(0)
+    return -_FURTHER * away / weight.sum(0).clamp(min=_LEAST)[:, None]
+
+
+def _suggested(
+    energies: PoseEnergies, poses: Poses, moments: Int[Tensor, " frames"], step: float
+) -> Float[Tensor, "frames 21 3 3"]:
+    """Rotations of all body joints by the markers of every frame and its neighbours in time.
+
+    Args:
+        energies: of the poses, which have been minimised.
+        poses: of some frames.
+        moments: when they are, in steps.
+        step: seconds.
+    """
+    count = step * REFERENCE_FPS / energies.weight
+    known = _information(energies, poses) * (count / _MARKER**2)
+    natural = natural_pose().to(known)
+    away = so3.log(natural.mT @ poses.rotations[:, 1:].to(known))
+    told = (known @ away[..., None])[..., 0]
+    prior = _MEAN * torch.eye(3).to(known)
+    mean = torch.linalg.solve(known.sum(0) + prior, told.sum(0)[..., None])[..., 0]
+    turn = mean + _smoothed(known, away - mean, moments, step)
+    return (natural @ so3.exp(turn)).to(poses.rotations)
+
+
+def _information(energies: PoseEnergies, poses: Poses) -> Float[Tensor, "frames 21 3 3"]:
+    """What markers say of every joint's rotation vector from the natural pose, metres² / radian².
+
+    The other joints are free: two joints that only turn against each other unseen are not known.
+    """
+    rows = torch.arange(len(poses.translation)).split(_AT_ONCE)
+    blocks = torch.cat([_variances(energies, poses, some) for some in rows])
+    turns = poses.orientations[:, 1:].double()
+    variance = turns.mT @ blocks @ turns
+    away = so3.log(natural_pose().double().mT @ poses.rotations[:, 1:].double())
+    jacobian = logarithm_by(away)
+    pull = (energies.weight * energies.pull.double())[:, None, None, None]
+    share, axes = torch.linalg.eigh(pull * jacobian @ variance @ jacobian.mT)
+    share = share.clamp(_LEAST, 1 - _LEAST)[..., None, :]
+    return pull * (axes * (1 / share - 1)) @ axes.mT
+
+
+def _variances(
+    energies: PoseEnergies, poses: Poses, rows: Int[Tensor, " rows"]
+) -> Float[Tensor, "rows 21 3 3"]:
+    """Inverse curvatures by the turns of every joint about the axes of the world."""
+    curvature = energies.curvature(poses, rows).double()
+    curvature.diagonal(dim1=1, dim2=2).add_(_LEAST)
+    inverse = torch.cholesky_inverse(torch.linalg.cholesky(curvature))[:, 3:, 3:]
+    # coordinates are axis by axis, and joint by joint within: a block of three for every joint
+    blocks = inverse.unflatten(1, (3, -1)).unflatten(3, (3, -1)).diagonal(dim1=2, dim2=4)
+    return blocks.permute(0, 3, 1, 2)[:, 1:]
+
+
+def _smoothed(
+    known: Float[Tensor, "frames 21 3 3"],
+    values: Float[Tensor, "frames 21 3"],
+    moments: Int[Tensor, " frames"],
+    step: float,
+) -> Float[Tensor, "frames 21 3"]:
+    """Means of processes about zero, given values with their information at some moments."""
+    from scipy.linalg import solveh_banded  # loaded by recordings with gaps only
+
+    at = moments.numpy()
+    time = int(at[-1]) + 1
+    process = _precision(time, step)
+    told = (known @ values[..., None])[..., 0].numpy()
+    found = np.zeros((len(at), len(JOINTS) - 1, 3))
+    for joint in range(found.shape[1]):
+        band, right = process.copy(), np.zeros((time, 3))
+        right[at] = told[:, joint]
+        own = known[:, joint].numpy()
+        for row in range(3):
+            for column in range(row + 1):
+                band[row - column, 3 * at + column] += own[:, row, column]
+        found[:, joint] = solveh_banded(band, right.ravel(), lower=True).reshape(-1, 3)[at]
+    return torch.from_numpy(found)
+
+
+def _precision(time: int, step: float) -> Float[np.ndarray, "7 coordinates"]:
+    """Lower band of the precision matrix of three processes, moment by moment.
+
+    The energy of a Matérn 3/2 process is ∫ (κ⁴ x² + 2 κ² x'² + x''²) dt / (4 κ³ σ²).
+    """
+    band = np.zeros((7, 3 * time))
+    scale = step / (4 * _RATE**3 * _SPREAD**2)
+    parts = (
+        (_RATE**4, (1.0,)),
+        (2 * (_RATE / step) ** 2, (-1.0, 1.0)),
+        (1 / step**4, (1.0, -2.0, 1.0)),
+    )
+    for weight, stencil in parts:
+        count = max(0, time - len(stencil) + 1)
+        for a, left in enumerate(stencil):
+            for b, right in enumerate(stencil[a:]):
+                band[3 * b, 3 * a : 3 * (a + count)] += scale * weight * left * right
+    return band

@@ -1,0 +1,87 @@
+"""A recording of markers as an observation, so that a fit under a prior fills what it lacks.
+
+The body that meets the markers, as a conversion finds it, tells where each marker sits on the
+skin and how far it is from there, frame by frame: soft tissue moves, and bodies are no model.
+"""
+
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float
+
+from observations.markers3d import Markers3D
+from observations.noise import LIMITS
+from recon.body.model import BodyModel
+from recon.core.robust import geman_mcclure, squared
+from recon.core.skeleton import FEET
+from recon.diagnosis.findings import listed
+from recon.formats.mocap.recording import MarkerRecording
+from recon.ingest.marker_conversion import FittedMarkers, fitted_markers
+from recon.ingest.marker_findings import marker_distances
+from recon.ingest.marker_fit import stands_on_zero
+from recon.ingest.marker_sets import full_body_markers
+from recon.solver.solution import one_thread
+
+
+def seen_markers(
+    recording: MarkerRecording,
+    body: BodyModel,
+    mapping: Path | None = None,
+    robust: float | None = None,
+) -> tuple[Markers3D, tuple[str, ...]]:
+    """The known markers of a recording on our body's surface, and what was decided.
+
+    Their offsets from the skin are those of the body that meets them best, and their standard
+    deviations its residuals, at least a centimetre: below that, the body errs more than markers.
+
+    Args:
+        recording: in metres, z up.
+        body: on whose surface they sit.
+        mapping: JSON or TOML file, marker label = landmark or vertex; None uses known labels.
+        robust: distance in metres beyond which a marker counts ever less; None is least squares.
+
+    Raises:
+        FileNotFoundError: when there is no such mapping file.
+        ValueError: when the markers are not known, or cover neither legs nor trunk.
+    """
+    with one_thread():
+        markers = full_body_markers(recording, body, mapping)
+        found = fitted_markers(recording, body, markers)
+    shown, fit = found.recording, found.fit
+    offsets = fit.offsets
+    grounded = bool(fit.observed[:, list(FEET)].any()) and stands_on_zero(shown)
+    seen = Markers3D(
+        torch.from_numpy(shown.positions).float()[None],
+        torch.from_numpy(shown.visible)[None],
+        markers.vertices,
+        shown.fps,
+        shown.start_time,
+        squared if robust is None else partial(geman_mcclure, sigma=robust),
+        ground_known=grounded,
+        std=_deviations(found),
+        offsets=offsets,
+        labels=shown.marker_names,
+    )
+    ground = (
+        "ground: z = 0, as the lowest markers are those of feet"
+        if grounded
+        else "ground: its height is estimated, as no marker of a foot is near z = 0"
+    )
+    bare = (
+        (f"no marker on {listed(markers.bare)}: the prior infers what nobody saw",)
+        if markers.bare
+        else ()
+    )
+    changed = tuple(finding.message for finding in (*found.warnings, *found.repairs))
+    return seen, (*found.decisions, ground, *bare, *changed)
+
+
+def _deviations(found: FittedMarkers) -> Float[np.ndarray, " markers"]:
+    """Standard deviation of the coordinates of every marker about its place, metres."""
+    seen = found.recording.visible
+    square = np.where(seen, np.square(marker_distances(found.fit, found.recording)), 0.0).sum(
+        0
+    ) / seen.sum(0).clip(min=1)
+    return np.sqrt(square / 3).clip(*LIMITS)

@@ -1,0 +1,327 @@
+"""The energies of poses that are to meet markers, with their first and second derivatives."""
+
+from dataclasses import dataclass, replace
+from functools import cache
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+from torch.nn.functional import pad
+
+from priors.pose.prior import PosePrior
+from recon.body.derivatives import CarriedPoints
+from recon.body.kinematics import forward_kinematics
+from recon.body.levers import (
+    COORDINATES,
+    Levers,
+    ShapeLevers,
+    affine,
+    gathered,
+    turned,
+    world_turns,
+)
+from recon.body.model import BodyModel
+from recon.core import rotations as so3
+from recon.core.struct import TensorStruct
+from recon.ingest.tied_frames import TiedFrames
+
+
+@dataclass(frozen=True)
+class Poses(TensorStruct):
+    """Poses of frames, with what follows from them."""
+
+    translation: Float[Tensor, "frames 3"]
+    rotations: Float[Tensor, "frames 22 3 3"]
+    orientations: Float[Tensor, "frames 22 3 3"]
+    """Orientations of the bones, world."""
+    bones: Float[Tensor, "frames 3 88"]
+    """Affine matrices of all bones; see `recon.body.levers`."""
+
+    @classmethod
+    def of(
+        cls,
+        translation: Float[Tensor, "frames 3"],
+        rotations: Float[Tensor, "frames 22 3 3"],
+        rest: Float[Tensor, "22 3"],
+    ) -> "Poses":
+        """Poses of a body with joints at these places at rest, metres."""
+        orientations, joints = forward_kinematics(rotations, rest)
+        placed = affine(orientations, joints + translation[:, None])
+        return cls(translation, rotations, orientations, placed)
+
+    def moved(self, steps: Float[Tensor, "frames 69"], rest: Float[Tensor, "22 3"]) -> "Poses":
+        """Poses after a step of every frame, in the coordinates of `recon.body.levers`."""
+        rotations = turned(self.rotations, self.orientations, steps[:, 3:])
+        return Poses.of(self.translation + steps[:, :3], rotations, rest)
+
+
+@dataclass(frozen=True)
+class Correctives(TensorStruct):
+    """Displacements of skin that depend on the pose, as bodies of the SMPL family have them."""
+
+    directions: Float[Tensor, "189 columns"]
+    """Displacements of all unposed points, metres, by the entries of all body rotations."""
+    weights: Float[Tensor, "points 22"]
+
+    @classmethod
+    def of(cls, body: BodyModel, vertices: Int[Tensor, " points"]) -> "Correctives | None":
+        """Correctives of some vertices; None for a body that has none."""
+        if body.pose_directions is None:
+            return None
+        return cls(body.pose_directions[:, vertices].flatten(1), body.weights[vertices])
+
+    def moved(self, poses: Poses) -> Float[Tensor, "frames 3 points"]:
+        """The displacements, world, metres."""
+        return (self._turns(poses) @ self._unposed(poses)[..., None])[..., 0].mT
+
+    def pull(
+        self, poses: Poses, forces: Float[Tensor, "frames 3 points"]
+    ) -> Float[Tensor, "frames 69"]:
+        """Derivatives of Σ forces · displacements by the coordinates of a step."""
+        loads = torch.einsum("vj,tdv,tva->tdja", self.weights, forces, self._unposed(poses))
+        bones = poses.orientations.transpose(1, 2)
+        turns = gathered(torch.linalg.cross(bones, loads, dim=1).sum(-1)).flatten(1)
+        local = (self._turns(poses).mT @ forces.mT[..., None])[..., 0].flatten(1)
+        slopes = (local @ self.directions.mT).unflatten(-1, (-1, 3, 3))
+        bent = 2 * so3.axis_sine(poses.rotations[:, 1:].mT @ slopes)
+        turns = turns + world_turns(_rootless(bent), poses.orientations)
+        return torch.nn.functional.pad(turns, (3, 0))
+
+    def _unposed(self, poses: Poses) -> Float[Tensor, "frames points 3"]:
+        body = poses.rotations[:, 1:] - torch.eye(3).to(poses.rotations)
+        return (body.flatten(1) @ self.directions).unflatten(-1, (-1, 3))
+
+    def _turns(self, poses: Poses) -> Float[Tensor, "frames points 3 3"]:
+        return torch.einsum("vj,tjab->tvab", self.weights, poses.orientations)
+
+
+@dataclass(frozen=True)
+class SkinPoints(TensorStruct):
+    """Points at constant offsets from vertices of a body of known shape.
+
+    Correctives are part of the places and of `pull`, and left out of second derivatives.
+    """
+
+    carried: CarriedPoints
+    levers: Levers
+    correctives: Correctives | None
+
+    @classmethod
+    def of(
+        cls,
+        body: BodyModel,
+        shape: Float[Tensor, " shape"],
+        vertices: Int[Tensor, " points"],
+        offsets: Float[Tensor, "points 3"] | None = None,
+    ) -> "SkinPoints":
+        """Vertices, with offsets in the frames of the bones that move them most, metres."""
+        eye = torch.eye(len(vertices), dtype=shape.dtype, device=shape.device)
+        none = shape.new_zeros(len(eye), body.weights.shape[-1])
+        carried = CarriedPoints.create(body, shape, none, eye, vertices)
+        if offsets is not None:
+            place = carried.place.clone()
+            place[torch.arange(len(eye)), body.weights[vertices].argmax(-1)] += offsets
+            carried = replace(carried, place=place)
+        return cls(carried, Levers.of(carried), Correctives.of(body, vertices))
+
+    def places(self, poses: Poses) -> Float[Tensor, "frames 3 points"]:
+        """The points, world, metres."""
+        places = self.levers.places(poses.bones)
+        return places if self.correctives is None else places + self.correctives.moved(poses)
+
+    def pull(
+        self, poses: Poses, forces: Float[Tensor, "frames 3 points"]
+    ) -> Float[Tensor, "frames 69"]:
+        """Derivatives of Σ forces · points by the coordinates of a step."""
+        pull = self.levers.pull(poses.bones, forces)
+        return pull if self.correctives is None else pull + self.correctives.pull(poses, forces)
+
+    def by_shape(self, poses: Poses, body: BodyModel) -> Float[Tensor, "frames points 3 shape"]:
+        """Derivatives of the points by the coefficients of the shape, metres."""
+        return ShapeLevers.of(self.carried, body).by_shape(poses.bones)
+
+
+def _rootless(bent: Float[Tensor, "frames 21 3"]) -> Float[Tensor, "frames 22 3"]:
+    """Vectors of all joints from those of the body joints; zero for the root."""
+    return torch.nn.functional.pad(bent, (0, 0, 1, 0))
+
+
+@cache
+def natural_pose() -> Float[Tensor, "21 3 3"]:
+    """How people stand on average, arms hanging: what joints take that no marker ever shows.
+
+    It is the mean rotation of every body joint over the motions that the bundled pose prior
+    learned.
+    """
+    return PosePrior.load().density.mean.float()
+
+
+def with_natural_pose(rotations: Float[Tensor, "*batch 22 3 3"]) -> Float[Tensor, "*batch 22 3 3"]:
+    """Poses with the same root rotations, and all other joints at rest."""
+    pose = natural_pose().to(rotations).expand(*rotations.shape[:-3], 21, 3, 3)
+    return torch.cat((rotations[..., :1, :, :], pose), -3)
+
+
+@dataclass(frozen=True)
+class PoseEnergies(TiedFrames[Poses]):
+    """Energies of the poses of a body of known shape, frame by frame, and ties between frames.
+
+    Markers, ½ Σ kernel(|p - m|²); the pull to the natural pose, Σ (1 - cos angle); soles below the
+    ground, half of their mean squared depth; and turns from frame to frame, Σ (1 - cos angle).
+    """
+
+    rest: Float[Tensor, "22 3"]
+    """Joints of the unposed body, metres."""
+    markers: SkinPoints
+    soles: SkinPoints | None
+    """Points under the feet that are held above z = 0; None where the ground is elsewhere."""
+    positions: Float[Tensor, "frames 3 markers"]
+    """World, metres; zero where not visible."""
+    visible: Float[Tensor, "frames markers"]
+    """1 where a marker is visible, 0 elsewhere."""
+    linked: Bool[Tensor, " between"]
+    """Whether a frame is tied to the next one."""
+    natural: Float[Tensor, "#frames 21 3 3"]
+    """Rotations that joints are drawn to: the same in all frames, or frame by frame."""
+    pull: Float[Tensor, "#frames"]
+    """Weight of the distance from them, likewise."""
+    ground: float
+    """Weight of the soles."""
+    turning: Float[Tensor, " 22"]
+    """Weight of every joint's turns from frame to frame; they are not multiplied by `weight`."""
+    weight: float = 1.0
+    """Multiplier of the energies of single frames."""
+    sigma: float | None = None
+    """Scale of Geman and McClure's kernel, metres; None is least squares."""
+
+    @property
+    def stiffness(self) -> Float[Tensor, " 69"]:
+        """Second derivatives of a tie: turns are tied, translations are not."""
+        return torch.cat((self.turning.new_zeros(3), self.turning.repeat(3)))
+
+    def frames(self, index: Int[Tensor, " frames"]) -> "PoseEnergies":
+        """The energies of some frames, ascending; only those that are linked stay tied."""
+        apart = (~self.linked).cumsum(0)
+        run = pad(apart, (1, 0))[index]
+        linked = (index.diff() == 1) & (run.diff() == 0)
+        return replace(
+            self,
+            positions=self.positions[index],
+            visible=self.visible[index],
+            linked=linked,
+            natural=_of_frames(self.natural, index),
+            pull=_of_frames(self.pull, index),
+        )
+
+    def untied(self) -> "PoseEnergies":
+        """The energies of frames that are independent of each other."""
+        return replace(self, linked=torch.zeros_like(self.linked))
+
+    def begun(
+        self, translation: Float[Tensor, "frames 3"], rotations: Float[Tensor, "frames 22 3 3"]
+    ) -> Poses:
+        """Poses of this body."""
+        return Poses.of(translation, rotations, self.rest)
+
+    def look(
+        self, state: Poses, rows: Int[Tensor, " rows"]
+    ) -> tuple[Float[Tensor, " rows"], Float[Tensor, "rows 69"]]:
+        """Energies of some frames without ties, and their gradients."""
+        some = _rows(state, rows)
+        value, slope, away = self._residuals(some, rows)
+        gradient = self.markers.pull(some, away * slope[:, None])
+        value = 0.5 * value.sum(-1)
+        drawn = some.rotations[:, 1:]
+        natural, pull = _of_frames(self.natural, rows), _of_frames(self.pull, rows)
+        value = value + pull / 4 * (drawn - natural).square().sum((1, 2, 3))
+        bent = pad(so3.axis_sine(natural.mT @ drawn), (0, 0, 1, 0))
+        gradient[:, 3:] += pull[:, None] * world_turns(bent, some.orientations)
+        if self.soles is not None:
+            depth, weight = self.depths(some)
+            value = value + 0.5 * (weight * depth.square()).sum(-1)
+            gradient = gradient + self.soles.pull(some, _upwards(weight * depth))
+        return self.weight * value, self.weight * gradient
+
+    def curvature(self, state: Poses, rows: Int[Tensor, " rows"]) -> Float[Tensor, "rows 69 69"]:
+        """Gauss-Newton Hessians of these energies."""
+        some = _rows(state, rows)
+        _, slope, _ = self._residuals(some, rows)
+        out = self.markers.levers.stiffness(some.bones, slope)
+        diagonal = out.diagonal(dim1=1, dim2=2)[:, 3:].unflatten(-1, (3, -1))
+        diagonal[..., 1:] += _of_frames(self.pull, rows)[:, None, None]
+        if self.soles is not None:
+            _, weight = self.depths(some)
+            touching = weight.any(-1).nonzero()[:, 0]
+            self.soles.levers.add_rising(out, touching, some.bones[touching], weight[touching])
+        return self.weight * out
+
+    def alike(
+        self, some: Int[Tensor, " rows"], others: Int[Tensor, " rows"]
+    ) -> Bool[Tensor, " rows"]:
+        """Which frames show the same markers."""
+        return (self.visible[some] == self.visible[others]).all(-1)
+
+    def tied(self, state: Poses) -> tuple[Float[Tensor, " between"], Float[Tensor, "frames 69"]]:
+        """Energies of the turns from frame to frame, and their gradients by steps."""
+        rotations = state.rotations
+        gradient = rotations.new_zeros(len(rotations), COORDINATES)
+        weight = self.turning * self.linked[:, None]
+        if not bool(weight.any()):
+            return weight.sum(-1), gradient
+        value = (weight / 4 * rotations.diff(dim=0).square().sum((2, 3))).sum(-1)
+        bent = weight[..., None] * so3.axis_sine(rotations[:-1].mT @ rotations[1:])
+        ends = pad(bent, (0, 0, 0, 0, 1, 1))
+        gradient[:, 3:] = world_turns(ends[:-1] - ends[1:], state.orientations)
+        return value, gradient
+
+    def moved(self, state: Poses, rows: Int[Tensor, " rows"], steps: Tensor) -> Poses:
+        """The state after steps of some frames."""
+        found = _rows(state, rows).moved(steps, self.rest)
+        if len(rows) == len(state.translation):
+            return found
+        fresh = iter(found.tensors().values())
+        return state.map(lambda tensor: tensor.index_copy(0, rows, next(fresh)))
+
+    def forces(
+        self, state: Poses
+    ) -> tuple[Float[Tensor, "frames 3 markers"], Float[Tensor, "frames markers"]]:
+        """Derivatives of the energies by the places of markers, and the weights of residuals."""
+        _, slope, away = self._residuals(state, torch.arange(len(state.translation)))
+        slope = self.weight * slope
+        return away * slope[:, None], slope
+
+    def depths(
+        self, state: Poses
+    ) -> tuple[Float[Tensor, "frames soles"], Float[Tensor, "frames soles"]]:
+        """Heights of points under the feet, metres, and weights: zero above the ground."""
+        assert self.soles is not None
+        height = self.soles.places(state)[:, 2]
+        return height, (self.ground / height.shape[-1]) * (height < 0).to(height)
+
+    def _residuals(self, some: Poses, rows: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """The kernel of squared distances of markers, its slope, and predicted minus observed."""
+        away = self.markers.places(some) - _some(self.positions, rows)
+        seen, size = _some(self.visible, rows), away.square().sum(1)
+        if self.sigma is None:
+            return size * seen, seen, away
+        scale = self.sigma**2
+        share = scale / (scale + size)
+        return share * size * seen, share.square() * seen, away
+
+
+def _upwards(force: Float[Tensor, "frames points"]) -> Float[Tensor, "frames 3 points"]:
+    return torch.stack((torch.zeros_like(force), torch.zeros_like(force), force), 1)
+
+
+def _rows(state: Poses, rows: Tensor) -> Poses:
+    # indexing copies, so all frames are taken as they are
+    return state if len(rows) == len(state.translation) else state[rows]
+
+
+def _of_frames(values: Tensor, rows: Tensor) -> Tensor:
+    # one value belongs to all frames
+    return values if len(values) == 1 else _some(values, rows)
+
+
+def _some(values: Tensor, rows: Tensor) -> Tensor:
+    return values if len(rows) == len(values) else values[rows]

@@ -1,0 +1,239 @@
+"""Places on the body of the markers of a recording, and the parts of the body that they cover."""
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from observations.correspondences import PLACES
+from observations.start.rigid import TORSO
+from recon.body.landmarks import landmark
+from recon.body.marker_labels import (
+    FEWEST_MARKERS,
+    load_marker_map,
+    mapping_to_write,
+    match_markers,
+)
+from recon.body.model import BodyModel
+from recon.core.errors import ReconError
+from recon.core.raster import tensor_normals
+from recon.core.skeleton import JOINTS, descendants, joint_index
+from recon.diagnosis.findings import Finding, listed
+from recon.formats.keypoints3d.labels import STUDY, are_keypoints, meant_keypoints
+from recon.formats.mocap.recording import MarkerRecording
+
+_TRUNK = {"neck": "spine3", "thorax": "spine3", "spine": "spine2", "mid_hip": "pelvis"}
+"""Bones that carry points between joints of both sides."""
+
+
+def keypoint_places(
+    labels: Sequence[str], body: BodyModel
+) -> tuple[tuple[int, ...], Float[Tensor, "points 3"]]:
+    """A vertex that moves rigidly with each keypoint's bone, and the keypoint's place from it.
+
+    The places are those of the average body at rest, metres.
+    """
+    vertices: list[int] = []
+    offsets: list[Tensor] = []
+    for label, name in zip(labels, meant_keypoints(labels), strict=True):
+        if name is None or name not in PLACES:
+            raise ReconError(f"{label!r} is no keypoint; there are {', '.join(PLACES)}")
+        place = PLACES[name]
+        points = [body.joint_template[joint_index(joint)] for joint in place.joints]
+        points += [body.template[landmark(one)] for one in place.landmarks]
+        centre = torch.stack(points).mean(0)
+        if name in _TRUNK:
+            bone = JOINTS.index(_TRUNK[name])
+        elif place.joints:
+            bone = joint_index(place.joints[0])
+        else:
+            marks = [landmark(one) for one in place.landmarks]
+            bone = int(body.weights[marks].sum(0).argmax())
+        rigid = body.weights[:, bone] > body.weights[:, bone].max() - 1e-3
+        away = (body.template - centre).norm(dim=-1).where(rigid, torch.inf)
+        vertices.append(int(away.argmin()))
+        offsets.append(centre - body.template[vertices[-1]])
+    return tuple(vertices), torch.stack(offsets)
+
+
+def keypoint_finding(labels: Sequence[str]) -> Finding:
+    """What is said of such recordings."""
+    return Finding(
+        "joint centres",
+        f"the points are joint centres by their names ({listed(labels)}), as detectors of "
+        "keypoints give them: they lie inside the body and are no markers on the skin. With the "
+        "images' keypoints and calibrated cameras, `recon fit` is more accurate",
+        value=float(len(labels)),
+    )
+
+
+_LOOSE = re.compile(r"thigh|shank|upper_arm|deltoid|forearm$|forearm_|scapula$|chest")
+"""Landmarks that are a region: markers are put anywhere on it."""
+STANDOFF = 0.0095
+"""Metres from the skin to a marker's centre, along the normal (MoSh)."""
+_BONES_ABOVE, _ON_TORSO = 3, 3
+"""Bones from the chest up with a marker, and markers of the torso, that place an upper body."""
+
+
+@dataclass(frozen=True)
+class MarkerSet:
+    """Markers whose place on the body is known."""
+
+    labels: tuple[str, ...]
+    vertices: tuple[int, ...]
+    loose: tuple[bool, ...]
+    """Whether the place is only roughly known."""
+    nominal: Float[Tensor, "markers 3"]
+    """Expected offset of each marker from its vertex, in the frame of its bone, metres."""
+    bones: tuple[int, ...]
+    """The bone that moves each marker most."""
+    unknown: tuple[str, ...]
+    """Labels nobody knows: virtual markers, joint centres, unlabelled points."""
+    inside: bool = False
+    """Whether they are joint centres that a detector found, rather than markers on the skin."""
+    bare: tuple[str, ...] = ()
+    """Parts of the body on which there is none: trunk, pelvis, left shank or foot, ..."""
+    decisions: tuple[str, ...] = ()
+    """What was chosen among the points, one sentence each."""
+
+
+def full_body_markers(
+    recording: MarkerRecording, body: BodyModel, mapping: str | Path | None = None
+) -> MarkerSet:
+    """The known markers of a recording that are ever visible: of a body, its legs or its trunk.
+
+    Args:
+        recording: with labels of any protocol; of several subjects the one seen most is taken.
+        body: on whose mesh they sit.
+        mapping: JSON or TOML file, marker label = landmark or vertex, for labels that are not
+            known or that mean another place here; None uses the known labels.
+
+    Raises:
+        FileNotFoundError: when there is no such mapping file.
+        ValueError: when the body is not the bundled one and no mapping gives its vertices, or
+            when too few markers are known to place legs or trunk.
+    """
+    bundled = body.checksum == BodyModel.load().checksum
+    if mapping is None and not bundled:
+        raise ReconError(
+            f"marker names are points of the bundled body, not of {body.name!r}; give vertex "
+            "numbers of that body with --mapping"
+        )
+    seen = [
+        label
+        for marker, label in enumerate(recording.marker_names)
+        if recording.visible[:, marker].any()
+    ]
+    # OpenCap adds markers that a network placed beside the keypoints they were made from
+    study = {label.removesuffix(STUDY): label for label in seen if label.endswith(STUDY)}
+    if len(study) < FEWEST_MARKERS and mapping is None and are_keypoints(seen):
+        return _keypoints(seen, body)
+    seen, decisions = _of_one_subject(recording, seen)
+    vertices: dict[str, int] = {}
+    loose: dict[str, bool] = {}
+    if bundled:
+        known, _ = match_markers(study if len(study) >= FEWEST_MARKERS else seen)
+        names = {study.get(label, label): name for label, name in known.items()}
+        vertices = {label: landmark(name) for label, name in names.items()}
+        loose = {label: _LOOSE.search(name) is not None for label, name in names.items()}
+    if mapping is not None:
+        given = load_marker_map(mapping)
+        for label in (label for label in seen if label in given):
+            vertices.pop(label, None)
+            if (vertex := given[label]) is not None:
+                vertices[label], loose[label] = vertex, False
+    vertices = {label: vertices[label] for label in seen if label in vertices}
+    unknown = tuple(label for label in seen if label not in vertices)
+    bare = _bare_parts(recording.name, vertices, unknown, body)
+    labels = tuple(vertices)
+    return MarkerSet(
+        labels=labels,
+        vertices=tuple(vertices.values()),
+        loose=tuple(loose[label] for label in labels),
+        nominal=nominal_offsets(body, tuple(vertices.values())),
+        bones=_bones(vertices.values(), body),
+        unknown=unknown,
+        bare=bare,
+        decisions=decisions,
+    )
+
+
+def _of_one_subject(
+    recording: MarkerRecording, seen: Sequence[str]
+) -> tuple[list[str], tuple[str, ...]]:
+    """The labels of one subject and of none, where labels name several (Ann:LASI, Bob:LASI)."""
+    shown = dict(zip(recording.marker_names, recording.visible.sum(0).tolist(), strict=True))
+    counts: dict[str, int] = {}
+    for label in seen:
+        if ":" in label:
+            subject = label.split(":")[0]
+            counts[subject] = counts.get(subject, 0) + shown[label]
+    if len(counts) < 2:
+        return list(seen), ()
+    chosen = max(counts, key=lambda subject: counts[subject])
+    others = [subject for subject in counts if subject != chosen]
+    kept = [label for label in seen if ":" not in label or label.split(":")[0] == chosen]
+    return kept, (
+        f"markers of {len(counts)} subjects: those of {chosen} were taken, which are seen most; "
+        f"left out: {', '.join(others)}",
+    )
+
+
+def _keypoints(labels: Sequence[str], body: BodyModel) -> MarkerSet:
+    meant = zip(labels, meant_keypoints(labels), strict=True)
+    known = tuple(label for label, name in meant if name in PLACES)
+    vertices, nominal = keypoint_places(known, body)
+    return MarkerSet(
+        labels=known,
+        vertices=vertices,
+        # what detectors call a joint is some centimetres off the body's own joint
+        loose=(True,) * len(known),
+        nominal=nominal,
+        bones=_bones(vertices, body),
+        unknown=tuple(label for label in labels if label not in known),
+        inside=True,
+    )
+
+
+def _bones(vertices: Iterable[int], body: BodyModel) -> tuple[int, ...]:
+    return tuple(body.weights[list(vertices)].argmax(-1).tolist())
+
+
+def _bare_parts(
+    name: str, vertices: dict[str, int], unknown: tuple[str, ...], body: BodyModel
+) -> tuple[str, ...]:
+    """Parts of the body without a marker.
+
+    Raises:
+        ValueError: when the others are neither two legs with their pelvis nor a trunk.
+    """
+    bones = _bones(vertices.values(), body)
+    parts: dict[str, tuple[int, ...]] = {"pelvis": (0, 1, 2, 3)}
+    for side in ("left", "right"):
+        knee = joint_index(f"{side}_knee")
+        parts[f"{side} thigh or knee"] = (joint_index(f"{side}_hip"), knee)
+        parts[f"{side} shank or foot"] = descendants(knee)
+    trunk = descendants(joint_index("spine2"))
+    parts["trunk"] = trunk
+    bare = tuple(part for part, some in parts.items() if not any(b in some for b in bones))
+    legs = set(bare) <= {"trunk"}
+    upper = len({b for b in bones if b in trunk}) >= _BONES_ABOVE and (
+        sum(b in TORSO for b in bones) >= _ON_TORSO
+    )
+    if (legs or upper) and len(bones) >= FEWEST_MARKERS:
+        return bare
+    raise ReconError(
+        f"{name}: expected at least {FEWEST_MARKERS} markers of known places, on pelvis and both "
+        f"legs or on the trunk, got {len(bones)} ({', '.join(vertices) or 'none'}); without a "
+        f"marker: {', '.join(bare) or 'none'}; labels not known: {', '.join(unknown) or 'none'}; "
+        f"{mapping_to_write(unknown or tuple(vertices))}"
+    )
+
+
+def nominal_offsets(body: BodyModel, vertices: Sequence[int]) -> Float[Tensor, "markers 3"]:
+    """A marker's centre off the skin, along the normal of the rest body, metres."""
+    return STANDOFF * tensor_normals(body.template, body.faces)[list(vertices)]

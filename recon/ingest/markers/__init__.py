@@ -1,1 +1,0 @@
-"""Recorded markers: which they are, what is wrong with them, the solve."""
