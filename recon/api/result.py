@@ -321,26 +321,16 @@ def result_of(
         cycle = cycle_report(found, [one.median for one in examined.residuals])
     belt = None
     if examined.belt is not None:
-        from recon.diagnosis.carried import in_room, path_of_belt  # there are few treadmills
+        from recon.diagnosis.movement import in_room, path_of_belt  # there are few treadmills
 
         belt = path_of_belt(motion, examined.belt)
         motion = in_room(motion, examined.belt)
-    observed = torch.from_numpy(examined.observed_at(motion))
-    # on a treadmill the prior's ground is the belt, not the floor of the room
-    probability = None if belt is not None else examined.contact_probability_at(motion)
+    known = examined.described_at(motion)
+    if belt is not None:
+        # on a treadmill the prior's ground is the belt, not the floor of the room
+        known["contact_probability"] = None
     return Result(
-        file=described(
-            motion,
-            body,
-            ground,
-            T_world_camera,
-            observed,
-            belt,
-            examined.joint_std_at(motion),
-            examined.ground_std,
-            probability,
-            examined.angle_std_at(motion),
-        ),
+        file=described(motion, body, ground, T_world_camera, belt=belt, **known),
         body=body,
         examined=examined,
         warnings=(

@@ -7,20 +7,19 @@ jumps has no foot at rest most of the time either, but flies then, and rests in 
 moment.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
-from observations.camera_paths import tell_distance, triangulate
+from observations.camera_paths import tell_distance
 from observations.first_guess import one_clock
 from observations.keypoints2d import Keypoints2D
 from recon.body.model import BodyModel
 from recon.core.robust import NORMAL_MAD
-from recon.diagnosis.findings import Finding
+from recon.diagnosis.findings import NOTHING, Finding, Findings
 from recon.diagnosis.images import Images
 from recon.fitting.fitted import ClipFit
 from recon.method.laplace import Deviations
@@ -29,10 +28,6 @@ from recon.method.sensor import views_of
 
 _NEAR, _FAR = 0.7, 40.0
 """Metres at which people are filmed."""
-_CLEARLY = 0.6
-"""Mirrored images must fit together with less than this share of the error."""
-_LEAST_PIXELS = 1.0
-"""Errors below this tell nothing."""
 
 
 def distance_warnings(name: str, seen: Keypoints2D, estimate: Estimate) -> list[Finding]:
@@ -51,54 +46,14 @@ def distance_warnings(name: str, seen: Keypoints2D, estimate: Estimate) -> list[
     ]
 
 
-def mirror_warnings(views: Sequence[Keypoints2D]) -> list[Finding]:
-    """Images that fit together better when mirrored, as front cameras of phones write them.
-
-    One view alone cannot tell: it shows what the mirrored person would have done.
-    """
-    alike = one_clock(views)
-    if len(alike) < 2:
-        return []
-    given, mirrored = views_error(alike), views_error([_mirrored(view) for view in alike])
-    if given < _LEAST_PIXELS or mirrored > _CLEARLY * given:
-        return []
-    return [
-        Finding(
-            "mirrored",
-            f"the images seem to be mirrored: their rays miss each other by {given:.1f} pixels, "
-            f"and by {mirrored:.1f} when left and right of all images are exchanged; mirror the "
-            "videos back before keypoints are detected",
-            value=mirrored / given,
-        )
-    ]
-
-
-def views_error(views: Sequence[Keypoints2D]) -> float:
-    """Median distance of keypoints from their triangulated points in the images, pixels."""
-    points, exists = triangulate(views)
-    away = [_reprojection(view, points)[exists & (view.confidence > 0)] for view in views]
-    together = torch.cat(away)
-    return float(together.median()) if len(together) > 0 else 0.0
-
-
-def _reprojection(
-    view: Keypoints2D, points: Float[Tensor, "batch moments points 3"]
-) -> Float[Tensor, "batch moments points"]:
-    return (view.camera.project(points).pixels - view.pixels).norm(dim=-1)
-
-
-def _mirrored(view: Keypoints2D) -> Keypoints2D:
-    """The view with left and right of the image exchanged."""
-    turned = view.pixels * view.pixels.new_tensor([-1.0, 1.0])
-    return view.replace(pixels=turned + turned.new_tensor([float(view.camera.image_size[0]), 0.0]))
-
-
 _LEAST, _MOST = 0.5, 2.0
 """Factors by which a found focal length may be off the guessed one; beyond them, one is wrong."""
 
 
-def lens_finding(name: str, found: ClipFit) -> Finding | None:
-    """The focal length of the one camera that nobody calibrated; None where all are known.
+def lens_findings(name: str, found: ClipFit) -> Findings:
+    """The focal length of the one camera that nobody calibrated; nothing where all are known.
+
+    A warning where it is none of a phone's main camera.
 
     Args:
         name: of the camera, for the message.
@@ -106,7 +61,7 @@ def lens_finding(name: str, found: ClipFit) -> Finding | None:
     """
     lens = found.result.estimate.scene.lens
     if not found.lens_found or lens is None:
-        return None
+        return NOTHING
     (view,) = views_of(found.observations)
     factor = float(lens.factor[0])
     focal = float(view.camera.camera_matrix[0, ..., 0, 0].mean())
@@ -115,22 +70,17 @@ def lens_finding(name: str, found: ClipFit) -> Finding | None:
         f"motion as {focal:.0f} pixels; poses depend on it little, the distance of the camera as "
         "much as it is wrong. Give a calibration (--camera) where distances matter"
     )
-    return Finding("focal", message, value=focal)
-
-
-def lens_doubtful(found: ClipFit) -> bool:
-    """Whether the focal length that was found is none of a phone's main camera."""
-    lens = found.result.estimate.scene.lens
-    return lens is not None and not _LEAST < float(lens.factor[0]) < _MOST
+    said = (Finding("focal", message, value=focal),)
+    return Findings(diagnosis=said) if _LEAST < factor < _MOST else Findings(warnings=said)
 
 
 _STEP = 0.01
 _TELLING = frozenset({"height", "known shape"})
-"""Terms by which a caller tells how large the person is."""
+"""Terms by which a caller gives the size of the person."""
 
 
 def size_is_unknown(found: ClipFit) -> bool:
-    """Whether nothing but images of one place, without a ground, tells how large the person is.
+    """Whether only images from one place, without a ground, show how large the person is.
 
     Perspective alone would, if bodies and detections were exact; they are not.
     """
@@ -138,8 +88,8 @@ def size_is_unknown(found: ClipFit) -> bool:
     if found.ground_known or len(views) == 0 or len(views) < len(found.observations):
         return False
     stages = [report.stage for report in found.result.reports]
-    told = any(term.name in _TELLING for stage in stages for term in stage.terms)
-    if told or not any("shape" in stage.free for stage in stages):
+    given = any(term.name in _TELLING for stage in stages for term in stage.terms)
+    if given or not any("shape" in stage.free for stage in stages):
         return False
     alike = one_clock(views)
     return len(alike) == 1 or not tell_distance(alike)
@@ -192,7 +142,7 @@ _LAG = 0.2
 _MIN_RESTING_SHARE = 0.3
 """Share of the moments in which some part of a foot rests, of a fixed camera."""
 _MIN_SEEN_S = 0.8
-"""Time in which feet must be seen to tell anything."""
+"""Seconds for which feet must be seen."""
 _MOVES = 0.035
 """Metres per second, at the person, from which on what rests most moves in the image. In simulated
 films of validation people by fixed cameras it reaches 0.018, in real ones 0.025."""
@@ -239,60 +189,51 @@ class Rest:
 
 
 def rest_of(images: Images) -> Rest | None:
-    """What the feet tell about the one view of some images; None where they are hardly seen."""
-    usual, brief = _Slowest.of(images, _LAG), _Slowest.of(images, _BRIEF)
+    """How fast the feet move in the one view of some images; None where they are hardly seen."""
+    usual, brief = _slowest(images, _LAG), _slowest(images, _BRIEF)
     if usual is None or brief is None:
         return None
     return Rest(
-        speed=usual.quantile(_MIN_RESTING_SHARE),
-        noise=usual.noise,
-        flying=float(np.quantile(usual.speeds, 1 - _SELDOM)),
-        brief=brief.quantile(_SOMETIMES),
+        speed=_quantile(*usual, _MIN_RESTING_SHARE),
+        noise=usual[1],
+        flying=float(np.quantile(usual[0], 1 - _SELDOM)),
+        brief=_quantile(*brief, _SOMETIMES),
     )
 
 
-@dataclass(frozen=True)
-class _Slowest:
-    """Speed of the part of the feet that rests most, at every moment where one was seen."""
+def _quantile(speeds: Float[np.ndarray, " moments"], noise: float, share: float) -> float:
+    """Speed below which a share of the moments lie, without what the noise makes of it."""
+    return float(np.sqrt(max(np.quantile(speeds, share) ** 2 - noise**2, 0.0)))
 
-    speeds: Float[np.ndarray, " moments"]
-    """Metres per second at the person."""
-    noise: float
 
-    @classmethod
-    def of(cls, images: Images, lag: float) -> "_Slowest | None":
-        """Speeds over a time lag, seconds; None where feet are hardly seen."""
-        half = max(1, round(lag * images.fps / 2))
-        pixels, seen = images.pixels[0], images.seen[0]
-        if len(pixels) <= 2 * half:
-            return None
-        lag = 2 * half / images.fps
-        speeds, jitters = [], []
-        for names in _CONTACTS:
-            columns = [images.points.index(name) for name in names if name in images.points]
-            if not columns:
-                continue
-            place, there = pixels[:, columns].mean(1), seen[:, columns].all(1)
-            moved = np.linalg.norm(place[2 * half :] - place[: -2 * half], axis=-1)
-            both = there[2 * half :] & there[: -2 * half]
-            speeds.append(np.where(both, moved / lag / images.scale[0, half:-half], np.inf))
-            jitters.append(_jitter(place, there)[half - 1 : len(place) - half - 1])
-        if not speeds:
-            return None
-        every = np.stack(speeds)
-        slowest, which = every.min(0), every.argmin(0)
-        told = np.isfinite(slowest)
-        if told.sum() < _MIN_SEEN_S * images.fps:
-            return None
-        jitter = np.stack(jitters)[which, np.arange(len(which))][told]
-        spread = float(np.nanmedian(jitter)) / NORMAL_MAD / np.sqrt(6)
-        noise = spread * np.sqrt(2) / lag / float(np.median(images.scale[0]))
-        return cls(slowest[told], float(noise))
+def _slowest(images: Images, lag: float) -> tuple[Float[np.ndarray, " moments"], float] | None:
+    """Speed of the part of the feet that rests most, at every moment where one was seen.
 
-    def quantile(self, share: float) -> float:
-        """Speed below which a share of the moments lie, without what the noise makes of it."""
-        speed = float(np.quantile(self.speeds, share))
-        return float(np.sqrt(max(speed**2 - self.noise**2, 0.0)))
+    Metres per second at the person over a time lag, seconds, and the speed that the noise makes;
+    None where feet are hardly seen.
+    """
+    half = max(1, round(lag * images.fps / 2))
+    rows = [
+        [images.points.index(name) for name in names if name in images.points]
+        for names in _CONTACTS
+    ]
+    place = np.stack(
+        [images.shown[0, :, own].mean(0) for own in rows if own] or [np.zeros((0, 2))]
+    )
+    if place.shape[1] <= 2 * half:
+        return None
+    lag = 2 * half / images.fps
+    moved = np.linalg.norm(place[:, 2 * half :] - place[:, : -2 * half], axis=-1)
+    speeds = np.nan_to_num(moved / lag / images.scale[0, half:-half], nan=np.inf)
+    slowest, which = speeds.min(0), speeds.argmin(0)
+    known = np.isfinite(slowest)
+    if known.sum() < _MIN_SEEN_S * images.fps:
+        return None
+    # mean size of the second difference of both coordinates
+    jitter = np.abs(np.diff(place, 2, axis=1)).mean(-1)[:, half - 1 : place.shape[1] - half - 1]
+    spread = np.nanmedian(jitter[which, np.arange(len(which))][known]) / NORMAL_MAD / np.sqrt(6)
+    noise = spread * np.sqrt(2) / lag / float(np.median(images.scale[0]))
+    return slowest[known], float(noise)
 
 
 def moving_finding(name: str, images: Images, rest: Rest) -> Finding:
@@ -301,7 +242,7 @@ def moving_finding(name: str, images: Images, rest: Rest) -> Finding:
     Args:
         name: of the camera, for the message.
         images: of the one view.
-        rest: what its feet tell.
+        rest: how fast its feet move.
     """
     pixels = rest.speed * float(np.median(images.scale[0]))
     how = (
@@ -320,11 +261,3 @@ def moving_finding(name: str, images: Images, rest: Rest) -> Finding:
         "skates, swims or sits",
         value=rest.speed,
     )
-
-
-def _jitter(
-    place: Float[np.ndarray, "time 2"], there: Bool[np.ndarray, " time"]
-) -> Float[np.ndarray, " inner"]:
-    """Mean size of the second difference of both coordinates; NaN where it is not known."""
-    size = np.abs(place[2:] - 2 * place[1:-1] + place[:-2]).mean(-1)
-    return np.where(there[2:] & there[1:-1] & there[:-2], size, np.nan)

@@ -12,20 +12,18 @@ from dataclasses import replace
 
 from recon.body.model import ODDEST, SHORTEST_BODY, TALLEST_BODY
 from recon.body.soles import sole_heights
-from recon.diagnosis.carried import treadmill_finding, with_belt
 from recon.diagnosis.doubts import guessed_findings, undecided_findings, unseen_findings
 from recon.diagnosis.examination import (
     AfterFit,
     BeforeFit,
     CheckedClip,
     Examined,
-    ResidualSummary,
     after_fit,
     before_fit,
 )
 from recon.diagnosis.findings import NOTHING, Finding, Findings
 from recon.diagnosis.frame_rate import rate_finding
-from recon.diagnosis.movement import support_findings
+from recon.diagnosis.movement import support_findings, treadmill_finding, with_belt
 from recon.diagnosis.points import screen_points
 from recon.fitting.fitted import ClipFit
 from recon.method.sensor import views_of
@@ -79,12 +77,9 @@ def treadmill(clip: CheckedClip) -> tuple[CheckedClip, Findings]:
 @after_fit("view")
 def focal_length(clip: Examined) -> tuple[Examined, Findings]:
     """The focal length of the one camera that nobody calibrated, as it was found."""
-    from recon.diagnosis.cameras import lens_doubtful, lens_finding
+    from recon.diagnosis.cameras import lens_findings
 
-    said = () if (one := lens_finding(clip.names[0], clip.fit)) is None else (one,)
-    if lens_doubtful(clip.fit):
-        return clip, Findings(warnings=said)
-    return clip, Findings(diagnosis=said)
+    return clip, lens_findings(clip.names[0], clip.fit)
 
 
 @after_fit("view")
@@ -115,41 +110,35 @@ def _broken(clip: Examined) -> bool:
     return any(one.code in ("identity change", "frame order") for one in clip.warnings)
 
 
-@after_fit()
-def residuals(clip: Examined) -> tuple[Examined, Findings]:
-    """Sensors whose residuals are far above their noise: model and data contradict each other."""
-    every = [said.of(one.name) for one in clip.residuals for said in _doubts_about(one)]
-    return clip, Findings(warnings=every)
-
-
 _SUSPECT = 5.0
 """Multiple of the estimated standard deviation from which on a median residual is suspicious."""
 _MIN_SUSPICIOUS_RESIDUAL = {"pixels": 15.0, "metres": 0.06, "radians": 0.4}
 """Median residuals below these are not suspicious, whatever the noise."""
 
 
-def _doubts_about(summary: ResidualSummary) -> list[Finding]:
-    median, noise = summary.median, summary.noise
-    if median is None:
-        return [Finding("unseen", "nothing was seen at the times of the motion")]
-    if median <= max(_SUSPECT * noise, _MIN_SUSPICIOUS_RESIDUAL[summary.unit]):
-        return []
-    worst = sorted(
-        ((value, point) for point, value in summary.by_point.items() if value is not None),
-        reverse=True,
-    )[:3]
-    points = tuple(point for _, point in worst)
-    where = f", most at {', '.join(points)}" if points else ""
-    return [
-        Finding(
-            "residual",
-            f"half of the data is more than {median:.3g} {summary.unit} away from the fitted "
-            f"body{where}, and the data's own noise is {noise:.2g}; what was recorded is not what "
-            "the file says: check which person, which points and which camera it shows",
-            points,
-            value=median,
-        )
-    ]
+@after_fit()
+def residuals(clip: Examined) -> tuple[Examined, Findings]:
+    """Sensors whose residuals are far above their noise: model and data contradict each other."""
+    found: list[Finding] = []
+    for one in clip.residuals:
+        if one.median is None:
+            said = Finding("unseen", "nothing was seen at the times of the motion")
+            found.append(said.of(one.name))
+        elif one.median > max(_SUSPECT * one.noise, _MIN_SUSPICIOUS_RESIDUAL[one.unit]):
+            known = [(value, name) for name, value in one.by_point.items() if value is not None]
+            points = tuple(name for _, name in sorted(known, reverse=True)[:3])
+            where = f", most at {', '.join(points)}" if points else ""
+            said = Finding(
+                "residual",
+                f"half of the data is more than {one.median:.3g} {one.unit} away from the fitted "
+                f"body{where}, and the data's own noise is {one.noise:.2g}; what was recorded is "
+                "not what the file says: check which person, which points and which camera it "
+                "shows",
+                points,
+                value=one.median,
+            )
+            found.append(said.of(one.name))
+    return clip, Findings(warnings=found)
 
 
 @after_fit("view")
@@ -183,105 +172,75 @@ def basin(clip: Examined) -> tuple[Examined, Findings]:
 @after_fit()
 def size_and_soles(clip: Examined) -> tuple[Examined, Findings]:
     """Nobody is as large or odd as the fitted person, or floats above a known ground."""
-    return clip, Findings(warnings=body_warnings(clip.fit))
+    return clip, body_findings(clip.fit)
 
 
 _ODDEST, _ODDEST_MARKERS = 1.5 * ODDEST, 15.0
 """Standard deviations of shape beyond which a fit is no person's. Noise and acrobatics add to what
-people differ by, and real markers stand off the skin or beside the landmark that they are named
-after: good recordings reach 14. Wrong units and scales are told by the height."""
+people differ by, and real markers stand off the skin or away from the landmark that they are named
+after: good recordings reach 14. Wrong units and scales show in the height."""
 _SHORTEST_CHILD = 0.95
 """Metres; smaller children do not walk on command."""
 _OFF_GROUND = 0.15
 """Metres between the soles that stand and the ground."""
 
 
-def body_warnings(found: ClipFit) -> list[Finding]:
+def body_findings(found: ClipFit) -> Findings:
     """Wrong focal lengths, units and poses of cameras make nobody's body, or one that floats.
 
-    Where no camera and no ground tells sizes, the prior does, and nothing can be said.
+    Where no camera and no ground determines the size, the prior does, and nothing is reported.
+    Points in metres that a small body fits show a child, which is no fault of the data.
     """
-    posed = found.result.estimate.body
+    posed, views = found.result.estimate.body, views_of(found.observations)
     tall = float(posed.model.height(posed.shape.detach()).mean())
-    warnings: list[Finding] = []
-    if not SHORTEST_BODY < tall < TALLEST_BODY and not _is_child(found, tall):
-        warnings.append(
-            Finding(
-                "body size",
-                f"the person would be {tall:.2f} m tall; check {_sizes(found)} (for a child this "
-                "is as well as an adult body can do)",
-                value=tall,
-            )
+    odd = float(posed.shape.abs().max())
+    # markers off the skin distort the shape
+    on_skin = any(one.named and one.named.on_skin for one in found.observations)
+    sizes = "the unit, the scale and the labels of the points"
+    if views:
+        sizes = "focal lengths, units and the poses of the cameras"
+    said = Findings()
+    if not views and _SHORTEST_CHILD < tall <= SHORTEST_BODY:
+        text = (
+            f"the person is {tall:.2f} m tall: a child, whose proportions an adult body meets "
+            "only roughly. If it is an adult, check the unit and the scale of the points"
         )
-    elif (odd := float(posed.shape.abs().max())) > _oddest(found):
-        warnings.append(
-            Finding(
-                "body size",
-                f"the person's shape is {odd:.1f} standard deviations from the average; check "
-                f"{_sizes(found)}",
-                value=odd,
-            )
+        said += Findings(diagnosis=(Finding("body size", text, value=tall),))
+    elif not SHORTEST_BODY < tall < TALLEST_BODY:
+        text = (
+            f"the person would be {tall:.2f} m tall; check {sizes} (for a child this is as well "
+            "as an adult body can do)"
         )
+        said += Findings(warnings=(Finding("body size", text, value=tall),))
+    if not said.warnings and odd > (_ODDEST_MARKERS if on_skin else _ODDEST):
+        text = (
+            f"the person's shape is {odd:.1f} standard deviations from the average; check {sizes}"
+        )
+        said += Findings(warnings=(Finding("body size", text, value=odd),))
     if found.ground_known:
         soles = float(sole_heights(found.result.motion, posed.model).median())
         if abs(soles) > _OFF_GROUND:
-            warnings.append(
-                Finding(
-                    "floor",
-                    f"the soles stand at {soles:.2f} m, but the ground is at 0; check focal "
-                    "lengths, image sizes and the heights of the cameras, unless the person "
-                    "stands or sits on something",
-                    value=soles,
-                )
+            text = (
+                f"the soles stand at {soles:.2f} m, but the ground is at 0; check focal lengths, "
+                "image sizes and the heights of the cameras, unless the person stands or sits on "
+                "something"
             )
-    return warnings
-
-
-def child_findings(found: ClipFit) -> list[Finding]:
-    """Points in metres that a small body fits show a child, which is no fault of the data."""
-    posed = found.result.estimate.body
-    tall = float(posed.model.height(posed.shape.detach()).mean())
-    if not _is_child(found, tall):
-        return []
-    return [
-        Finding(
-            "body size",
-            f"the person is {tall:.2f} m tall: a child, whose proportions an adult body meets "
-            "only roughly. If it is an adult, check the unit and the scale of the points",
-            value=tall,
-        )
-    ]
-
-
-def _is_child(found: ClipFit, tall: float) -> bool:
-    """Whether points that are measured in metres show somebody as small as children are."""
-    return not views_of(found.observations) and _SHORTEST_CHILD < tall <= SHORTEST_BODY
-
-
-def _sizes(found: ClipFit) -> str:
-    """What tells the size of a body, for messages."""
-    if views_of(found.observations):
-        return "focal lengths, units and the poses of the cameras"
-    return "the unit, the scale and the labels of the points"
-
-
-def _oddest(found: ClipFit) -> float:
-    """Standard deviations from which on a shape is odd; markers beside the skin bend it."""
-    return (
-        _ODDEST_MARKERS
-        if any(one.named and one.named.on_skin for one in found.observations)
-        else _ODDEST
-    )
+            said += Findings(warnings=(Finding("floor", text, value=soles),))
+    return said
 
 
 @after_fit("view")
 def mirrored(clip: Examined) -> tuple[Examined, Findings]:
-    """Images that fit together better when mirrored."""
-    from recon.diagnosis.cameras import mirror_warnings
+    """Images that fit together better when mirrored, unless that was said before the fit."""
+    from recon.diagnosis.keypoints import together
+    from recon.diagnosis.odds import mirror_warnings
 
-    return clip, Findings(
-        warnings=mirror_warnings([one.view for one in clip.observations if one.view])
-    )
+    if any(one.code == "mirrored" for one in clip.warnings):
+        return clip, NOTHING
+    names = [name for name, one in zip(clip.names, clip.observations, strict=True) if one.view]
+    groups = together([one.view for one in clip.observations if one.view], names, clip.model)
+    found = [said for _, images in groups for said in mirror_warnings(images)]
+    return clip, Findings(warnings=found)
 
 
 @after_fit()
@@ -289,7 +248,7 @@ def frame_rate(clip: Examined) -> tuple[Examined, Findings]:
     """Gait, falls and balance that contradict the frame rate."""
     # cameras whose ground and person do not fit together measure in no metres
     in_metres = not any(one.view for one in clip.observations) or all(
-        one.code != "floor" for one in body_warnings(clip.fit)
+        one.code != "floor" for one in body_findings(clip.fit).warnings
     )
     if not clip.fit.grounded or _broken(clip) or not in_metres:
         return clip, NOTHING
@@ -326,12 +285,6 @@ def support(clip: Examined) -> tuple[Examined, Findings]:
     return clip, Findings(diagnosis=support_findings(clip.motion, clip.model, clip.seen))
 
 
-@after_fit()
-def child(clip: Examined) -> tuple[Examined, Findings]:
-    """Points in metres that a small body fits show a child, which is no fault of the data."""
-    return clip, Findings(diagnosis=child_findings(clip.fit))
-
-
 BEFORE: tuple[BeforeFit, ...] = (images, points, treadmill)
 """Checks of the data; what they repair is fitted as repaired."""
 AFTER: tuple[AfterFit, ...] = (
@@ -347,6 +300,5 @@ AFTER: tuple[AfterFit, ...] = (
     unseen,
     guessed,
     support,
-    child,
 )
 """Checks of the fit."""

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from recon.body.model import BodyModel
@@ -90,43 +90,25 @@ def _runners_up(compared: Compared, body: BodyModel) -> list[Alternative]:
     best = int(kept[compared.value[kept].argmin()])
     given_up = finite[~compared.kept[finite]]
     ordered = given_up[compared.value[given_up].argsort()].tolist()
-    joints = {k: _joints(compared.motion, k, body) for k in (best, *ordered)}
-    distinct, found = [joints[best]], list[Alternative]()
-    for row in ordered:
-        if all(_apart(joints[row], other) > _SAME_MOTION_M for other in distinct):
-            distinct.append(joints[row])
-            found.append(_alternative(compared, best, row, joints[best], joints[row]))
-    return found
-
-
-def _alternative(
-    compared: Compared,
-    best: int,
-    row: int,
-    chosen: Float[Tensor, "time 22 3"],
-    other: Float[Tensor, "time 22 3"],
-) -> Alternative:
-    turn = _turn(compared.motion[best], compared.motion[row])
-    kind = "posture"
-    if turn > _TURNED:
-        kind = "heading"
-    elif _apart(other[:, _EXCHANGED], chosen[:, _LEGS]) < 0.5 * _apart(
-        other[:, _LEGS], chosen[:, _LEGS]
-    ):
-        kind = "leg order"
-    return Alternative(
-        kind,
-        math.degrees(turn),
-        _apart(chosen, other),
-        float(compared.value[row]),
-        float(compared.value[best]),
-    )
-
-
-def _joints(motion: Motion, row: int, body: BodyModel) -> Float[Tensor, "time 22 3"]:
-    one = motion[row]
     with torch.no_grad():
-        return body.pose(one.window(0, int(one.valid.sum()))).joints
+        clips = [compared.motion[k] for k in (best, *ordered)]
+        posed = [body.pose(one.window(0, int(one.valid.sum()))).joints for one in clips]
+    (kept_joints, *others), found = posed, list[Alternative]()
+    distinct = [kept_joints]
+    for row, joints in zip(ordered, others, strict=True):
+        if all(_apart(joints, other) > _SAME_MOTION_M for other in distinct):
+            distinct.append(joints)
+            turn = _turn(compared.motion[best], compared.motion[row])
+            sides = [
+                _apart(joints[:, legs], kept_joints[:, _LEGS]) for legs in (_EXCHANGED, _LEGS)
+            ]
+            kind = "leg order" if sides[0] < 0.5 * sides[1] else "posture"
+            kind = "heading" if turn > _TURNED else kind
+            energies = (float(compared.value[k]) for k in (row, best))
+            found.append(
+                Alternative(kind, math.degrees(turn), _apart(kept_joints, joints), *energies)
+            )
+    return found
 
 
 def _apart(one: Float[Tensor, "time some 3"], other: Float[Tensor, "time some 3"]) -> float:
@@ -162,7 +144,7 @@ def guessed_findings(
 ) -> list[Finding]:
     """Stretches in which a large part of the body that nobody saw may be anywhere near.
 
-    Joints that were seen are left out: what one camera cannot tell of their distance is no guess.
+    Joints that were seen are left out: that one camera leaves their distance open is no guess.
 
     Args:
         joint_std: standard deviation of a coordinate of every joint, metres.
@@ -223,10 +205,12 @@ def observed_joints(
     or begins there; or where points of a cloud lie within 15 cm of it.
     """
     motion = estimate.motion
+    times = motion.start_time + np.arange(motion.frames) / motion.fps
     seen = np.zeros((motion.frames, len(JOINTS)), dtype=bool)
     for observation in observations:
         moments = observation.shown_joints(estimate)
-        number = _nearest_moments(observation, motion)
+        # the nearest tick of the observation's clock, for every frame of the motion
+        number = np.rint((times - observation.start_time) * observation.fps).astype(int)
         within = (number >= 0) & (number < len(moments))
         seen[within] |= moments[number[within]]
     return seen
@@ -261,21 +245,12 @@ def unseen_findings(observed: Bool[np.ndarray, "time 22"]) -> list[Finding]:
     return found
 
 
-def _nearest_moments(observation: Sensor, motion: Motion) -> Int[np.ndarray, " time"]:
-    """The number of the nearest tick of the observation's clock, for every frame of the motion.
-
-    Frames before its first and after its last moment have numbers beyond its own.
-    """
-    times = motion.start_time + np.arange(motion.frames) / motion.fps
-    return np.rint((times - observation.start_time) * observation.fps).astype(int)
-
-
 _COVERED = 0.75
 """Share of the completed motion that this cycle must be."""
 _ANYTHING = 2.0
 """Difference of hips that have nothing to do with gait."""
 _FEW_MOMENTS = 4
-"""Moments seen below which the prior tells most of the motion."""
+"""Number of frames seen below which most of the motion is the prior's."""
 
 
 def cycle_report(
@@ -283,7 +258,7 @@ def cycle_report(
 ) -> tuple[dict[str, Any], tuple[Finding, ...]]:
     """Numbers of the first clip's cycle, and warnings where it is none or little was seen.
 
-    The prior makes something like a cycle of anything. Latent codes do not tell what is none:
+    The prior makes something like a cycle of anything. Latent codes do not show that:
     people who stand have codes like those who walk. Hips do: one cycle of gait takes them once
     through their swing, and back.
 

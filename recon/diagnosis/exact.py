@@ -122,7 +122,7 @@ _FLOOR_JOINTS, _FLOOR_MARKERS = (-0.065, 0.036), (-0.055, 0.07)
 The body's soles reach a centimetre lower than recorded feet; shoes and carpets lift, and shoes
 lift markers once more."""
 _FLOOR_NOISE = 1.0
-"""Multiple of a coordinate's standard deviation by which soles may lie off the ground besides."""
+"""Multiple of a coordinate's standard deviation that soles may lie off the ground in addition."""
 _MIN_SIZE_RATIO, _MAX_SIZE_RATIO = 0.72, 1.25
 """Sizes against the average body, about 1.70 m tall, that grown people and older children have."""
 _LOWEST_QUANTILE, _SOLE_TO_POINT = 0.05, 0.2
@@ -146,7 +146,7 @@ def floor_height(points: NamedPoints, motion: Motion, body: BodyModel, noise: fl
     if not feet or shown.any(1).mean() < _FEWEST_FEET:
         return 0.0
     moments = (np.arange(motion.frames) * points.fps / motion.fps).round().astype(int)
-    seen = torch.from_numpy(shown.any(1)[moments.clip(max=len(shown) - 1)])
+    seen = torch.from_numpy(np.any(shown, axis=1)[moments.clip(max=len(shown) - 1)])
     clip = motion[0].detach().to(device="cpu")
     stance = Stance.of(clip, body, Soles.of(body), frames=seen)
     if stance.frames < _STANDING * motion.fps:

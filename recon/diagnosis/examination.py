@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
@@ -108,6 +108,10 @@ class Examined(CheckedClip):
     """A clip with its fit, and what is known about the data and the result."""
 
     fit: ClipFit
+    estimate: Estimate
+    """The fitted motion and scene, without derivatives."""
+    motion: Motion
+    """The fitted motion on the processor, at the fit's own frames."""
     residuals: tuple[ResidualSummary, ...]
     """Residuals of every sensor, in the order of the observations."""
     observed: Bool[np.ndarray, "time 22"]
@@ -120,26 +124,18 @@ class Examined(CheckedClip):
     @classmethod
     def of(cls, clip: CheckedClip, fit: ClipFit) -> "Examined":
         """A clip after its fit, without further checks."""
-        here = _detached(fit)
+        here = replace(fit.result.estimate, scene=fit.result.estimate.scene.detach())
         sensors = zip(clip.names, fit.observations, fit.noises, strict=True)
         return cls(
             **{**vars(clip), "observations": fit.observations},
             fit=fit,
+            estimate=here,
+            motion=fit.result.clip(0).detach().to(device="cpu"),
             residuals=tuple(summarise(*sensor, here) for sensor in sensors),
             observed=observed_joints(fit.observations, here),
             deviations=certainty(fit),
             alternatives=alternatives(fit),
         )
-
-    @cached_property
-    def estimate(self) -> Estimate:
-        """The fitted motion and scene, without derivatives."""
-        return _detached(self.fit)
-
-    @cached_property
-    def motion(self) -> Motion:
-        """The fitted motion on the processor, at the fit's own frames."""
-        return self.fit.result.clip(0).detach().to(device="cpu")
 
     @property
     def model(self) -> BodyModel:
@@ -151,44 +147,33 @@ class Examined(CheckedClip):
         """`observed` at the frames of the fitted motion."""
         return torch.from_numpy(self.observed[: self.motion.frames])
 
-    def observed_at(self, motion: Motion) -> Bool[np.ndarray, "time 22"]:
-        """`observed` at the frames of the fitted motion resampled to another rate."""
-        return self._at(motion, torch.from_numpy(self.observed)).numpy()
+    def described_at(self, motion: Motion) -> dict[str, Tensor | None]:
+        """What is known of the frames of the fitted motion resampled to another rate.
 
-    def joint_std_at(self, motion: Motion) -> Float[Tensor, "time 22"] | None:
-        """Standard deviations of a joint's coordinates at the frames of that motion, metres."""
-        if self.deviations is None:
-            return None
-        return self._at(motion, self.deviations.joints.float())
-
-    def angle_std_at(self, motion: Motion) -> Float[Tensor, "time angles"] | None:
-        """Standard deviations of ISB angles at the frames of that motion, degrees."""
-        if self.deviations is None or self.deviations.measures is None:
-            return None
-        return self._at(motion, self.deviations.measures.clamp(max=MOST).float())
-
-    def contact_probability_at(self, motion: Motion) -> Float[Tensor, "time 22"] | None:
-        """How likely joints touch the ground in frames of that motion; None without a ground."""
-        if not self.fit.grounded:
-            return None
-        return self._at(motion, fitted_contacts(self.fit, self.deviations).float())
-
-    @property
-    def ground_std(self) -> Float[Tensor, "2"] | None:
-        """Standard deviations of a ground that was found: normal, radians, and height, metres."""
-        ground = None if self.deviations is None else self.deviations.ground
-        return None if ground is None else torch.tensor([ground.normal, ground.height])
-
-    def _at(self, motion: Motion, values: Tensor) -> Tensor:
-        """Values of the fitted frames that are nearest to each of a motion's frames."""
-        fitted = self.fit.result.motion
+        By the names of `MotionFile`: `observed`; standard deviations `joint_std` of a joint's
+        coordinates, metres, `angle_std` of ISB angles, degrees, and `ground_std` of a ground that
+        was found (normal, radians; height, metres); `contact_probability`. None where unknown.
+        """
+        fitted, known = self.fit.result.motion, self.deviations
         times = motion.start_time + np.arange(motion.frames) / motion.fps
-        frames = np.rint((times - fitted.start_time) * fitted.fps).astype(int)
-        return values[torch.from_numpy(np.clip(frames, 0, len(values) - 1))].cpu()
-
-
-def _detached(fit: ClipFit) -> Estimate:
-    return replace(fit.result.estimate, scene=fit.result.estimate.scene.detach())
+        frames = torch.from_numpy(np.rint((times - fitted.start_time) * fitted.fps).astype(int))
+        ground = None if known is None else known.ground
+        angles = None if known is None else known.measures
+        values = {
+            "observed": torch.from_numpy(self.observed),
+            "joint_std": None if known is None else known.joints.float(),
+            "angle_std": None if angles is None else angles.clamp(max=MOST).float(),
+            "contact_probability": (
+                fitted_contacts(self.fit, known).float() if self.fit.grounded else None
+            ),
+        }
+        return {
+            "ground_std": None if ground is None else torch.tensor([ground.normal, ground.height]),
+            **{
+                name: None if one is None else one[frames.clamp(0, len(one) - 1)].cpu()
+                for name, one in values.items()
+            },
+        }
 
 
 BeforeFit = Callable[[CheckedClip], tuple[CheckedClip, Findings]]
@@ -205,12 +190,11 @@ def checked(clip: Clip, checks: Sequence[Callable[..., Any]]) -> Clip:
 
     A check that names what it `sees` is not asked about clips without such sensors.
     """
-
-    def concerned(check: Callable[..., Any]) -> bool:
-        sees = getattr(check, "sees", ())
-        return not sees or any(getattr(one, k, None) for one in clip.observations for k in sees)
-
-    clip, found = in_turn(clip, [check for check in checks if concerned(check)])
+    kinds = ("named", "view", "cloud")
+    there = {kind for one in clip.observations for kind in kinds if getattr(one, kind, None)}
+    there.add("any")
+    asked = [one for one in checks if there.intersection(getattr(one, "sees", ()) or ("any",))]
+    clip, found = in_turn(clip, asked)
     return replace(clip, found=clip.found + found)
 
 

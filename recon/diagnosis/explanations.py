@@ -4,27 +4,27 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal
 
+import cv2
 import numpy as np
-import torch
 from jaxtyping import Bool, Float
+from scipy.spatial.transform import Rotation
 
-from recon.core import rotations as so3
 from recon.diagnosis.images import Images
-from recon.diagnosis.rays import Rays, by_turn, derivatives, in_camera, projected
+from recon.diagnosis.rays import Rays, in_camera, projected
 
-Cause = Literal["clock", "turned", "placed", "mirrored", "sized", "moving"]
+Cause = Literal["turned", "placed", "mirrored", "sized", "moving"]
 
-_LATEST = 0.7
-"""Seconds by which a clock may be off; what is further off is another recording."""
-_LEAST_OVERLAP = 0.5
-"""Share of the moments that views must share after a shift of the clock."""
 _SAME_SIZE = 1.1
 """Factor below which an image has the size of its calibration; what else looks so is a turn."""
 _SMOOTHING = 0.15
 """Seconds to either side over which the pose of a camera that moves is averaged."""
+_LEAST_DEPTH = 0.05
+"""Share of a ray's length along the axis of the camera from which on it is in the image."""
 _ROUNDS = 8
-_MIN_POINTS = 4
-"""Points of a moment that tell how a camera is turned at that moment."""
+_MIN_POINTS, _MIN_SAMPLES = 4, 12
+"""Least number of points to find how a camera is turned in one frame, and where it is at all."""
+_INLIER = 0.02
+"""Distance on the plane at depth 1 within which a keypoint agrees with a camera's place."""
 
 
 @dataclass(frozen=True)
@@ -35,14 +35,14 @@ class Explained:
     images: Images
     """All views; the one at odds as it should have been."""
     value: float
-    """Seconds, degrees or factor, by cause; metres for a placed camera."""
+    """Degrees or factor, by cause; metres for a placed camera."""
     remains: float
     """Median distance of the view's rays from the points of the other views, metres."""
 
 
 @dataclass(frozen=True)
 class Odd:
-    """A view beside what the others see."""
+    """A view compared with what the others see."""
 
     images: Images
     view: int
@@ -54,20 +54,23 @@ class Odd:
     def of(cls, images: Images, view: int) -> "Odd":
         """The points that the other views see."""
         rest = [v for v in range(len(images.names)) if v != view]
-        points, exists = Rays.of(images.view(rest)).meet()
-        return cls(images, view, points, exists)
+        return cls(images, view, *Rays.of(images.view(rest)).meet())
+
+    def misses(self, images: Images | None = None) -> Float[np.ndarray, "moments points"]:
+        """Distances of the view's rays from the points of the others, metres; NaN: unknown."""
+        one = Rays.of((self.images if images is None else images).view([self.view]))
+        there = self.exists & (one.weight[0] > 0)
+        return np.where(there, one.miss(self.points)[0], np.nan)
 
     def miss(self, images: Images | None = None) -> float:
         """Median distance of the view's rays from the points of the others, metres."""
-        one = Rays.of((self.images if images is None else images).view([self.view]))
-        there = self.exists & (one.weight[0] > 0)
-        return float(np.median(one.miss(self.points)[0][there])) if there.any() else 0.0
+        away = self.misses(images)
+        return float(np.nanmedian(away)) if np.isfinite(away).any() else 0.0
 
     def explained(self, causes: tuple[Cause, ...]) -> list[Explained]:
         """What remains after each of some explanations, the simplest first."""
         undone: dict[Cause, Callable[[], tuple[Images, float]]] = {
-            "mirrored": self._mirrored,
-            "clock": self._clock,
+            "mirrored": lambda: (mirrored(self.images, [self.view]), 0.0),
             "turned": self._turned,
             "sized": self._sized,
             "placed": self._placed,
@@ -78,23 +81,6 @@ class Odd:
             images, value = undone[cause]()
             out.append(Explained(cause, images, value, self.miss(images)))
         return out
-
-    def _mirrored(self) -> tuple[Images, float]:
-        return mirrored(self.images, [self.view]), 0.0
-
-    def _clock(self) -> tuple[Images, float]:
-        """The shift in time that fits best, to a part of a frame (a parabola through three)."""
-        images, moments = self.images, self.images.pixels.shape[1]
-        most = min(round(_LATEST * images.fps), int((1 - _LEAST_OVERLAP) * moments))
-        steps = np.arange(-most, most + 1)
-        away = np.array([self.miss(shifted(images, self.view, float(s))) for s in steps])
-        k = int(away.argmin())
-        shift = float(steps[k])
-        if 0 < k < len(steps) - 1 and (bend := away[k - 1] - 2 * away[k] + away[k + 1]) > 0:
-            between = shift + 0.5 * (away[k - 1] - away[k + 1]) / bend
-            if self.miss(shifted(images, self.view, between)) < away[k]:
-                shift = between
-        return shifted(images, self.view, shift), shift / images.fps
 
     def _directions(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Rays in the camera's frame, ways to the points, and where both exist."""
@@ -108,8 +94,9 @@ class Odd:
     def _turned(self) -> tuple[Images, float]:
         """The camera turned about itself, so that most rays meet the points (Wahba, robust)."""
         rays, ways, there = self._directions()
-        turn = robust_turns(ways[there][None], rays[there][None], there[there][None])[0]
-        return self._with_turn(np.broadcast_to(turn, (len(rays), 3, 3))), angle(turn)
+        turn = robust_turns(ways[there][None], rays[there][None], there[there][None])
+        degrees = np.degrees(Rotation.from_matrix(turn[0]).magnitude())
+        return self._with_turn(turn), float(degrees)
 
     def _moving(self) -> tuple[Images, float]:
         """The camera turned about itself by an angle that changes, averaged over a while."""
@@ -118,14 +105,12 @@ class Odd:
         known = there.sum(-1) >= _MIN_POINTS
         if not known.any():
             return self.images, 0.0
-        vectors = rotation_vector(robust_turns(ways, rays, there))
+        vectors = Rotation.from_matrix(robust_turns(ways, rays, there)[known]).as_rotvec()
         times = np.arange(moments)
-        vectors = np.stack(
-            [np.interp(times, times[known], vectors[known, k]) for k in range(3)], -1
-        )
+        vectors = np.stack([np.interp(times, times[known], own) for own in vectors.T], -1)
         smooth = averaged(vectors, round(_SMOOTHING * self.images.fps))
         spread = np.linalg.norm(smooth - smooth.mean(0), axis=-1).max()
-        return self._with_turn(matrix_of(smooth)), float(np.degrees(spread))
+        return self._with_turn(Rotation.from_rotvec(smooth).as_matrix()), float(np.degrees(spread))
 
     def _with_turn(self, turns: Float[np.ndarray, "moments 3 3"]) -> Images:
         pose = self.images.pose.copy()
@@ -151,25 +136,23 @@ class Odd:
         return replace(images, pixels=scaled), 1 / factor if factor > 0 else np.inf
 
     def _placed(self) -> tuple[Images, float]:
-        """The camera at another place and turned (PnP: Gauss-Newton, robust, from `_turned`)."""
-        images, _ = self._turned()
-        pose = images.pose[self.view]
+        """The camera at another place and turned (PnP, most points agree)."""
+        images, pose = self.images, self.images.pose.copy()
+        local, front = in_camera(pose[self.view], self.points)
         rays, _, there = self._directions()
-        plane = rays[..., :2] / np.where(rays[..., 2:] > 0.05, rays[..., 2:], np.inf)
-        for _ in range(_ROUNDS):
-            local, front = in_camera(pose, self.points)
-            good = there & front & (rays[..., 2] > 0.05)
-            if good.sum() < 12:
-                return images, 0.0
-            step = _pose_step(local[good], plane[good])
-            turn = matrix_of(step[:3])
-            pose = pose.copy()
-            pose[:, :3] = turn @ pose[:, :3]
-            pose[:, :3, 3] += step[3:]
-        moved = np.linalg.norm(centre(pose[0]) - centre(self.images.pose[self.view, 0]))
-        every = images.pose.copy()
-        every[self.view] = pose
-        return replace(images, pose=every), float(moved)
+        good = there & front & (rays[..., 2] > _LEAST_DEPTH)
+        if good.sum() < _MIN_SAMPLES:
+            return images, 0.0
+        plane = rays[good][:, :2] / rays[good][:, 2:]
+        found, turn, shift, _ = cv2.solvePnPRansac(
+            local[good], plane, np.eye(3), None, reprojectionError=_INLIER
+        )
+        if found:
+            turn = Rotation.from_rotvec(turn[:, 0]).as_matrix()
+            pose[self.view, :, :3] = turn @ pose[self.view, :, :3]
+            pose[self.view, :, :3, 3] += shift[:, 0]
+        moved = centre(pose[self.view, 0]) - centre(images.pose[self.view, 0])
+        return replace(images, pose=pose), float(np.linalg.norm(moved))
 
 
 def mirrored(images: Images, views: list[int]) -> Images:
@@ -217,45 +200,13 @@ def robust_turns(
     return turns
 
 
-def _pose_step(
-    local: Float[np.ndarray, "samples 3"], plane: Float[np.ndarray, "samples 2"]
-) -> Float[np.ndarray, "6"]:
-    """A Gauss-Newton step of turn and shift in the camera's frame, with robust weights."""
-    by_place = derivatives(local, np.ones(len(local), dtype=bool))
-    jacobian = np.concatenate((by_place @ by_turn(local), by_place), -1)
-    away = plane - local[:, :2] / local[:, 2:]
-    size = np.linalg.norm(away, axis=-1)
-    weight = 1 / (1 + np.square(size / max(float(np.median(size)), 1e-9)))
-    weighted = jacobian * weight[:, None, None]
-    normal = np.einsum("nki,nkj->ij", weighted, jacobian) + 1e-9 * len(local) * np.eye(6)
-    return np.linalg.solve(normal, np.einsum("nki,nk->i", weighted, away))
-
-
 def averaged(
     values: Float[np.ndarray, "moments dims"], reach: int
 ) -> Float[np.ndarray, "moments dims"]:
     """Means over as many moments to either side, fewer at the ends: straight lines stay."""
-    moments = len(values)
-    out = np.empty_like(values)
-    for t in range(moments):
-        here = min(reach, t, moments - 1 - t)
-        out[t] = values[t - here : t + here + 1].mean(0)
-    return out
-
-
-def angle(turn: Float[np.ndarray, "3 3"]) -> float:
-    """Angle of a rotation, degrees."""
-    return float(np.degrees(np.linalg.norm(rotation_vector(turn))))
-
-
-def rotation_vector(turn: Float[np.ndarray, "*shape 3 3"]) -> Float[np.ndarray, "*shape 3"]:
-    """Axis times angle, radians."""
-    return so3.log(torch.from_numpy(np.ascontiguousarray(turn))).numpy()
-
-
-def matrix_of(vector: Float[np.ndarray, "*shape 3"]) -> Float[np.ndarray, "*shape 3 3"]:
-    """The rotation of a vector: axis times angle, radians."""
-    return so3.exp(torch.from_numpy(np.ascontiguousarray(vector))).numpy()
+    last = len(values) - 1
+    reaches = [min(reach, t, last - t) for t in range(len(values))]
+    return np.stack([values[t - r : t + r + 1].mean(0) for t, r in enumerate(reaches)])
 
 
 def centre(pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "3"]:

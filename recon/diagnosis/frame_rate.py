@@ -58,7 +58,7 @@ def rates_by_falls(movement: Movement) -> Bounds:
         return 0.0, math.inf
     pieces = np.lib.stride_tricks.sliding_window_view(height, count)
     falls = _parabolas(pieces, movement.fps)
-    for _ in range(max(1, math.ceil(movement.seconds / _FALL_EVERY)) - 1):
+    for _ in range(max(1, math.ceil(movement.frames / movement.fps / _FALL_EVERY)) - 1):
         worst = int(np.argmax(falls))
         falls[max(0, worst - 2 * count) : worst + 2 * count] = 0.0
     fall, flight = float(falls.max()), float(np.median(_flights(movement) or _FREE_FALL))
@@ -104,7 +104,7 @@ _LOADED = 0.4
 """Share of the weight that the ground must carry; below, the point of its force is ill-defined."""
 _LEAST_FRAMES = 10
 _UNBALANCED = 0.18
-"""Metres, on average, by which the ground's force may lie beside the feet. CMU's walks 0.06 and
+"""Metres, on average, by which the ground's force may lie away from the feet. CMU's walks 0.06 and
 dances 0.17 (98th percentiles)."""
 _EXPLAINED = 0.45
 """A slower rate must bring that distance below this share."""
@@ -255,21 +255,21 @@ def rate_range(
         observed: joints that the data shows; what is inferred obeys the rate that was declared.
     """
     movement = Movement.of(motion, body, observed)
-    if movement.seconds < _LEAST_SECONDS:
+    if movement.frames < _LEAST_SECONDS * movement.fps:
         return None
     bounds = {
         "the length of its steps for their duration": rates_by_strides(movement),
         "the acceleration of its falls against gravity": rates_by_falls(movement),
         "the balance of its centre of mass over its feet": rates_by_balance(movement),
     }
-    told = {why: bound for why, bound in bounds.items() if bound != (0.0, math.inf)}
-    low = max((bound[0] for bound in told.values()), default=math.inf)
-    high = min((bound[1] for bound in told.values()), default=0.0)
+    limits = {why: bound for why, bound in bounds.items() if bound != (0.0, math.inf)}
+    low = max((bound[0] for bound in limits.values()), default=math.inf)
+    high = min((bound[1] for bound in limits.values()), default=0.0)
     if low > high:
         # no law says anything, or they contradict each other: then not the rate alone is wrong
         return None
-    against = tuple(why for why, bound in told.items() if not bound[0] <= 1 <= bound[1])
-    return RateRange(low, high, against or tuple(told))
+    against = tuple(why for why, bound in limits.items() if not bound[0] <= 1 <= bound[1])
+    return RateRange(low, high, against or tuple(limits))
 
 
 def rate_finding(

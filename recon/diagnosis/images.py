@@ -30,7 +30,7 @@ class Images:
     pose: Float[np.ndarray, "views moments 4 4"]
     """T_camera_world of every view at every moment, metres."""
     scale: Float[np.ndarray, "views moments"]
-    """Pixels that a metre is long at the body, as told by the least foreshortened bones."""
+    """Pixels per metre at the body, from the least foreshortened bones."""
     size: tuple[tuple[int, int], ...]
     """Width and height of every image, pixels."""
     names: tuple[str, ...]
@@ -51,24 +51,16 @@ class Images:
         rest = views[0].points.at_rest(body, average).double().cpu().numpy()
         pixels = np.stack([view.pixels[0].double().cpu().numpy() for view in views])
         confidence = np.stack([view.confidence[0].double().cpu().numpy() for view in views])
-
-        def posed(view: Keypoints2D) -> np.ndarray:
-            poses = view.camera.T_camera_world[0].double().cpu().numpy()
-            return np.broadcast_to(poses, (moments, 4, 4))
-
+        poses = [view.camera.T_camera_world[0].double().cpu().numpy() for view in views]
+        each = zip(pixels, confidence, strict=True)
         return cls(
             pixels=pixels,
             confidence=confidence,
             matrix=np.stack(
                 [v.camera.camera_matrix[0].reshape(-1, 3, 3)[0].double().cpu() for v in views]
             ),
-            pose=np.stack([posed(view) for view in views]),
-            scale=np.stack(
-                [
-                    _scale(*own, points, rest, views[0].fps)
-                    for own in zip(pixels, confidence, strict=True)
-                ]
-            ),
+            pose=np.stack([np.broadcast_to(one, (moments, 4, 4)) for one in poses]),
+            scale=np.stack([_scale(*own, points, rest, views[0].fps) for own in each]),
             size=tuple(view.camera.image_size for view in views),
             names=tuple(names),
             points=points,
@@ -162,7 +154,7 @@ class Images:
         )
 
     def without(self, hidden: Bool[np.ndarray, "views moments points"]) -> "Images":
-        """Some keypoints made unseen; what they made of the scale is told anew by the others."""
+        """Some keypoints made unseen; the scale is estimated again from the others."""
         pixels = np.where(hidden[..., None], 0.0, self.pixels)
         confidence = np.where(hidden, 0.0, self.confidence)
         scale = self.scale.copy()

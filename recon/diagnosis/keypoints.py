@@ -72,7 +72,7 @@ def repaired_copies(images: Images) -> tuple[Images, Findings]:
     copied = np.pad(copied & ~photographs[:, None], ((0, 0), (1, 0)))
 
     def said(_: int, here: Seen) -> Finding:
-        frames = here.any(-1)
+        frames = np.any(here, axis=-1)
         return Finding(
             "repeated frames",
             f"{frames.sum()} frames are exact copies of the frame before them; they were taken as "
@@ -133,8 +133,8 @@ _TYPICAL = 8.0
 _MEDIAN_FRAMES = 2
 """Frames to either side in that median."""
 _WIDER = (4, 0.35)
-"""Frames to either side, and metres, for a second pass: of three outliers in five frames none can
-be told."""
+"""Frames to either side, and metres, for a second pass: three outliers in five frames hide each
+other."""
 _MAX_ROUNDS = 5
 """Largest number of rounds; outliers hide each other, and make the body look larger than it is."""
 _MANY = 0.01
@@ -285,8 +285,7 @@ def screen_views(
         The views to fit, and what was found. Views that are good are the very same objects.
     """
     out, found = list(views), NOTHING
-    for rows in _together(views):
-        given = Images.of([views[k] for k in rows], [names[k] for k in rows], body)
+    for rows, given in together(views, names, body):
         images, more = screened(given)
         for k, view in zip(rows, images.into([views[k] for k in rows], given), strict=True):
             out[k] = view
@@ -304,17 +303,22 @@ def screened(images: Images) -> tuple[Images, Findings]:
     images, more = in_turn(images, names)
     images, together = checked_together(images)
     found += more + together
-    if together.repairs:  # names may have been hidden by what was wrong besides
+    if together.repairs:  # wrong poses may have hidden wrong names
         images, more = repaired_sides(images)
         found += more
     jumps = () if disorder else identity_findings(images)
     return images, found + Findings(warnings=(*jumps, *disorder, *scale_findings(images)))
 
 
-def _together(views: Sequence[Keypoints2D]) -> list[list[int]]:
-    """Numbers of the views that share clock, length and layout, in groups."""
+def together(
+    views: Sequence[Keypoints2D], names: Sequence[str], body: BodyModel
+) -> list[tuple[list[int], Images]]:
+    """The views that share clock, length and layout, in groups: their numbers and images."""
     groups: dict[tuple[object, ...], list[int]] = {}
     for k, view in enumerate(views):
         clock = (view.fps, view.start_time, *view.pixels.shape, view.points.names)
         groups.setdefault(clock, []).append(k)
-    return list(groups.values())
+    return [
+        (rows, Images.of([views[k] for k in rows], [names[k] for k in rows], body))
+        for rows in groups.values()
+    ]

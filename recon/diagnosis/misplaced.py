@@ -89,7 +89,7 @@ def _whole_stretches(
 ) -> Bool[np.ndarray, " moments"]:
     """The stretches of likely moments that hold a sure one, with short gaps closed.
 
-    Limbs that pass each other come too near to tell for a moment within an exchanged stretch.
+    Limbs that pass each other are too close to be distinguished for a few frames.
     """
     if not surely.any():
         return surely
@@ -196,7 +196,7 @@ def misplaced_points(predicted: Predicted, noise: float) -> tuple[NamedPoints, l
     found: list[Finding] = []
     known, away = typical[typical > 0], predicted.away
     least = max(_AWAY, _OTHERS * float(np.median(known))) if len(known) else np.inf
-    offset, spread = predicted.offsets
+    offset, spread = predicted.offset, predicted.spread
     constant = np.linalg.norm(offset, axis=-1)
     displaced = constant > (_OFFSET_JOINTS if points.are_joints else _OFFSET_MARKERS)
     if not points.are_joints:
@@ -245,7 +245,16 @@ def outliers(predicted: Predicted, noise: float) -> tuple[NamedPoints, Finding |
     points = predicted.points
     limit = max(_OUTLIER_M, _NOISES * noise)
     far = points.visible & (np.nan_to_num(predicted.away) > limit)
-    far = _entered_by_leaps(far, points, max(_LEAP, _NOISES * noise))
+    # a limb may be faster than the quick fit follows; it then leaves the body smoothly, while
+    # outliers leap out of the path and back
+    bend, unknown, x = np.zeros(far.shape), ~points.visible, points.positions
+    bend[1:-1] = np.linalg.norm(x[1:-1] - (x[:-2] + x[2:]) / 2, axis=-1)
+    unknown[1:-1] |= ~points.visible[2:] | ~points.visible[:-2]
+    bend[unknown] = np.inf
+    leap = max(_LEAP, _NOISES * noise)
+    for point in range(far.shape[1]):
+        for first, last in stretches(far[:, point]):
+            far[first : last + 1, point] = min(bend[first, point], bend[last, point]) >= leap
     share = float(far.sum() / max(points.visible.sum(), 1))
     if share == 0:
         return points, None
@@ -262,23 +271,3 @@ def outliers(predicted: Predicted, noise: float) -> tuple[NamedPoints, Finding |
         stretches(np.any(far, axis=1)),
         share,
     )
-
-
-def _entered_by_leaps(
-    far: Bool[np.ndarray, "moments points"], points: NamedPoints, leap: float
-) -> Bool[np.ndarray, "moments points"]:
-    """The stretches of far positions that a point leaps into and out of.
-
-    A limb may be faster than the quick fit follows; it then leaves the body smoothly.
-    """
-    bend = np.zeros(far.shape)
-    x = points.positions
-    bend[1:-1] = np.linalg.norm(x[1:-1] - (x[:-2] + x[2:]) / 2, axis=-1)
-    unknown = ~points.visible
-    unknown[1:-1] |= ~points.visible[2:] | ~points.visible[:-2]
-    bend[unknown] = np.inf
-    kept = far.copy()
-    for point in range(far.shape[1]):
-        for first, last in stretches(far[:, point]):
-            kept[first : last + 1, point] = min(bend[first, point], bend[last, point]) >= leap
-    return kept

@@ -1,11 +1,13 @@
-"""The centre of mass and the feet of a body over time, and what carries it: feet or a seat."""
+"""The centre of mass and feet of a body over time, and what carries it: feet, a seat, a belt."""
 
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from observations.points import TrackedPoints
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from recon.core.skeleton import joint_index
@@ -33,9 +35,21 @@ class Movement:
     """Centre of mass."""
     leg: float
     """Length of a leg from the hip joint over the knee to the ankle."""
+    ankles: Float[np.ndarray, "time 2 3"]
+    """Left and right ankle; the toe joints likewise."""
+    toes: Float[np.ndarray, "time 2 3"]
     sole_drop: Float[np.ndarray, " 2"]
     """Height of the ankle and of the toe joint above the sole of a standing foot."""
+    sole_heights: Float[np.ndarray, "time 2"]
+    """Height of the lowest part of the left and the right foot."""
+    soles: Float[np.ndarray, "time 2 2 3"]
+    """Heel and tip of the left and the right foot, at the height of the joints."""
+    ground: float
+    """Height of the ground: the soles are seldom lower."""
+    forward: Float[np.ndarray, "time 2"]
+    """Horizontal direction in which the pelvis faces."""
     fps: float
+    frames: int
 
     @classmethod
     def of(
@@ -51,70 +65,34 @@ class Movement:
         seen = motion.valid.cpu()
         if observed is not None:
             seen = seen & observed[:, list(_ASKED)].cpu().all(-1)
-        first, last = _longest(seen.numpy())
-        posed = body.pose(motion.window(first, last).detach())
+        runs = stretches(seen.numpy())
+        first, last = max(runs, key=lambda run: run[1] - run[0], default=(0, -1))
+        posed = body.pose(motion.window(first, last + 1).detach())
         centre = centre_of_mass(posed, vertex_masses_of_segments(body))
-        rest = posed.rest.double().cpu().numpy()
+        rest, joints = (x.double().cpu().numpy() for x in (posed.rest, posed.joints))
         sole = float(body.rest_vertices(motion.shape)[..., 1].amin())
         thigh = np.linalg.norm(rest[list(_HIPS)] - rest[list(_KNEES)], axis=-1).mean()
         shank = np.linalg.norm(rest[list(_KNEES)] - rest[list(_ANKLES)], axis=-1).mean()
+        ankles, toes = joints[:, list(_ANKLES)], joints[:, list(_TOES)]
+        drop = np.array([rest[list(group), 1].mean() - sole for group in (_ANKLES, _TOES)])
+        heights = (np.stack((ankles[..., 2], toes[..., 2]), -1) - drop).min(-1)
+        across = (joints[:, _HIPS[0]] - joints[:, _HIPS[1]])[:, :2]
+        across = across / np.linalg.norm(across, axis=-1, keepdims=True).clip(min=1e-9)
+        along = toes - ankles
         return cls(
-            joints=posed.joints.double().cpu().numpy(),
+            joints=joints,
             centre=centre.double().cpu().numpy(),
             leg=float(thigh + shank),
-            sole_drop=np.array([rest[list(group), 1].mean() - sole for group in (_ANKLES, _TOES)]),
+            ankles=ankles,
+            toes=toes,
+            sole_drop=drop,
+            sole_heights=heights,
+            soles=np.stack((ankles - _HEEL * along, toes + _TIP * along), -2),
+            ground=float(np.quantile(heights.min(1), _SELDOM)) if len(heights) else 0.0,
+            forward=np.stack((across[:, 1], -across[:, 0]), -1),
             fps=motion.fps,
+            frames=len(joints),
         )
-
-    @property
-    def frames(self) -> int:
-        """Number of frames."""
-        return len(self.joints)
-
-    @property
-    def seconds(self) -> float:
-        """Length of the stretch by the declared rate."""
-        return self.frames / self.fps
-
-    @property
-    def ankles(self) -> Float[np.ndarray, "time 2 3"]:
-        """Left and right ankle."""
-        return self.joints[:, list(_ANKLES)]
-
-    @property
-    def toes(self) -> Float[np.ndarray, "time 2 3"]:
-        """Left and right toe joint."""
-        return self.joints[:, list(_TOES)]
-
-    @property
-    def forward(self) -> Float[np.ndarray, "time 2"]:
-        """Horizontal direction in which the pelvis faces."""
-        across = (self.joints[:, _HIPS[0]] - self.joints[:, _HIPS[1]])[:, :2]
-        across = across / np.linalg.norm(across, axis=-1, keepdims=True).clip(min=1e-9)
-        return np.stack((across[:, 1], -across[:, 0]), -1)
-
-    @property
-    def sole_heights(self) -> Float[np.ndarray, "time 2"]:
-        """Height of the lowest part of the left and the right foot."""
-        both = np.stack((self.ankles[..., 2], self.toes[..., 2]), -1) - self.sole_drop
-        return both.min(-1)
-
-    @property
-    def ground(self) -> float:
-        """Height of the ground: the soles are seldom lower."""
-        return float(np.quantile(self.sole_heights.min(1), _SELDOM))
-
-    @property
-    def soles(self) -> Float[np.ndarray, "time 2 2 3"]:
-        """Heel and tip of the left and the right foot, at the height of the joints."""
-        along = self.toes - self.ankles
-        return np.stack((self.ankles - _HEEL * along, self.toes + _TIP * along), -2)
-
-
-def _longest(seen: Bool[np.ndarray, " time"]) -> tuple[int, int]:
-    """First frame and last + 1 of the longest run of true values; (0, 0) where there is none."""
-    runs = [(first, last + 1) for first, last in stretches(seen)]
-    return max(runs, key=lambda run: run[1] - run[0], default=(0, 0))
 
 
 def outside(
@@ -145,9 +123,9 @@ _MIN_LEVEL_S = 0.3
 _MIN_LEVEL_SHARE = 0.1
 """Share of the time of all standing feet for which feet must stand on another level."""
 _MAX_BESIDE_M = 0.12
-"""Metres by which the centre of mass may lie beside the feet while a body stands still."""
+"""Metres by which the centre of mass may lie outside the feet while a body stands still."""
 _LEAST_REST = 0.8
-"""Seconds of rest beside the feet that make it sitting, lying or leaning."""
+"""Seconds of rest outside the feet that make it sitting, lying or leaning."""
 _BELOW = 0.3
 """Lengths of a leg by which a standing sole is below the pelvis."""
 _SEATED, _INVERTED = 0.75, -0.2
@@ -217,3 +195,117 @@ def _uneven(movement: Movement) -> list[Finding]:
             value=most,
         )
     ]
+
+
+_SLOWEST = 0.4
+"""Metres per second of a belt; feet that slip are slower."""
+_SOLE_HEIGHT_M = 0.03
+"""Metres above the ground up to which a sole is on it."""
+_MAX_RELATIVE_DEVIATION = 0.2
+"""Relative deviation from the belt's velocity up to which a foot is carried by it."""
+_STEADY_LEAST = 0.2
+"""Deviation from the velocity of slow belts up to which a foot is carried by them, m/s."""
+_MIN_CARRIED_SHARE = 0.55
+"""Share of the moments with a sole on the ground in which it must move with the belt."""
+_STANDING = 0.3
+"""Metres per second below which a foot stands in the room."""
+_STANDING_SHARE = 0.15
+"""Share of the moments with a sole on the ground in which it may stand in the room."""
+_STAYS = 0.35
+"""Mean speed of the pelvis over that of the belt, up to which the body stays where it is."""
+_MIN_CONTACT_S = 0.15
+"""Seconds for which each foot must touch the ground."""
+_MIN_PELVIS_HEIGHT_LEGS = 0.7
+"""Median height of the pelvis above the ground in lengths of leg; nobody walks or runs lower."""
+
+
+def belt_velocity(
+    motion: Motion, body: BodyModel, observed: Bool[Tensor, "time 22"] | None = None
+) -> Float[Tensor, " 2"] | None:
+    """Horizontal velocity of the belt under a motion's feet, m/s, or None where there is none.
+
+    Feet are taken as standing by their height alone, since on a belt none stands still. Both are
+    carried at one velocity against the way the person faces, and the body stays in the room.
+
+    Args:
+        motion: one clip, z up, without a batch axis.
+        body: whose motion it is.
+        observed: joints that the data shows.
+    """
+    movement = Movement.of(motion, body, observed)
+    if movement.frames < 3:
+        return None
+    height = float(np.median(movement.joints[:, 0, 2])) - movement.ground
+    if height < _MIN_PELVIS_HEIGHT_LEGS * movement.leg:
+        return None
+    feet = np.stack((movement.ankles, movement.toes), -2)
+    # the part of each foot that is on the ground: heel strike to flat foot to toe
+    lower = (feet[..., 2] - movement.sole_drop).argmin(-1)
+    steps = np.diff(feet[..., :2], axis=0) * movement.fps
+    velocity = np.take_along_axis(steps, lower[:-1, :, None, None], axis=2)[:, :, 0]
+    low = movement.sole_heights < movement.ground + _SOLE_HEIGHT_M
+    standing = low[1:] & low[:-1] & (lower[1:] == lower[:-1])
+    if (standing.sum(0) < max(3, _MIN_CONTACT_S * movement.fps)).any():
+        return None
+    # the velocity with most others near it, refined to their median
+    every = velocity[standing]
+    some = every[:: max(1, len(every) // 400)]
+    best = some[int(np.argmax([int(_near(every, candidate).sum()) for candidate in some]))]
+    belt = np.median(every[_near(every, best)], axis=0)
+    speed = float(np.linalg.norm(belt))
+    if speed < _SLOWEST:
+        return None
+    carried = _near(velocity, belt)
+    shares = [carried[standing[:, side], side].mean() for side in (0, 1)]
+    still = (np.linalg.norm(velocity[standing], axis=-1) < _STANDING).mean()
+    drift = (movement.joints[-1, 0, :2] - movement.joints[0, 0, :2]) / (
+        movement.frames / movement.fps
+    )
+    facing = movement.forward.mean(0) @ belt / speed
+    stays = float(np.linalg.norm(drift)) < _STAYS * speed
+    if min(shares) < _MIN_CARRIED_SHARE or still > _STANDING_SHARE or not stays or facing > 0:
+        return None
+    return torch.from_numpy(belt).to(motion.translation)
+
+
+def treadmill_finding(belt: Float[Tensor, " 2"]) -> Finding:
+    """What is said of a belt of this velocity, m/s."""
+    speed = float(belt.norm())
+    return Finding(
+        "treadmill",
+        f"standing feet are all carried along at {speed:.2f} m/s, as on a treadmill: they do not "
+        "stand still in the room, so contacts with the ground are not told",
+        value=speed,
+    )
+
+
+def _near(
+    velocity: Float[np.ndarray, "*shape 2"], belt: Float[np.ndarray, " 2"]
+) -> Bool[np.ndarray, "*shape"]:
+    reach = max(_STEADY_LEAST, _MAX_RELATIVE_DEVIATION * float(np.linalg.norm(belt)))
+    return np.linalg.norm(velocity - belt, axis=-1) < reach
+
+
+def with_belt(points: TrackedPoints, belt: Float[Tensor, " 2"]) -> TrackedPoints:
+    """Points seen in the room, in the frame that moves with the belt (m/s, horizontal)."""
+    path = _path(points.positions.shape[-3], points.fps, points.start_time, belt)
+    moved = points.positions - path.to(points.positions)[:, None]
+    return points.replace(positions=moved.where(points.visible[..., None], 0.0))
+
+
+def in_room(motion: Motion, belt: Float[Tensor, " 2"]) -> Motion:
+    """A motion in the frame that moves with the belt, in the room; with -belt the other way."""
+    return motion.replace(translation=motion.translation + path_of_belt(motion, belt))
+
+
+def path_of_belt(motion: Motion, belt: Float[Tensor, " 2"]) -> Float[Tensor, "time 3"]:
+    """How far the belt has come at every frame of a motion, metres."""
+    path = _path(motion.frames, motion.fps, motion.start_time, belt)
+    return path.to(motion.translation)
+
+
+def _path(
+    count: int, fps: float, start: float, belt: Float[Tensor, " 2"]
+) -> Float[Tensor, "time 3"]:
+    times = start + torch.arange(count, dtype=torch.float64) / fps
+    return torch.nn.functional.pad(times[:, None] * belt.double().cpu(), (0, 1))

@@ -17,7 +17,7 @@ _MIRRORED_WITHIN = 0.04
 """Metres between a point's mirror image at rest and its counterpart on the other side; markers
 are not placed more alike than this."""
 _MIN_PAIR_LENGTH_M = 0.1
-"""Metres of distance at rest from which on a pair of points tells the size of a body."""
+"""Metres of distance at rest from which on a pair of points is used for the size of a body."""
 _MIN_PAIRS, _MIN_MOMENTS = 4, 3
 _MAX_SPREAD_RATIO = 0.5
 """Share of its error up to which a length may vary where a joint is misplaced by a constant."""
@@ -41,7 +41,7 @@ class NamedPoints:
     are_joints: bool
     """Whether the points are joints and keypoints rather than markers on the skin."""
     rigid: tuple[tuple[int, int], ...] | None = None
-    """Pairs of points whose distance no pose changes; None where the bones alone tell them."""
+    """Pairs of points whose distance no pose changes; None where they follow from `bones`."""
     std: Float[np.ndarray, "moments points"] | None = None
     """Standard deviation of the coordinates, metres; None where none are given."""
 
@@ -88,16 +88,13 @@ class NamedPoints:
         self, order: tuple[int, ...], moments: Bool[np.ndarray, " moments"]
     ) -> "NamedPoints":
         """The points with names exchanged at some moments: point k gets data of point order[k]."""
-        index = list(order)
-
-        def permuted(values: np.ndarray) -> np.ndarray:
-            return np.where(
-                moments.reshape(-1, *(1,) * (values.ndim - 1)), values[:, index], values
-            )
-
-        std = None if self.std is None else permuted(self.std)
-        positions, visible = permuted(self.positions), permuted(self.visible)
-        return replace(self, positions=positions, visible=visible, std=std)
+        index, when = list(order), moments[:, None]
+        return replace(
+            self,
+            positions=np.where(when[..., None], self.positions[:, index], self.positions),
+            visible=np.where(when, self.visible[:, index], self.visible),
+            std=None if self.std is None else np.where(when, self.std[:, index], self.std),
+        )
 
     @property
     def counterparts(self) -> tuple[int, ...]:
@@ -120,12 +117,10 @@ class NamedPoints:
     @property
     def centre(self) -> Float[np.ndarray, "moments 3"]:
         """Median of the visible points at every moment; NaN where there is none."""
-        shown, empty = (
-            np.where(self.visible[..., None], self.positions, np.nan),
-            ~self.visible.any(1),
-        )
-        shown[empty] = 0.0
-        return np.where(empty[:, None], np.nan, np.nanmedian(shown, axis=1))
+        there = np.any(self.visible, axis=1, keepdims=True)
+        shown = np.where(self.visible[..., None], self.positions, np.nan)
+        middle = np.nanmedian(np.where(there[..., None], shown, 0.0), axis=1)
+        return np.where(there, middle, np.nan)
 
 
 @dataclass(frozen=True)
@@ -136,8 +131,14 @@ class Predicted:
     positions: Float[np.ndarray, "moments points 3"]
     """Predicted positions in the frame of the recording, metres; beyond the body's frames those of
     the nearest one."""
-    turns: Float[np.ndarray, "moments points 3 3"]
-    """Orientation of every point's bone."""
+    away: Float[np.ndarray, "moments points"]
+    """Distance of every visible point from its place, metres; NaN where not visible."""
+    typical: Float[np.ndarray, " points"]
+    """Its median over time, metres; zero for points that were never seen."""
+    offset: Float[np.ndarray, "points 3"]
+    """Median offset of a point from its place, in the frame of its bone, metres; zero likewise."""
+    spread: Float[np.ndarray, " points"]
+    """Median distance of single offsets from that, metres."""
 
     @classmethod
     def of(cls, points: NamedPoints, observed: TrackedPoints, estimate: Estimate) -> "Predicted":
@@ -151,34 +152,19 @@ class Predicted:
         covered = np.clip(np.arange(moments) - seen.start, 0, seen.stop - seen.start - 1)
         turns = estimate.body.orientations[0][:, list(points.bones)].double().numpy()
         frames = np.linspace(0, len(turns) - 1, seen.stop - seen.start).round().astype(int)
-        return cls(points, there[0].double().numpy()[covered], turns[frames[covered]])
-
-    @property
-    def away(self) -> Float[np.ndarray, "moments points"]:
-        """Distance of every visible point from its place, metres; NaN where not visible."""
-        distance = np.linalg.norm(self.points.positions - self.positions, axis=-1)
-        return np.where(self.points.visible, distance, np.nan)
-
-    @property
-    def typical(self) -> Float[np.ndarray, " points"]:
-        """Median distance of every point, metres; zero for those never seen."""
-        away = self.away.copy()
-        away[:, ~self.points.visible.any(0)] = 0.0
-        return np.nanmedian(away, axis=0)
-
-    @property
-    def offsets(self) -> tuple[Float[np.ndarray, "points 3"], Float[np.ndarray, " points"]]:
-        """Every point's median offset from its place, and how much single offsets differ from it.
-
-        Both are in the frame of the point's bone, metres; the second is the median length of the
-        differences. Zero for points that were never seen.
-        """
-        points = self.points
-        away = np.where(points.visible[..., None], points.positions - self.positions, np.nan)
-        away[:, ~points.visible.any(0)] = 0.0
-        local = np.einsum("tpij,tpi->tpj", self.turns, away)
-        middle = np.nanmedian(local, axis=0)
-        return middle, np.nanmedian(np.linalg.norm(local - middle, axis=-1), axis=0)
+        positions = there[0].double().numpy()[covered]
+        ways = np.where(points.visible[..., None], points.positions - positions, np.nan)
+        known = np.where(np.any(points.visible, axis=0)[:, None], ways, 0.0)
+        local = np.einsum("tpij,tpi->tpj", turns[frames[covered]], known)
+        offset = np.nanmedian(local, axis=0)
+        return cls(
+            points=points,
+            positions=positions,
+            away=np.linalg.norm(ways, axis=-1),
+            typical=np.nanmedian(np.linalg.norm(known, axis=-1), axis=0),
+            offset=offset,
+            spread=np.nanmedian(np.linalg.norm(local - offset, axis=-1), axis=0),
+        )
 
 
 def size(points: NamedPoints) -> float | None:
@@ -200,7 +186,7 @@ def out_of_reach(points: NamedPoints, limit: float) -> Bool[np.ndarray, " points
     """Joints whose bones to all of their neighbours are longer or shorter than a person's.
 
     Args:
-        points: joints; of markers none is told.
+        points: joints; for markers the answer is always no.
         limit: metres by which the median length of each bone differs from the average body's
             of the same size.
     """

@@ -12,7 +12,6 @@ from observations.points import TrackedPoints
 from recon.body.model import BodyModel
 from recon.core.robust import geman_mcclure, squared
 from recon.core.skeleton import PARENTS
-from recon.diagnosis.carried import belt_velocity
 from recon.diagnosis.exact import (
     floor_finding,
     floor_height,
@@ -30,6 +29,7 @@ from recon.diagnosis.misplaced import (
     misplaced_points,
     outliers,
 )
+from recon.diagnosis.movement import belt_velocity
 from recon.diagnosis.named_points import NamedPoints, Predicted
 from recon.diagnosis.quick_fit import QuickFit, plausible, pursued, quick_fits
 from recon.diagnosis.tracks import frame_order, identity_changes, temporal_noise
@@ -67,7 +67,7 @@ def screen_points(
     named, found = in_turn(NamedPoints.of(points, body), exact)
     if named.visible.sum() < _MIN_POSITIONS:
         return named.observation, found, None
-    if disorder := frame_order(named):  # nothing else can be told from such frames
+    if disorder := frame_order(named):  # no other check works on such frames
         return named.observation, found + Findings(warnings=disorder), None
     steady = plausible(named)
     flips = find_exchanges(steady)
@@ -189,9 +189,9 @@ def _against_a_body(
             given = given.replace(kernel=partial(geman_mcclure, sigma=scale))
     motion = fitted.estimate.motion
     belt = None
-    if grounded and given.placed:  # what is relative to the body tells neither heights nor paths
+    if grounded and given.placed:  # root-relative points have no heights and paths
         height = floor_height(kept, motion, body, noise) if given.ground_known else 0.0
-        if height != 0:  # soles tell it to two centimetres
+        if height != 0:  # it is known to two centimetres
             given, floor = given.replace(ground_known=False), floor_finding(height)
             repairs, warnings = (*repairs, floor), (*warnings, floor)
         belt = belt_velocity(motion[0], body)

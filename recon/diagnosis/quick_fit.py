@@ -68,7 +68,7 @@ ROBUST_SCALE = 0.15
 """Metres beyond which a point counts ever less: several times what the pose prior misses good
 points by, and less than the distance of two points that are confused."""
 _EXCERPT = 6.0
-"""Seconds of a recording that are enough to tell which of two versions is a body."""
+"""Seconds of a recording that are enough to decide which of two versions is a body."""
 _AT_NOISE = 0.95
 """Share of ½ · 3 · noise², the cost of noise alone, up to which a version is taken to be right.
 Right versions reach 0.34 to 1.13, those with sides exchanged 1.0 and more (validation people)."""

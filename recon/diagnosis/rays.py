@@ -1,6 +1,7 @@
 """Rays of several cameras through keypoints: where they meet, and the paths of these points."""
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -32,7 +33,7 @@ class Rays:
     def meet(
         self,
     ) -> tuple[Float[np.ndarray, "moments points 3"], Bool[np.ndarray, "moments points"]]:
-        """The points nearest to their rays, and which exist: those that two views tell apart.
+        """The points nearest to their rays, and which exist: two views must see them at an angle.
 
         The least Σ w |(I - d dᵀ)(x - o)|² over the views: a symmetric 3 x 3 system per point.
         """
@@ -45,7 +46,8 @@ class Rays:
         count = seen.sum(0)
         narrow = np.linalg.norm((seen[..., None] * d).sum(0), axis=-1) / np.maximum(count, 1)
         exists = (count >= 2) & (2 * (1 - narrow) > (_LEAST_ANGLE / 2) ** 2)
-        return np.where(exists[..., None], solve_symmetric(matrix, vector, exists), 0.0), exists
+        matrix[~exists], vector[~exists] = np.eye(3), 0.0
+        return np.linalg.solve(matrix, vector[..., None])[..., 0], exists
 
     def miss(
         self, points: Float[np.ndarray, "moments points 3"]
@@ -65,25 +67,6 @@ def in_front(images: Images) -> Float[np.ndarray, "views moments points 3"]:
     return rays / np.linalg.norm(rays, axis=-1, keepdims=True)
 
 
-def solve_symmetric(
-    matrix: Float[np.ndarray, "moments points 3 3"],
-    vector: Float[np.ndarray, "moments points 3"],
-    where: Bool[np.ndarray, "moments points"],
-) -> Float[np.ndarray, "moments points 3"]:
-    """Solutions of A x = b by cofactors, quicker than a general solver; zero elsewhere."""
-    a, b, c = matrix[..., 0, 0], matrix[..., 0, 1], matrix[..., 0, 2]
-    d, e, f = matrix[..., 1, 1], matrix[..., 1, 2], matrix[..., 2, 2]
-    rows = (
-        (d * f - e * e, c * e - b * f, b * e - c * d),
-        (c * e - b * f, a * f - c * c, b * c - a * e),
-        (b * e - c * d, b * c - a * e, a * d - b * b),
-    )
-    determinant = a * rows[0][0] + b * rows[0][1] + c * rows[0][2]
-    safe = np.where(where & (np.abs(determinant) > 1e-12), determinant, np.inf)
-    x = [sum(row[k] * vector[..., k] for k in range(3)) / safe for row in rows]
-    return np.stack(x, -1)
-
-
 _BONES = (
     ("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle"),
     ("shoulder", "hip"),
@@ -97,12 +80,15 @@ _MIN_MOMENTS = 10
 def body_size(images: Images) -> float | None:
     """Size of the triangulated body against the average one; None where too little is seen."""
     points, exists = Rays.of(images).meet()
-    ratios = [
-        float(np.median(length[both]) / np.linalg.norm(images.rest[a] - images.rest[b]))
-        for a, b in _ends(images)
-        for length, both in [_length(points, exists, a, b)]
-        if both.sum() >= _MIN_MOMENTS
-    ]
+    ratios: list[float] = []
+    for side, bone in product(("left", "right"), _BONES):
+        if {*(names := [f"{side}_{part}" for part in bone])} <= {*images.points}:
+            a, b = map(images.points.index, names)
+            both = exists[:, a] & exists[:, b]
+            length = np.linalg.norm(points[both, a] - points[both, b], axis=-1)
+            if len(length) >= _MIN_MOMENTS:
+                rest = np.linalg.norm(images.rest[a] - images.rest[b])
+                ratios.append(float(np.median(length) / rest))
     return float(np.median(ratios)) if len(ratios) >= 4 else None
 
 
@@ -121,24 +107,6 @@ def scale_findings(images: Images) -> tuple[Finding, ...]:
             value=size,
         ),
     )
-
-
-def _ends(images: Images) -> list[tuple[int, int]]:
-    return [
-        (images.points.index(f"{side}_{a}"), images.points.index(f"{side}_{b}"))
-        for side in ("left", "right")
-        for a, b in _BONES
-        if {f"{side}_{a}", f"{side}_{b}"} <= set(images.points)
-    ]
-
-
-def _length(
-    points: Float[np.ndarray, "moments points 3"],
-    exists: Bool[np.ndarray, "moments points"],
-    a: int,
-    b: int,
-) -> tuple[np.ndarray, np.ndarray]:
-    return np.linalg.norm(points[:, a] - points[:, b], axis=-1), exists[:, a] & exists[:, b]
 
 
 _PARABOLA_S = 0.07

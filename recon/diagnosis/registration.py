@@ -13,13 +13,12 @@ from typing import Literal
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
+from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from recon.diagnosis.explanations import (
     centre,
-    matrix_of,
     robust_turns,
-    rotation_vector,
     shifted,
 )
 from recon.diagnosis.images import Images
@@ -44,18 +43,18 @@ SHIFT = 0.01
 pushed has moved by. A turn of 1 degree moves what is seen at 4 m by 0.07 m."""
 NOISE = 1.5
 """Multiple of the noise of keypoints that may remain where everything is right."""
-_LATEST = 0.7
+MAX_LATE_S = 0.7
 """Seconds by which a clock may be off."""
 _LEAST_OVERLAP = 0.5
 """Share of the moments that the view must share with the others after a shift of its clock."""
-_COARSE = 1 / 30
+COARSE_STEP_S = 1 / 30
 """Seconds between the offsets from which the best one is refined."""
 _MAX_MOMENTS = 500
 """Moments that are looked at, evenly chosen from a longer recording."""
 _OPTIONS = GaussNewton(12, tolerance=1.4e-3, scale=1.0, damping=0.0)
 """Rounds end with a step of the seven unknowns of about 0.02 standard deviations each."""
 _MIN_KEYPOINTS = 100
-"""Keypoints from which on clock and pose can be told."""
+"""Least number of keypoints to estimate clock and pose from."""
 _OUTLIER = 9.0
 """Squared standard deviations at which a keypoint counts half."""
 _MEDIAN = 1.386
@@ -66,11 +65,11 @@ _CLEAN_COST = 1.85
 """Mean robust squared residual above which a correction is searched at once; white noise has
 1.6."""
 _LEAST_MOTION = 0.2
-"""Share of the squared velocities that must be more than noise for a clock to be told."""
+"""Share of the squared velocities that must be more than noise for a clock to be estimated."""
 _MAX_RESIDUAL_RATIO = 0.97
 """Share of the residuals at an offset nearer to zero that those at a better one have at most."""
 _GLANCE = 40
-"""Moments that tell which offset to begin with."""
+"""Frames from which the first offset is chosen."""
 _UNKNOWN: dict[Part, slice] = {"clock": slice(0, 1), "pose": slice(1, 7)}
 
 
@@ -138,18 +137,7 @@ def registered(
         noise: standard deviation of a pixel coordinate in every view.
         parts: what is corrected.
     """
-    problem = _Problem.of(images, view, noise, parts)
-    if problem.paths.noise > NOISE or problem.seen.sum() < _MIN_KEYPOINTS:
-        return None
-    return problem.solved()
-
-
-def doubted(images: Images, view: int, noise: Float[np.ndarray, " views"]) -> bool:
-    """Whether a view as it is given could agree better with the others; needs no search."""
-    problem = _Problem.of(images, view, noise, PARTS)
-    if problem.paths.noise > NOISE or problem.seen.sum() < _MIN_KEYPOINTS:
-        return False
-    return problem.doubted
+    return Alignment.of(images, view, noise, parts).solved()
 
 
 _View = tuple[float, Float[np.ndarray, "4 4"]]
@@ -157,8 +145,8 @@ _View = tuple[float, Float[np.ndarray, "4 4"]]
 
 
 @dataclass(frozen=True)
-class _Problem(Problem[_View]):
-    """A view beside the paths that the others see, whose clock and pose are corrected."""
+class Alignment(Problem[_View]):
+    """Residuals of a view against the paths that the others see, by its clock and pose."""
 
     images: Images
     """The view alone."""
@@ -177,7 +165,8 @@ class _Problem(Problem[_View]):
         view: int,
         noise: Float[np.ndarray, " views"],
         parts: tuple[Part, ...],
-    ) -> "_Problem":
+    ) -> "Alignment":
+        """The problem of one view of several."""
         rest = [v for v in range(len(images.names)) if v != view]
         paths = Trajectories.of(images.view(rest), noise[rest])
         moments = images.pixels.shape[1]
@@ -187,22 +176,33 @@ class _Problem(Problem[_View]):
 
     @property
     def rows(self) -> np.ndarray:
+        """`frames` as indices."""
         return self.frames.astype(int)
 
     @property
     def seen(self) -> Bool[np.ndarray, "moments points"]:
+        """Keypoints of the view whose points the others see."""
         return self.images.seen[0, self.rows] & self.paths.exists[self.rows]
+
+    @property
+    def trusted(self) -> bool:
+        """Whether the other views agree with each other and enough keypoints are seen."""
+        return bool(self.paths.noise <= NOISE and self.seen.sum() >= _MIN_KEYPOINTS)
 
     @property
     def doubted(self) -> bool:
         """Whether the view as it is given could be better, by a test that needs no search."""
         given = self._residuals(0.0, self.images.pose[0, 0])
         if given.there.sum() < _MIN_KEYPOINTS or robust(given.squared[given.there]) > _CLEAN_COST:
-            return True
+            return self.trusted
         normal, slope, _ = given.equations()
-        return float(slope @ np.linalg.solve(normal + 1e-9 * np.eye(7), slope)) > _CLEAN
+        gain = float(slope @ np.linalg.solve(normal + 1e-9 * np.eye(7), slope))
+        return self.trusted and gain > _CLEAN
 
     def solved(self) -> Registration | None:
+        """The correction after which least remains; None where the data do not determine it."""
+        if not self.trusted:
+            return None
         start = self.images.pose[0, 0]
         (late, pose), _ = minimise(self, self._coarse(start), _OPTIONS)
         found = self._residuals(late, pose)
@@ -211,7 +211,7 @@ class _Problem(Problem[_View]):
         normal, _, inflation = self._equations((late, pose), found)
         covariance, unknown = np.zeros((7, 7)), np.ix_(self._unknown, self._unknown)
         covariance[unknown] = np.linalg.inv(normal[unknown])
-        turn = rotation_vector(pose[:3, :3] @ start[:3, :3].T)
+        turn = Rotation.from_matrix(pose[:3, :3] @ start[:3, :3].T).as_rotvec()
         values = np.concatenate(([late], turn, self._shift(pose)))
         given = self._residuals(0.0, start)
         both = found.there & given.there
@@ -264,12 +264,12 @@ class _Problem(Problem[_View]):
         if "clock" not in self.parts:
             return 0.0, pose
         fps, moments = self.images.fps, self.images.pixels.shape[1]
-        most = min(_LATEST * fps, (1 - _LEAST_OVERLAP) * moments)
-        count = int(most / max(_COARSE * fps, 1.0))
+        most = min(MAX_LATE_S * fps, (1 - _LEAST_OVERLAP) * moments)
+        count = int(most / max(COARSE_STEP_S * fps, 1.0))
         best = (np.inf, 0.0, pose)
         step = max(len(self.frames) // _GLANCE, 1)
         some = replace(self, frames=self.frames[::step])
-        lates = np.arange(-count, count + 1) * max(_COARSE * fps, 1.0)
+        lates = np.arange(-count, count + 1) * max(COARSE_STEP_S * fps, 1.0)
         for late in sorted(lates.tolist(), key=abs):
             turned = some._turned(late, pose) if "pose" in self.parts else pose
             found = some._residuals(late, turned)
@@ -289,7 +289,7 @@ class _Problem(Problem[_View]):
         if not there.any():
             return pose
         turn = robust_turns(ways[there][None], rays[there][None], there[there][None])[0]
-        return _moved(pose, rotation_vector(turn), np.zeros(3))
+        return _moved(pose, Rotation.from_matrix(turn).as_rotvec(), np.zeros(3))
 
     def _residuals(self, late: float, pose: Float[np.ndarray, "4 4"]) -> "_Residuals":
         points, velocity, covariance, exists = self.paths.at(self.frames - late)
@@ -338,7 +338,7 @@ class _Residuals:
     def equations(self) -> tuple[np.ndarray, np.ndarray, float]:
         """Normal equations of a step, and how much variance the residuals have beyond white noise.
 
-        A clock of which the residuals tell nothing, as nobody moves, is left as it is.
+        A clock on which the residuals do not depend, as nobody moves, is left as it is.
 
         Residuals of neighbouring moments are alike where a detector or the smoothing makes them
         so; by as much as that they say the same twice.
@@ -354,7 +354,7 @@ class _Residuals:
         inflation = scale * (1 + along) / (1 - along)
         weighed = (j * counted[:, None, None]).reshape(-1, 7).T
         normal, slope = weighed @ j.reshape(-1, 7), weighed @ r.ravel()
-        # noise of velocities looks like motion, and is in the positions beside the middle, too
+        # noise of velocities looks like motion, and is in positions away from the middle, too
         blur = counted * self.blur[self.there]
         past = np.broadcast_to(self.past[:, None], self.there.shape)[self.there]
         slope[0] -= float((blur * past).sum())
@@ -377,6 +377,6 @@ def _moved(
     if not turn.any() and not shift.any():
         return pose
     out = pose.copy()
-    out[:3, :3] = matrix_of(turn) @ pose[:3, :3]
+    out[:3, :3] = Rotation.from_rotvec(turn).as_matrix() @ pose[:3, :3]
     out[:3, 3] = -out[:3, :3] @ (centre(pose) + out[:3, :3].T @ shift)
     return out

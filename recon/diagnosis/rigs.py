@@ -1,37 +1,34 @@
 """Rigs out of step or calibration: clock and pose of one camera of several, found and corrected.
 
-Of three views and more, leaving one out tells which is at fault: the others agree, and the one
-agrees with them after a correction of its clock and pose. Two views tell that something is wrong,
+Of three views and more, leaving one out shows which is at fault: the others agree, and the one
+agrees with them after a correction of its clock and pose. Two views show that something is wrong,
 but not which of them.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from jaxtyping import Float, Int
+from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from recon.diagnosis.explanations import matrix_of, shifted
+from recon.diagnosis.explanations import shifted
 from recon.diagnosis.findings import Code, Finding, Findings
 from recon.diagnosis.images import Images
 from recon.diagnosis.rays import Rays
 from recon.diagnosis.registration import (
+    COARSE_STEP_S,
+    MAX_LATE_S,
     NOISE,
     PARTS,
+    Alignment,
     Part,
     Registration,
-    doubted,
-    registered,
 )
 from recon.solver.banded import Banded
 from recon.solver.gauss_newton import GaussNewton, Problem, Quadratic, minimise
 
-_LATEST = 0.7
-"""Seconds by which the clock of one view may be off against the other's."""
-_COARSE = 1 / 30
-"""Seconds between the offsets from which the best one is refined."""
 _OPTIONS = GaussNewton(8, tolerance=1e-12, scale=1.0, damping=1e-6)
 """Rounds end when the sum of squared distances would fall by less than 1e-12 metres²."""
 _LATE_STEP, _TURN_STEP = 0.5, 1e-4
@@ -68,7 +65,7 @@ def agreement(images: Images, parts: tuple[Part, ...]) -> Agreement:
     most = max(abs(late) for late in _starts(images))
     values, _ = minimise(_Rays(images, unknown, most), best[1], _OPTIONS)
     pose = images.pose.copy()
-    pose[1, :, :3] = matrix_of(values[1:]) @ pose[1, :, :3]
+    pose[1, :, :3] = Rotation.from_rotvec(values[1:]).as_matrix() @ pose[1, :, :3]
     corrected = shifted(replace(images, pose=pose), 1, float(values[0]))
     angle = float(np.degrees(np.linalg.norm(values[1:])))
     return Agreement(corrected, float(values[0]), angle, common_miss(corrected))
@@ -83,8 +80,8 @@ def common_miss(images: Images) -> float:
 
 
 def _starts(images: Images) -> Float[np.ndarray, " offsets"]:
-    step = max(_COARSE * images.fps, 1.0)
-    count = int(min(_LATEST * images.fps, images.pixels.shape[1] / 2) / step)
+    step = max(COARSE_STEP_S * images.fps, 1.0)
+    count = int(min(MAX_LATE_S * images.fps, images.pixels.shape[1] / 2) / step)
     return np.arange(-count, count + 1) * step
 
 
@@ -102,7 +99,7 @@ def _misses(
     there, between = (rays.weight > 0).all(0), rays.origin[1] - rays.origin[0]
     found: list[np.ndarray] = []
     for turn in turns:
-        carry = np.swapaxes(R, -1, -2) @ matrix_of(turn) @ R
+        carry = np.swapaxes(R, -1, -2) @ Rotation.from_rotvec(turn).as_matrix() @ R
         across = np.cross(rays.direction[0], rays.direction[1] @ carry)
         size = np.linalg.norm(across, axis=-1)
         both = there & (size > 0.03)
@@ -164,11 +161,13 @@ _LEAST_NOISE = 0.5
 _MIN_SQUARED_STDS = 60.0
 """Squared standard deviations by which a part of a correction must be different from none."""
 _FEWER = 30.0
-"""Squared standard deviations from none of a part that is corrected beside a certain one."""
+"""Squared standard deviations from none of a part that is corrected together with a certain
+one."""
 _MIN_MOVED_STDS = 0.4
 """Least distance, in standard deviations of the keypoints, that a correction moves them by."""
 _TOLD = 60.0
-"""Difference of robust squared residuals that tells two views apart."""
+"""Difference of robust squared residuals from which on one view is clearly the better one to
+correct."""
 _SMALLEST_CLOCK = 0.004
 """Seconds below which a clock is left as it is."""
 _SMALLEST_TURN = 0.08
@@ -210,8 +209,17 @@ def corrected_rig(images: Images) -> tuple[Images, Findings]:
     """The views after `corrections`, in the words of findings."""
     found = corrections(images)
     repairs = tuple(_finding(images, one) for one in found.applied)
-    warnings = (_undecided(images, found.undecided),) if found.undecided else ()
-    return found.images, Findings(repairs, warnings)
+    if not found.undecided:
+        return found.images, Findings(repairs)
+    every = [f"{images.names[one.view]}: {_said(one, images.fps)}" for one in found.undecided]
+    said = Finding(
+        "view at odds",
+        "the views contradict each other, and they do not tell which of them is wrong: "
+        f"{'; or '.join(every)}. Nothing was changed. Check the calibration and the clocks, or "
+        "add a view",
+        value=found.undecided[0].degrees,
+    )
+    return found.images, Findings(repairs, (said,))
 
 
 def candidates(images: Images) -> list[Registration]:
@@ -221,11 +229,13 @@ def candidates(images: Images) -> list[Registration]:
     """
     noise = np.maximum(images.noise, _LEAST_NOISE)
     fixed = [v for v, still in enumerate(images.fixed) if still]
-    if not np.isfinite(noise).all() or not any(doubted(images, v, noise) for v in fixed):
+    given = (
+        [Alignment.of(images, v, noise, PARTS) for v in fixed] if np.isfinite(noise).all() else []
+    )
+    if not any(one.doubted for one in given):
         return []
-    every = [_simplest(images, v, noise) for v in fixed]
-    found = [one for one in every if one is not None]
-    return sorted(found, key=lambda one: one.cost)
+    every = [_simplest(images, one) for one in given]
+    return sorted((one for one in every if one is not None), key=lambda one: one.cost)
 
 
 def certain(found: Registration, fps: float) -> bool:
@@ -235,34 +245,33 @@ def certain(found: Registration, fps: float) -> bool:
     return any(_needed(found, part, fps, _MIN_SQUARED_STDS) for part in PARTS)
 
 
-def _simplest(
-    images: Images, view: int, noise: Float[np.ndarray, " views"]
-) -> Registration | None:
+def _simplest(images: Images, given: Alignment) -> Registration | None:
     """A correction of a view by no more than is needed."""
-    both = registered(images, view, noise)
+    both = given.solved()
     if both is None:
         return None
     parts: list[Part] = [part for part in PARTS if _needed(both, part, images.fps, _FEWER)]
-    return both if len(parts) != 1 else registered(images, view, noise, (parts[0],))
+    return both if len(parts) != 1 else replace(given, parts=(parts[0],)).solved()
 
 
 def _needed(found: Registration, part: Part, fps: float, least: float) -> bool:
-    if found.squared_deviations(part) < least:
-        return False
+    large = found.degrees >= _SMALLEST_TURN or found.metres >= _SMALLEST_SHIFT
     if part == "clock":
-        return abs(found.late) / fps >= _SMALLEST_CLOCK
-    return found.degrees >= _SMALLEST_TURN or found.metres >= _SMALLEST_SHIFT
+        large = abs(found.late) / fps >= _SMALLEST_CLOCK
+    return large and found.squared_deviations(part) >= least
 
 
 def _finding(images: Images, found: Registration) -> Finding:
-    late = found.late / images.fps
-    code: Code = "views out of step" if late else "view at odds"
-    value = late if late else found.degrees
+    code: Code = "views out of step" if found.late else "view at odds"
+    advice = ["Number the frames of all cameras from the same moment"] if found.late else []
+    if found.values[1:].any() or not found.late:
+        advice.append("calibrate anew")
+    text = ", and ".join(advice)
     return Finding(
         code,
         f"{images.names[found.view]} contradicts the other views: {_said(found, images.fps)}. "
-        f"That was corrected. {_advice(found)}",
-        value=value,
+        f"That was corrected. {text[0].upper()}{text[1:]}",
+        value=found.late / images.fps if found.late else found.degrees,
     )
 
 
@@ -283,20 +292,3 @@ def _said(found: Registration, fps: float) -> str:
             f"({100 * std[4:].max():.1f}) against the calibration"
         )
     return " and ".join(out)
-
-
-def _advice(found: Registration) -> str:
-    clock = "Number the frames of all cameras from the same moment"
-    if not found.values[1:].any():
-        return clock
-    return f"{clock}, and calibrate anew" if found.late else "Calibrate anew"
-
-
-def _undecided(images: Images, alike: Sequence[Registration]) -> Finding:
-    each = "; or ".join(f"{images.names[one.view]}: {_said(one, images.fps)}" for one in alike)
-    return Finding(
-        "view at odds",
-        f"the views contradict each other, and they do not tell which of them is wrong: {each}. "
-        "Nothing was changed. Check the calibration and the clocks, or add a view",
-        value=alike[0].degrees,
-    )

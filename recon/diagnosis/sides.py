@@ -1,10 +1,10 @@
 """Keypoints that carry each other's name: left and right, and two neighbours along a limb.
 
-Two facts tell left and right. A point does not leave its path and go on along its counterpart's
-within a frame; and where several cameras see a body, rays through one point meet, and noses, knees
-and toes point to where right is on the right. All views and moments are decided together
-(Viterbi's algorithm). Two single keypoints jump onto each other's path where a stretch with
-exchanged names begins or ends; which part is wrong, the bones of the limb tell: exchanged ends
+Left and right follow from two facts. A point does not leave its path and go on along its
+counterpart's within a frame; and where several cameras see a body, rays through one point meet,
+and noses, knees and toes point to where right is on the right. All views and moments are decided
+together (Viterbi's algorithm). Two single keypoints jump onto each other's path where a stretch
+with exchanged names begins or ends; the bones of the limb show which part is wrong: exchanged ends
 make one of them longer than it is.
 """
 
@@ -21,7 +21,7 @@ from recon.diagnosis.rays import Rays
 _MIN_FORWARD_M = 0.02
 """Metres by which something must stick out forwards for its direction to count."""
 _BENT = 0.06
-"""Metres by which a knee must stand before the line from hip to ankle to tell the front."""
+"""Metres by which a knee must stand before the line from hip to ankle to show the front."""
 
 
 def handedness(
@@ -32,7 +32,7 @@ def handedness(
     """1 where the body's right is to the right of where it faces, -1 where to the left.
 
     The trunk has an up and a right, whose product points forwards; noses, toes and bent knees
-    point forwards themselves. The value is the mean cosine between both; 0 where nothing tells.
+    point forwards themselves. The value is the mean cosine between both; 0 where nothing is seen.
     """
     shown = np.moveaxis(np.where(exists[..., None], positions, np.nan), 1, 0)
     places, nowhere = dict(zip(names, shown, strict=True)), np.full((len(positions), 3), np.nan)
@@ -71,8 +71,8 @@ def _unit(way: np.ndarray) -> np.ndarray:
 _MISS = 0.04
 """Metres by which rays of good views miss each other; real detections do by 0.01 to 0.03."""
 _PATH_STEP_M = (0.01, 0.05)
-"""Metres by which points of views leave their paths from one frame to the next, least and most;
-the median of a view tells."""
+"""Metres by which points of views leave their paths from one frame to the next, at least and
+at most; estimated as the median of a view."""
 _RAYLEIGH_MEDIAN = 1.1774
 """Median length of a vector whose two coordinates are unit normal."""
 _MAX_SQUARED_STDS = 9.0
@@ -82,7 +82,7 @@ _CHANGE = 12.0
 _BACKWARDS_COST = 6.0
 """Cost of a moment that faces backwards, in squared standard deviations."""
 _EXCHANGED = 0.05
-"""Cost of a moment with exchanged names: where nothing tells, most moments are right."""
+"""Cost of a moment with exchanged names: without evidence, names are right."""
 _MIN_SAVED_COST = 30.0
 """Cost that exchanging names must save; in good windows of validation people it saves 11 at most,
 and 60 and more where a third of a clip has its names exchanged."""

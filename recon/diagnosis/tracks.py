@@ -1,4 +1,4 @@
-"""What the order of frames tells: noise in time against noise along bones, jumps of the body."""
+"""The order of frames: noise in time against noise along bones, jumps of the body."""
 
 import itertools
 
@@ -53,9 +53,9 @@ more than ten times gravity."""
 
 
 def temporal_noise(points: NamedPoints) -> float:
-    """Standard deviation of one coordinate, metres, told by third differences in time.
+    """Standard deviation of one coordinate, metres, from third differences in time.
 
-    Zero where nothing tells it.
+    Zero where it cannot be estimated.
     """
     positions, visible = torch.from_numpy(points.positions), torch.from_numpy(points.visible)
     noise = estimate_noise(positions, visible, (0.0, torch.inf))
@@ -63,7 +63,7 @@ def temporal_noise(points: NamedPoints) -> float:
 
 
 def bone_noise(points: NamedPoints) -> float | None:
-    """Standard deviation of one coordinate, metres, told by the lengths of bones.
+    """Standard deviation of one coordinate, metres, from the lengths of bones.
 
     Points on one bone, and joints at its two ends, keep their distance whatever the order of the
     frames. None where there are no such pairs.
@@ -152,9 +152,17 @@ def _seams(points: NamedPoints) -> tuple[Finding, ...]:
 def identity_changes(points: NamedPoints) -> tuple[Finding, ...]:
     """Frames at which the whole body jumps, as where a tracker goes on with somebody else.
 
-    The middle of the points steps there unlike it does before and after.
+    The middle of the points steps there unlike it does before and after: the median displacement
+    of the points that are seen now and were seen at the last frame with any.
     """
-    step, elapsed = _middle_step(points)
+    count = len(points.visible)
+    step, elapsed = np.full(count, np.nan), np.full(count, 1 / points.fps)
+    for last, t in itertools.pairwise(np.flatnonzero(points.visible.any(1))):
+        common = points.visible[t] & points.visible[last]
+        if common.sum() >= 3:
+            moved = points.positions[t, common] - points.positions[last, common]
+            step[t] = np.linalg.norm(np.median(moved, axis=0))
+            elapsed[t] = (t - last) / points.fps
     beyond, noise = np.zeros(len(step)), temporal_noise(points)
     for t in np.flatnonzero(np.isfinite(step)):
         near = np.r_[max(t - 3, 0) : t, t + 1 : min(t + 4, len(step))]
@@ -179,24 +187,6 @@ def identity_changes(points: NamedPoints) -> tuple[Finding, ...]:
             "them by their time stamps"
         )
     return (Finding(code, said, (), frames, most),)
-
-
-def _middle_step(
-    points: NamedPoints,
-) -> tuple[Float[np.ndarray, " moments"], Float[np.ndarray, " moments"]]:
-    """Length of the median displacement since the last moment with the same points, and seconds.
-
-    NaN where fewer than three points are common to both moments.
-    """
-    moments = len(points.visible)
-    step, elapsed = np.full(moments, np.nan), np.full(moments, 1 / points.fps)
-    for last, t in itertools.pairwise(np.flatnonzero(points.visible.any(1))):
-        common = points.visible[t] & points.visible[last]
-        if common.sum() >= 3:
-            moved = points.positions[t, common] - points.positions[last, common]
-            step[t] = np.linalg.norm(np.median(moved, axis=0))
-            elapsed[t] = (t - last) / points.fps
-    return step, elapsed
 
 
 def _travelled(points: NamedPoints, lag: int) -> float:

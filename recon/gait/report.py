@@ -12,7 +12,7 @@ from recon.body.identities import weight
 from recon.body.model import BodyModel
 from recon.core.errors import FormatError
 from recon.core.units import Axis
-from recon.diagnosis.carried import belt_velocity
+from recon.diagnosis.movement import belt_velocity
 from recon.formats.json_files import read_json
 from recon.formats.mocap.asf_amc import recording_files
 from recon.formats.motions import MotionFile

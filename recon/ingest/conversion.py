@@ -18,10 +18,9 @@ from recon.body.model import BodyModel
 from recon.body.soles import Soles, Stance
 from recon.core.motion import Motion
 from recon.core.skeleton import FEET, JOINTS
-from recon.diagnosis.carried import belt_velocity, treadmill_finding
 from recon.diagnosis.findings import Finding
 from recon.diagnosis.frame_rate import rate_finding
-from recon.diagnosis.movement import support_findings
+from recon.diagnosis.movement import belt_velocity, support_findings, treadmill_finding
 from recon.formats.mocap.recording import SkeletonRecording
 from recon.formats.motions import MotionFile, save_motion
 from recon.ingest.skeleton import Solved, residual_names, solve

@@ -11,11 +11,11 @@ from observations.points import TrackedPoints as Points
 from recon.core import rotations as so3
 from recon.core.skeleton import JOINTS
 from recon.diagnosis import quick_fit as quick
-from recon.diagnosis.carried import in_room, with_belt
 from recon.diagnosis.checks import BEFORE
 from recon.diagnosis.examination import checked
 from recon.diagnosis.findings import Findings
 from recon.diagnosis.misplaced import exchanged_pairs
+from recon.diagnosis.movement import in_room, with_belt
 from recon.diagnosis.named_points import NamedPoints, Predicted
 from recon.diagnosis.points import screen_points
 from recon.method.protocols import Estimate
