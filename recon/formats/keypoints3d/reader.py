@@ -9,6 +9,7 @@ from recon.core.errors import FormatError
 from recon.core.limits import TEXT
 from recon.core.units import Up
 from recon.formats.detections.tables import holds_detections
+from recon.formats.detections.text_tables import first_rows, numbers, read_rows
 from recon.formats.json_files import read_json
 from recon.formats.keypoints3d.json_files import is_points_3d, read_json_points
 from recon.formats.keypoints3d.labels import STUDY, are_keypoints
@@ -24,7 +25,6 @@ from recon.formats.mocap.reader import read_recording
 from recon.formats.mocap.recording import MarkerRecording
 from recon.formats.observations import PositionsFile
 from recon.formats.opening import load_arrays
-from recon.formats.text_tables import first_rows, numbers, read_rows
 
 _BODY = ("mediapipe_body_3d_xyz", "body_3d_xyz", "*_body_3d_xyz")
 
