@@ -15,11 +15,9 @@ from torch import Tensor, nn
 
 from recon.core.errors import WeightsError
 from recon.core.limits import BINARY, NETWORK_WEIGHT
-from recon.core.struct import TensorStruct
-from recon.formats.opening import replacing
 from recon.formats.weight_files import weights_path
 
-_ABOUT = "recon"
+ABOUT = "recon"
 """The one key of the metadata: safetensors writes several in no fixed order."""
 
 
@@ -92,52 +90,6 @@ class Checkpoint:
         network.load_state_dict(self.require(layers), strict=True)
 
 
-def half_precision(networks: nn.Module, **parts: TensorStruct) -> dict[str, Tensor]:
-    """Tensors of networks, and under the name of each part those that are not learned.
-
-    All are in half precision but what scales others: of parts only `directions` are.
-    """
-    tensors = {name: tensor.half() for name, tensor in networks.state_dict().items()}
-    for part, own in parts.items():
-        for name, tensor in own.tensors().items():
-            tensors[f"{part}.{name}"] = tensor.half() if name == "directions" else tensor.float()
-    return tensors
-
-
-def save_checkpoint(
-    path: str | Path,
-    kind: str,
-    tensors: Mapping[str, Tensor],
-    settings: Mapping[str, Any],
-) -> None:
-    """Write weights in one step.
-
-    Args:
-        path: ends in .safetensors by custom.
-        kind: what the weights are of, for example "pose"; checked on loading.
-        tensors: by layer.
-        settings: whatever JSON can hold.
-
-    Raises:
-        ValueError: when a layer holds NaN or infinity; nothing is written then.
-    """
-    from safetensors.torch import save
-
-    path = Path(path)
-    rows = {name: t.detach().cpu().contiguous() for name, t in tensors.items()}
-    bad = [f"{name} ({t.dtype})" for name, t in rows.items() if not bool(t.isfinite().all())]
-    if len(bad) > 0:
-        raise WeightsError(
-            f"{path}: weights not written, {', '.join(bad)} hold NaN or infinity; expected "
-            "finite numbers, in float16 of at most 65504: look into the training that gave them"
-        )
-    # as JSON gives it back, so that the checksum of what is read is that of what was written
-    plain = json.loads(json.dumps({"kind": kind, "settings": dict(settings)}))
-    about = json.dumps(plain | {"sha256": checksum(rows, plain)}, sort_keys=True)
-    with replacing(path) as beside:
-        beside.write_bytes(save(rows, metadata={_ABOUT: about}))
-
-
 def checksum(tensors: Mapping[str, Tensor], about: Mapping[str, Any]) -> str:
     """SHA-256 over kind, settings, and names, types, shapes and bytes of all tensors."""
     told = {key: about.get(key) for key in ("kind", "settings")}
@@ -191,7 +143,7 @@ def load_checkpoint(path: str | Path, kind: str) -> Checkpoint:
     except (SafetensorError, RuntimeError, ValueError, OSError, AttributeError) as error:
         raise WeightsError(f"{path}: expected a safetensors file, got {error}") from error
     try:
-        about = json.loads(notes.get(_ABOUT, "{}"))
+        about = json.loads(notes.get(ABOUT, "{}"))
     except (ValueError, RecursionError) as error:
         raise WeightsError(f"{path}: its metadata is not JSON: {error}") from error
     found = about.get("kind") if isinstance(about, dict) else None

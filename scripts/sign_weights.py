@@ -12,7 +12,8 @@ from pathlib import Path
 import torch
 from safetensors import safe_open
 
-from priors.checkpoints import load_checkpoint, save_checkpoint
+from priors.checkpoints import load_checkpoint
+from training.weights import save_checkpoint
 
 
 def main() -> None:

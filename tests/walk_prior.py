@@ -6,13 +6,15 @@ from pathlib import Path
 
 import torch
 
-from priors.anchor.frames import Anchors, CycleBasis, rest_pelvis
-from priors.anchor.networks import AnchorNetworks, AnchorWeights, CodeSpread, save_weights
+from priors.anchor.frames import Anchors, rest_pelvis
+from priors.anchor.networks import AnchorNetworks, AnchorWeights
 from recon.body.cycles import Cycle, find_cycles
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion
 from recon.formats.motions import load_motion
+from training.anchor.densities import fitted_basis, fitted_spread
+from training.weights import save_anchor
 
 LATENT = 8
 
@@ -47,10 +49,10 @@ def tiny_weights(path: Path, *, cycles: int = 40) -> Path:
             times=walked.times * (1 + faster),
         )
         rows.append(anchors.aligned(rest_pelvis(body, clip.shape))[0].pack())
-    basis = CycleBasis.fit(torch.stack(rows), 2 * LATENT)
+    basis = fitted_basis(torch.stack(rows), 2 * LATENT)
     networks = AnchorNetworks(basis, LATENT, body.shape_size, 16).eval()
     with torch.no_grad():
         means, log_variances = networks.posterior(torch.stack(rows))
-    spread = CodeSpread.fit(means, log_variances.exp(), typical=2)
-    save_weights(path, AnchorWeights(networks, spread), {})
+    spread = fitted_spread(means, log_variances.exp(), typical=2)
+    save_anchor(path, AnchorWeights(networks, spread), {})
     return path

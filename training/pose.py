@@ -8,15 +8,18 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from priors.checkpoints import save_checkpoint
-from priors.pose.density import COORDINATES, PoseDensity, fit_density
-from recon.benchmark.dataset import Splits, load_clips, poses
+from priors.pose.density import COORDINATES, ROTATIONS, PoseDensity
+from recon.body.kinematics import forward_kinematics
 from recon.body.model import BodyModel
+from recon.core import rotations as so3
+from training.recordings import poses
 from training.run import LOG
 from training.settings import CorpusSettings, told_settings
+from training.weights import save_checkpoint
 
 
 @dataclass(frozen=True)
@@ -38,9 +41,7 @@ def export_weights(settings: PoseTraining, path: Path) -> None:
         FileNotFoundError: when there is no corpus, splits file or folder for the output.
         ValueError: when no clip of the corpus may be learned from.
     """
-    splits = Splits.load(settings.splits)
-    learned = load_clips(settings.corpus, splits, "train", settings.data)
-    held_out = load_clips(settings.corpus, splits, "validation", settings.data)
+    learned, held_out = settings.load_clips("train"), settings.load_clips("validation")
     if len(learned) == 0:
         raise ValueError(f"{settings.corpus}: no clip there may be learned from ({settings.data})")
 
@@ -62,3 +63,49 @@ def score(density: PoseDensity, rotations: Float[Tensor, "poses 21 3 3"]) -> flo
     coordinates = density.coordinates(rotations.to(density.basis))
     normaliser = density.basis.slogdet().logabsdet + COORDINATES / 2 * math.log(2 * math.pi)
     return (-0.5 * coordinates.square().sum(-1).mean() - normaliser).item()
+
+
+def frechet_mean(
+    rotations: Float[Tensor, "poses 21 3 3"], rounds: int = 10
+) -> Float[Tensor, "21 3 3"]:
+    """The rotation of each joint about which the tangent vectors of all poses average to zero."""
+    mean = so3.nearest(rotations.mean(0))
+    for _ in range(rounds):
+        mean = mean @ so3.exp(so3.log(mean.mT @ rotations).mean(0))
+    return mean
+
+
+def fit_density(
+    rotations: Float[Tensor, "poses 21 3 3"], floor: float, body: BodyModel
+) -> PoseDensity:
+    """The density of the given poses, all weighing the same.
+
+    Args:
+        rotations: of the 21 body joints, each relative to its parent.
+        floor: standard deviation in radians added to every direction; without it, directions in
+            which the recorded skeletons cannot move would be forbidden to everybody.
+        body: whose joints the stiffness is of.
+    """
+    rotations = rotations.double()
+    mean = frechet_mean(rotations)
+    steps = so3.log(mean.mT @ rotations).flatten(-2)
+    covariance = steps.mT @ steps / len(steps)
+    covariance = covariance + floor**2 * torch.eye(COORDINATES, dtype=covariance.dtype)
+    variances, directions = torch.linalg.eigh(covariance)
+    basis = directions * variances.sqrt()
+    return PoseDensity(mean, basis, _stiffness(mean, basis, body))
+
+
+def _stiffness(
+    mean: Float[Tensor, "21 3 3"], basis: Float[Tensor, "63 63"], body: BodyModel
+) -> Float[Tensor, "66 66"]:
+    rest = body.joint_template.to(mean)
+
+    def joints(x: Tensor) -> Tensor:
+        root = so3.exp(x[:3])[None]
+        pose = mean @ so3.exp((basis @ x[3:]).unflatten(0, (ROTATIONS, 3)))
+        return forward_kinematics(torch.cat((root, pose))[None], rest)[1].flatten()
+
+    jacobian = torch.autograd.functional.jacobian(joints, basis.new_zeros(3 + COORDINATES))
+    assert isinstance(jacobian, Tensor)
+    return jacobian.mT @ jacobian

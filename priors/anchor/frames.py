@@ -4,7 +4,6 @@ Marsot et al., section 3: anchors lie evenly in time from the cycle's first mome
 so that cycles of any duration are of one size; each carries the time it stands for.
 """
 
-import math
 from dataclasses import dataclass
 
 import torch
@@ -123,8 +122,6 @@ _PLACE = (POSE_NUMBERS / 3) ** 0.5
 _TIME = (POSE_NUMBERS * ANCHORS / 3) ** 0.5
 """Worth of a translation's and of the duration's error beside that of a pose's number, where every
 loss is a mean over its own numbers."""
-_LEAST_SPAN = 0.01
-"""Metres or seconds that normalised numbers extend over, at least."""
 _LEAST = 0.02
 """Deviation of a direction, beside that of the first, below which it is not scaled up further."""
 _ROUNDING = 1e-4
@@ -149,25 +146,6 @@ class CycleBasis(TensorStruct):
     """Principal directions, orthonormal."""
     deviation: Float[Tensor, " basis"]
     """Standard deviation along each."""
-
-    @classmethod
-    def fit(cls, rows: Float[Tensor, "cycles 100 124"], basis: int) -> "CycleBasis":
-        """A basis fitted to training cycles.
-
-        Raises:
-            ValueError: when there are fewer cycles than directions asked for.
-        """
-        if len(rows) <= basis:
-            raise ValueError(f"{basis} directions need more cycles than {len(rows)}")
-        low, high = rows[..., POSE_NUMBERS:].amin((0, 1)), rows[..., POSE_NUMBERS:].amax((0, 1))
-        low = torch.cat((low[:3], low.new_zeros(1)))
-        high = high.maximum(low + _LEAST_SPAN)
-        plain = cls(low, high, rows.new_zeros(CODES), torch.eye(CODES)[:0], rows.new_zeros(0))
-        codes = plain.codes(plain.normalised(rows))
-        mean = codes.mean(0)
-        _, lengths, directions = torch.linalg.svd(codes - mean, full_matrices=False)
-        deviation = lengths[:basis] / math.sqrt(len(rows) - 1)
-        return cls(low, high, mean, directions[:basis].contiguous(), deviation)
 
     @property
     def scale(self) -> Float[Tensor, " basis"]:

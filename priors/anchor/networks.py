@@ -1,9 +1,7 @@
 """Networks of the anchor-frame VAE: a linear map of cycles, and what bends it."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -11,7 +9,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from priors.anchor.frames import CODES, CycleBasis
-from priors.checkpoints import half_precision, named_checkpoint, save_checkpoint
+from priors.checkpoints import named_checkpoint
 from recon.core.struct import TensorStruct
 
 _LOG_VARIANCE = (-10.0, 4.0)
@@ -101,7 +99,7 @@ def _residual(inputs: int, width: int, outputs: int, dropout: float) -> nn.Seque
 
 
 _BASIS, _SPREAD = "basis.", "spread."
-_ALIGNMENT = "yaw"
+ALIGNMENT = "yaw"
 """What is taken away from cycles: heading and place on the ground."""
 
 
@@ -115,24 +113,6 @@ class CodeSpread(TensorStruct):
     typical: Float[Tensor, "typical latent"]
     """Codes of different kinds of cycles, to begin a search with."""
 
-    @classmethod
-    def fit(
-        cls, means: Float[Tensor, "cycles latent"], variances: Float[Tensor, "cycles latent"],
-        typical: int, seed: int = 0,
-    ) -> "CodeSpread":  # fmt: skip
-        """Moments of the mixture of all posteriors, and the cycles nearest to cluster centres."""
-        from sklearn.cluster import KMeans
-
-        codes = means.double()
-        mean = codes.mean(0)
-        away = codes - mean
-        covariance = away.mT @ away / max(len(codes) - 1, 1) + variances.double().mean(0).diag()
-        rows = codes.numpy()
-        found = KMeans(typical, random_state=seed).fit(rows)
-        centres = torch.from_numpy(found.cluster_centers_)
-        nearest = torch.cdist(centres, codes).argmin(-1)
-        return cls(mean.float(), torch.linalg.cholesky(covariance).float(), means[nearest])
-
 
 @dataclass(frozen=True)
 class AnchorWeights:
@@ -140,19 +120,6 @@ class AnchorWeights:
 
     networks: AnchorNetworks
     spread: CodeSpread
-
-
-def save_weights(path: Path, weights: AnchorWeights, settings: Mapping[str, Any]) -> None:
-    """Write networks and directions in half precision, what scales them in single."""
-    networks, basis = weights.networks, weights.networks.basis
-    sizes = {
-        "latent": networks.latent,
-        "shape": networks.shape,
-        "width": networks.width,
-        "basis": len(basis.deviation),
-    }
-    tensors = half_precision(networks, basis=basis, spread=weights.spread)
-    save_checkpoint(path, "anchor", tensors, {**settings, **sizes, "alignment": _ALIGNMENT})
 
 
 def load_weights(path: str | Path) -> AnchorWeights:
@@ -167,7 +134,7 @@ def load_weights(path: str | Path) -> AnchorWeights:
         ValueError: when it holds something else.
     """
     found = named_checkpoint(path, "anchor")
-    latent, shape, size = found.sizes("latent", "shape", "basis", alignment=_ALIGNMENT)
+    latent, shape, size = found.sizes("latent", "shape", "basis", alignment=ALIGNMENT)
     (width,) = found.sizes("width", least=0)
     basis = CycleBasis(**found.under(_BASIS).require({
         "low": (4,), "high": (4,), "mean": (CODES,), "directions": (size, CODES),

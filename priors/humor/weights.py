@@ -1,23 +1,21 @@
 """HuMoR's weights on disk: ours, in safetensors with the mixture, and the authors' checkpoint."""
 
 import pickle
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from priors.checkpoints import Checkpoint, named_checkpoint, save_checkpoint
+from priors.checkpoints import Checkpoint, named_checkpoint
 from priors.humor.mixture import Mixture
 from priors.humor.networks import HumorNetworks, width_of
 from recon.core.errors import WeightsError
 
-_INITIAL = "initial."
+INITIAL = "initial."
 """Prefix of the names of the mixture's tensors."""
 
-_WHITENING = "error_whitening"
+WHITENING = "error_whitening"
 """Name of the tensor that says how far the decoder's steps are off."""
 
 _DAMAGED = (pickle.UnpicklingError, RuntimeError, EOFError, LookupError, TypeError, ValueError)
@@ -45,30 +43,9 @@ def read_weights(path: str | Path) -> Checkpoint:
     return _pytorch(Path(path))
 
 
-def save_weights(
-    path: str | Path,
-    networks: HumorNetworks,
-    initial: Mixture,
-    whitening: Float[Tensor, "207 207"],
-    settings: Mapping[str, Any],
-) -> None:
-    """Write networks in half precision, their first layers and the mixture in single.
-
-    The first layers see states: small differences of large numbers.
-    """
-    tensors = {
-        name: tensor.float() if name.endswith("net.0.weight") else tensor.half()
-        for name, tensor in networks.state_dict().items()
-    }
-    for name, tensor in initial.tensors().items():
-        tensors[_INITIAL + name] = tensor.float() if tensor.is_floating_point() else tensor
-    tensors[_WHITENING] = whitening.float()
-    save_checkpoint(path, "humor", tensors, {"width": networks.width, **settings})
-
-
 def networks_from(weights: Checkpoint) -> HumorNetworks:
     """Networks of the width that the weights have."""
-    own = weights.besides(_INITIAL, _WHITENING)
+    own = weights.besides(INITIAL, WHITENING)
     networks = HumorNetworks(width_of(own.tensors))
     own.into(networks)
     return networks
@@ -76,7 +53,7 @@ def networks_from(weights: Checkpoint) -> HumorNetworks:
 
 def mixture_from(weights: Checkpoint) -> Mixture | None:
     """The mixture beside the networks, if there is one."""
-    own = weights.under(_INITIAL)
+    own = weights.under(INITIAL)
     if len(own.tensors) == 0:
         return None
     count, size = own.tensors["means"].shape if "means" in own.tensors else (12, 138)
@@ -91,7 +68,7 @@ def mixture_from(weights: Checkpoint) -> Mixture | None:
 
 def whitening_from(weights: Checkpoint) -> Float[Tensor, "207 207"] | None:
     """The matrix that whitens the decoder's errors, where the file has one."""
-    own = weights.under(_WHITENING)
+    own = weights.under(WHITENING)
     return own.require({"": (207, 207)})[""] if own.tensors else None
 
 

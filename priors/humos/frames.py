@@ -217,22 +217,6 @@ class LappedBasis(TensorStruct):
     deviation: Float[Tensor, " basis"]
     """Standard deviation along each, metres."""
 
-    @classmethod
-    def fit(cls, rows: Float[Tensor, "clips time numbers"], basis: int) -> "LappedBasis":
-        """A basis fitted to stretches of motion, each of two hops or longer.
-
-        Raises:
-            ValueError: when there are fewer windows than directions asked for.
-        """
-        windows = _cut(rows)[:, 1:-1].flatten(0, 1)
-        if len(windows) <= basis:
-            raise ValueError(f"{basis} directions need more windows than {len(windows)}")
-        mean = windows.mean(0)
-        away = (windows - mean).double()
-        values, vectors = torch.linalg.eigh(away.mT @ away / (len(windows) - 1))
-        deviation = values.flip(0)[:basis].clamp(min=0).sqrt().float()
-        return cls(mean, vectors.flip(1).mT[:basis].float().contiguous(), deviation)
-
     @property
     def scale(self) -> Float[Tensor, " basis"]:
         """Metres that one unit of a coefficient is."""
@@ -242,7 +226,7 @@ class LappedBasis(TensorStruct):
         self, rows: Float[Tensor, "*batch time numbers"]
     ) -> Float[Tensor, "*batch windows basis"]:
         """Coefficients of all windows of a motion."""
-        return (_cut(rows) - self.mean) @ self.directions.mT / self.scale
+        return (cut_windows(rows) - self.mean) @ self.directions.mT / self.scale
 
     def synthesise(
         self, coefficients: Float[Tensor, "*batch windows basis"], frames: int
@@ -265,7 +249,7 @@ def existing_windows(
     return first < count + HOP
 
 
-def _cut(rows: Float[Tensor, "*batch time numbers"]) -> Float[Tensor, "*batch windows all"]:
+def cut_windows(rows: Float[Tensor, "*batch time numbers"]) -> Float[Tensor, "*batch windows all"]:
     """Windows of the motion, flattened."""
     frames = rows.shape[-2]
     count = windows_of(frames)

@@ -5,17 +5,15 @@ networks start as the linear map of the basis and learn the rest; encoder and de
 body. Published networks give one code to a whole clip (Tripathi et al. 2024, section 3.2).
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 from torch.nn import functional
 
-from priors.checkpoints import half_precision, named_checkpoint, save_checkpoint
+from priors.checkpoints import named_checkpoint
 from priors.humos.frames import NUMBERS, WINDOW, LappedBasis
 from recon.core.struct import TensorStruct
 
@@ -130,10 +128,8 @@ class _Layer(nn.Module):
 
 _BASIS, _DENSITY = "basis.", "density."
 _SIZES = ("latent", "basis", "shape", "width", "layers", "frames")
-_CODES = "windows"
+CODES_OF = "windows"
 """What has a code of its own; in files of versions up to 0.2.0 also a whole clip."""
-_MEMORY = 0.98
-"""Most that any direction of a code keeps to the next."""
 
 
 @dataclass(frozen=True)
@@ -149,38 +145,6 @@ class CodeDensity(TensorStruct):
     follow: Float[Tensor, "latent latent"]
     rest: Float[Tensor, "latent latent"]
     """Lower triangular."""
-
-    @classmethod
-    def fit(
-        cls, codes: Float[Tensor, "codes latent"], variance: Float[Tensor, " latent"],
-        pairs: tuple[Float[Tensor, "pairs latent"], Float[Tensor, "pairs latent"]],
-    ) -> "CodeDensity":  # fmt: skip
-        """Moments of all posteriors, and covariances of neighbours.
-
-        Stationary: rest restᵀ = I - follow followᵀ, so that u has unit variance at any time.
-
-        Args:
-            codes: means of posteriors.
-            variance: their mean variances.
-            pairs: neighbouring codes, earlier and later.
-        """
-        mean = codes.double().mean(0)
-        away = codes.double() - mean
-        noise = variance.double().diag()
-        root = torch.linalg.cholesky(away.mT @ away / (len(codes) - 1) + noise)
-        size = len(mean)
-        follow, rest = torch.zeros(size, size), torch.eye(size)
-        if len(pairs[0]) > size:
-            before, after = (
-                torch.linalg.solve_triangular(root, (p.double() - mean).mT, upper=False).mT
-                for p in pairs
-            )
-            # u has unit variance, so the covariance of neighbours is the regression itself; held
-            # below one, it forgets, and no clip grows however long it is
-            left, lengths, right = torch.linalg.svd(after.mT @ before / len(before))
-            follow = (left * lengths.clamp(max=_MEMORY)) @ right
-            rest = torch.linalg.cholesky(torch.eye(size, dtype=torch.float64) - follow @ follow.mT)
-        return cls(mean.float(), root.float(), follow.float(), rest.float())
 
     def white(
         self, codes: Float[Tensor, "*batch memory latent"]
@@ -229,14 +193,6 @@ class HumosWeights:
         return self.networks.decoder.body.in_features
 
 
-def save_weights(path: Path, weights: HumosWeights, settings: Mapping[str, Any]) -> None:
-    """Write networks and directions in half precision, what scales them in single."""
-    networks = weights.networks
-    tensors = half_precision(networks, basis=networks.basis, density=weights.density)
-    about = {"codes": _CODES, **settings, "frames": weights.frames}
-    save_checkpoint(path, "humos", tensors, about)
-
-
 def load_weights(path: str | Path) -> HumosWeights:
     """Read a weights file.
 
@@ -249,7 +205,7 @@ def load_weights(path: str | Path) -> HumosWeights:
         ValueError: when it holds something else.
     """
     found = named_checkpoint(path, "humos")
-    latent, size, shape, width, layers, frames = found.sizes(*_SIZES, codes=_CODES)
+    latent, size, shape, width, layers, frames = found.sizes(*_SIZES, codes=CODES_OF)
     numbers = WINDOW * NUMBERS
     basis = LappedBasis(**found.under(_BASIS).require({
         "mean": (numbers,), "directions": (size, numbers), "deviation": (size,),

@@ -7,8 +7,6 @@ from jaxtyping import Float
 from torch import Tensor
 
 from recon.body.derivatives import logarithm_by
-from recon.body.kinematics import forward_kinematics
-from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.struct import TensorStruct
 
@@ -54,49 +52,3 @@ class PoseDensity(TensorStruct):
         slopes = logarithm_by(steps)
         inverse = torch.linalg.inv(self.basis).unflatten(-1, (ROTATIONS, 3))
         return torch.einsum("zja,...jab->...zjb", inverse, slopes).flatten(-2)
-
-
-def frechet_mean(
-    rotations: Float[Tensor, "poses 21 3 3"], rounds: int = 10
-) -> Float[Tensor, "21 3 3"]:
-    """The rotation of each joint about which the tangent vectors of all poses average to zero."""
-    mean = so3.nearest(rotations.mean(0))
-    for _ in range(rounds):
-        mean = mean @ so3.exp(so3.log(mean.mT @ rotations).mean(0))
-    return mean
-
-
-def fit_density(
-    rotations: Float[Tensor, "poses 21 3 3"], floor: float, body: BodyModel
-) -> PoseDensity:
-    """The density of the given poses, all weighing the same.
-
-    Args:
-        rotations: of the 21 body joints, each relative to its parent.
-        floor: standard deviation in radians added to every direction; without it, directions in
-            which the recorded skeletons cannot move would be forbidden to everybody.
-        body: whose joints the stiffness is of.
-    """
-    rotations = rotations.double()
-    mean = frechet_mean(rotations)
-    steps = so3.log(mean.mT @ rotations).flatten(-2)
-    covariance = steps.mT @ steps / len(steps)
-    covariance = covariance + floor**2 * torch.eye(COORDINATES, dtype=covariance.dtype)
-    variances, directions = torch.linalg.eigh(covariance)
-    basis = directions * variances.sqrt()
-    return PoseDensity(mean, basis, _stiffness(mean, basis, body))
-
-
-def _stiffness(
-    mean: Float[Tensor, "21 3 3"], basis: Float[Tensor, "63 63"], body: BodyModel
-) -> Float[Tensor, "66 66"]:
-    rest = body.joint_template.to(mean)
-
-    def joints(x: Tensor) -> Tensor:
-        root = so3.exp(x[:3])[None]
-        pose = mean @ so3.exp((basis @ x[3:]).unflatten(0, (ROTATIONS, 3)))
-        return forward_kinematics(torch.cat((root, pose))[None], rest)[1].flatten()
-
-    jacobian = torch.autograd.functional.jacobian(joints, basis.new_zeros(3 + COORDINATES))
-    assert isinstance(jacobian, Tensor)
-    return jacobian.mT @ jacobian

@@ -19,9 +19,8 @@ from recon.body.soles import Soles, Stance
 from recon.core.motion import Motion
 from recon.core.skeleton import FEET, JOINTS
 from recon.diagnosis.findings import Finding
-from recon.diagnosis.motions.belt import belt_velocity, treadmill_finding
-from recon.diagnosis.motions.gravity import rate_finding
-from recon.diagnosis.motions.support import support_findings
+from recon.diagnosis.frame_rate import rate_finding
+from recon.diagnosis.movement import belt_velocity, support_findings, treadmill_finding
 from recon.formats.mocap.recording import SkeletonRecording
 from recon.formats.motions import MotionFile, save_motion
 from recon.ingest.skeleton import Solved, solve

@@ -10,7 +10,6 @@ from observations.joints3d import Joints3D
 from observations.keypoints2d import Keypoints2D
 from observations.markers3d import Markers3D
 from observations.surfels import Surfels
-from priors.anchor.networks import save_weights
 from recon.body.landmarks import LANDMARKS_16, landmark
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
@@ -21,6 +20,7 @@ from recon.fitting.cycles import complete
 from recon.fitting.methods import FitOptions
 from tests.filmed import cameras, view
 from tests.priors.tiny_anchor import tiny_weights, walks
+from training.weights import save_anchor
 
 BODY = BodyModel.load()
 
@@ -28,7 +28,7 @@ BODY = BodyModel.load()
 @pytest.fixture(scope="module")
 def settings(tmp_path_factory: pytest.TempPathFactory) -> FitOptions:
     path = tmp_path_factory.mktemp("weights") / "tiny.safetensors"
-    save_weights(path, tiny_weights(BODY), {})
+    save_anchor(path, tiny_weights(BODY), {})
     return FitOptions(prior="anchor", weights=str(path))
 
 

@@ -4,7 +4,6 @@ import pytest
 import torch
 
 from priors.anchor.frames import ANCHORS, Anchors, rest_pelvis
-from priors.anchor.networks import save_weights
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion
@@ -13,6 +12,7 @@ from recon.fitting.interpolation import agreement, between, cycles_of, foot_lift
 from recon.formats.motions import MotionFile, load_motion, save_motion
 from tests.priors.tiny_anchor import tiny_prior
 from tests.verbs import report_of
+from training.weights import save_anchor
 
 pytestmark = pytest.mark.numerics
 
@@ -30,7 +30,7 @@ def prior(body):
 @pytest.fixture(scope="module")
 def weights(prior, tmp_path_factory):
     path = tmp_path_factory.mktemp("weights") / "anchor.safetensors"
-    save_weights(path, prior.weights, {})
+    save_anchor(path, prior.weights, {})
     return str(path)
 
 

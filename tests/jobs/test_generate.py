@@ -9,7 +9,6 @@ from torch import Tensor
 
 from priors.humor.mixture import Mixture
 from priors.humor.state import canonical, distinct_features, initial_features, states_of
-from priors.humor.weights import save_weights
 from recon import cli
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
@@ -17,6 +16,7 @@ from recon.formats.motions import MotionFile, load_motion, save_motion
 from recon.view.files import view
 from tests.priors.test_humor import humor, motions
 from tests.priors.test_pose import swinging
+from training.weights import save_humor
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +30,7 @@ def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
     covariances = 1e-6 * torch.eye(len(known)).double().expand(2, len(known), len(known))
     initial = Mixture.create(torch.tensor([0.5, 0.5]), means.double(), covariances, known)
     path = tmp_path_factory.mktemp("weights") / "humor.safetensors"
-    save_weights(path, prior.networks, initial, prior.error_whitening, {"data": "open"})
+    save_humor(path, prior.networks, initial, prior.error_whitening, {"data": "open"})
     return path
 
 

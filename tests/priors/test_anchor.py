@@ -3,20 +3,16 @@ import pytest
 import torch
 
 from priors.anchor.frames import Anchors, CycleBasis
-from priors.anchor.networks import (
-    AnchorNetworks,
-    AnchorWeights,
-    CodeSpread,
-    load_weights,
-    save_weights,
-)
+from priors.anchor.networks import AnchorNetworks, AnchorWeights, CodeSpread, load_weights
 from priors.anchor.prior import AnchorFrames
-from priors.checkpoints import load_checkpoint, save_checkpoint
+from priors.checkpoints import load_checkpoint
 from priors.cosines import cosines
 from recon.body.model import BodyModel
 from recon.core.motion import pad
 from recon.method.priors import Prior
 from tests.priors.tiny_anchor import LATENT, tiny_prior, tiny_weights, walks
+from training.anchor.densities import fitted_basis
+from training.weights import save_anchor, save_checkpoint
 
 pytestmark = pytest.mark.numerics
 
@@ -35,7 +31,7 @@ def test_cosines_are_orthonormal():
 
 def test_the_basis_gives_its_own_cycles_back():
     rows = torch.stack([Anchors.of(walk).pack() for walk in walks(BODY, 12)])
-    basis = CycleBasis.fit(rows, 6)
+    basis = fitted_basis(rows, 6)
     back = basis.metric(basis.synthesise(basis.analyse(rows)))
     assert float((back - rows).abs().max()) < 0.02
     assert torch.allclose(back[:, -1, -1], rows[:, -1, -1], atol=1e-3)
@@ -44,12 +40,12 @@ def test_the_basis_gives_its_own_cycles_back():
 def test_a_basis_needs_more_cycles_than_directions():
     rows = torch.stack([Anchors.of(walk).pack() for walk in walks(BODY, 3)])
     with pytest.raises(ValueError, match="need more cycles"):
-        CycleBasis.fit(rows, 6)
+        fitted_basis(rows, 6)
 
 
 def _rank_two_basis(residue: float) -> CycleBasis:
     """A basis of walks of which only two directions vary; rounding is left in the others."""
-    basis = CycleBasis.fit(torch.stack([Anchors.of(walk).pack() for walk in walks(BODY, 12)]), 6)
+    basis = fitted_basis(torch.stack([Anchors.of(walk).pack() for walk in walks(BODY, 12)]), 6)
     deviation = basis.deviation.clone()
     deviation[2:] = residue * deviation[0]
     return basis.replace(deviation=deviation)
@@ -62,13 +58,13 @@ def test_directions_without_variance_are_not_blown_up(residue, tmp_path):
     assert float(networks.to_code.detach().abs().max()) <= 200.001
     spread = CodeSpread(torch.zeros(LATENT), torch.eye(LATENT), torch.zeros(2, LATENT))
     path = tmp_path / "anchor.safetensors"
-    save_weights(path, AnchorWeights(networks, spread), {})
+    save_anchor(path, AnchorWeights(networks, spread), {})
     there = load_weights(path).networks.to_code
     assert torch.allclose(there, networks.to_code.detach(), rtol=1e-2)  # of float16
 
 
 def test_directions_with_variance_have_unit_variance():
-    basis = CycleBasis.fit(torch.stack([Anchors.of(walk).pack() for walk in walks(BODY, 40)]), 3)
+    basis = fitted_basis(torch.stack([Anchors.of(walk).pack() for walk in walks(BODY, 40)]), 3)
     rows = torch.stack([Anchors.of(walk).pack() for walk in walks(BODY, 40)])
     codes = basis.analyse(rows) * basis.whitening
     assert torch.allclose(codes.std(0), torch.ones(3), atol=1e-3)
@@ -142,7 +138,7 @@ def test_gradients_are_right():
 
 def test_weights_survive_the_disk(tmp_path):
     weights = tiny_weights(BODY)
-    save_weights(tmp_path / "w.safetensors", weights, {"data": "open"})
+    save_anchor(tmp_path / "w.safetensors", weights, {"data": "open"})
     back = load_weights(tmp_path / "w.safetensors")
     code = torch.randn(3, LATENT)
     shape = torch.zeros(3, BODY.shape_size)
@@ -154,7 +150,7 @@ def test_weights_survive_the_disk(tmp_path):
 def test_weights_of_another_alignment_are_refused(tmp_path):
     """Cycles without which way is up, as published, are no longer known."""
     path = tmp_path / "w.safetensors"
-    save_weights(path, tiny_weights(BODY), {})
+    save_anchor(path, tiny_weights(BODY), {})
     found = load_checkpoint(path, "anchor")
     save_checkpoint(path, "anchor", found.tensors, {**found.settings, "alignment": "full"})
     with pytest.raises(ValueError, match=r"alignment = 'yaw'.*trained anew"):
@@ -162,7 +158,7 @@ def test_weights_of_another_alignment_are_refused(tmp_path):
 
 
 def test_weights_for_another_body_are_refused(tmp_path):
-    save_weights(tmp_path / "w.safetensors", tiny_weights(BODY), {})
+    save_anchor(tmp_path / "w.safetensors", tiny_weights(BODY), {})
     other = BODY.replace(
         shape_directions=BODY.shape_directions[..., :5],
         joint_directions=BODY.joint_directions[..., :5],

@@ -9,9 +9,10 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
-from priors.checkpoints import load_checkpoint, named_checkpoint, save_checkpoint
+from priors.checkpoints import load_checkpoint, named_checkpoint
 from recon.formats.replacing import file_checksum
 from scripts.sign_weights import sign
+from training.weights import save_checkpoint
 
 ROOT = Path(__file__).parents[2]
 SHIPPED = [

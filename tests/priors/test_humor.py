@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from priors.checkpoints import load_checkpoint, save_checkpoint
+from priors.checkpoints import load_checkpoint
 from priors.humor.mixture import Mixture
 from priors.humor.networks import HumorNetworks
 from priors.humor.prior import Humor
@@ -20,13 +20,13 @@ from priors.humor.state import (
     rest_pelvis,
     states_of,
 )
-from priors.humor.weights import save_weights
 from recon.body.model import BodyModel
 from recon.core import rotations as so3
 from recon.core.motion import Motion, pad
 from recon.method.priors import Prior
 from tests.laws import check_heading_invariance, check_prior
 from tests.priors.test_pose import swinging
+from training.weights import save_checkpoint, save_humor
 
 
 def humor(body: BodyModel, still: bool = False, width: int = 64) -> Humor:
@@ -181,7 +181,7 @@ def test_weights_files(
 ) -> None:
     prior = humor(BodyModel.load())
     path = tmp_path / "humor.safetensors"
-    save_weights(path, prior.networks, prior.initial, prior.error_whitening, {"data": "open"})
+    save_humor(path, prior.networks, prior.initial, prior.error_whitening, {"data": "open"})
     loaded = Humor.load(path)
     assert loaded.networks.width == 64
     assert load_checkpoint(path, "humor").settings == {"data": "open", "width": 64}

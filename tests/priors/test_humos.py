@@ -9,11 +9,7 @@ import torch
 from observations.joints3d import Joints3D
 from priors.humos.collocation import CollocatedHumos
 from priors.humos.frames import lowest_of
-from priors.humos.networks import (
-    CodeDensity,
-    load_weights,
-    save_weights,
-)
+from priors.humos.networks import load_weights
 from priors.humos.prior import FPS, Humos
 from recon.body.model import BodyModel
 from recon.body.motion_files import leg_length
@@ -23,6 +19,8 @@ from recon.method.reconstruction import solve
 from tests import laws
 from tests.priors.tiny_humos import tiny_prior, tiny_weights
 from tests.walking import a_walk
+from training.humos.densities import fitted_codes
+from training.weights import save_humos
 
 BODY = BodyModel.load()
 
@@ -88,7 +86,7 @@ def test_density_is_that_of_codes_one_after_the_other():
     random = torch.Generator().manual_seed(0)
     before = torch.randn(500, 3, generator=random)
     after = 0.6 * before + 0.5 * torch.randn(500, 3, generator=random)
-    density = CodeDensity.fit(torch.cat((before, after)), torch.full((3,), 0.01), (before, after))
+    density = fitted_codes(torch.cat((before, after)), torch.full((3,), 0.01), (before, after))
     u = torch.randn(1, 3, 3, generator=random)
     exists = torch.ones(1, 3, dtype=torch.bool)
     follow, rest = density.follow.double(), density.rest.double()
@@ -147,12 +145,12 @@ def test_weights_survive_the_disk(tmp_path):
     sizes = {"codes": "windows", "latent": 6, "basis": 16,
              "shape": BODY.shape_size, "width": 16, "layers": 1}  # fmt: skip
     path = tmp_path / "humos.safetensors"
-    save_weights(path, weights, sizes)
+    save_humos(path, weights, sizes)
     found = load_weights(path)
     motion = walks()
     one, other = (Humos(w, BODY).encode(motion).latent for w in (weights, found))
     torch.testing.assert_close(one, other, atol=0.05, rtol=0.02)
-    save_weights(path, weights, sizes | {"codes": "words"})
+    save_humos(path, weights, sizes | {"codes": "words"})
     with pytest.raises(ValueError, match="codes = 'windows'"):
         load_weights(path)
 

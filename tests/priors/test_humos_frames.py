@@ -20,6 +20,7 @@ from recon.core import rotations as so3
 from tests.priors.tiny_humos import rows_of_walks
 from tests.walking import a_walk
 from training.humos.corpus import begun_anew, mirrored
+from training.humos.densities import fitted_basis
 
 BODY = BodyModel.load()
 
@@ -128,10 +129,10 @@ def test_windows_add_up_to_the_motion(frames):
 
 def test_few_directions_are_enough_for_walks():
     rows = rows_of_walks(BODY)
-    basis = LappedBasis.fit(rows, 16)
+    basis = fitted_basis(rows, 16)
     others = rows_of_walks(BODY, count=4, seed=1)
     away = basis.synthesise(basis.analyse(others), others.shape[1]) - others
     plain = others - others.mean((0, 1))
     assert float(away.square().mean()) < 0.02 * float(plain.square().mean())
     with pytest.raises(ValueError, match="more windows"):
-        LappedBasis.fit(rows[:1], 16)
+        fitted_basis(rows[:1], 16)

@@ -2,12 +2,13 @@
 
 import torch
 
-from priors.anchor.frames import Anchors, CycleBasis, rest_pelvis
-from priors.anchor.networks import AnchorNetworks, AnchorWeights, CodeSpread
+from priors.anchor.frames import Anchors, rest_pelvis
+from priors.anchor.networks import AnchorNetworks, AnchorWeights
 from priors.anchor.prior import AnchorFrames
 from recon.body.model import BodyModel
 from recon.core.motion import Motion
 from tests.walking import a_walk
+from training.anchor.densities import fitted_basis, fitted_spread
 
 LATENT = 4
 
@@ -34,10 +35,10 @@ def tiny_weights(body: BodyModel) -> AnchorWeights:
         cycles.append(Anchors.of(walk).aligned(pelvis)[0].pack())
     rows = torch.stack(cycles)
     torch.manual_seed(0)
-    networks = AnchorNetworks(CycleBasis.fit(rows, 8), LATENT, body.shape_size, 16).eval()
+    networks = AnchorNetworks(fitted_basis(rows, 8), LATENT, body.shape_size, 16).eval()
     networks.requires_grad_(False)
     mean, log_variance = networks.posterior(rows)
-    spread = CodeSpread.fit(mean, log_variance.exp(), 4)
+    spread = fitted_spread(mean, log_variance.exp(), 4)
     return AnchorWeights(networks, spread)
 
 

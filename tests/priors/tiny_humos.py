@@ -2,11 +2,12 @@
 
 import torch
 
-from priors.humos.frames import BodyFrames, LappedBasis
-from priors.humos.networks import CodeDensity, HumosWeights, WindowNetworks
+from priors.humos.frames import BodyFrames
+from priors.humos.networks import HumosWeights, WindowNetworks
 from priors.humos.prior import Humos
 from recon.body.model import BodyModel
 from tests.walking import a_walk
+from training.humos.densities import fitted_basis, fitted_codes
 
 LATENT, FRAMES = 6, 40
 
@@ -26,12 +27,12 @@ def tiny_weights(body: BodyModel) -> HumosWeights:
     """Principal components; the networks beside them have learned nothing."""
     rows = rows_of_walks(body)
     torch.manual_seed(0)
-    networks = WindowNetworks(LappedBasis.fit(rows, 16), LATENT, body.shape_size, 16, 1).eval()
+    networks = WindowNetworks(fitted_basis(rows, 16), LATENT, body.shape_size, 16, 1).eval()
     networks.requires_grad_(False)
     shape = torch.zeros(len(rows), body.shape_size)
     exists = torch.ones(len(rows), FRAMES // 8 + 1, dtype=torch.bool)
     mean, log_variance = networks.posterior(rows, shape, exists)
-    density = CodeDensity.fit(
+    density = fitted_codes(
         mean.flatten(0, 1),
         log_variance.exp().mean((0, 1)),
         (mean[:, :-1].flatten(0, 1), mean[:, 1:].flatten(0, 1)),

@@ -10,11 +10,12 @@ from pathlib import Path
 import torch
 from torch import nn
 
-from priors.anchor.frames import CycleBasis
-from priors.anchor.networks import AnchorNetworks, AnchorWeights, CodeSpread, save_weights
+from priors.anchor.networks import AnchorNetworks, AnchorWeights
 from recon.body.model import BodyModel
 from training.anchor.corpus import CycleCorpus, CycleVariation
+from training.anchor.densities import fitted_basis, fitted_spread
 from training.settings import CorpusSettings, told_settings
+from training.weights import save_anchor
 
 _DRAWN_AT_ONCE = 256
 """Cycles."""
@@ -48,7 +49,7 @@ def export_weights(settings: AnchorTraining, path: Path) -> None:
     """
     torch.set_num_threads(1)
     learned = CycleCorpus.load(settings, "train", BodyModel.load())
-    save_weights(path, linear(settings, learned), told_settings(settings))
+    save_anchor(path, linear(settings, learned), told_settings(settings))
 
 
 def linear(settings: AnchorTraining, learned: CycleCorpus) -> AnchorWeights:
@@ -58,7 +59,7 @@ def linear(settings: AnchorTraining, learned: CycleCorpus) -> AnchorWeights:
         learned.draw(_DRAWN_AT_ONCE, settings.variation, random).anchors.pack()
         for _ in range(-(-settings.basis_from // _DRAWN_AT_ONCE))
     ]
-    basis = CycleBasis.fit(torch.cat(rows), settings.latent)
+    basis = fitted_basis(torch.cat(rows), settings.latent)
     networks = AnchorNetworks(basis, settings.latent, learned.shape.shape[1], width=0)
     last = networks.encoder[-1]
     assert isinstance(last, nn.Linear)
@@ -69,5 +70,5 @@ def linear(settings: AnchorTraining, learned: CycleCorpus) -> AnchorWeights:
     drawn = learned.draw(settings.basis_from // 2, _SPREAD, random)
     mean, log_variance = networks.posterior(drawn.anchors.pack())
     typical = min(_TYPICAL, len(learned.shape))
-    spread = CodeSpread.fit(mean, log_variance.exp(), typical, settings.seed)
+    spread = fitted_spread(mean, log_variance.exp(), typical, settings.seed)
     return AnchorWeights(networks, spread)

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from priors.humor.networks import HumorNetworks
 from priors.humor.state import canonical, distinct_features, initial_features, rest_pelvis
-from priors.humor.weights import networks_from, read_weights, save_weights
+from priors.humor.weights import networks_from, read_weights
 from recon.body.model import BodyModel
 from training.humor.corpus import Corpus, StateWindows
 from training.humor.densities import error_whitening, fitted_mixture
@@ -28,6 +28,7 @@ from training.humor.scaling import ScaledNetworks, Scaling
 from training.humor.variation import VARIED, Variation
 from training.run import BEST, LOG, Run, in_folder, trained_state
 from training.settings import TrainingSettings, told_settings
+from training.weights import save_humor
 
 _SCALED_BY = 20_000
 """Windows from which the scales of inputs and outputs are taken."""
@@ -185,7 +186,7 @@ def export_weights(settings: HumorTraining, path: Path, samples: int = 20_000) -
     initial = fitted_mixture(features, distinct_features(), seed=settings.seed)
 
     about = told_settings(settings) | {"step": found["step"]}
-    save_weights(path, networks, initial, whitening, about)
+    save_humor(path, networks, initial, whitening, about)
     LOG.info("wrote the networks of step %d as %s", found["step"], path)
     return path
 

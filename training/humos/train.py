@@ -9,9 +9,10 @@ import torch
 from torch import Tensor
 
 from priors.humos.frames import BodyFrames, LappedBasis
-from priors.humos.networks import CodeDensity, HumosWeights, WindowNetworks, save_weights
+from priors.humos.networks import CodeDensity, HumosWeights, WindowNetworks
 from recon.body.model import BodyModel
 from training.humos.corpus import BodyBatch, BodyCorpus, BodyVariation
+from training.humos.densities import fitted_basis, fitted_codes
 from training.humos.losses import (
     clearance_error,
     divergence,
@@ -23,6 +24,7 @@ from training.humos.losses import (
 )
 from training.run import CHECKPOINT, LOG, Run, in_folder, trained_state
 from training.settings import TrainingSettings, told_settings
+from training.weights import save_humos
 
 _HELD_OUT = 48
 """Windows that validation looks at."""
@@ -122,7 +124,7 @@ class HumosRun(Run[HumosTraining, WindowNetworks]):
             ).frames.pack()
             for _ in range(-(-settings.basis_from // _BASIS_WINDOWS))
         ]
-        return LappedBasis.fit(torch.cat(rows), settings.basis)
+        return fitted_basis(torch.cat(rows), settings.basis)
 
     def more(self) -> dict[str, Any]:
         """The principal directions, which are not learned."""
@@ -204,7 +206,7 @@ def export_weights(settings: HumosTraining, path: Path) -> Path:
     networks.eval().requires_grad_(False)
     weights = HumosWeights(networks, _density(settings, networks, learned), settings.frames)
     about = told_settings(settings) | {"shape": weights.shape, "step": found["step"]}
-    save_weights(path, weights, about)
+    save_humos(path, weights, about)
     LOG.info("wrote the networks of step %d as %s", found["step"], path)
     return path
 
@@ -234,7 +236,7 @@ def _density(
         both = exists[:, 1:] & exists[:, :-1]
         before.append(found.mean[:, :-1][both])
         after.append(found.mean[:, 1:][both])
-    return CodeDensity.fit(
+    return fitted_codes(
         torch.cat(codes), torch.cat(variances).mean(0), (torch.cat(before), torch.cat(after))
     )
 

@@ -8,7 +8,6 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from priors.checkpoints import half_precision, save_checkpoint
 from priors.labels.networks import LabelNetwork
 from training.descent import Muon
 from training.labels.clouds import CloudCorpus, CloudVariation, half_hidden, varied
@@ -16,6 +15,7 @@ from training.labels.losses import errors, losses, said_of, seen_of
 from training.labels.shards import make_training_clouds
 from training.run import CHECKPOINT, Run, in_folder, trained_state
 from training.settings import TrainingSettings, told_settings
+from training.weights import half_precision, save_checkpoint
 
 _HELD_OUT, _POINTS = 48, 384
 """Windows that validation looks at, and the points of their moments."""
